@@ -1,0 +1,96 @@
+// The nouns: what stands in a scene, what acts on it, and what is to be minimised. Plain doubles, SI units.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/physics/geometry.h"
+
+namespace saltus {
+
+// A disc. A fixed disc never moves; its mass and velocity are not used.
+struct Body {
+  std::string name;
+  double radius = 0;  // m, > 0
+  double mass = 1;    // kg, > 0
+  bool fixed = false;
+  Vec2d position = Vec2d::Zero();  // m
+  Vec2d velocity = Vec2d::Zero();  // m/s
+};
+
+// A half-plane. Bodies stay on the side that the normal points to.
+struct Plane {
+  std::string name;
+  Vec2d point = Vec2d::Zero();   // m, any point on the boundary
+  Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
+};
+
+// Scene-wide contact parameters. A model reads those it knows.
+struct ContactParameters {
+  double restitution = 1;   // e in [0, 1]
+  double friction = 0;      // mu >= 0
+  double stiffness = 1e4;   // N/m, compliant models
+  double damping = 0;       // N s/m, compliant models
+};
+
+// Which bodies are pushed, and the constant force on each with which optimisation starts.
+struct Control {
+  std::vector<int> bodies;      // indices into Scene::bodies, without repetition; none fixed
+  std::vector<Vec2d> initial;   // N, one per controlled body
+};
+
+// One term of the loss at the final time T.
+struct TerminalTerm {
+  enum class Quantity { kPosition, kVelocity };
+  int body = 0;
+  Quantity quantity = Quantity::kPosition;
+  // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
+  std::optional<int> component;
+  Vec2d target = Vec2d::Zero();  // m or m/s
+  double weight = 1;
+};
+
+// loss = sum of terminal terms + effort * sum over controlled bodies of the integral of |u|^2 dt
+struct Objective {
+  std::vector<TerminalTerm> terminal;
+  double effort = 0;
+
+  // True if every term is a square, so that least-squares solvers apply.
+  bool IsSumOfSquares() const;
+};
+
+// What the solvers may change.
+enum class Optimize { kControl, kVelocity, kPosition, kNone };
+const char* OptimizeToString(Optimize optimize);
+
+struct Scene {
+  std::string name;     // [a-z0-9_]+
+  double duration = 1;  // s, > 0
+  int steps = 1;        // equal steps of duration / steps
+  Vec2d gravity = Vec2d::Zero();  // m/s^2
+  std::vector<Body> bodies;
+  std::vector<Plane> planes;
+  ContactParameters contact;
+  Control control;  // empty if nothing is pushed
+  Objective objective;
+  Optimize optimize = Optimize::kNone;
+  std::vector<int> free;  // for kVelocity and kPosition: whose; indices of bodies that are not fixed
+
+  double dt() const { return duration / steps; }
+  int num_bodies() const { return static_cast<int>(bodies.size()); }
+  int num_controlled() const { return static_cast<int>(control.bodies.size()); }
+};
+
+// A rule of the scene that is broken, and where.
+struct SceneError {
+  std::string key;      // path in the scene file: "bodies[1].radius"
+  std::string message;  // what was found and what was expected
+};
+
+// The first rule that `scene` breaks, or nothing. Checked: finite numbers, ranges as stated above, names that are unique
+// and well formed, indices in range, and no overlap above 1e-12 m at the start between discs or of a disc with a plane
+// (two fixed discs may overlap, and a fixed disc may reach into a plane).
+std::optional<SceneError> Validate(const Scene& scene);
+
+}  // namespace saltus
