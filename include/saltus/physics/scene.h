@@ -28,16 +28,16 @@ struct Plane {
 
 // Scene-wide contact parameters. A model reads those it knows.
 struct ContactParameters {
-  double restitution = 1;   // e in [0, 1]
-  double friction = 0;      // mu >= 0
-  double stiffness = 1e4;   // N/m, compliant models
-  double damping = 0;       // N s/m, compliant models
+  double restitution = 1;  // e in [0, 1]
+  double friction = 0;     // mu >= 0
+  double stiffness = 1e4;  // N/m, compliant models
+  double damping = 0;      // N s/m, compliant models
 };
 
 // Which bodies are pushed, and the constant force on each with which optimisation starts.
 struct Control {
-  std::vector<int> bodies;      // indices into Scene::bodies, without repetition; none fixed
-  std::vector<Vec2d> initial;   // N, one per controlled body
+  std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
+  std::vector<Vec2d> initial;  // N, one per controlled body
 };
 
 // One term of the loss at the final time T.
@@ -65,9 +65,9 @@ enum class Optimize { kControl, kVelocity, kPosition, kNone };
 const char* OptimizeToString(Optimize optimize);
 
 struct Scene {
-  std::string name;     // [a-z0-9_]+
-  double duration = 1;  // s, > 0
-  int steps = 1;        // equal steps of duration / steps
+  std::string name;               // [a-z0-9_]+
+  double duration = 1;            // s, > 0
+  int steps = 1;                  // equal steps of duration / steps
   Vec2d gravity = Vec2d::Zero();  // m/s^2
   std::vector<Body> bodies;
   std::vector<Plane> planes;
@@ -88,9 +88,9 @@ struct SceneError {
   std::string message;  // what was found and what was expected
 };
 
-// The first rule that `scene` breaks, or nothing. Checked: finite numbers, ranges as stated above, names that are unique
-// and well formed, indices in range, and no overlap above 1e-12 m at the start between discs or of a disc with a plane
-// (two fixed discs may overlap, and a fixed disc may reach into a plane).
+// The first rule that `scene` breaks, or nothing. Checked: finite numbers, ranges as stated above, names that are
+// unique and well formed, indices in range, and no overlap above 1e-12 m at the start between discs or of a disc with a
+// plane (two fixed discs may overlap, and a fixed disc may reach into a plane).
 std::optional<SceneError> Validate(const Scene& scene);
 
 }  // namespace saltus

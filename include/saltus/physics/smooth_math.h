@@ -10,8 +10,8 @@
 
 namespace saltus {
 
-// a / b. ceres::Jet multiplies with the reciprocal, which can differ from the scalar quotient in the last bit; this does
-// not. Precondition: b != 0.
+// a / b. ceres::Jet multiplies with the reciprocal, which can differ from the scalar quotient in the last bit; this
+// does not. Precondition: b != 0.
 template <typename S>
 S Divide(const S& a, const S& b) {
   return a / b;

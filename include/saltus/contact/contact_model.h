@@ -1,0 +1,174 @@
+// What a contact model is, what it sees of the world in one step, and what it promises.
+//
+// A contact model is a small class with one templated function, its step
+//
+//   x' = f(x, u)        x: positions and velocities of some discs,  u: the force on each, held over the step.
+//
+// It knows nothing of trajectories, problems or solvers, nor which part of a scene it is given: the same function steps
+// a whole scene in double and, with T a Jet, just the discs of one contact to differentiate it. Branches are taken on
+// values. All contacts of a step see the state at its start and their contributions add, in the order of the
+// candidates, unless a model's header says otherwise.
+//
+// To add a model: one header here, one line in models.h.
+#pragma once
+
+#include <concepts>
+#include <memory_resource>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/physics/geometry.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+// What a model says of itself. Tests, the audit and the programs take their exceptions from here, never from its name.
+struct ModelTraits {
+  std::string_view name;            // the value of --contact
+  std::string_view summary;         // one line
+  std::string_view source;          // paper or package, and section
+  int grid_steps = 1;               // steps of the scene's time grid that one step of the model covers
+  bool friction = true;             // knows friction; without, a scene with friction > 0 is not applicable
+  bool compliant = false;           // bodies overlap while in contact; reads stiffness and damping
+  bool double_engine = false;       // computes in double even when single precision is asked for
+  bool published_jacobian = false;  // its linearization is defined by its source and is not the derivative of its step
+  bool chains = false;              // one step can pass an impact on to a disc that the hit disc hits
+  bool event_driven = false;        // free flight and impact times are exact, whatever the step
+  double restitution_power = 1;     // separates with restitution^power (2 where a package multiplies both bodies')
+};
+
+// State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.
+template <typename T, int kRotation>
+struct BodyState {
+  static constexpr int kSize = 4 + kRotation;
+  Vec2<T> p;  // position, m
+  Vec2<T> v;  // velocity, m/s
+  T rotation[kRotation];
+};
+template <typename T>
+struct BodyState<T, 0> {
+  static constexpr int kSize = 4;
+  Vec2<T> p;
+  Vec2<T> v;
+};
+
+template <typename T>
+struct BodyConstants {
+  T mass;          // kg; not used if fixed
+  T inverse_mass;  // 1/kg; 0 if fixed
+  Base<T> radius;  // m
+  bool fixed = false;
+};
+
+template <typename T>
+struct ContactConstants {
+  T restitution, friction, stiffness, damping;  // as in ContactParameters
+};
+
+// Disc `a` and either disc `b` or half-plane `b`, which may touch in this step. Normals point towards `a`; a < b for
+// two discs. Never two fixed discs, nor a fixed disc and a plane.
+struct Candidate {
+  int a = 0;
+  int b = 0;
+  bool plane = false;
+  friend bool operator==(const Candidate&, const Candidate&) = default;
+};
+
+enum class ContactMode { kFrictionless, kSlip, kStick };
+const char* ContactModeToString(ContactMode mode);
+
+// A contact that took effect in a step.
+struct Touch {
+  Candidate candidate;
+  ContactMode mode = ContactMode::kFrictionless;
+  double time = -1;  // s, since the start of the step; -1 for models that resolve no times
+};
+
+// One step of some discs. Index i means the same disc in `bodies`, `force` and the states.
+template <typename T>
+struct StepInput {
+  using S = Base<T>;
+  S h;              // s, length of the step
+  Vec2<S> gravity;  // m/s^2
+  ContactConstants<T> contact;
+  std::span<const BodyConstants<T>> bodies;
+  std::span<const HalfPlane<S>> planes;
+  std::span<const Vec2<T>> force;         // N
+  std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
+  std::pmr::memory_resource* scratch;     // for temporaries; released after the step
+  std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
+
+  void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1) const {
+    if (touches != nullptr) touches->push_back({candidate, mode, time});
+  }
+
+  // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
+  Vec2<T> Acceleration(int i) const {
+    const BodyConstants<T>& body = bodies[i];
+    if (body.fixed) return Vec2<T>(T(S(0)), T(S(0)));
+    return {force[i][0] * body.inverse_mass + gravity[0], force[i][1] * body.inverse_mass + gravity[1]};
+  }
+  // Distance of the centres (or of centre and plane) at which the two touch, m.
+  S ContactDistance(const Candidate& c) const { return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius); }
+  T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
+  T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
+  // 1 / (1/m_a + 1/m_b), kg.
+  T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
+};
+
+// Distance and normal of a candidate when the discs are where `position(i)` says.
+template <typename T, typename PositionOf>
+Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
+  if (c.plane) return Separate<T>(position(c.a), in.planes[c.b]);
+  return Separate<T>(position(c.a), position(c.b));
+}
+
+// Velocity of a relative to b when the discs have the velocities that `velocity(i)` says.
+template <typename T, typename VelocityOf>
+Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
+  if (c.plane) return velocity(c.a);
+  return velocity(c.a) - velocity(c.b);
+}
+
+// Calls apply(i, change) with impulse / m_a for disc a and -impulse / m_b for disc b.
+template <typename T, typename Apply>
+void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& impulse, const Apply& apply) {
+  apply(c.a, Scale(in.InverseMassA(c), impulse));
+  if (!c.plane) apply(c.b, Scale(T(-in.InverseMassB(c)), impulse));
+}
+
+// A contact model M has
+//   static constexpr ModelTraits kTraits;
+//   static constexpr int kRotation;                       numbers of rotation state per disc
+//   template <typename T> BodyState<T, kRotation> Free(const StepInput<T>&, int i, const BodyState<T, kRotation>&)
+//   const;
+//       the step of disc i when it touches nothing. (p, v) -> (p', v') is affine and isotropic, with the same Jacobian
+//       in every step, and force enters through Acceleration(i) only; the rotation depends on the rotation only.
+//   template <typename T> void Step(const StepInput<T>&, std::span<const BodyState<T, kRotation>> x,
+//                                   std::span<BodyState<T, kRotation>> next) const;
+//       the step of all discs. Without touching candidates it equals Free, bit by bit.
+// and may have
+//   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
+//   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
+//   void Linearize(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
+//                  Eigen::MatrixXd* A, Eigen::MatrixXd* B) const
+//       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island
+template <typename M>
+concept ContactModel = requires(const M& m, const StepInput<double>& in,
+                                std::span<const BodyState<double, M::kRotation>> x,
+                                std::span<BodyState<double, M::kRotation>> next) {
+  { M::kTraits } -> std::convertible_to<ModelTraits>;
+  { m.Free(in, 0, x[0]) } -> std::same_as<BodyState<double, M::kRotation>>;
+  m.Step(in, x, next);
+};
+
+// Writes the free flight of every disc to `next`.
+template <typename M, typename T>
+void FreeFlight(const M& model, const StepInput<T>& in, std::span<const BodyState<T, M::kRotation>> x,
+                std::span<BodyState<T, M::kRotation>> next) {
+  for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = model.Free(in, i, x[i]);
+}
+
+}  // namespace saltus

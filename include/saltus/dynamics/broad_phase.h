@@ -1,0 +1,46 @@
+// Which discs can touch within one step, whatever contact model resolves it.
+//
+// A disc cannot leave the ball of radius
+//   reach = (|v| + |a| dt) dt
+// around its position before the step ends, for any of the integrators. A pair is a candidate if its gap is no larger
+// than its reaches. Where impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is
+// bounded by the kinetic energy of all discs that it can meet, and candidates are extended until they no longer grow.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+
+namespace saltus {
+
+class BroadPhase {
+ public:
+  struct Disc {
+    Vec2d p, v;
+    double acceleration;  // m/s^2, magnitude
+    double radius;
+    double mass;
+    bool fixed;
+  };
+
+  BroadPhase(std::vector<HalfPlane<double>> planes, double dt, bool chains)
+      : planes_(std::move(planes)), dt_(dt), chains_(chains) {}
+
+  // Overwrites `candidates`: discs by index pairs, then discs against planes.
+  void Find(std::span<const Disc> discs, std::vector<Candidate>* candidates);
+
+ private:
+  void FindWithin(std::span<const Disc> discs, std::vector<Candidate>* candidates) const;
+
+  std::vector<HalfPlane<double>> planes_;
+  double dt_;
+  bool chains_;
+  std::vector<double> reach_;  // m, per disc
+};
+
+// Groups of discs connected by `touches`, each sorted, in order of their first moving disc. Fixed discs and planes
+// connect nothing; a fixed disc belongs to every island that touches it. `fixed[i]` says whether disc i is fixed.
+std::vector<std::vector<int>> FindIslands(std::span<const Candidate> touches, std::span<const char> fixed);
+
+}  // namespace saltus

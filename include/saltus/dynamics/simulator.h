@@ -1,0 +1,133 @@
+// A contact model bound to a scene: rollout, adjoint and per-step linearization, behind an interface of doubles.
+//
+// Nothing above this floor knows the type of a model, its scalar, or Jets.
+//
+// Shapes. A scene has B discs, C of them controlled. A model takes K steps of length step(): K = scene.steps, divided
+// by the grid steps that one step of the model covers. A body's state is [p_x p_y v_x v_y rotation...], of body_size()
+// numbers; the state of the scene is that of all discs in scene order, state_size() = B * body_size() numbers.
+// A control is K x C x 2 forces in N, row by row. The initial state is B x 4: [p_x p_y v_x v_y] of each disc.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+enum class Precision { kDouble, kFloat };
+
+// A contact that took effect in step `step` of a rollout.
+struct StepTouch {
+  int step = 0;
+  Touch touch;  // disc and plane indices of the scene
+};
+
+// Derivatives of one number with respect to the parameters of the scene.
+struct ParameterGradient {
+  double restitution = 0;
+  double friction = 0;
+  double stiffness = 0;
+  double damping = 0;
+  Vec2d gravity = Vec2d::Zero();
+  std::vector<double> mass;  // B; 0 for fixed discs
+  std::vector<Vec2d> force;  // B; with respect to a constant force on the disc; 0 for fixed discs
+};
+
+// Derivatives of one number with respect to all that determines a rollout.
+struct Sensitivity {
+  std::vector<double> initial;   // B x 4; 0 for fixed discs
+  std::vector<double> control;   // K x C x 2
+  ParameterGradient parameters;  // if asked for
+};
+
+// x' = f(x, u) to first order at one point: dx' = A dx + B du + P dparameters. Dense over the discs that touch
+// something in the step, constant for those that fly.
+class StepLinearization {
+ public:
+  // Discs that are stepped together. Columns of A: their states; of B: the forces on them; of P: restitution, friction,
+  // stiffness, damping and their masses (only if parameters were asked for).
+  struct Island {
+    std::vector<int> bodies;
+    Eigen::MatrixXd A, B, P;
+  };
+  // dp' = pp dp + pv dv + pa da, dv' = vp dp + vv dv + va da, with a = u/m + g: every block is a multiple of the
+  // identity.
+  struct FreeFlight {
+    double pp, pv, pa, vp, vv, va;  // 1, s, s^2, 1/s, 1, s
+  };
+
+  int body_size = 4;
+  FreeFlight free{};
+  std::vector<Island> islands;
+  std::vector<int> flying;                // discs that are in no island
+  std::vector<Eigen::MatrixXd> rotation;  // of each flying disc, rotation' by rotation; empty without rotation
+  std::vector<double> inverse_mass;       // of all discs, 1/kg; 0 if fixed
+
+  // next = A x + B force, with x of state_size() and force of B x 2 numbers.
+  void Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const;
+  // x = A^T next, force = B^T next.
+  void ApplyTranspose(std::span<const double> next, std::span<double> x, std::span<double> force) const;
+  // Dense A (state_size x state_size) and B (state_size x 2 B), for tests and small solvers.
+  void ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const;
+};
+
+class Simulator {
+ public:
+  virtual ~Simulator() = default;
+
+  virtual const ModelTraits& traits() const = 0;
+  const Scene& scene() const { return scene_; }
+  Precision precision() const { return precision_; }
+  int num_bodies() const { return scene_.num_bodies(); }
+  int num_controlled() const { return scene_.num_controlled(); }
+  int num_steps() const { return num_steps_; }
+  double step() const { return scene_.duration / num_steps_; }
+  virtual int body_size() const = 0;
+  int state_size() const { return num_bodies() * body_size(); }
+  int control_size() const { return num_steps_ * num_controlled() * 2; }
+
+  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2) and keeps the trajectory. False if a state is
+  // not finite; then neither Adjoint nor the states after the last finite one may be asked for.
+  virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
+
+  // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
+  virtual void GetState(int k, std::span<double> x) const = 0;
+  virtual const std::vector<StepTouch>& touches() const = 0;
+
+  // The gradient of a function of the final state of the last rollout, by the adjoint: `cotangent` is its derivative
+  // with respect to state K (state_size() numbers). Cost: about one more rollout, linear in steps and discs.
+  // Precondition: Rollout returned true.
+  virtual void Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) = 0;
+
+  // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization.
+  // Thread-safe among themselves.
+  virtual void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
+                    std::vector<Touch>* touches = nullptr) const = 0;
+  virtual void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
+                         StepLinearization* linearization) const = 0;
+
+  // The full state that belongs to `initial` (B x 4): rotation at its start value, fixed discs at rest.
+  virtual void ExpandInitial(std::span<const double> initial, std::span<double> x) const = 0;
+
+  // The force on every disc (B x 2) in step k of a control (K x C x 2); zero on discs that are not controlled.
+  void ExpandForce(std::span<const double> control, int k, std::span<double> force) const;
+
+ protected:
+  Simulator(const Scene& scene, Precision precision, int grid_steps)
+      : scene_(scene), precision_(precision), num_steps_(scene.steps / grid_steps) {}
+
+  Scene scene_;
+  Precision precision_;
+  int num_steps_;
+};
+
+// The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).
+std::vector<double> InitialState(const Scene& scene);
+std::vector<double> InitialControl(const Scene& scene, int num_steps);
+
+}  // namespace saltus
