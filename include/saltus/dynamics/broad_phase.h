@@ -27,16 +27,19 @@ class BroadPhase {
   BroadPhase(std::vector<HalfPlane<double>> planes, double dt, bool chains)
       : planes_(std::move(planes)), dt_(dt), chains_(chains) {}
 
-  // Overwrites `candidates`: discs by index pairs, then discs against planes.
-  void Find(std::span<const Disc> discs, std::vector<Candidate>* candidates);
+  // Overwrites `candidates`: discs by index pairs, then discs against planes. Returns for how many steps, this one
+  // included, the list stands: one if there are candidates; otherwise as long as no disc can have met another, if the
+  // accelerations are bounds for that time (zero if the next step is already uncertain).
+  int Find(std::span<const Disc> discs, std::vector<Candidate>* candidates);
 
  private:
-  void FindWithin(std::span<const Disc> discs, std::vector<Candidate>* candidates) const;
+  // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
+  void BoundSpeedsByEnergy(std::span<const Disc> discs, std::span<const Candidate> candidates);
 
   std::vector<HalfPlane<double>> planes_;
   double dt_;
   bool chains_;
-  std::vector<double> reach_;  // m, per disc
+  std::vector<double> speed_;  // m/s, bound per disc
 };
 
 // Groups of discs connected by `touches`, each sorted, in order of their first moving disc. Fixed discs and planes

@@ -1,0 +1,110 @@
+#include "saltus/dynamics/simulator.h"
+
+#include <glog/logging.h>
+
+namespace saltus {
+
+void StepLinearization::Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const {
+  const int rotation_size = body_size - 4;
+  for (size_t f = 0; f < flying.size(); ++f) {
+    const int i = flying[f];
+    for (int j = 0; j < 2; ++j) {
+      const double p = x[i * body_size + j];
+      const double v = x[i * body_size + 2 + j];
+      const double a = inverse_mass[i] * force[2 * i + j];
+      next[i * body_size + j] = free.pp * p + free.pv * v + free.pa * a;
+      next[i * body_size + 2 + j] = free.vp * p + free.vv * v + free.va * a;
+    }
+    if (rotation_size == 0) continue;
+    const Eigen::Map<const Eigen::VectorXd> from(&x[i * body_size + 4], rotation_size);
+    Eigen::Map<Eigen::VectorXd>(&next[i * body_size + 4], rotation_size) = rotation[f] * from;
+  }
+  for (const Island& island : islands) {
+    const int n = static_cast<int>(island.bodies.size());
+    Eigen::VectorXd from(n * body_size), push(2 * n);
+    for (int i = 0; i < n; ++i) {
+      std::copy_n(&x[island.bodies[i] * body_size], body_size, from.data() + i * body_size);
+      std::copy_n(&force[2 * island.bodies[i]], 2, push.data() + 2 * i);
+    }
+    const Eigen::VectorXd to = island.A * from + island.B * push;
+    for (int i = 0; i < n; ++i) {
+      std::copy_n(to.data() + i * body_size, body_size, &next[island.bodies[i] * body_size]);
+    }
+  }
+}
+
+void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<double> x,
+                                       std::span<double> force) const {
+  const int rotation_size = body_size - 4;
+  for (size_t f = 0; f < flying.size(); ++f) {
+    const int i = flying[f];
+    for (int j = 0; j < 2; ++j) {
+      const double p = next[i * body_size + j];
+      const double v = next[i * body_size + 2 + j];
+      x[i * body_size + j] = free.pp * p + free.vp * v;
+      x[i * body_size + 2 + j] = free.pv * p + free.vv * v;
+      force[2 * i + j] = inverse_mass[i] * (free.pa * p + free.va * v);
+    }
+    if (rotation_size == 0) continue;
+    const Eigen::Map<const Eigen::VectorXd> from(&next[i * body_size + 4], rotation_size);
+    Eigen::Map<Eigen::VectorXd>(&x[i * body_size + 4], rotation_size) = rotation[f].transpose() * from;
+  }
+  for (const Island& island : islands) {
+    const int n = static_cast<int>(island.bodies.size());
+    Eigen::VectorXd from(n * body_size);
+    for (int i = 0; i < n; ++i) {
+      std::copy_n(&next[island.bodies[i] * body_size], body_size, from.data() + i * body_size);
+    }
+    const Eigen::VectorXd to = island.A.transpose() * from;
+    const Eigen::VectorXd push = island.B.transpose() * from;
+    for (int i = 0; i < n; ++i) {
+      std::copy_n(to.data() + i * body_size, body_size, &x[island.bodies[i] * body_size]);
+      std::copy_n(push.data() + 2 * i, 2, &force[2 * island.bodies[i]]);
+    }
+  }
+}
+
+void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
+  const int num_bodies = static_cast<int>(inverse_mass.size());
+  const int size = num_bodies * body_size;
+  A->resize(size, size);
+  B->resize(size, 2 * num_bodies);
+  Eigen::VectorXd next = Eigen::VectorXd::Zero(size), x(size), force(2 * num_bodies);
+  for (int row = 0; row < size; ++row) {
+    next[row] = 1;
+    ApplyTranspose({next.data(), static_cast<size_t>(size)},
+                   {x.data(), static_cast<size_t>(size)},
+                   {force.data(), static_cast<size_t>(2 * num_bodies)});
+    A->row(row) = x;
+    B->row(row) = force;
+    next[row] = 0;
+  }
+}
+
+void Simulator::ExpandForce(std::span<const double> control, int k, std::span<double> force) const {
+  std::fill(force.begin(), force.end(), 0.0);
+  const double* u = control.data() + static_cast<size_t>(k) * num_controlled() * 2;
+  for (int body : scene_.control.bodies) {
+    force[2 * body] = *u++;
+    force[2 * body + 1] = *u++;
+  }
+}
+
+std::vector<double> InitialState(const Scene& scene) {
+  std::vector<double> state;
+  for (const Body& body : scene.bodies) {
+    state.insert(state.end(), {body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+  }
+  return state;
+}
+
+std::vector<double> InitialControl(const Scene& scene, int num_steps) {
+  std::vector<double> control;
+  control.reserve(static_cast<size_t>(num_steps) * scene.control.initial.size() * 2);
+  for (int k = 0; k < num_steps; ++k) {
+    for (const Vec2d& force : scene.control.initial) control.insert(control.end(), {force[0], force[1]});
+  }
+  return control;
+}
+
+}  // namespace saltus
