@@ -1,0 +1,63 @@
+// Loss, exact gradient and collisions of simple scenes in closed form, without simulating them step by step.
+//
+// Two families of scenes have one. Which family a scene belongs to is read from its content, never from its name.
+//
+//   disc among planes   one moving disc; it flies parabolas and strikes planes, one at a time.
+//   two discs           two moving discs and no plane; they collide at most once.
+//
+// Forces are constant in time (Scene::control.initial), gravity is any vector. Between collisions motion is a parabola,
+// so the time of a collision is a root of a quadratic (disc and plane) or a quartic (two discs). At a collision with
+// unit normal n, normal approach speed v_n < 0 and sliding velocity v_t of the relative motion, Newton's and Coulomb's
+// laws give the impulse
+//
+//   P = p_n n + p_t t,   p_n = -(1 + e) m_eff v_n,   p_t = -sign(v_t) min(mu p_n, m_eff |v_t|).
+//
+// The gradient follows from differentiating these formulas, the time of the collision included.
+//
+// Scenes: Zhong, Han, Brikis, "Differentiable Physics Simulations with Contacts: Do They Have Correct Gradients w.r.t.
+// Position, Velocity and Control?", 2022, tasks 1 to 3. SI units.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/physics/geometry.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+struct ExactEvent {
+  enum class Mode { kFrictionless, kSlip, kStick };
+  double time = 0;  // s
+  std::string a;    // name of a disc
+  std::string b;    // name of the other disc, or of the plane
+  Mode mode = Mode::kFrictionless;
+};
+
+// Derivatives of the loss.
+struct ExactGradient {
+  std::vector<Vec2d> position;              // by initial position, per body, 1/m
+  std::vector<Vec2d> velocity;              // by initial velocity, per body, s/m
+  std::vector<std::vector<Vec2d>> control;  // [step][controlled body], 1/N; empty without control
+  double restitution = 0;
+  double friction = 0;  // where the loss has only a right derivative (mu = 0), that one
+};
+
+struct ClosedForm {
+  std::string family;  // as above
+  double loss = 0;     // terminal + running
+  double terminal = 0;
+  double running = 0;           // effort * sum |u|^2 dt
+  std::vector<Vec2d> position;  // at the final time, per body, m
+  std::vector<Vec2d> velocity;  // at the final time, per body, m/s
+  ExactGradient gradient;
+  std::vector<ExactEvent> events;  // in order of time
+};
+
+// The closed form of `scene` under its initial forces, or nothing if it has none here: it is of neither family, or its
+// collisions are not of the kind assumed (a second collision of two discs, a corner, a grazing or a resting contact).
+// The reason is then put into `why_not`, if given. `scene` must be valid (see Validate).
+std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not = nullptr);
+
+}  // namespace saltus

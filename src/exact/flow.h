@@ -1,0 +1,191 @@
+// What the closed forms are made of: parabolas, the impulse of a collision, and the time of a collision with its
+// derivatives. Everything is templated on the scalar T (double, or a ceres::Jet of any width).
+#pragma once
+
+#include <cmath>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/exact/closed_forms.h"
+#include "saltus/physics/geometry.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus::internal {
+
+inline constexpr double kTouching = 1e-12;  // m, the overlap that a valid scene may start with
+inline constexpr double kGrazing = 1e-9;    // m/s, slower approaches have no usable derivative
+
+// Nothing, and why.
+inline std::nullopt_t Refuse(std::string* why_not, const char* reason) {
+  if (why_not != nullptr) *why_not = reason;
+  return std::nullopt;
+}
+
+template <typename T>
+struct Motion {
+  Vec2<T> position;
+  Vec2<T> velocity;
+};
+
+template <typename T>
+Motion<T> Cast(const Motion<double>& motion) {
+  return {motion.position.template cast<T>(), motion.velocity.template cast<T>()};
+}
+
+// `motion` after `time` under a constant acceleration.
+template <typename T>
+Motion<T> Fly(const Motion<T>& motion, const Vec2d& acceleration, const T& time) {
+  const Vec2<T> gain = Scale(time, acceleration);
+  return {motion.position + Scale(time, Vec2<T>(motion.velocity + Scale(T(0.5), gain))), motion.velocity + gain};
+}
+
+template <typename T>
+struct ContactLaw {
+  T restitution;
+  T friction;
+};
+
+// The impulse on the first of two bodies that meet with normal n (towards it), relative velocity w and effective mass
+// m.
+template <typename T>
+Vec2<T> Impulse(const ContactLaw<T>& law, const Vec2<T>& n, const Vec2<T>& w, double m,
+                ExactEvent::Mode* mode = nullptr) {
+  const Vec2<T> t = Perpendicular(n);
+  const T sliding = Dot(t, w);
+  const T normal = -(T(1) + law.restitution) * Dot(n, w) * m;
+  const T bound = law.friction * normal;
+  const bool frictionless = law.friction == T(0);
+  const bool sticks = !frictionless && !(bound < m * SafeAbs(sliding));
+  if (mode != nullptr) {
+    *mode = frictionless ? ExactEvent::Mode::kFrictionless
+            : sticks     ? ExactEvent::Mode::kStick
+                         : ExactEvent::Mode::kSlip;
+  }
+  const T tangential = sticks ? -sliding * m : -bound * SignOf(sliding);
+  return Scale(normal, n) + Scale(tangential, t);
+}
+
+// When a point at height `gap` >= 0 with vertical velocity `speed` and acceleration `a` comes down to height 0; nothing
+// if it never does. From gap = 0 it must first rise. Both forms of the root avoid the difference of near numbers.
+template <typename T>
+std::optional<T> FallTime(const T& gap, const T& speed, double a) {
+  const T square = speed * speed - T(2 * a) * gap;
+  if (!(square > T(0))) return std::nullopt;
+  const T landing = SafeSqrt(square);
+  if (speed > T(0)) {
+    if (a >= 0) return std::nullopt;
+    return (landing + speed) / T(-a);
+  }
+  return T(2) * gap / (landing - speed);
+}
+
+// The constant acceleration of body i under the initial forces.
+inline Vec2d InitialAcceleration(const Scene& scene, int i) {
+  Vec2d acceleration = scene.gravity;
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    if (scene.control.bodies[c] == i) acceleration += scene.control.initial[c] / scene.bodies[i].mass;
+  }
+  return acceleration;
+}
+
+inline Motion<double> InitialMotion(const Scene& scene, int i) {
+  return {scene.bodies[i].position, scene.bodies[i].velocity};
+}
+
+// The terminal part of the loss.
+template <typename T>
+T TerminalLoss(const Objective& objective, const std::vector<Motion<T>>& final) {
+  T loss(0);
+  for (const TerminalTerm& term : objective.terminal) {
+    const Motion<T>& motion = final[term.body];
+    const Vec2<T>& q = term.quantity == TerminalTerm::Quantity::kPosition ? motion.position : motion.velocity;
+    if (term.component) {
+      loss += term.weight * q[*term.component];
+    } else {
+      const Vec2<T> error = q - term.target.template cast<T>();
+      loss += term.weight * Dot(error, error);
+    }
+  }
+  return loss;
+}
+
+// --- One disc among planes ---
+
+// A hit of the disc: on which plane.
+using PlaneSequence = std::vector<int>;
+
+// The disc at the end of the scene if, from time `start` on, it strikes the planes of `hits` in this order, and no
+// others. The hits need not fall before the end of the scene: the formulas are continued. Nothing if it cannot reach a
+// plane.
+template <typename T>
+std::optional<Motion<T>> FlyAlong(const Scene& scene, const ContactLaw<T>& law, const PlaneSequence& hits,
+                                  Motion<T> disc, double start) {
+  const Vec2d acceleration = InitialAcceleration(scene, 0);
+  T time(start);
+  for (const int hit : hits) {
+    const Vec2d normal = scene.planes[hit].normal.normalized();
+    const Vec2<T> n = normal.template cast<T>();
+    const T gap =
+        Dot(normal, Vec2<T>(disc.position - scene.planes[hit].point.template cast<T>())) - scene.bodies[0].radius;
+    const std::optional<T> fall = FallTime(gap, T(Dot(normal, disc.velocity)), Dot(normal, acceleration));
+    if (!fall) return std::nullopt;
+    disc = Fly(disc, acceleration, *fall);
+    disc.velocity += Impulse(law, n, disc.velocity, 1.0);  // per unit mass: a plane does not move
+    time += *fall;
+  }
+  return Fly(disc, acceleration, T(T(scene.duration) - time));
+}
+
+// Where the disc goes by itself.
+struct DiscPath {
+  PlaneSequence hits;
+  std::vector<ExactEvent> events;           // one per hit
+  std::vector<Motion<double>> phase_start;  // at time 0 and just after each hit
+};
+
+// Nothing, and the reason, if the disc meets a corner, grazes or rests on a plane, or hits more than `kMostHits` times.
+inline constexpr int kMostHits = 1000;
+std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not);
+
+// --- Two discs ---
+
+template <typename T>
+struct DiscPair {
+  Motion<T> first;
+  Motion<T> second;
+};
+
+struct PairParameters {
+  double reach = 0;  // sum of the radii
+  double mass_first = 1;
+  double mass_second = 1;
+  Vec2d acceleration_first = Vec2d::Zero();
+  Vec2d acceleration_second = Vec2d::Zero();
+};
+
+// The pair `remaining` later than at the given state, if the discs collide once and do so `guess` after it: exactly so
+// for the values, which makes the one Newton step for the time of the collision exact for the derivatives.
+template <typename T>
+DiscPair<T> CollideOnce(const PairParameters& pair, const ContactLaw<T>& law, DiscPair<T> discs, double guess,
+                        double remaining, ExactEvent::Mode* mode = nullptr) {
+  const auto fly = [&](const T& time) {
+    discs.first = Fly(discs.first, pair.acceleration_first, time);
+    discs.second = Fly(discs.second, pair.acceleration_second, time);
+  };
+  fly(T(guess));
+  Vec2<T> d = discs.first.position - discs.second.position;
+  Vec2<T> w = discs.first.velocity - discs.second.velocity;
+  const T correction = -(Dot(d, d) - T(pair.reach * pair.reach)) / (T(2) * Dot(d, w));
+  fly(correction);
+  d = discs.first.position - discs.second.position;
+  w = discs.first.velocity - discs.second.velocity;
+  const double m = 1 / (1 / pair.mass_first + 1 / pair.mass_second);
+  const Vec2<T> impulse = Impulse(law, Quotient(d, Length(d)), w, m, mode);
+  discs.first.velocity += Scale(1 / pair.mass_first, impulse);
+  discs.second.velocity -= Scale(1 / pair.mass_second, impulse);
+  fly(T(T(remaining - guess) - correction));
+  return discs;
+}
+
+}  // namespace saltus::internal
