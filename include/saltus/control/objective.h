@@ -1,0 +1,32 @@
+// The loss: terminal terms at the final state, plus the effort of the control.
+//
+//   loss = sum of terminal terms + effort * sum_k |u_k|^2 dt        (a control is held over each step of length dt)
+//
+// States and controls have the shapes of dynamics/simulator.h.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+// Sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers, overwritten).
+double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size);
+void TerminalGradient(const Objective& objective, std::span<const double> x, int body_size, std::span<double> gradient);
+
+// The terminal terms as least squares: loss = |r(x)|^2, without a half. Two rows a term.
+// Precondition: objective.IsSumOfSquares().
+int NumTerminalResiduals(const Objective& objective);
+void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,
+                       std::span<double> residuals);
+// dr/dx, NumTerminalResiduals x state size; constant.
+Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int body_size);
+
+// effort * sum |u|^2 dt, and 2 effort u dt added to `gradient`.
+double EffortLoss(const Objective& objective, std::span<const double> control, double dt);
+void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,
+                       std::span<double> gradient);
+
+}  // namespace saltus

@@ -1,0 +1,63 @@
+// Single shooting: the loss as a function of the decision variables alone, states eliminated by rollout.
+//
+// Decision variables z, by Scene::optimize:
+//   control    the whole control, K x C x 2
+//   velocity   the initial velocities of Scene::free, in that order, 2 each
+//   position   the initial positions of Scene::free, likewise
+//   none       empty
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus {
+
+class SingleShooting {
+ public:
+  explicit SingleShooting(std::unique_ptr<Simulator> simulator);
+
+  const Scene& scene() const { return simulator_->scene(); }
+  const Simulator& simulator() const { return *simulator_; }
+  int num_variables() const { return static_cast<int>(guess_.size()); }
+  const std::vector<double>& initial_guess() const { return guess_; }
+
+  // The loss at z, and its gradient (num_variables() numbers) unless null. False if the rollout is not finite.
+  // In single precision the gradient is rounded to float, as automatic differentiation in float would leave it.
+  bool Evaluate(std::span<const double> z, double* loss, double* gradient);
+
+  // Terminal residuals at z and their Jacobian with respect to z (rows x num_variables(), row-major), unless null: one
+  // adjoint a residual. The effort is not among them. Precondition: the objective is a sum of squares.
+  bool EvaluateTerminal(std::span<const double> z, double* residuals, double* jacobian);
+
+  // The loss at z and its derivatives with respect to everything: initial state, control (effort included), parameters.
+  bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
+
+  // The initial state (B x 4) and the control (K x C x 2) that z stands for.
+  std::vector<double> InitialStateAt(std::span<const double> z) const;
+  std::vector<double> ControlAt(std::span<const double> z) const;
+
+  // How often a rollout and an adjoint have been computed.
+  int num_rollouts() const { return num_rollouts_; }
+  int num_adjoints() const { return num_adjoints_; }
+
+ private:
+  bool Rollout(std::span<const double> z);
+  double LossOfLastRollout() const;
+  // Copies the entries of a sensitivity that belong to z.
+  void Select(const Sensitivity& sensitivity, double* gradient) const;
+
+  std::unique_ptr<Simulator> simulator_;
+  std::vector<double> guess_;
+  std::vector<int> variables_;  // for velocity and position: index of each variable in the initial state
+  std::vector<double> initial_, control_, final_, cotangent_;
+  Sensitivity sensitivity_;
+  int num_rollouts_ = 0;
+  int num_adjoints_ = 0;
+};
+
+}  // namespace saltus

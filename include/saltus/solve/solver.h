@@ -1,0 +1,66 @@
+// What every solver takes and reports, and the registry of solvers: one line each in solver.cc.
+//
+// A solver knows no contact model: it gets a name and asks the registry of dynamics/ for a simulator.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/dynamics/simulator.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+enum class Termination { kConverged, kIterationLimit, kNoProgress, kFailed, kInterrupted, kNotApplicable };
+const char* TerminationToString(Termination termination);
+
+// What to solve, under which dynamics.
+struct SolveRequest {
+  Scene scene;
+  std::string contact;  // a name of the registry of contact models
+  Precision precision = Precision::kDouble;
+};
+
+struct SolverOptions {
+  int iterations = 1000;        // at most
+  double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
+
+  // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
+  // the solver stops with kInterrupted and reports what it has.
+  std::function<bool(int iteration, double loss)> callback;
+};
+
+// Losses are sums of squares without Ceres' half.
+struct SolveReport {
+  std::string contact;
+  std::string solver;
+  Termination termination = Termination::kFailed;
+  std::string reason;  // for kFailed and kNotApplicable; otherwise may hold a remark
+  double initial_loss = 0;
+  double final_loss = 0;       // at `initial_state` and `control`, under the contact model
+  std::vector<double> losses;  // losses[k] after k iterations; losses[0] at the initial guess
+  int iterations = 0;
+  int evaluations = 0;  // gradients (or Jacobians) computed
+  double seconds = 0;
+  std::vector<double> initial_state;  // B x 4
+  std::vector<double> control;        // K x C x 2
+};
+
+struct SolverEntry {
+  std::string_view name;     // the value of --solver
+  std::string_view summary;  // one line
+  // Why it cannot take a request (not counting the contact model's own reasons); empty if it can.
+  std::string (*why_not)(const SolveRequest&);
+  SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
+};
+
+const std::vector<SolverEntry>& AllSolvers();
+const SolverEntry* FindSolver(std::string_view name);
+
+// Runs the solver of that name, after asking the model and the solver whether they can: if not, the report is
+// kNotApplicable with the reason. Precondition: both names are known, the scene is valid.
+SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+
+}  // namespace saltus

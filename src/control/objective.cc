@@ -1,0 +1,73 @@
+#include "saltus/control/objective.h"
+
+#include <cmath>
+
+namespace saltus {
+namespace {
+
+// Index of the first of the two state entries that a term reads.
+int Offset(const TerminalTerm& term, int body_size) {
+  return term.body * body_size + (term.quantity == TerminalTerm::Quantity::kVelocity ? 2 : 0);
+}
+
+}  // namespace
+
+double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size) {
+  double loss = 0;
+  for (const TerminalTerm& term : objective.terminal) {
+    const double* q = &x[Offset(term, body_size)];
+    if (term.component) {
+      loss += term.weight * q[*term.component];
+    } else {
+      const Vec2d miss(q[0] - term.target[0], q[1] - term.target[1]);
+      loss += term.weight * Dot(miss, miss);
+    }
+  }
+  return loss;
+}
+
+void TerminalGradient(const Objective& objective, std::span<const double> x, int body_size,
+                      std::span<double> gradient) {
+  std::fill(gradient.begin(), gradient.end(), 0.0);
+  for (const TerminalTerm& term : objective.terminal) {
+    const int at = Offset(term, body_size);
+    if (term.component) {
+      gradient[at + *term.component] += term.weight;
+      continue;
+    }
+    for (int j = 0; j < 2; ++j) gradient[at + j] += 2 * term.weight * (x[at + j] - term.target[j]);
+  }
+}
+
+int NumTerminalResiduals(const Objective& objective) { return 2 * static_cast<int>(objective.terminal.size()); }
+
+void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,
+                       std::span<double> residuals) {
+  int row = 0;
+  for (const TerminalTerm& term : objective.terminal) {
+    const int at = Offset(term, body_size);
+    for (int j = 0; j < 2; ++j) residuals[row++] = std::sqrt(term.weight) * (x[at + j] - term.target[j]);
+  }
+}
+
+Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int body_size) {
+  Eigen::MatrixXd jacobian = Eigen::MatrixXd::Zero(NumTerminalResiduals(objective), state_size);
+  int row = 0;
+  for (const TerminalTerm& term : objective.terminal) {
+    for (int j = 0; j < 2; ++j) jacobian(row++, Offset(term, body_size) + j) = std::sqrt(term.weight);
+  }
+  return jacobian;
+}
+
+double EffortLoss(const Objective& objective, std::span<const double> control, double dt) {
+  double sum = 0;
+  for (double u : control) sum += u * u;
+  return objective.effort * sum * dt;
+}
+
+void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,
+                       std::span<double> gradient) {
+  for (size_t i = 0; i < control.size(); ++i) gradient[i] += 2 * objective.effort * control[i] * dt;
+}
+
+}  // namespace saltus
