@@ -1,4 +1,8 @@
 // The nouns: what stands in a scene, what acts on it, and what is to be minimised. Plain doubles, SI units.
+//
+// Accepted numbers: every one is finite and of magnitude at most kLargestMagnitude; those that must be positive (and
+// the length of a normal) are at least kSmallestPositive. Within these bounds dt, inverse masses, accelerations, free
+// flight and the loss are far from overflow in double.
 #pragma once
 
 #include <optional>
@@ -9,21 +13,30 @@
 
 namespace saltus {
 
-// A disc. A fixed disc never moves; its mass and velocity are not used.
+inline constexpr double kLargestMagnitude = 1e12;
+inline constexpr double kSmallestPositive = 1e-12;
+inline constexpr int kMaxSteps = 10'000'000;
+inline constexpr double kOverlapTolerance = 1e-12;  // m, allowed at the start
+
+// A disc. A fixed disc never moves: its velocity is zero, and its mass is not used.
 struct Body {
-  std::string name;
+  std::string name;   // [A-Za-z0-9_.-]+
   double radius = 0;  // m, > 0
   double mass = 1;    // kg, > 0
   bool fixed = false;
   Vec2d position = Vec2d::Zero();  // m
   Vec2d velocity = Vec2d::Zero();  // m/s
+
+  bool operator==(const Body&) const = default;
 };
 
 // A half-plane. Bodies stay on the side that the normal points to.
 struct Plane {
-  std::string name;
+  std::string name;              // as of a body; no two bodies or planes have the same
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
+
+  bool operator==(const Plane&) const = default;
 };
 
 // Scene-wide contact parameters. A model reads those it knows.
@@ -31,13 +44,17 @@ struct ContactParameters {
   double restitution = 1;  // e in [0, 1]
   double friction = 0;     // mu >= 0
   double stiffness = 1e4;  // N/m, compliant models
-  double damping = 0;      // N s/m, compliant models
+  double damping = 0;      // N s/m, compliant models; >= 0, as stiffness
+
+  bool operator==(const ContactParameters&) const = default;
 };
 
 // Which bodies are pushed, and the constant force on each with which optimisation starts.
 struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
+
+  bool operator==(const Control&) const = default;
 };
 
 // One term of the loss at the final time T.
@@ -46,28 +63,34 @@ struct TerminalTerm {
   int body = 0;
   Quantity quantity = Quantity::kPosition;
   // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
-  std::optional<int> component;
-  Vec2d target = Vec2d::Zero();  // m or m/s
-  double weight = 1;
+  std::optional<int> component = std::nullopt;
+  Vec2d target = Vec2d::Zero();  // m or m/s; not used with a component
+  double weight = 1;             // any sign with a component, else >= 0
+
+  bool operator==(const TerminalTerm&) const = default;
 };
 
 // loss = sum of terminal terms + effort * sum over controlled bodies of the integral of |u|^2 dt
 struct Objective {
   std::vector<TerminalTerm> terminal;
-  double effort = 0;
+  double effort = 0;  // >= 0
 
-  // True if every term is a square, so that least-squares solvers apply.
+  // True if every term is a square, so that least-squares solvers apply: no term has a component.
   bool IsSumOfSquares() const;
+
+  bool operator==(const Objective&) const = default;
 };
 
 // What the solvers may change.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
+
+// As written in scene files: "control", "velocity", "position", "none".
 const char* OptimizeToString(Optimize optimize);
 
 struct Scene {
   std::string name;               // [a-z0-9_]+
   double duration = 1;            // s, > 0
-  int steps = 1;                  // equal steps of duration / steps
+  int steps = 1;                  // equal steps of duration / steps; 1 to kMaxSteps
   Vec2d gravity = Vec2d::Zero();  // m/s^2
   std::vector<Body> bodies;
   std::vector<Plane> planes;
@@ -75,11 +98,15 @@ struct Scene {
   Control control;  // empty if nothing is pushed
   Objective objective;
   Optimize optimize = Optimize::kNone;
-  std::vector<int> free;  // for kVelocity and kPosition: whose; indices of bodies that are not fixed
+  // For kVelocity and kPosition: whose, at least one; else not used. Indices of bodies that are not fixed, without
+  // repetition.
+  std::vector<int> free;
 
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
+
+  bool operator==(const Scene&) const = default;
 };
 
 // A rule of the scene that is broken, and where.
@@ -88,9 +115,10 @@ struct SceneError {
   std::string message;  // what was found and what was expected
 };
 
-// The first rule that `scene` breaks, or nothing. Checked: finite numbers, ranges as stated above, names that are
-// unique and well formed, indices in range, and no overlap above 1e-12 m at the start between discs or of a disc with a
-// plane (two fixed discs may overlap, and a fixed disc may reach into a plane).
+// The first rule that `scene` breaks, or nothing. Checked: numbers (see the top), ranges as stated above, names that
+// are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for (kNone
+// needs neither), and no overlap above kOverlapTolerance at the start between discs or of a disc with a plane (two
+// fixed discs may overlap, and a fixed disc may reach into a plane). Quadratic in the number of bodies.
 std::optional<SceneError> Validate(const Scene& scene);
 
 }  // namespace saltus

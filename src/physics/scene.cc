@@ -1,0 +1,252 @@
+#include "saltus/physics/scene.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <string_view>
+#include <unordered_map>
+
+namespace saltus {
+namespace {
+
+constexpr std::size_t kLongestName = 100;  // names become parts of file names
+
+struct Range {
+  double low, high;
+  const char* expected;
+};
+constexpr Range kAny{-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e12"};
+constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive number, 1e-12 to 1e12"};
+constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e12"};
+constexpr Range kFraction{0, 1, "a number from 0 to 1"};
+
+std::string ToText(double value) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof(text), value).ptr};
+}
+
+std::string At(const char* list, std::size_t index, const char* field = nullptr) {
+  std::string path = std::string(list) + '[' + std::to_string(index) + ']';
+  return field ? path + '.' + field : path;
+}
+
+// A name as it may stand in a message: it can be anything, as long as anything.
+std::string Quoted(const std::string& name) {
+  std::string text = name.substr(0, kLongestName);
+  std::replace_if(
+      text.begin(), text.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  return '"' + text + (name.size() > kLongestName ? "...\"" : "\"");
+}
+
+// Checks rules in order and keeps the first that fails.
+class Rules {
+ public:
+  explicit Rules(const Scene& scene) : scene_(scene) {}
+
+  std::optional<SceneError> Check() {
+    CheckTime();
+    CheckBodies();
+    CheckPlanes();
+    CheckContact();
+    CheckControl();
+    CheckObjective();
+    CheckFree();
+    if (!error_) CheckOverlap();  // meaningful for finite numbers only
+    return error_;
+  }
+
+ private:
+  void Expect(bool holds, const std::string& key, const std::string& message) {
+    if (!holds && !error_) error_ = SceneError{key, message};
+  }
+
+  void Number(const std::string& key, double value, const Range& range) {
+    if (value >= range.low && value <= range.high) return;
+    Expect(false, key, "found " + ToText(value) + ", expected " + range.expected);
+  }
+
+  void Vector(const std::string& key, const Vec2d& value) {
+    Number(key + "[0]", value[0], kAny);
+    Number(key + "[1]", value[1], kAny);
+  }
+
+  void Name(const std::string& key, const std::string& name, std::string_view others) {
+    const auto ok = [&](char c) {
+      return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || others.find(c) != std::string_view::npos;
+    };
+    Expect(!name.empty() && name.size() <= kLongestName && std::all_of(name.begin(), name.end(), ok),
+           key,
+           "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, 0-9 and " +
+               std::string(others));
+  }
+
+  // Of a body or plane.
+  void UniqueName(const std::string& key, const std::string& name) {
+    Name(key, name, "_-.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+    const auto [other, is_new] = names_.emplace(name, key);
+    if (!is_new) Expect(false, key, "found " + name + ", which is " + other->second + " too; expected a unique name");
+  }
+
+  // A list of bodies that move, without repetition.
+  void Movable(const char* list, const std::vector<int>& bodies) {
+    std::vector<bool> seen(scene_.bodies.size(), false);
+    for (std::size_t i = 0; i < bodies.size(); ++i) {
+      if (!BodyIndex(At(list, i), bodies[i])) return;
+      const Body& body = scene_.bodies[bodies[i]];
+      Expect(!body.fixed, At(list, i), "found " + body.name + ", which is fixed; expected a body that moves");
+      Expect(!seen[bodies[i]], At(list, i), "found " + body.name + " twice; expected each body once");
+      seen[bodies[i]] = true;
+    }
+  }
+
+  bool BodyIndex(const std::string& key, int body) {
+    const bool in_range = body >= 0 && body < scene_.num_bodies();
+    Expect(in_range, key, "found body number " + std::to_string(body) + ", expected one of the scene's bodies");
+    return in_range;
+  }
+
+  void CheckTime() {
+    Name("name", scene_.name, "_");
+    Number("duration", scene_.duration, kPositive);
+    Expect(
+        scene_.steps >= 1 && scene_.steps <= kMaxSteps,
+        "steps",
+        "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " + std::to_string(kMaxSteps));
+    Vector("gravity", scene_.gravity);
+  }
+
+  void CheckBodies() {
+    Expect(!scene_.bodies.empty(), "bodies", "found none, expected at least one body");
+    for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[i];
+      UniqueName(At("bodies", i, "name"), body.name);
+      Number(At("bodies", i, "radius"), body.radius, kPositive);
+      if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, kPositive);
+      Vector(At("bodies", i, "position"), body.position);
+      Vector(At("bodies", i, "velocity"), body.velocity);
+      if (body.fixed)
+        Expect(body.velocity.isZero(0), At("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
+    }
+  }
+
+  void CheckPlanes() {
+    for (std::size_t i = 0; i < scene_.planes.size() && !error_; ++i) {
+      const Plane& plane = scene_.planes[i];
+      UniqueName(At("planes", i, "name"), plane.name);
+      Vector(At("planes", i, "point"), plane.point);
+      Vector(At("planes", i, "normal"), plane.normal);
+      const double length = std::hypot(plane.normal[0], plane.normal[1]);
+      Expect(length >= kSmallestPositive,
+             At("planes", i, "normal"),
+             "found a vector of length " + ToText(length) + ", expected one of length at least 1e-12");
+    }
+  }
+
+  void CheckContact() {
+    Number("contact.restitution", scene_.contact.restitution, kFraction);
+    Number("contact.friction", scene_.contact.friction, kNotNegative);
+    Number("contact.stiffness", scene_.contact.stiffness, kNotNegative);
+    Number("contact.damping", scene_.contact.damping, kNotNegative);
+  }
+
+  void CheckControl() {
+    const Control& control = scene_.control;
+    Movable("control.bodies", control.bodies);
+    Expect(control.initial.size() == control.bodies.size(),
+           "control.initial",
+           "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
+               std::to_string(control.bodies.size()) + " controlled bodies");
+    for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
+           "optimize",
+           "found control, expected velocity, position or none: no body is controlled");
+  }
+
+  void CheckObjective() {
+    const std::vector<TerminalTerm>& terms = scene_.objective.terminal;
+    for (std::size_t i = 0; i < terms.size(); ++i) {
+      const TerminalTerm& term = terms[i];
+      BodyIndex(At("objective.terminal", i, "body"), term.body);
+      Vector(At("objective.terminal", i, "target"), term.target);
+      Number(At("objective.terminal", i, "weight"), term.weight, term.component ? kAny : kNotNegative);
+      Expect(!term.component || *term.component == 0 || *term.component == 1,
+             At("objective.terminal", i, "component"),
+             "expected 0 (x) or 1 (y)");
+    }
+    Number("objective.effort", scene_.objective.effort, kNotNegative);
+    Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
+           "objective.terminal",
+           "found no term, expected at least one: there is something to optimize");
+  }
+
+  void CheckFree() {
+    Movable("free", scene_.free);
+    const bool needed = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
+    Expect(!needed || !scene_.free.empty(), "free", "found no body, expected at least one that moves");
+  }
+
+  void CheckOverlap() {
+    for (std::size_t i = 0; i < scene_.bodies.size(); ++i) {
+      for (std::size_t j = 0; j < i && !error_; ++j) CheckApart(i, j);
+      for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
+      if (error_) return;
+    }
+  }
+
+  void CheckApart(std::size_t i, std::size_t j) {
+    const Body& a = scene_.bodies[i];
+    const Body& b = scene_.bodies[j];
+    if (a.fixed && b.fixed) return;
+    const Vec2d apart = a.position - b.position;
+    const double reach = a.radius + b.radius;
+    if (std::abs(apart[0]) >= reach) return;  // spares most pairs of a large scene the square root
+    Overlap(i, "bodies", j, b.name, reach - std::hypot(apart[0], apart[1]));
+  }
+
+  void CheckAbove(std::size_t i, std::size_t j) {
+    const Body& body = scene_.bodies[i];
+    const Plane& plane = scene_.planes[j];
+    if (body.fixed) return;
+    const Vec2d normal = plane.normal / std::hypot(plane.normal[0], plane.normal[1]);
+    const double height = Dot(normal, Vec2d(body.position - plane.point));
+    Overlap(i, "planes", j, plane.name, body.radius - height);
+  }
+
+  void Overlap(std::size_t body, const char* list, std::size_t other, const std::string& name, double depth) {
+    if (depth <= kOverlapTolerance) return;
+    Expect(false,
+           At("bodies", body, "position"),
+           "found an overlap of " + ToText(depth) + " m with " + At(list, other) + " (" + name +
+               ") at the start, expected at most 1e-12 m");
+  }
+
+  const Scene& scene_;
+  std::unordered_map<std::string, std::string> names_;  // of bodies and planes, to their keys
+  std::optional<SceneError> error_;
+};
+
+}  // namespace
+
+bool Objective::IsSumOfSquares() const {
+  return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
+}
+
+const char* OptimizeToString(Optimize optimize) {
+  switch (optimize) {
+    case Optimize::kControl:
+      return "control";
+    case Optimize::kVelocity:
+      return "velocity";
+    case Optimize::kPosition:
+      return "position";
+    case Optimize::kNone:
+      return "none";
+  }
+  LOG(FATAL) << "not an Optimize: " << static_cast<int>(optimize);
+}
+
+std::optional<SceneError> Validate(const Scene& scene) { return Rules(scene).Check(); }
+
+}  // namespace saltus
