@@ -1,0 +1,24 @@
+# Installs the build tree into a fresh folder, builds and runs the consumer against that folder alone, configures it with
+# the source tree as a subproject, and uninstalls.
+# Given: SOURCE_TREE, BUILD_TREE, WORK (scratch folder), GENERATOR, CXX, BUILD_TYPE.
+function(run)
+  execute_process(COMMAND ${ARGV} COMMAND_ECHO STDOUT COMMAND_ERROR_IS_FATAL ANY)
+endfunction()
+
+set(configure ${CMAKE_COMMAND} -S ${SOURCE_TREE}/tests/consumer -G ${GENERATOR}
+              -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_BUILD_TYPE=${BUILD_TYPE})
+set(prefix ${WORK}/prefix)
+file(REMOVE_RECURSE ${WORK})
+
+run(${CMAKE_COMMAND} --install ${BUILD_TREE} --prefix ${prefix})
+run(${configure} -B ${WORK}/installed -DCMAKE_PREFIX_PATH=${prefix})
+run(${CMAKE_COMMAND} --build ${WORK}/installed)
+run(${WORK}/installed/consumer)
+
+run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE})
+
+run(${CMAKE_COMMAND} -DMANIFEST=${BUILD_TREE}/install_manifest.txt -P ${SOURCE_TREE}/cmake/uninstall.cmake)
+file(GLOB_RECURSE left ${prefix}/*)
+if(left)
+  message(FATAL_ERROR "Left behind by uninstall: ${left}")
+endif()
