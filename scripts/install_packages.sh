@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# usage: scripts/install_packages.sh [more packages...]
+# Installs the Debian 12 packages that saltus is built from and runs with. Does nothing if all are there.
+set -euo pipefail
+
+packages=(
+  g++ cmake ninja-build pkg-config
+  libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
+  libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev
+  gnuplot-nox fonts-dejavu-core # figures, and a font for them
+  libgtest-dev libgmock-dev libbenchmark-dev
+  "$@"
+)
+
+if ! command -v dpkg-query >/dev/null; then
+  echo "install_packages: this is not a Debian system; install the equivalents of: ${packages[*]}" >&2
+  exit 1
+fi
+
+installed=$(dpkg-query -W -f '${db:Status-Status}:${Package}\n' "${packages[@]}" 2>/dev/null || true)
+missing=()
+for package in "${packages[@]}"; do
+  grep -qxF "installed:$package" <<<"$installed" || missing+=("$package")
+done
+if ((${#missing[@]} == 0)); then exit 0; fi
+
+as_root=()
+if ((EUID != 0)); then
+  if ! command -v sudo >/dev/null; then
+    echo "install_packages: need root or sudo to install: ${missing[*]}" >&2
+    exit 1
+  fi
+  as_root=(sudo)
+fi
+
+echo "Installing: ${missing[*]}" >&2
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+apt_get() {
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o DPkg::Lock::Timeout=120 "$@" >"$log" 2>&1
+}
+# Stale lists may still do, so a failed update alone is no reason to stop.
+apt_get update || { echo "install_packages: apt-get update failed, going on with the lists there are:"; cat "$log"; } >&2
+if ! apt_get install --no-install-recommends "${missing[@]}"; then
+  cat "$log" >&2
+  echo "install_packages: could not install: ${missing[*]}" >&2
+  exit 1
+fi

@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# usage: scripts/test.sh
+# From a bare Debian 12 to tested: installs packages, builds with warnings as errors, runs every test.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+jobs=$(nproc)
+scripts/install_packages.sh
+cmake --preset ci
+cmake --build --preset ci -j "$jobs"
+ctest --preset ci --output-on-failure --no-tests=error -j "$jobs"
