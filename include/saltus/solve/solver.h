@@ -29,10 +29,11 @@ struct SolverOptions {
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
-  std::function<bool(int iteration, double loss)> callback;
+  std::function<bool(int iteration, double loss)> callback = nullptr;
 };
 
-// Losses are sums of squares without Ceres' half.
+// Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
+// one may have no losses, if the initial guess already has none.
 struct SolveReport {
   std::string contact;
   std::string solver;

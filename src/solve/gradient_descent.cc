@@ -1,0 +1,50 @@
+#include "gradient_descent.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "solve_run.h"
+
+namespace saltus {
+namespace {
+
+bool AllFinite(const std::vector<double>& values) {
+  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
+template <typename S>
+void Update(double learning_rate, const std::vector<double>& gradient, std::vector<double>* z) {
+  for (size_t i = 0; i < z->size(); ++i) {
+    (*z)[i] = static_cast<S>((*z)[i]) - static_cast<S>(learning_rate) * static_cast<S>(gradient[i]);
+  }
+}
+
+SolveReport Fail(SolveRun* run, const char* what, int iteration, const std::vector<double>& z) {
+  return run->Finish(
+      z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
+}
+
+}  // namespace
+
+SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("gd", request, options);
+  const auto update = request.precision == Precision::kFloat ? Update<float> : Update<double>;
+  std::vector<double> z = run.shooting().initial_guess();
+  std::vector<double> last = z, gradient(z.size());
+  for (int k = 0;; ++k) {
+    const bool more = k < options.iterations;
+    double loss = 0;
+    if (!run.shooting().Evaluate(z, &loss, more ? gradient.data() : nullptr) || !std::isfinite(loss)) {
+      return Fail(&run, "loss", k, last);
+    }
+    if (!run.Record(loss)) return run.Finish(z, Termination::kInterrupted);
+    if (!more) break;
+    if (!AllFinite(gradient)) return Fail(&run, "gradient", k, z);
+    last = z;
+    update(options.learning_rate, gradient, &z);
+  }
+  const bool rests = options.iterations > 0 && z == last;
+  return run.Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
+}
+
+}  // namespace saltus

@@ -1,0 +1,14 @@
+// Gradient descent at a fixed rate, z <- z - learning_rate * gradient, as in Zhong, Han, Brikis, "Differentiable
+// Physics Simulations with Contacts: Do They Have Correct Gradients w.r.t. Position, Velocity and Control?" (2022).
+// In single precision the update is rounded to float after each operation.
+#pragma once
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// Always does options.iterations updates; kConverged if the last one changed nothing. Stops early (kFailed) where loss
+// or gradient are not finite, at the last iterate where the loss is.
+SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options);
+
+}  // namespace saltus

@@ -1,0 +1,42 @@
+#include "solve_run.h"
+
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+
+SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
+    : start_(std::chrono::steady_clock::now()),
+      options_(options),
+      shooting_(MakeSimulator(request.contact, request.scene, request.precision)) {
+  report_.contact = request.contact;
+  report_.solver = solver;
+}
+
+bool SolveRun::Record(double loss) {
+  report_.losses.push_back(loss);
+  return !options_.callback || options_.callback(num_recorded() - 1, loss);
+}
+
+SolveReport SolveRun::Finish(std::span<const double> z, Termination termination, std::string reason,
+                             std::optional<double> final_loss) {
+  report_.termination = termination;
+  report_.reason = std::move(reason);
+  if (!report_.losses.empty()) {
+    report_.initial_loss = report_.losses.front();
+    report_.final_loss = final_loss.value_or(report_.losses.back());
+    report_.iterations = num_recorded() - 1;
+  }
+  report_.evaluations = shooting_.num_adjoints();
+  report_.initial_state = shooting_.InitialStateAt(z);
+  report_.control = shooting_.ControlAt(z);
+  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  return std::move(report_);
+}
+
+std::string WhyNothingToOptimize(const Scene& scene) {
+  const bool nothing = scene.optimize == Optimize::kNone ||
+                       (scene.optimize == Optimize::kControl ? scene.control.bodies.empty() : scene.free.empty());
+  return nothing ? "the scene leaves nothing to optimize" : "";
+}
+
+}  // namespace saltus

@@ -1,0 +1,42 @@
+// What every solver by single shooting does around its algorithm: bind the model to the scene, time, collect losses,
+// ask the callback, write the report.
+#pragma once
+
+#include <chrono>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/control/single_shooting.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+class SolveRun {
+ public:
+  // The clock of the report starts here. Preconditions as those of MakeSimulator.
+  SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+
+  SingleShooting& shooting() { return shooting_; }
+  const SolverOptions& options() const { return options_; }
+  int num_recorded() const { return static_cast<int>(report_.losses.size()); }
+
+  // Appends the loss of the next iterate, the initial guess first. False if the callback wants to stop.
+  bool Record(double loss);
+
+  // The report of a run that ends at z. The final loss is the last one recorded unless given.
+  SolveReport Finish(std::span<const double> z, Termination termination, std::string reason = {},
+                     std::optional<double> final_loss = {});
+
+ private:
+  std::chrono::steady_clock::time_point start_;
+  const SolverOptions& options_;
+  SolveReport report_;
+  SingleShooting shooting_;
+};
+
+// Why a scene gives single shooting nothing to do; empty if it does not.
+std::string WhyNothingToOptimize(const Scene& scene);
+
+}  // namespace saltus

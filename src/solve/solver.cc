@@ -1,0 +1,64 @@
+#include "saltus/solve/solver.h"
+
+#include <glog/logging.h>
+
+#include "gradient_descent.h"
+#include "saltus/dynamics/registry.h"
+#include "solve_run.h"
+
+namespace saltus {
+namespace {
+
+std::string WhyNotSingleShooting(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
+
+}  // namespace
+
+const std::vector<SolverEntry>& AllSolvers() {
+  // clang-format off
+  static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
+      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent},
+  };
+  // clang-format on
+  return solvers;
+}
+
+const SolverEntry* FindSolver(std::string_view name) {
+  for (const SolverEntry& solver : AllSolvers()) {
+    if (solver.name == name) return &solver;
+  }
+  return nullptr;
+}
+
+SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options) {
+  const SolverEntry* entry = FindSolver(solver);
+  CHECK(entry != nullptr) << "unknown solver " << solver;
+  std::string reason = WhyNotApplicable(request.contact, request.scene);
+  if (reason.empty()) reason = entry->why_not(request);
+  if (reason.empty()) return entry->solve(request, options);
+  SolveReport report;
+  report.contact = request.contact;
+  report.solver = solver;
+  report.termination = Termination::kNotApplicable;
+  report.reason = std::move(reason);
+  return report;
+}
+
+const char* TerminationToString(Termination termination) {
+  switch (termination) {
+    case Termination::kConverged:
+      return "converged";
+    case Termination::kIterationLimit:
+      return "iteration_limit";
+    case Termination::kNoProgress:
+      return "no_progress";
+    case Termination::kFailed:
+      return "failed";
+    case Termination::kInterrupted:
+      return "interrupted";
+    case Termination::kNotApplicable:
+      return "not_applicable";
+  }
+  return "";
+}
+
+}  // namespace saltus

@@ -1,0 +1,108 @@
+// Gradient descent against published results and a recurrence by hand.
+#include <gmock/gmock.h>
+
+#include <cmath>
+
+#include "saltus/solve/solver.h"
+#include "solve/scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+// One disc at rest; its initial position is free, so the loss is quadratic in it.
+Scene FlightScene() {
+  Scene scene;
+  scene.name = "flight";
+  scene.duration = 1;
+  scene.steps = 10;
+  Body body;
+  body.name = "ball";
+  body.radius = 0.1;
+  scene.bodies = {body};
+  TerminalTerm term;
+  term.target = {1, -2};
+  term.weight = 3;
+  scene.objective.terminal = {term};
+  scene.optimize = Optimize::kPosition;
+  scene.free = {0};
+  return scene;
+}
+
+TEST(GradientDescent, ReachesPublishedLossOfTwoBalls) {
+  const SolveReport report = Solve("gd", {ProblemScene("two_balls"), "direct_toi"}, {.learning_rate = 10});
+  ASSERT_EQ(report.losses.size(), 1001u);
+  EXPECT_NEAR(report.losses[0], 2.0585, 5e-5);
+  EXPECT_NEAR(report.losses[999], 1.39581298828, 1e-5);
+  EXPECT_EQ(report.final_loss, report.losses[1000]);
+  EXPECT_EQ(report.evaluations, 1000);
+  EXPECT_EQ(report.iterations, 1000);
+  EXPECT_EQ(report.termination, Termination::kIterationLimit);
+}
+
+TEST(GradientDescent, ReachesPublishedVelocityOfGroundWall) {
+  const SolveReport report = Solve("gd", {ProblemScene("ground_wall"), "direct_toi"}, {.learning_rate = 0.01});
+  EXPECT_NEAR(report.initial_state[2], 10.18414593, 1e-6);
+  EXPECT_NEAR(report.initial_state[3], -4.16055489, 1e-6);
+}
+
+// loss = 3 |p - target|^2, so z <- z - 6 rate (z - target), in the arithmetic asked for.
+TEST(GradientDescent, UpdatesInTheArithmeticAskedFor) {
+  const SolverOptions options{.iterations = 7, .learning_rate = 0.037};
+  const SolveReport wide = Solve("gd", {FlightScene(), "direct_toi"}, options);
+  const SolveReport narrow = Solve("gd", {FlightScene(), "direct_toi", Precision::kFloat}, options);
+  double z = 0;
+  float zf = 0;
+  for (int k = 0; k < 7; ++k) {
+    z -= 0.037 * 6 * (z - 1);
+    zf -= 0.037f * static_cast<float>(6.0 * (static_cast<double>(zf) - 1));
+  }
+  EXPECT_NEAR(wide.initial_state[0], z, 1e-15);
+  EXPECT_EQ(narrow.initial_state[0], zf);
+  EXPECT_NE(narrow.initial_state[0], z);
+}
+
+TEST(GradientDescent, ConvergedOnlyWhereNothingMovesAnyMore) {
+  const SolveRequest request{FlightScene(), "direct_toi"};
+  EXPECT_EQ(Solve("gd", request, {.iterations = 5, .learning_rate = 0.1}).termination, Termination::kIterationLimit);
+  EXPECT_EQ(Solve("gd", request, {.iterations = 500, .learning_rate = 0.1}).termination, Termination::kConverged);
+}
+
+TEST(GradientDescent, StopsWhenTold) {
+  int calls = 0;
+  SolverOptions options{.iterations = 20, .learning_rate = 0.1};
+  options.callback = [&](int iteration, double loss) {
+    EXPECT_EQ(iteration, calls++);
+    EXPECT_GT(loss, 0);
+    return iteration < 3;
+  };
+  const SolveReport report = Solve("gd", {FlightScene(), "direct_toi"}, options);
+  EXPECT_EQ(report.termination, Termination::kInterrupted);
+  EXPECT_EQ(report.losses.size(), 4u);
+  EXPECT_NEAR(report.initial_state[0], 1 - std::pow(1 - 0.6, 3), 1e-15);
+}
+
+TEST(GradientDescent, FailsAtTheLastFiniteIterate) {
+  const SolveReport report = Solve("gd", {FlightScene(), "direct_toi"}, {.learning_rate = 1e60});
+  EXPECT_EQ(report.termination, Termination::kFailed);
+  EXPECT_THAT(report.reason, HasSubstr("iteration " + std::to_string(report.losses.size())));
+  EXPECT_TRUE(std::isfinite(report.final_loss));
+  EXPECT_GT(report.losses.size(), 1u);
+  for (double value : report.initial_state) EXPECT_TRUE(std::isfinite(value));
+}
+
+TEST(Solve, SaysWhyNot) {
+  const SolveReport report = Solve("gd", {ProblemScene("bounce_once"), "direct_toi"}, {});
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_THAT(report.reason, HasSubstr("nothing to optimize"));
+  EXPECT_TRUE(report.losses.empty());
+}
+
+TEST(Solve, EverySolverIsFoundByItsName) {
+  for (const SolverEntry& solver : AllSolvers()) EXPECT_EQ(FindSolver(solver.name), &solver);
+  EXPECT_EQ(FindSolver("newton"), nullptr);
+}
+
+}  // namespace
+}  // namespace saltus
