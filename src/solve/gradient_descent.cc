@@ -37,7 +37,7 @@ SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOpti
     if (!run.shooting().Evaluate(z, &loss, more ? gradient.data() : nullptr) || !std::isfinite(loss)) {
       return Fail(&run, "loss", k, last);
     }
-    if (!run.Record(loss)) return run.Finish(z, Termination::kInterrupted);
+    if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);
     if (!more) break;
     if (!AllFinite(gradient)) return Fail(&run, "gradient", k, z);
     last = z;

@@ -12,8 +12,9 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
   report_.solver = solver;
 }
 
-bool SolveRun::Record(double loss) {
+bool SolveRun::Record(double loss, std::span<const double> z) {
   report_.losses.push_back(loss);
+  if (options_.keep_iterates) report_.iterates.emplace_back(z.begin(), z.end());
   return !options_.callback || options_.callback(num_recorded() - 1, loss);
 }
 

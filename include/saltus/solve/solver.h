@@ -27,6 +27,8 @@ struct SolverOptions {
   int iterations = 1000;        // at most
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
 
+  bool keep_iterates = false;  // fill SolveReport::iterates
+
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
   std::function<bool(int iteration, double loss)> callback = nullptr;
@@ -40,8 +42,9 @@ struct SolveReport {
   Termination termination = Termination::kFailed;
   std::string reason;  // for kFailed and kNotApplicable; otherwise may hold a remark
   double initial_loss = 0;
-  double final_loss = 0;       // at `initial_state` and `control`, under the contact model
-  std::vector<double> losses;  // losses[k] after k iterations; losses[0] at the initial guess
+  double final_loss = 0;                      // at `initial_state` and `control`, under the contact model
+  std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
+  std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
   int iterations = 0;
   int evaluations = 0;  // gradients (or Jacobians) computed
   double seconds = 0;
