@@ -1,0 +1,413 @@
+// Steps, rollouts and forward derivatives of a contact model on a scene, for tests: a plain loop over all pairs that
+// knows nothing of broad phases, islands and adjoints. And the published scenes and rows to compare with.
+#pragma once
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <memory_resource>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+
+namespace saltus::testing {
+
+// All that a step depends on, as scalars that can carry derivatives.
+template <typename T>
+struct StepArguments {
+  std::vector<BodyState<T, 0>> x;
+  std::vector<Vec2<T>> force;
+  ContactConstants<T> contact;
+  std::vector<T> mass;
+
+  // Every scalar: four of a disc's state, two of its force, its mass; then the contact constants.
+  std::vector<T*> Scalars() {
+    std::vector<T*> scalars;
+    for (BodyState<T, 0>& body : x) scalars.insert(scalars.end(), {&body.p[0], &body.p[1], &body.v[0], &body.v[1]});
+    for (Vec2<T>& f : force) scalars.insert(scalars.end(), {&f[0], &f[1]});
+    for (T& m : mass) scalars.push_back(&m);
+    scalars.insert(scalars.end(), {&contact.restitution, &contact.friction, &contact.stiffness, &contact.damping});
+    return scalars;
+  }
+};
+
+// The initial state of a scene under its initial control.
+template <typename T>
+StepArguments<T> Arguments(const Scene& scene) {
+  using S = Base<T>;
+  const auto lift = [](double value) { return T(static_cast<S>(value)); };
+  const auto lift2 = [&](const Vec2d& value) { return Vec2<T>(lift(value[0]), lift(value[1])); };
+  StepArguments<T> arguments;
+  for (const Body& body : scene.bodies) {
+    arguments.x.push_back({lift2(body.position), lift2(body.fixed ? Vec2d(0, 0) : body.velocity)});
+    arguments.force.push_back(lift2(Vec2d(0, 0)));
+    arguments.mass.push_back(lift(body.mass));
+  }
+  for (std::size_t i = 0; i < scene.control.bodies.size(); ++i) {
+    arguments.force[scene.control.bodies[i]] = lift2(scene.control.initial[i]);
+  }
+  arguments.contact = {lift(scene.contact.restitution),
+                       lift(scene.contact.friction),
+                       lift(scene.contact.stiffness),
+                       lift(scene.contact.damping)};
+  return arguments;
+}
+
+// One step from `arguments` in the scene's time step, gravity, radii and planes. Every pair is a candidate.
+template <typename M, typename T>
+std::vector<BodyState<T, 0>> StepOnce(const Scene& scene, const StepArguments<T>& arguments,
+                                      std::vector<Touch>* touches = nullptr) {
+  using S = Base<T>;
+  const int count = scene.num_bodies();
+  std::vector<BodyConstants<T>> bodies;
+  for (int i = 0; i < count; ++i) {
+    const bool fixed = scene.bodies[i].fixed;
+    const T inverse = fixed ? T(S(0)) : Divide(S(1), arguments.mass[i]);
+    bodies.push_back({arguments.mass[i], inverse, static_cast<S>(scene.bodies[i].radius), fixed});
+  }
+  std::vector<HalfPlane<S>> planes;
+  for (const Plane& plane : scene.planes) {
+    const Vec2d normal = plane.normal.normalized();
+    planes.push_back({normal.cast<S>(), static_cast<S>(normal.dot(plane.point))});
+  }
+  std::vector<Candidate> candidates;
+  for (int a = 0; a < count; ++a) {
+    for (int b = a + 1; b < count; ++b) {
+      if (!scene.bodies[a].fixed || !scene.bodies[b].fixed) candidates.push_back({a, b, false});
+    }
+  }
+  for (int a = 0; a < count; ++a) {
+    for (int b = 0; b < static_cast<int>(planes.size()); ++b) {
+      if (!scene.bodies[a].fixed) candidates.push_back({a, b, true});
+    }
+  }
+  std::pmr::monotonic_buffer_resource scratch;
+  const StepInput<T> in = {static_cast<S>(scene.dt()),
+                           scene.gravity.cast<S>(),
+                           arguments.contact,
+                           bodies,
+                           planes,
+                           arguments.force,
+                           candidates,
+                           &scratch,
+                           touches};
+  std::vector<BodyState<T, 0>> next(count);
+  M().Step(in, std::span<const BodyState<T, 0>>(arguments.x), std::span<BodyState<T, 0>>(next));
+  return next;
+}
+
+template <typename M>
+std::vector<BodyState<double, 0>> StepOnce(const Scene& scene, std::vector<Touch>* touches = nullptr) {
+  return StepOnce<M>(scene, Arguments<double>(scene), touches);
+}
+
+// The loss of a rollout from `arguments`. Its force is held over the horizon but for the first step's, `first_force`.
+template <typename M, typename T>
+T Loss(const Scene& scene, StepArguments<T> arguments, const std::vector<Vec2<T>>& first_force) {
+  using S = Base<T>;
+  const std::vector<Vec2<T>> force = arguments.force;
+  T loss = T(S(0));
+  for (int k = 0; k < scene.steps; ++k) {
+    arguments.force = k == 0 ? first_force : force;
+    for (const int i : scene.control.bodies) {
+      const Vec2<T>& u = arguments.force[i];
+      loss += S(scene.objective.effort * scene.dt()) * Dot(u, u);
+    }
+    arguments.x = StepOnce<M>(scene, arguments);
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
+    const Vec2<T>& q = position ? arguments.x[term.body].p : arguments.x[term.body].v;
+    if (term.component) {
+      loss += S(term.weight) * q[*term.component];
+    } else {
+      const Vec2<T> miss(q[0] - S(term.target[0]), q[1] - S(term.target[1]));
+      loss += S(term.weight) * Dot(miss, miss);
+    }
+  }
+  return loss;
+}
+
+template <typename M, typename S = double>
+S InitialLoss(const Scene& scene) {
+  const StepArguments<S> arguments = Arguments<S>(scene);
+  return Loss<M>(scene, arguments, arguments.force);
+}
+
+// Derivative of the loss by forward Jets. `quantity`: "dloss/" and dp_y, dv2_x (body 2 of 1, 2, ...), du0_y or du1_0_x
+// (force on body 1 in step 0).
+template <typename M, typename S>
+S LossDerivative(const Scene& scene, const std::string& quantity) {
+  using J = StepJet<S>;
+  StepArguments<J> arguments = Arguments<J>(scene);
+  std::vector<Vec2<J>> first_force = arguments.force;
+  const char kind = quantity[7];
+  const int component = quantity.back() == 'y';
+  const bool numbered = kind == 'u' ? quantity[9] == '_' && quantity.size() > 11 : quantity[8] != '_';
+  const int body = numbered ? quantity[8] - '1' : 0;
+  J& seed = kind == 'p'   ? arguments.x[body].p[component]
+            : kind == 'v' ? arguments.x[body].v[component]
+                          : first_force[body][component];
+  seed.v[0] = S(1);
+  return Loss<M>(scene, arguments, first_force).v[0];
+}
+
+// The velocity of disc 0 after gradient descent on it: z <- z - rate * gradient.
+template <typename M, typename S>
+Vec2<S> DescendVelocity(const Scene& scene, double rate, int iterations) {
+  using J = StepJet<S>;
+  StepArguments<J> arguments = Arguments<J>(scene);
+  arguments.x[0].v[0].v[0] = S(1);
+  arguments.x[0].v[1].v[1] = S(1);
+  for (int k = 0; k < iterations; ++k) {
+    const J loss = Loss<M>(scene, arguments, arguments.force);
+    arguments.x[0].v[0].a -= S(rate) * loss.v[0];
+    arguments.x[0].v[1].a -= S(rate) * loss.v[1];
+  }
+  return {arguments.x[0].v[0].a, arguments.x[0].v[1].a};
+}
+
+inline Scene BounceOnce() {
+  Scene scene;
+  scene.name = "bounce_once";
+  scene.duration = 1;
+  scene.steps = 480;
+  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {-1, 1}, .velocity = {2, -2}}};
+  scene.planes = {{.name = "ground", .point = {0, 0}, .normal = {0, 1}}};
+  scene.control = {{0}, {Vec2d(0, 0)}};
+  scene.objective.terminal = {{.body = 0, .component = 1}};
+  return scene;
+}
+
+inline Scene GroundWall(double friction) {
+  Scene scene;
+  scene.name = "ground_wall";
+  scene.duration = 0.6;
+  scene.steps = 288;
+  scene.gravity = {0, -9.8};
+  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {-0.5, 1}, .velocity = {5, -5}}};
+  scene.planes = {{.name = "ground", .point = {0, 0}, .normal = {0, 1}},
+                  {.name = "wall", .point = {1.75, 0}, .normal = {-1, 0}}};
+  scene.contact = {.restitution = 0.92, .friction = friction, .stiffness = 1e4, .damping = 10};
+  scene.objective.terminal = {{.body = 0, .component = {}, .target = {-2, 1.5}}};
+  return scene;
+}
+
+inline Scene TwoBalls() {
+  Scene scene;
+  scene.name = "two_balls";
+  scene.duration = 1;
+  scene.steps = 480;
+  scene.bodies = {{.name = "striker", .radius = 0.2, .position = {-2, -2}},
+                  {.name = "target", .radius = 0.2, .position = {-1, -1}}};
+  scene.control = {{0}, {Vec2d(3, 3)}};
+  scene.objective = {{{.body = 1, .component = {}, .target = {0, 0}}}, 0.1};
+  return scene;
+}
+
+struct PublishedRow {
+  std::string problem, friction, contact, precision, quantity, verdict;
+  double expected, tolerance;
+};
+
+// The rows of data/published.csv for one model.
+inline std::vector<PublishedRow> PublishedRows(const std::string& contact) {
+  std::ifstream file(std::string(SALTUS_SOURCE_DIR) + "/data/published.csv");
+  std::vector<PublishedRow> rows;
+  for (std::string line; std::getline(file, line);) {
+    std::vector<std::string> cells;
+    std::istringstream stream(line);
+    for (std::string cell; std::getline(stream, cell, ',');) cells.push_back(cell);
+    if (cells.size() < 9 || cells[3] != contact) continue;
+    cells.resize(10);
+    rows.push_back(
+        {cells[1], cells[2], cells[3], cells[4], cells[5], cells[9], std::stod(cells[7]), std::stod(cells[8])});
+  }
+  return rows;
+}
+
+template <typename M, typename S>
+void ExpectPublishedRow(const PublishedRow& row) {
+  SCOPED_TRACE(row.problem + " mu=" + row.friction + " " + row.contact + " " + row.quantity);
+  const Scene scene = row.problem == "bounce_once"   ? BounceOnce()
+                      : row.problem == "ground_wall" ? GroundWall(std::stod(row.friction))
+                                                     : TwoBalls();
+  if (row.quantity.starts_with("dloss/")) {
+    EXPECT_NEAR((LossDerivative<M, S>(scene, row.quantity)), row.expected, row.tolerance);
+  } else if (row.quantity == "v_x_1000" || row.quantity == "v_y_1000") {
+    const Vec2<S> velocity = DescendVelocity<M, S>(scene, 0.01, 1000);
+    EXPECT_NEAR(velocity[row.quantity[2] == 'y'], row.expected, row.tolerance);
+  }
+}
+
+// Gradients, and velocities after 1000 descent steps unless they are chaotic.
+template <typename M>
+void ExpectPublishedRows() {
+  const std::vector<PublishedRow> rows = PublishedRows(std::string(M::kTraits.name));
+  ASSERT_FALSE(rows.empty());
+  for (const PublishedRow& row : rows) {
+    if (row.verdict == "chaotic") continue;
+    if (row.precision == "float") {
+      ExpectPublishedRow<M, float>(row);
+    } else {
+      ExpectPublishedRow<M, double>(row);
+    }
+  }
+}
+
+// Jets give the bits of the scalar step, and finite derivatives.
+template <typename M, typename S>
+void ExpectJetsHaveScalarBits(const Scene& scene) {
+  using J = StepJet<S>;
+  StepArguments<J> arguments = Arguments<J>(scene);
+  const std::vector<J*> scalars = arguments.Scalars();
+  for (std::size_t i = 0; i < scalars.size(); ++i) scalars[i]->v[i % kJetWidth] = S(1);
+  const std::vector<BodyState<J, 0>> with_jets = StepOnce<M>(scene, arguments);
+  const std::vector<BodyState<S, 0>> plain = StepOnce<M>(scene, Arguments<S>(scene));
+  for (std::size_t i = 0; i < plain.size(); ++i) {
+    for (int k = 0; k < 2; ++k) {
+      EXPECT_EQ(with_jets[i].p[k].a, plain[i].p[k]);
+      EXPECT_EQ(with_jets[i].v[k].a, plain[i].v[k]);
+      EXPECT_TRUE(with_jets[i].p[k].v.allFinite());
+      EXPECT_TRUE(with_jets[i].v[k].v.allFinite());
+    }
+  }
+}
+
+template <typename M>
+void ExpectJetsHaveScalarBits(const Scene& scene) {
+  ExpectJetsHaveScalarBits<M, double>(scene);
+  ExpectJetsHaveScalarBits<M, float>(scene);
+}
+
+// The step's derivative with respect to everything, against central differences. Precondition: no event within 1e-6.
+template <typename M>
+void ExpectStepDerivative(const Scene& scene) {
+  using J = StepJet<double>;
+  const std::size_t count = Arguments<double>(scene).Scalars().size();
+  double largest = 0;
+  for (std::size_t input = 0; input < count; ++input) {
+    SCOPED_TRACE("input " + std::to_string(input));
+    StepArguments<J> arguments = Arguments<J>(scene);
+    arguments.Scalars()[input]->v[0] = 1;
+    const std::vector<BodyState<J, 0>> exact = StepOnce<M>(scene, arguments);
+    const auto moved = [&](double by) {
+      StepArguments<double> at = Arguments<double>(scene);
+      *at.Scalars()[input] += by;
+      return StepOnce<M>(scene, at);
+    };
+    const double by = 1e-7 * std::max(1.0, std::abs(*Arguments<double>(scene).Scalars()[input]));
+    const std::vector<BodyState<double, 0>> up = moved(by), down = moved(-by);
+    for (std::size_t i = 0; i < exact.size(); ++i) {
+      for (int k = 0; k < 2; ++k) {
+        const double p = (up[i].p[k] - down[i].p[k]) / (2 * by), v = (up[i].v[k] - down[i].v[k]) / (2 * by);
+        EXPECT_NEAR(exact[i].p[k].v[0], p, 1e-6 * std::max(1.0, std::abs(p)));
+        EXPECT_NEAR(exact[i].v[k].v[0], v, 2e-6 * std::max(1.0, std::abs(v)));
+        largest = std::max(largest, std::abs(v));
+      }
+    }
+  }
+  EXPECT_GT(largest, 0.1);
+}
+
+inline Vec2d Momentum(const Scene& scene, const std::vector<BodyState<double, 0>>& x) {
+  Vec2d sum(0, 0);
+  for (std::size_t i = 0; i < x.size(); ++i) sum += scene.bodies[i].mass * x[i].v;
+  return sum;
+}
+
+// Two discs of 1 kg and 3 kg that meet obliquely, 2.8 mm before contact, or 11 mm after it if they overlap.
+inline Scene ObliqueCollision(bool overlap = false) {
+  Scene scene;
+  scene.duration = 0.01;
+  scene.steps = 1;
+  scene.bodies = {{.name = "a", .radius = 0.2, .mass = 1, .position = {0.002, 0.001}, .velocity = {1, 0.2}},
+                  {.name = "b", .radius = 0.3, .mass = 3, .position = {0.404, 0.303}, .velocity = {-1, -0.1}}};
+  if (overlap) scene.bodies[1].position = {0.394, 0.293};
+  scene.contact = {.restitution = 0.7, .friction = 0.2, .stiffness = 2e3, .damping = 5};
+  scene.control = {{0, 1}, {Vec2d(2, -1), Vec2d(0.5, 3)}};
+  return scene;
+}
+
+// A disc that meets the ground and the wall in the next step, sliding on both; or overlaps them.
+inline Scene Corner(bool overlap = false) {
+  Scene scene;
+  scene.duration = 0.01;
+  scene.steps = 1;
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 2, .position = {0.895, 0.103}, .velocity = {1.5, -1}}};
+  scene.planes = {{.name = "ground", .point = {0, 0}, .normal = {0, 1}},
+                  {.name = "wall", .point = {1, 0}, .normal = {-1, 0}}};
+  if (overlap) scene.bodies[0].position = {0.91, 0.094};
+  scene.contact = {.restitution = 0.7, .friction = 0.2, .stiffness = 2e3, .damping = 5};
+  return scene;
+}
+
+// The change of disc i by contact: its step less that of a scene without the others and without planes.
+template <typename M>
+BodyState<double, 0> ContactChange(const Scene& scene, int i) {
+  Scene alone = scene;
+  alone.planes.clear();
+  for (int j = 0; j < scene.num_bodies(); ++j) {
+    if (j != i) alone.bodies[j].position += Vec2d(100.0 * (j + 1), 0);
+  }
+  const BodyState<double, 0> with = StepOnce<M>(scene)[i], without = StepOnce<M>(alone)[i];
+  return {with.p - without.p, with.v - without.v};
+}
+
+inline void ExpectNear(const Vec2d& a, const Vec2d& b, double tolerance) {
+  EXPECT_NEAR(a[0], b[0], tolerance);
+  EXPECT_NEAR(a[1], b[1], tolerance);
+}
+
+// A fixed disc does not move, and acts on the other as a disc that is very heavy and at rest does.
+template <typename M>
+void ExpectFixedActsAsHeavy(Scene scene) {
+  scene.bodies[1].velocity = {0, 0};
+  scene.control = {{0}, {Vec2d(2, -1)}};
+  scene.bodies[1].mass = 1e12;
+  const std::vector<BodyState<double, 0>> heavy = StepOnce<M>(scene);
+  scene.bodies[1].fixed = true;
+  const std::vector<BodyState<double, 0>> fixed = StepOnce<M>(scene);
+  EXPECT_EQ(fixed[1].p, scene.bodies[1].position);
+  EXPECT_EQ(fixed[1].v, Vec2d(0, 0));
+  ExpectNear(fixed[0].p, heavy[0].p, 1e-9);
+  ExpectNear(fixed[0].v, heavy[0].v, 1e-9);
+  EXPECT_GT((fixed[0].v - scene.bodies[0].velocity).norm(), 0.1);
+}
+
+// With a third disc that hits disc 0 from behind: the change of disc 0 is the sum of its changes by either neighbour
+// alone.
+template <typename M>
+void ExpectContactsAdd(Scene scene) {
+  scene.bodies.push_back({.name = "c", .radius = 0.1, .mass = 0.5, .position = {-0.29, 0.04}, .velocity = {3, 0}});
+  const BodyState<double, 0> both = ContactChange<M>(scene, 0);
+  Scene first = scene, second = scene;
+  first.bodies[2].position = {-50, 0};
+  second.bodies[1].position = {50, 0};
+  const BodyState<double, 0> one = ContactChange<M>(first, 0), other = ContactChange<M>(second, 0);
+  EXPECT_GT(one.v.norm(), 0.1);
+  EXPECT_GT(other.v.norm(), 0.1);
+  ExpectNear(both.v, one.v + other.v, 1e-12);
+  ExpectNear(both.p, one.p + other.p, 1e-12);
+  std::vector<Touch> touches;
+  const std::vector<BodyState<double, 0>> next = StepOnce<M>(scene, &touches);
+  ASSERT_EQ(touches.size(), 2u);
+  EXPECT_EQ(touches[0].candidate, (Candidate{0, 1, false}));
+  EXPECT_EQ(touches[1].candidate, (Candidate{0, 2, false}));
+}
+
+// Momentum changes by the forces only.
+template <typename M>
+void ExpectMomentumConserved(const Scene& scene) {
+  Vec2d expected(0, 0);
+  for (const Body& body : scene.bodies) expected += body.mass * body.velocity;
+  for (const Vec2d& force : scene.control.initial) expected += scene.dt() * force;
+  ExpectNear(Momentum(scene, StepOnce<M>(scene)), expected, 1e-12);
+}
+
+}  // namespace saltus::testing
