@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace saltus::internal {
+namespace saltus::exact_internal {
 namespace {
 
 constexpr double kSameTime = 1e-12;  // s
@@ -64,4 +64,4 @@ std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not) {
   }
 }
 
-}  // namespace saltus::internal
+}  // namespace saltus::exact_internal

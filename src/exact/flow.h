@@ -11,7 +11,7 @@
 #include "saltus/physics/geometry.h"
 #include "saltus/physics/scene.h"
 
-namespace saltus::internal {
+namespace saltus::exact_internal {
 
 inline constexpr double kTouching = 1e-12;  // m, the overlap that a valid scene may start with
 inline constexpr double kGrazing = 1e-9;    // m/s, slower approaches have no usable derivative
@@ -188,4 +188,4 @@ DiscPair<T> CollideOnce(const PairParameters& pair, const ContactLaw<T>& law, Di
   return discs;
 }
 
-}  // namespace saltus::internal
+}  // namespace saltus::exact_internal

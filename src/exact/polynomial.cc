@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace saltus::internal {
+namespace saltus::exact_internal {
 namespace {
 
 // The root of p in [low, high], where p is monotone and changes sign: Newton, and bisection where Newton leaves.
@@ -85,4 +85,4 @@ double MinimumBetween(const Polynomial& p, double low, double high) {
   return minimum;
 }
 
-}  // namespace saltus::internal
+}  // namespace saltus::exact_internal

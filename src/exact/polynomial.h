@@ -3,7 +3,7 @@
 
 #include <vector>
 
-namespace saltus::internal {
+namespace saltus::exact_internal {
 
 // p(t) = sum_i p[i] t^i
 using Polynomial = std::vector<double>;
@@ -19,4 +19,4 @@ std::vector<double> RootsBetween(const Polynomial& p, double low, double high);
 
 double MinimumBetween(const Polynomial& p, double low, double high);
 
-}  // namespace saltus::internal
+}  // namespace saltus::exact_internal

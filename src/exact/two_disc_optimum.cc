@@ -1,0 +1,124 @@
+#include "saltus/exact/two_disc_optimum.h"
+
+#include <cmath>
+#include <numbers>
+
+#include "two_disc_core.h"
+
+namespace saltus {
+namespace {
+
+using exact_internal::EvaluateTwoDisc;
+using exact_internal::Path;
+using exact_internal::PathPiece;
+using exact_internal::Polynomial;
+using exact_internal::TwoDiscLoss;
+using exact_internal::TwoDiscProblem;
+using exact_internal::TwoDiscState;
+
+// The discs from 0 to s, time 0 first.
+PathPiece PathsBeforeImpact(const TwoDiscProblem& problem, double s, const Vec2d& c0, const Vec2d& c1) {
+  const TwoDiscState<double>& x = problem.start;
+  PathPiece piece = {0, s, {}, {}};
+  for (int c = 0; c < 2; ++c) {
+    piece.first[c] = {x.p1[c], x.v1[c], c0[c] / (2 * problem.mass), c1[c] / (6 * problem.mass)};
+    piece.second[c] = {x.p2[c], x.v2[c]};
+  }
+  return piece;
+}
+
+// By the envelope theorem, the gradient of the minimum by the initial state.
+TwoDiscCostate InitialCostate(const TwoDiscProblem& problem, double s, double phi) {
+  using Jet = ceres::Jet<double, 8>;
+  const TwoDiscState<double>& x = problem.start;
+  const auto seed = [](const Vec2d& value, int first) {
+    return Vec2<Jet>(Jet(value[0], first), Jet(value[1], first + 1));
+  };
+  const TwoDiscState<Jet> start = {seed(x.p1, 0), seed(x.v1, 2), seed(x.p2, 4), seed(x.v2, 6)};
+  const TwoDiscLoss<Jet> parts = EvaluateTwoDisc(problem, start, Jet(s), Jet(phi));
+  const Jet loss = parts.terminal + parts.running;
+  const auto part = [&](int first) { return Vec2d(loss.v[first], loss.v[first + 1]); };
+  return {{part(0), part(4)}, {part(2), part(6)}};
+}
+
+// Fills the costates and the Hamiltonian from the rest.
+void FillCostates(const TwoDiscProblem& problem, TwoDiscOptimum* o) {
+  const TwoDiscState<double>& x = problem.start;
+  const double s = o->impact_time;
+  TwoDiscCostate& start = o->costate_start;
+  start = InitialCostate(problem, s, o->angle);
+  o->costate_before = start;
+  for (int i = 0; i < 2; ++i) o->costate_before.velocity[i] -= s * start.position[i];
+  const Vec2d unfolded_end = x.p2 + s * x.v2 + (problem.duration - s) * o->target_velocity;
+  const Vec2d pull = 2 * problem.weight * (unfolded_end - problem.target);
+  o->costate_after = {{Vec2d(0, 0), pull}, {Vec2d(0, 0), (problem.duration - s) * pull}};
+
+  const auto hamiltonian = [&](const TwoDiscCostate& costate, const Vec2d& v1, const Vec2d& v2, const Vec2d& u) {
+    return problem.effort * u.squaredNorm() + costate.position[0].dot(v1) + costate.position[1].dot(v2) +
+           costate.velocity[0].dot(u) / problem.mass;
+  };
+  const Vec2d last = o->control_start + s * o->control_slope;
+  o->hamiltonian_start = hamiltonian(start, x.v1, x.v2, o->control_start);
+  o->hamiltonian_before = hamiltonian(o->costate_before, o->striker_velocity, x.v2, last);
+  o->hamiltonian_after = hamiltonian(o->costate_after, Vec2d(0, 0), o->target_velocity, Vec2d(0, 0));
+  o->kink_slope = problem.effort * last.squaredNorm();
+}
+
+// The candidate at a minimum (s, phi), or nothing if its paths are not as assumed.
+std::optional<TwoDiscOptimum> Candidate(const Scene& scene, TwoDiscSequence sequence, const TwoDiscProblem& problem,
+                                        double s, double phi) {
+  const TwoDiscLoss<double> loss = EvaluateTwoDisc(problem, problem.start, s, phi);
+  if (!(loss.speed > 0)) return std::nullopt;
+  TwoDiscOptimum o;
+  o.terminal = loss.terminal;
+  o.running = loss.running;
+  o.loss = o.terminal + o.running;
+  o.impact_time = s;
+  o.angle = std::atan2(loss.n[1], loss.n[0]);
+  o.normal = loss.n;
+  o.striker_velocity = loss.w;
+  o.impact_speed = loss.speed;
+  o.control_start = problem.mass * (loss.beta + s * loss.alpha);
+  o.control_slope = -problem.mass * loss.alpha;
+  o.target_velocity = problem.start.v2 + problem.kappa * loss.speed * loss.n;
+  const auto after = exact_internal::PathsAfterImpact(scene, sequence, s, loss, &o.plane_time);
+  if (!after) return std::nullopt;
+  std::vector<PathPiece> pieces = {PathsBeforeImpact(problem, s, o.control_start, o.control_slope)};
+  pieces.insert(pieces.end(), after->begin(), after->end());
+  if (!exact_internal::PathsAreClear(scene, pieces)) return std::nullopt;
+  const PathPiece& last = pieces.back();
+  for (int c = 0; c < 2; ++c) o.target_final[c] = exact_internal::Evaluate(last.second[c], last.end - last.start);
+  FillCostates(problem, &o);
+  const Eigen::Matrix2d hessian = exact_internal::DifferentiateTwoDisc(problem, s, phi).hessian;
+  o.curvature = hessian(0, 0) - hessian(0, 1) * hessian(1, 0) / hessian(1, 1);
+  return o;
+}
+
+}  // namespace
+
+Vec2d TwoDiscOptimum::Control(double t) const {
+  if (t >= impact_time) return Vec2d(0, 0);
+  return control_start + t * control_slope;
+}
+
+std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+  constexpr int kTimes = 16;
+  constexpr int kAngles = 12;
+  const auto problem = exact_internal::MakeTwoDiscProblem(scene, sequence, why_not);
+  if (!problem) return std::nullopt;
+  const Vec2d way = problem->start.p2 - problem->start.p1;
+  std::optional<TwoDiscOptimum> best;
+  for (int i = 0; i < kTimes; ++i) {
+    for (int j = 0; j < kAngles; ++j) {
+      double s = problem->duration * (i + 0.5) / kTimes;
+      double phi = std::atan2(way[1], way[0]) + std::numbers::pi * ((j + 0.5) / kAngles - 0.5);
+      if (!exact_internal::MinimizeTwoDisc(*problem, true, &s, &phi)) continue;
+      const std::optional<TwoDiscOptimum> candidate = Candidate(scene, sequence, *problem, s, phi);
+      if (candidate && (!best || candidate->loss < best->loss)) best = candidate;
+    }
+  }
+  if (!best) return exact_internal::Refuse(why_not, "no minimum with these collisions was found");
+  return best;
+}
+
+}  // namespace saltus
