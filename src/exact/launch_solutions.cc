@@ -1,0 +1,132 @@
+#include "saltus/exact/launch_solutions.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include "flow.h"
+
+namespace saltus {
+namespace {
+
+using exact_internal::ContactLaw;
+using exact_internal::DiscPath;
+using exact_internal::Motion;
+using exact_internal::PlaneSequence;
+using Jet = ceres::Jet<double, 2>;
+
+// All sequences of at most `hits` hits.
+std::vector<PlaneSequence> Sequences(int planes, int hits) {
+  std::vector<PlaneSequence> sequences = {{}};
+  for (size_t done = 0; done < sequences.size(); ++done) {
+    if (static_cast<int>(sequences[done].size()) == hits) break;
+    for (int plane = 0; plane < planes; ++plane) {
+      PlaneSequence longer = sequences[done];
+      longer.push_back(plane);
+      sequences.push_back(longer);
+    }
+  }
+  return sequences;
+}
+
+const TerminalTerm& Target(const Scene& scene) { return scene.objective.terminal[0]; }
+
+// How far the disc, launched with `velocity` and striking `hits`, ends from the target.
+struct Miss {
+  Eigen::Vector2d error;
+  Eigen::Matrix2d slope;  // by velocity
+};
+std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const Vec2d& velocity) {
+  const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(scene.contact.friction)};
+  Motion<Jet> disc = exact_internal::Cast<Jet>({scene.bodies[0].position, velocity});
+  for (int c = 0; c < 2; ++c) disc.velocity[c].v[c] = 1;
+  const std::optional<Motion<Jet>> end = exact_internal::FlyAlong(scene, law, hits, disc, 0);
+  if (!end) return std::nullopt;
+  Miss miss;
+  for (int c = 0; c < 2; ++c) {
+    miss.error[c] = end->position[c].a - Target(scene).target[c];
+    miss.slope.row(c) = end->position[c].v.transpose();
+  }
+  return miss;
+}
+
+// Newton's method, with steps halved until the miss shrinks. False if it gets stuck.
+bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
+  std::optional<Miss> now = Launch(scene, hits, *velocity);
+  if (!now) return false;
+  for (int i = 0; i < 50; ++i) {
+    const Eigen::Vector2d full = -now->slope.fullPivLu().solve(now->error);
+    const bool last = full.norm() < 1e-10 * (1 + velocity->norm());
+    double part = 1;
+    std::optional<Miss> next;
+    for (; part > 1e-6; part *= 0.5) {
+      next = Launch(scene, hits, *velocity + part * full);
+      if (next && (last || next->error.norm() < now->error.norm())) break;
+    }
+    if (!(part > 1e-6)) return false;
+    *velocity += part * full;
+    now = next;
+    if (last) return true;
+  }
+  return false;
+}
+
+// The velocity of the straight line to the target, mirrored at the planes in reverse, and raised against gravity.
+Vec2d StraightLaunch(const Scene& scene, const PlaneSequence& hits) {
+  Vec2d image = Target(scene).target;
+  for (auto hit = hits.rbegin(); hit != hits.rend(); ++hit) {
+    const Plane& plane = scene.planes[*hit];
+    const Vec2d n = plane.normal.normalized();
+    image -= 2 * (n.dot(image - plane.point) - scene.bodies[0].radius) * n;
+  }
+  return (image - scene.bodies[0].position) / scene.duration -
+         0.5 * scene.duration * exact_internal::InitialAcceleration(scene, 0);
+}
+
+// Adds what Newton's method finds from `velocity`, if it is new and the disc does strike `hits`.
+void Try(const Scene& scene, const PlaneSequence& hits, Vec2d velocity, std::vector<LaunchSolution>* solutions) {
+  if (!Solve(scene, hits, &velocity)) return;
+  for (const LaunchSolution& known : *solutions) {
+    if ((known.velocity - velocity).norm() < 1e-8 * (1 + velocity.norm())) return;
+  }
+  Scene launched = scene;
+  launched.bodies[0].velocity = velocity;
+  const std::optional<DiscPath> path = exact_internal::FollowDisc(launched, nullptr);
+  if (path && path->hits == hits) solutions->push_back({velocity, path->events});
+}
+
+const char* WhyNotLaunch(const Scene& scene) {
+  if (scene.num_bodies() != 1 || scene.bodies[0].fixed) return "there must be one moving disc";
+  if (scene.objective.effort != 0 && scene.num_controlled() > 0) return "effort must be 0";
+  if (scene.objective.terminal.size() != 1) return "the objective must have one terminal term";
+  if (Target(scene).component || Target(scene).quantity != TerminalTerm::Quantity::kPosition) {
+    return "the objective must be the disc's squared distance to a point";
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits, std::string* why_not) {
+  constexpr int kLattice = 3;  // starts to either side, per direction
+  std::vector<LaunchSolution> solutions;
+  if (const char* reason = WhyNotLaunch(scene)) {
+    exact_internal::Refuse(why_not, reason);
+    return solutions;
+  }
+  for (const PlaneSequence& hits : Sequences(static_cast<int>(scene.planes.size()), max_hits)) {
+    const Vec2d middle = StraightLaunch(scene, hits);
+    const double spacing = (1 + middle.norm()) / kLattice;
+    for (int i = -kLattice; i <= kLattice; ++i) {
+      for (int j = -kLattice; j <= kLattice; ++j) Try(scene, hits, middle + spacing * Vec2d(i, j), &solutions);
+    }
+  }
+  std::sort(solutions.begin(), solutions.end(), [](const LaunchSolution& a, const LaunchSolution& b) {
+    return a.velocity.norm() < b.velocity.norm();
+  });
+  if (solutions.empty()) exact_internal::Refuse(why_not, "no velocity of zero loss was found");
+  return solutions;
+}
+
+}  // namespace saltus
