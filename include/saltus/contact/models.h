@@ -3,14 +3,21 @@
 
 #include <tuple>
 
+#include "saltus/contact/compliant_warp.h"
+#include "saltus/contact/convex.h"
 #include "saltus/contact/direct.h"
+#include "saltus/contact/pbd_warp.h"
 
 namespace saltus {
 
 // clang-format off
 using ContactModels = std::tuple<
+    Convex<false>,
+    Convex<true>,
     Direct<false>,
-    Direct<true>>;
+    Direct<true>,
+    CompliantWarp,
+    PbdWarp>;
 // clang-format on
 
 }  // namespace saltus
