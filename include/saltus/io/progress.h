@@ -1,0 +1,76 @@
+// How far a long computation is, for a person who waits: a redrawn bar on a terminal, a line now and then elsewhere.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+
+namespace saltus {
+
+enum class ProgressMode {
+  kAuto,   // a bar if the sink is a terminal, else as kPlain
+  kPlain,  // one line every few seconds and one at the end
+  kNone,   // nothing
+};
+
+// "auto", "plain" or "none"; nothing for other words.
+std::optional<ProgressMode> ParseProgressMode(std::string_view word);
+
+// What a bar says at one moment.
+struct ProgressState {
+  std::string name;
+  int64_t done = 0;
+  int64_t total = 0;   // 0 if not known
+  double elapsed = 0;  // s
+  std::string note;
+};
+
+// One line of at most `columns` columns with a bar, e.g. "sweep [=====>    ] 512/1000  51%  128/s  0:04 left  lcp".
+std::string ProgressBar(const ProgressState& state, size_t columns);
+
+// The same without the bar and of any length, for log files.
+std::string ProgressLine(const ProgressState& state);
+
+// Reports the progress of one task; the last report is made when the object goes. All members may be called from any
+// thread. Only one object should write to a terminal at a time.
+class Progress {
+ public:
+  using Clock = std::function<std::chrono::steady_clock::time_point()>;
+
+  // `sink` is usually stderr and must outlive the object. `total` is the number of units of work, 0 if not known.
+  Progress(ProgressMode mode, std::FILE* sink, std::string name, int64_t total,
+           Clock clock = std::chrono::steady_clock::now);
+  ~Progress();
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+
+  // `done` units are finished; `note` says what is being worked on.
+  void Update(int64_t done, std::string_view note = "");
+
+  // So many more units are finished.
+  void Advance(int64_t units = 1, std::string_view note = "");
+
+  // Makes the last report; further calls report nothing.
+  void Finish();
+
+ private:
+  double Seconds() const;
+  void Report(std::string_view note);
+  void Draw();
+
+  std::FILE* sink_;
+  bool silent_;
+  bool bar_;
+  Clock clock_;
+  std::chrono::steady_clock::time_point start_;
+  std::mutex mutex_;  // guards what follows
+  ProgressState state_;
+  double next_report_;  // s since the start
+};
+
+}  // namespace saltus
