@@ -1,0 +1,26 @@
+// Ctrl-C as a question rather than an end: what has been computed so far can still be written.
+#pragma once
+
+#include <csignal>
+
+namespace saltus {
+
+// While it lives, the first SIGINT or SIGTERM only sets a flag, for the computation to look at between iterations; the
+// second has its usual effect. A signal that was ignored before (nohup) stays ignored. What was installed before is
+// restored at the end. At most one object at a time.
+class InterruptGuard {
+ public:
+  InterruptGuard();
+  ~InterruptGuard();
+  InterruptGuard(const InterruptGuard&) = delete;
+  InterruptGuard& operator=(const InterruptGuard&) = delete;
+
+  // Whether a signal has arrived. May be called from any thread.
+  bool Interrupted() const;
+
+ private:
+  struct sigaction previous_interrupt_;
+  struct sigaction previous_terminate_;
+};
+
+}  // namespace saltus
