@@ -13,7 +13,7 @@ file(REMOVE_RECURSE ${WORK})
 run(${CMAKE_COMMAND} --install ${BUILD_TREE} --prefix ${prefix})
 run(${configure} -B ${WORK}/installed -DCMAKE_PREFIX_PATH=${prefix})
 run(${CMAKE_COMMAND} --build ${WORK}/installed)
-run(${WORK}/installed/consumer)
+run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
 
 run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE})
 

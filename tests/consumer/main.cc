@@ -1,22 +1,24 @@
-// What the first lines of a user's program look like. Exit code 0 if the library answers as it should.
+// What a user's first program looks like: read a scene, optimise it, look at the loss. Exit code 0 if the loss is the
+// published one (Zhong, Han, Brikis 2022, task 3).
+#include <cmath>
 #include <iostream>
 
-#include "saltus/physics/scene.h"
+#include "saltus/io/scene_file.h"
+#include "saltus/solve/solver.h"
 
-int main() {
-  saltus::Scene scene;
-  scene.name = "falling";
-  scene.steps = 480;
-  scene.bodies.push_back({.name = "ball", .radius = 0.1, .position = {0, 1}});
-  scene.planes.push_back({.name = "ground", .normal = {0, 1}});
-  if (const auto error = saltus::Validate(scene)) {
-    std::cerr << "A valid scene was refused: " << error->key << ": " << error->message << '\n';
-    return 1;
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::cerr << "usage: consumer two_balls.yaml\n";
+    return 2;
   }
-  scene.bodies[0].position = {0, 0};
-  if (!saltus::Validate(scene)) {
-    std::cerr << "A ball inside the ground was accepted.\n";
-    return 1;
+  const auto scene = saltus::LoadSceneFile(argv[1]);
+  if (const auto* error = std::get_if<saltus::SceneFileError>(&scene)) {
+    std::cerr << error->ToString() << '\n';
+    return 2;
   }
-  return 0;
+  const saltus::SolveRequest request{.scene = std::get<saltus::Scene>(scene), .contact = "direct_toi"};
+  const saltus::SolveReport report = saltus::Solve("gd", request, {.iterations = 999, .learning_rate = 10});
+  std::cout << "loss " << report.initial_loss << " -> " << report.final_loss << ", "
+            << saltus::TerminationToString(report.termination) << '\n';
+  return std::abs(report.final_loss - 1.39581298828) < 1e-5 ? 0 : 1;
 }
