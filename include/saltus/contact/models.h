@@ -3,6 +3,7 @@
 
 #include <tuple>
 
+#include "saltus/contact/compliant_brax.h"
 #include "saltus/contact/compliant_warp.h"
 #include "saltus/contact/convex.h"
 #include "saltus/contact/direct.h"
@@ -17,6 +18,7 @@ using ContactModels = std::tuple<
     Direct<false>,
     Direct<true>,
     CompliantWarp,
+    CompliantBrax,
     PbdWarp>;
 // clang-format on
 
