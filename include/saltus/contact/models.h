@@ -7,6 +7,7 @@
 #include "saltus/contact/compliant_warp.h"
 #include "saltus/contact/convex.h"
 #include "saltus/contact/direct.h"
+#include "saltus/contact/pbd_brax.h"
 #include "saltus/contact/pbd_warp.h"
 
 namespace saltus {
@@ -19,7 +20,8 @@ using ContactModels = std::tuple<
     Direct<true>,
     CompliantWarp,
     CompliantBrax,
-    PbdWarp>;
+    PbdWarp,
+    PbdBrax>;
 // clang-format on
 
 }  // namespace saltus
