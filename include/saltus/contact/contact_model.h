@@ -79,11 +79,16 @@ struct Candidate {
 enum class ContactMode { kFrictionless, kSlip, kStick };
 const char* ContactModeToString(ContactMode mode);
 
+// An impact changes velocities at once; a sustained contact presses for a while; a grazing one is so slow that the
+// model's rule for it decides, and the derivative is one-sided.
+enum class ContactKind { kImpact, kSustained, kGrazing };
+
 // A contact that took effect in a step.
 struct Touch {
   Candidate candidate;
   ContactMode mode = ContactMode::kFrictionless;
   double time = -1;  // s, since the start of the step; -1 for models that resolve no times
+  ContactKind kind = ContactKind::kImpact;
 };
 
 // One step of some discs. Index i means the same disc in `bodies`, `force` and the states.
@@ -100,8 +105,9 @@ struct StepInput {
   std::pmr::memory_resource* scratch;     // for temporaries; released after the step
   std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
 
-  void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1) const {
-    if (touches != nullptr) touches->push_back({candidate, mode, time});
+  void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1,
+              ContactKind kind = ContactKind::kImpact) const {
+    if (touches != nullptr) touches->push_back({candidate, mode, time, kind});
   }
 
   // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
