@@ -2,6 +2,8 @@
 
 #include <glog/logging.h>
 
+#include <cmath>
+
 namespace saltus {
 
 SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator)
@@ -57,6 +59,7 @@ void SingleShooting::Select(const Sensitivity& sensitivity, double* gradient) co
 bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
   if (!Rollout(z)) return false;
   *loss = LossOfLastRollout();
+  if (!std::isfinite(*loss)) return false;
   if (gradient == nullptr) return true;
   TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
   simulator_->Adjoint(cotangent_, /*with_parameters=*/false, &sensitivity_);
@@ -73,21 +76,26 @@ bool SingleShooting::EvaluateTerminal(std::span<const double> z, double* residua
   if (!Rollout(z)) return false;
   const int rows = NumTerminalResiduals(scene().objective);
   TerminalResiduals(scene().objective, final_, simulator_->body_size(), {residuals, static_cast<size_t>(rows)});
-  if (jacobian == nullptr) return true;
+  if (!std::isfinite(LossOfLastRollout())) return false;
+  if (jacobian != nullptr) TerminalJacobian(jacobian);
+  return true;
+}
+
+void SingleShooting::TerminalJacobian(double* jacobian) {
   const Eigen::MatrixXd terminal =
-      TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
-  for (int row = 0; row < rows; ++row) {
+      saltus::TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
+  for (int row = 0; row < terminal.rows(); ++row) {
     Eigen::Map<Eigen::RowVectorXd>(cotangent_.data(), cotangent_.size()) = terminal.row(row);
     simulator_->Adjoint(cotangent_, /*with_parameters=*/false, &sensitivity_);
     ++num_adjoints_;
     Select(sensitivity_, jacobian + static_cast<size_t>(row) * num_variables());
   }
-  return true;
 }
 
 bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient) {
   if (!Rollout(z)) return false;
   *loss = LossOfLastRollout();
+  if (!std::isfinite(*loss)) return false;
   TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
   simulator_->Adjoint(cotangent_, /*with_parameters=*/true, gradient);
   ++num_adjoints_;

@@ -34,7 +34,7 @@ SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOpti
   for (int k = 0;; ++k) {
     const bool more = k < options.iterations;
     double loss = 0;
-    if (!run.shooting().Evaluate(z, &loss, more ? gradient.data() : nullptr) || !std::isfinite(loss)) {
+    if (!run.shooting().Evaluate(z, &loss, more ? gradient.data() : nullptr)) {
       return Fail(&run, "loss", k, last);
     }
     if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);

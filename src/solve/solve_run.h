@@ -23,7 +23,7 @@ class SolveRun {
   int num_recorded() const { return static_cast<int>(report_.losses.size()); }
 
   // Appends the loss of the next iterate z, the initial guess first. False if the callback wants to stop.
-  bool Record(double loss, std::span<const double> z = {});
+  bool Record(double loss, std::span<const double> z);
 
   // The report of a run that ends at z. The final loss is the last one recorded unless given.
   SolveReport Finish(std::span<const double> z, Termination termination, std::string reason = {},

@@ -2,6 +2,8 @@
 
 #include <glog/logging.h>
 
+#include "ceres_lbfgs.h"
+#include "ceres_lm.h"
 #include "gradient_descent.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
@@ -11,12 +13,19 @@ namespace {
 
 std::string WhyNotSingleShooting(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
 
+std::string WhyNotLeastSquares(const SolveRequest& request) {
+  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
+  return WhyNothingToOptimize(request.scene);
+}
+
 }  // namespace
 
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
       {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent},
+      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotSingleShooting, SolveByCeresLbfgs},
+      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
   };
   // clang-format on
   return solvers;

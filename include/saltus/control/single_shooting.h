@@ -26,15 +26,19 @@ class SingleShooting {
   int num_variables() const { return static_cast<int>(guess_.size()); }
   const std::vector<double>& initial_guess() const { return guess_; }
 
-  // The loss at z, and its gradient (num_variables() numbers) unless null. False if the rollout is not finite.
-  // In single precision the gradient is rounded to float, as automatic differentiation in float would leave it.
+  // The loss at z, and its gradient (num_variables() numbers) unless null. False if rollout or loss are not
+  // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic differentiation in float would leave it.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient);
 
   // Terminal residuals at z and their Jacobian with respect to z (rows x num_variables(), row-major), unless null: one
-  // adjoint a residual. The effort is not among them. Precondition: the objective is a sum of squares.
+  // adjoint a residual. The effort is not among them. False as above. Precondition: the objective is a sum of squares.
   bool EvaluateTerminal(std::span<const double> z, double* residuals, double* jacobian);
 
+  // That Jacobian where the last evaluation, which returned true, has been: without another rollout.
+  void TerminalJacobian(double* jacobian);
+
   // The loss at z and its derivatives with respect to everything: initial state, control (effort included), parameters.
+  // False as above.
   bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
 
   // The initial state (B x 4) and the control (K x C x 2) that z stands for.

@@ -1,0 +1,57 @@
+// What the solvers by Ceres share: the callback, and what it means when Ceres stops.
+#pragma once
+
+#include <ceres/iteration_callback.h>
+#include <ceres/types.h>
+
+#include <span>
+#include <string>
+
+#include "solve_run.h"
+
+namespace saltus {
+
+// Tolerances so tight that in smooth problems rounding alone stops Ceres; whether that was a minimum is judged by
+// Conclude.
+inline constexpr double kGradientTolerance = 1e-10;
+inline constexpr double kFunctionTolerance = 1e-16;
+inline constexpr double kParameterTolerance = 1e-15;
+
+// From what Ceres minimizes to the loss.
+struct LossOfCost {
+  double scale = 1;
+  double offset = 0;
+  double operator()(double cost) const { return scale * cost + offset; }
+};
+
+// Records the loss of each iterate (of a rejected step, Ceres gives the cost at the rejected candidate), and stops
+// Ceres, keeping its iterate, when told to.
+class RecordIteration final : public ceres::IterationCallback {
+ public:
+  // `z` is what Ceres updates in every iteration.
+  RecordIteration(SolveRun* run, const LossOfCost& loss, const std::vector<double>* z)
+      : run_(run), loss_(loss), z_(z) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override;
+  bool Record(const ceres::IterationSummary& summary);
+
+ private:
+  SolveRun* run_;
+  LossOfCost loss_;
+  const std::vector<double>* z_;
+  double last_ = 0;
+};
+
+// How Ceres ended.
+struct CeresOutcome {
+  ceres::TerminationType type;
+  const std::string& message;
+  std::span<const ceres::IterationSummary> iterations;
+  bool failure_is_stall;  // FAILURE at a later iterate means that no descent was found
+};
+
+// Of a run that ends at z: records what the callback was not shown and writes the report. Converged means that the
+// gradient has vanished: it is below kGradientTolerance, or 1e-6 of the largest one met. A tolerance on steps or losses
+// says no such thing: where the loss has a kink, steps shrink until it is met.
+SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
+
+}  // namespace saltus

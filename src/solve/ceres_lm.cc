@@ -1,0 +1,175 @@
+#include "ceres_lm.h"
+
+#include <ceres/cost_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "ceres_common.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kBlockSize = 8;        // variables
+constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
+
+// The variables, cut into blocks; the last may be smaller.
+std::vector<int> BlockSizes(int num_variables) {
+  if (num_variables <= kMostInOneBlock) return {num_variables};
+  std::vector<int> sizes(num_variables / kBlockSize, kBlockSize);
+  if (num_variables % kBlockSize != 0) sizes.push_back(num_variables % kBlockSize);
+  return sizes;
+}
+
+// The terminal residuals, as one vector, as a function of all variables.
+class TerminalCost final : public ceres::CostFunction {
+ public:
+  TerminalCost(SingleShooting* shooting, const std::vector<int>& block_sizes)
+      : shooting_(shooting),
+        z_(shooting->num_variables()),
+        residuals_(NumTerminalResiduals(shooting->scene().objective)),
+        jacobian_(residuals_.size() * z_.size()) {
+    set_num_residuals(static_cast<int>(residuals_.size()));
+    *mutable_parameter_block_sizes() = block_sizes;
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    Rollout(parameters);
+    if (!finite_) return false;
+    std::copy(residuals_.begin(), residuals_.end(), residuals);
+    if (jacobians != nullptr) EvaluateJacobians(jacobians);
+    return true;
+  }
+
+  int num_jacobians() const { return num_jacobians_; }
+
+ private:
+  // Ceres asks for the residuals at a candidate first, and for the Jacobian at the same point once it has taken the
+  // step: the rollout still stands then.
+  void Rollout(double const* const* parameters) const {
+    bool stands = evaluated_;
+    double* z = z_.data();
+    for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
+      const int size = parameter_block_sizes()[i];
+      stands = stands && std::equal(z, z + size, parameters[i]);
+      z = std::copy_n(parameters[i], size, z);
+    }
+    if (stands) return;
+    finite_ = shooting_->EvaluateTerminal(z_, residuals_.data(), nullptr);
+    evaluated_ = true;
+  }
+
+  void EvaluateJacobians(double** jacobians) const {
+    shooting_->TerminalJacobian(jacobian_.data());
+    ++num_jacobians_;
+    int first = 0;
+    for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
+      const int size = parameter_block_sizes()[i];
+      for (int row = 0; jacobians[i] != nullptr && row < num_residuals(); ++row) {
+        std::copy_n(&jacobian_[row * z_.size() + first], size, jacobians[i] + row * size);
+      }
+      first += size;
+    }
+  }
+
+  SingleShooting* shooting_;
+  // One problem, one thread: Ceres' interface is const, its evaluation here is a rollout of shooting_.
+  mutable bool evaluated_ = false, finite_ = false;
+  mutable std::vector<double> z_, residuals_, jacobian_;
+  mutable int num_jacobians_ = 0;
+};
+
+// scale * u.
+class EffortCost final : public ceres::CostFunction {
+ public:
+  EffortCost(double scale, int size) : scale_(scale) {
+    set_num_residuals(size);
+    mutable_parameter_block_sizes()->push_back(size);
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    for (int i = 0; i < num_residuals(); ++i) residuals[i] = scale_ * parameters[0][i];
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    std::fill_n(jacobians[0], num_residuals() * num_residuals(), 0.0);
+    for (int i = 0; i < num_residuals(); ++i) jacobians[0][i * num_residuals() + i] = scale_;
+    return true;
+  }
+
+ private:
+  double scale_;
+};
+
+// Adds the residuals of the scene's objective at z, which must outlive the problem.
+const TerminalCost* AddResiduals(SingleShooting* shooting, std::vector<double>* z, ceres::Problem* problem) {
+  const std::vector<int> sizes = BlockSizes(shooting->num_variables());
+  std::vector<double*> blocks;
+  double* next = z->data();
+  for (int size : sizes) {
+    blocks.push_back(next);
+    next += size;
+  }
+  auto* terminal = new TerminalCost(shooting, sizes);  // owned by the problem
+  problem->AddResidualBlock(terminal, nullptr, blocks);
+
+  const Scene& scene = shooting->scene();
+  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return terminal;
+  const double scale = std::sqrt(scene.objective.effort * shooting->simulator().step());
+  for (size_t i = 0; i < blocks.size(); ++i) {
+    problem->AddResidualBlock(new EffortCost(scale, sizes[i]), nullptr, blocks[i]);
+  }
+  return terminal;
+}
+
+ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num_blocks) {
+  ceres::Solver::Options ceres_options;
+  ceres_options.trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
+  if (num_blocks == 1) {
+    ceres_options.linear_solver_type = ceres::DENSE_QR;
+  } else {
+    // Scaling or a preconditioner would only spread the few distinct eigenvalues.
+    ceres_options.linear_solver_type = ceres::CGNR;
+    ceres_options.preconditioner_type = ceres::IDENTITY;
+    ceres_options.jacobi_scaling = false;
+    ceres_options.eta = 1e-6;
+  }
+  ceres_options.logging_type = ceres::SILENT;
+  ceres_options.max_num_iterations = options.iterations;
+  ceres_options.gradient_tolerance = kGradientTolerance;
+  ceres_options.function_tolerance = kFunctionTolerance;
+  ceres_options.parameter_tolerance = kParameterTolerance;
+  ceres_options.update_state_every_iteration = true;  // the callback reads it; dropped otherwise if Ceres fails
+  return ceres_options;
+}
+
+}  // namespace
+
+SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("ceres_lm", request, options);
+  std::vector<double> z = run.shooting().initial_guess();
+  double guess_loss = 0;
+  if (!run.shooting().Evaluate(z, &guess_loss, nullptr)) {
+    return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
+  }
+  ceres::Problem problem;
+  const TerminalCost* terminal = AddResiduals(&run.shooting(), &z, &problem);
+
+  // Ceres minimizes half the sum of squares; the effort of a control that is not optimized is a constant.
+  LossOfCost loss{.scale = 2};
+  const Scene& scene = request.scene;
+  if (scene.optimize != Optimize::kControl) {
+    loss.offset = EffortLoss(scene.objective, run.shooting().ControlAt(z), run.shooting().simulator().step());
+  }
+  RecordIteration record(&run, loss, &z);
+  ceres::Solver::Options ceres_options = LeastSquaresOptions(options, problem.NumParameterBlocks());
+  ceres_options.callbacks = {&record};
+  ceres::Solver::Summary summary;
+  ceres::Solve(ceres_options, &problem, &summary);
+  SolveReport report =
+      Conclude(&run, &record, z, {summary.termination_type, summary.message, summary.iterations, false});
+  report.evaluations = terminal->num_jacobians();
+  return report;
+}
+
+}  // namespace saltus
