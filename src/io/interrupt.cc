@@ -43,6 +43,6 @@ InterruptGuard::~InterruptGuard() {
   guarded.store(false);
 }
 
-bool InterruptGuard::Interrupted() const { return interrupted.load(); }
+bool InterruptGuard::Interrupted() { return interrupted.load(); }
 
 }  // namespace saltus

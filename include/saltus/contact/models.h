@@ -9,6 +9,7 @@
 #include "saltus/contact/direct.h"
 #include "saltus/contact/pbd_brax.h"
 #include "saltus/contact/pbd_warp.h"
+#include "saltus/contact/toi_velocity.h"
 
 namespace saltus {
 
@@ -21,7 +22,8 @@ using ContactModels = std::tuple<
     CompliantWarp,
     CompliantBrax,
     PbdWarp,
-    PbdBrax>;
+    PbdBrax,
+    ToiVelocity>;
 // clang-format on
 
 }  // namespace saltus

@@ -16,7 +16,7 @@ class InterruptGuard {
   InterruptGuard& operator=(const InterruptGuard&) = delete;
 
   // Whether a signal has arrived. May be called from any thread.
-  bool Interrupted() const;
+  static bool Interrupted();
 
  private:
   struct sigaction previous_interrupt_;

@@ -1,0 +1,27 @@
+// The gradient of a scene's loss at its initial guess, as a contact model sees it.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/dynamics/events.h"
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus {
+
+struct ModelGradient {
+  std::string contact;
+  std::string reason;  // why there is none: the model cannot take the scene, or its rollout is not finite
+  int num_steps = 0;   // K of the control's shape
+  double loss = 0;
+  Sensitivity gradient;       // of the loss, effort included
+  std::vector<Event> events;  // if the model resolves impact times
+
+  bool ok() const { return reason.empty(); }
+};
+
+// Precondition: `contact` is the name of a model, `scene` is valid.
+ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision);
+
+}  // namespace saltus

@@ -1,0 +1,22 @@
+// Any solution, re-simulated with exact event-driven dynamics.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "saltus/dynamics/events.h"
+
+namespace saltus {
+
+// An initial state and a control, re-simulated with exact event-driven dynamics on the same control intervals: the loss
+// that may be compared between contact models and time grids.
+struct ExactRun {
+  bool ok = false;
+  std::string reason;  // if not ok
+  double loss = 0;
+  std::vector<Event> events;
+};
+// Shapes: initial is B x 4; control is K x C x 2 for any K that divides the horizon into equal intervals.
+ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control);
+
+}  // namespace saltus

@@ -1,0 +1,21 @@
+// The collisions of a rollout, by name and time.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus {
+
+struct Event {
+  double time = 0;  // s, since the start
+  std::string a;    // a disc
+  std::string b;    // a disc or a plane
+  ContactMode mode = ContactMode::kFrictionless;
+};
+
+// The impacts of the simulator's last rollout in order of time. Empty for models that resolve no impact times.
+std::vector<Event> EventsOf(const Simulator& simulator);
+
+}  // namespace saltus

@@ -1,0 +1,83 @@
+#include "saltus/audit/audit.h"
+
+#include <glog/logging.h>
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "saltus/dynamics/registry.h"
+#include "saltus/exact/closed_forms.h"
+
+namespace saltus {
+namespace {
+
+// The gradient with respect to forces held over `intervals` intervals: the sum over the steps of each.
+std::vector<double> Coarsen(const std::vector<double>& control, int steps, int intervals) {
+  CHECK_EQ(steps % intervals, 0);
+  const size_t width = steps > 0 ? control.size() / steps : 0;
+  std::vector<double> coarse(width * intervals, 0.0);
+  for (size_t i = 0; i < control.size(); ++i) {
+    const size_t step = i / width;
+    coarse[step / (steps / intervals) * width + i % width] += control[i];
+  }
+  return coarse;
+}
+
+Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
+  std::vector<double> all = gradient.gradient.initial;
+  const std::vector<double> control = Coarsen(gradient.gradient.control, gradient.num_steps, intervals);
+  all.insert(all.end(), control.begin(), control.end());
+  return Eigen::Map<Eigen::VectorXd>(all.data(), all.size());
+}
+
+ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) {
+  ModelGradient gradient;
+  gradient.contact = "closed form";
+  gradient.num_steps = scene.steps;
+  gradient.loss = closed_form.loss;
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    const Vec2d& p = closed_form.gradient.position[i];
+    const Vec2d& v = closed_form.gradient.velocity[i];
+    gradient.gradient.initial.insert(gradient.gradient.initial.end(), {p[0], p[1], v[0], v[1]});
+  }
+  for (const std::vector<Vec2d>& forces : closed_form.gradient.control) {
+    for (const Vec2d& force : forces)
+      gradient.gradient.control.insert(gradient.gradient.control.end(), {force[0], force[1]});
+  }
+  gradient.gradient.parameters.restitution = closed_form.gradient.restitution;
+  gradient.gradient.parameters.friction = closed_form.gradient.friction;
+  for (const ExactEvent& event : closed_form.events) {
+    gradient.events.push_back({event.time, event.a, event.b, static_cast<ContactMode>(event.mode)});
+  }
+  return gradient;
+}
+
+}  // namespace
+
+GradientError CompareGradients(const ModelGradient& gradient, const ModelGradient& exact) {
+  CHECK(gradient.ok() && exact.ok());
+  const int intervals = std::min(gradient.num_steps, exact.num_steps);
+  const Eigen::VectorXd g = Stack(gradient, intervals);
+  const Eigen::VectorXd reference = Stack(exact, intervals);
+  const double scale = reference.norm();
+  GradientError error;
+  error.relative = scale > 0 ? (g - reference).norm() / scale : (g - reference).norm();
+  const double cosine = g.dot(reference) / (g.norm() * scale);
+  error.angle = std::isfinite(cosine) ? std::acos(std::clamp(cosine, -1.0, 1.0)) : 0.0;
+  return error;
+}
+
+std::optional<ModelGradient> ExactGradientOf(const Scene& scene) {
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (!traits.event_driven) continue;
+    ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble);
+    if (exact.ok()) return exact;
+  }
+  if (const std::optional<ClosedForm> closed_form = EvaluateClosedForm(scene))
+    return FromClosedForm(*closed_form, scene);
+  return std::nullopt;
+}
+
+}  // namespace saltus
