@@ -27,7 +27,8 @@ class SingleShooting {
   const std::vector<double>& initial_guess() const { return guess_; }
 
   // The loss at z, and its gradient (num_variables() numbers) unless null. False if rollout or loss are not
-  // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic differentiation in float would leave it.
+  // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic
+  // differentiation in float would leave it.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient);
 
   // Terminal residuals at z and their Jacobian with respect to z (rows x num_variables(), row-major), unless null: one

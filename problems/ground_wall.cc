@@ -1,0 +1,6 @@
+#include "programs/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/ground_wall.yaml", .learning_rate = 0.01, .iterations = 1000});
+}

@@ -1,0 +1,6 @@
+#include "programs/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/multiple_collisions.yaml", .learning_rate = 50, .iterations = 1500});
+}

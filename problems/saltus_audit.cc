@@ -1,0 +1,3 @@
+#include "programs/audit.h"
+
+int main(int argc, char** argv) { return saltus::AuditMain(argc, argv); }

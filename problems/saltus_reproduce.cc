@@ -1,0 +1,3 @@
+#include "programs/reproduce.h"
+
+int main(int argc, char** argv) { return saltus::ReproduceMain(argc, argv); }

@@ -1,0 +1,3 @@
+#include "programs/solve.h"
+
+int main(int argc, char** argv) { return saltus::SolveMain(argc, argv); }

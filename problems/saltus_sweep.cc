@@ -1,0 +1,3 @@
+#include "programs/sweep.h"
+
+int main(int argc, char** argv) { return saltus::SweepMain(argc, argv); }

@@ -1,0 +1,6 @@
+#include "programs/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/single_collision.yaml", .learning_rate = 200, .iterations = 500});
+}

@@ -1,0 +1,6 @@
+#include "programs/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/two_balls.yaml", .learning_rate = 10, .iterations = 1000});
+}

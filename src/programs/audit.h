@@ -1,0 +1,19 @@
+// Gradients of every contact model against the exact one.
+#pragma once
+
+#include "programs/json_output.h"
+#include "programs/program.h"
+#include "saltus/audit/audit.h"
+
+namespace saltus {
+
+AuditReport RunAudit(const Request& request);
+Json AuditToJson(const Request& request, const AuditReport& report);
+void PrintAuditTable(const Request& request, const AuditReport& report);
+// Wrong input if the only model asked for cannot take the scene; failed if a rollout was not finite.
+int AuditExitCode(const Request& request, const AuditReport& report);
+
+// `saltus_audit`.
+int AuditMain(int argc, char** argv);
+
+}  // namespace saltus

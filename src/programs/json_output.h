@@ -1,0 +1,29 @@
+// Results as JSON, under the keys that the README promises.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <vector>
+
+#include "saltus/audit/gradients.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+using Json = nlohmann::ordered_json;
+
+// [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
+Json VectorsToJson(const std::vector<double>& initial, int offset);
+// [[ [x, y] per controlled disc ] per control interval], from K x C x 2 numbers; [] without control.
+Json ControlToJson(const Scene& scene, const std::vector<double>& control);
+Json EventsToJson(const std::vector<Event>& events);
+Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
+
+// A finite number, or null.
+Json NumberToJson(double value);
+
+// Prints the document to stdout with 17 significant digits (9 in single precision).
+void PrintJson(const Json& document, Precision precision);
+
+}  // namespace saltus

@@ -1,0 +1,189 @@
+#include "programs/program.h"
+
+#include <gflags/gflags.h>
+#include <glog/logging.h>
+
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+#include <sstream>
+#include <thread>
+
+#include "saltus/dynamics/registry.h"
+#include "saltus/io/file.h"
+#include "saltus/io/scene_file.h"
+
+DEFINE_string(scene, "", "scene file (YAML)");
+DEFINE_string(contact, "all", "contact models: a comma-separated list, 'all', or 'list' to print them");
+DEFINE_string(solver, "", "solvers: a comma-separated list, 'all', 'none', or 'list' to print them");
+DEFINE_int32(steps, 0, "number of time steps (default: from the scene)");
+DEFINE_string(precision, "double", "double or float");
+DEFINE_double(stiffness, 0, "contact stiffness, N/m (default: from the scene)");
+DEFINE_double(damping, 0, "contact damping, N s/m (default: from the scene)");
+DEFINE_double(friction, 0, "coefficient of friction (default: from the scene)");
+DEFINE_double(restitution, 0, "coefficient of restitution (default: from the scene)");
+DEFINE_double(learning_rate, 0, "gradient descent's rate (default: that of the published experiment)");
+DEFINE_int32(iterations, 0, "iterations of each solver at most (default: 1000)");
+DEFINE_int32(threads, 0, "threads; 0 is one per core");
+DEFINE_string(output_dir, "", "directory for result files (default: none are written)");
+DEFINE_bool(json, false, "print one JSON document instead of tables");
+DEFINE_string(progress, "auto", "auto (a bar on a terminal, else lines), plain or none");
+
+namespace google {
+extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); not in its header
+}
+
+namespace saltus {
+namespace {
+
+bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
+
+std::vector<std::string> Split(const std::string& list) {
+  std::vector<std::string> items;
+  std::stringstream stream(list);
+  for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
+  return items;
+}
+
+template <typename Entries>
+std::string Names(const Entries& entries) {
+  std::string names;
+  for (const auto& entry : entries) names += (names.empty() ? "" : ", ") + std::string(entry.name);
+  return names;
+}
+
+template <typename Entries>
+void PrintList(const Entries& entries) {
+  for (const auto& entry : entries) {
+    std::printf("%-16s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+  }
+}
+
+// A comma-separated list of names of `entries`.
+template <typename Entries>
+std::vector<std::string> ReadNames(const char* flag, const std::string& value, const Entries& entries) {
+  std::vector<std::string> names;
+  if (value == "all") {
+    for (const auto& entry : entries) names.emplace_back(entry.name);
+    return names;
+  }
+  for (const std::string& name : Split(value)) {
+    const bool known =
+        std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
+    if (!known) {
+      throw InputError("--" + std::string(flag) + "=" + value + ": '" + name +
+                       "' is unknown; expected 'all' or some of " + Names(entries));
+    }
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  if (names.empty()) throw InputError("--" + std::string(flag) + " is empty; expected some of " + Names(entries));
+  return names;
+}
+
+double Finite(const char* flag, double value) {
+  if (!std::isfinite(value)) throw InputError("--" + std::string(flag) + " must be a finite number");
+  return value;
+}
+
+void ApplyFlags(Scene* scene) {
+  if (IsGiven("steps")) scene->steps = FLAGS_steps;
+  if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
+  if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
+  if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
+  if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
+  if (const std::optional<SceneError> error = Validate(*scene)) {
+    throw InputError("with the flags given, " + error->key + ": " + error->message);
+  }
+}
+
+}  // namespace
+
+int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body) {
+  google::InitGoogleLogging(argv[0]);
+  FLAGS_logtostderr = true;
+  gflags::SetUsageMessage(usage);
+  gflags::SetVersionString(SALTUS_VERSION);
+  google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
+  gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
+  google::gflags_exitfunc = [](int) { std::exit(kDone); };
+  gflags::HandleCommandLineHelpFlags();
+  try {
+    if (argc > 1) throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
+    return body();
+  } catch (const InputError& error) {
+    std::cerr << "error: " << error.what() << std::endl;
+    return kWrongInput;
+  }
+}
+
+Scene LoadScene(const std::string& path) {
+  std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);
+  if (const auto* error = std::get_if<SceneFileError>(&loaded)) throw InputError(error->ToString());
+  return std::get<Scene>(std::move(loaded));
+}
+
+double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
+
+int ThreadsFromFlags() {
+  if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
+  if (FLAGS_threads > 0) return FLAGS_threads;
+  return std::max(1u, std::thread::hardware_concurrency());
+}
+
+ProgressMode ProgressFromFlags() {
+  if (const std::optional<ProgressMode> mode = ParseProgressMode(FLAGS_progress)) return *mode;
+  throw InputError("--progress=" + FLAGS_progress + "; expected auto, plain or none");
+}
+
+std::string OutputDirFromFlags() { return FLAGS_output_dir; }
+
+bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
+  if (FLAGS_contact == "list") {
+    PrintList(AllContactModels());
+    return false;
+  }
+  if (FLAGS_solver == "list") {
+    PrintList(AllSolvers());
+    return false;
+  }
+  const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
+  if (path.empty()) throw InputError("--scene=FILE is needed");
+  request->contacts = ReadNames("contact", FLAGS_contact, AllContactModels());
+  const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
+  if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());
+  if (FLAGS_precision != "double" && FLAGS_precision != "float") {
+    throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
+  }
+  request->precision = FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
+  request->scene = LoadScene(path);
+  ApplyFlags(&request->scene);
+
+  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
+  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
+  request->options.learning_rate = defaults.learning_rate;
+  if (IsGiven("learning_rate")) {
+    request->options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
+    if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
+  } else if (defaults.learning_rate == 0) {
+    request->options.learning_rate = DefaultLearningRate(request->scene);
+  }
+  request->threads = ThreadsFromFlags();
+  request->output_dir = OutputDirFromFlags();
+  if (!request->output_dir.empty()) MakeDirectory(request->output_dir);
+  request->json = FLAGS_json;
+  request->progress = ProgressFromFlags();
+  return true;
+}
+
+void MakeDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::create_directories(path, error);
+  if (error) throw InputError("cannot create directory '" + path + "': " + error.message());
+}
+
+void WriteTextFile(const std::string& path, const std::string& text) {
+  const Status status = WriteFileAtomically(path, text);
+  if (!status.ok()) throw InputError(status.message());
+}
+
+}  // namespace saltus

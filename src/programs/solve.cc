@@ -1,0 +1,156 @@
+#include "programs/solve.h"
+
+#include <cmath>
+#include <iostream>
+
+#include "programs/parallel.h"
+#include "saltus/io/npz.h"
+#include "saltus/io/table.h"
+
+namespace saltus {
+namespace {
+
+void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) {
+  for (const SolvedRun& run : runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty()) continue;
+    const int64_t bodies = request.scene.num_bodies();
+    const int64_t controlled = request.scene.num_controlled();
+    NpzArrays arrays;
+    arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
+    arrays["initial_state"] = {{bodies, 4}, report.initial_state};
+    if (controlled > 0) {
+      const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
+      arrays["control"] = {{intervals, controlled, 2}, report.control};
+    }
+    const std::string path =
+        request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" + report.solver + ".npz";
+    const Status status = WriteNpz(path, arrays);
+    if (!status.ok()) throw InputError(status.message());
+  }
+}
+
+}  // namespace
+
+std::vector<SolvedRun> SolveAll(const Request& request) {
+  const int solvers = static_cast<int>(request.solvers.size());
+  const int count = static_cast<int>(request.contacts.size()) * solvers;
+  std::vector<SolvedRun> runs(count);
+  const InterruptGuard guard;
+  Progress progress(request.progress, stderr, "solve " + request.scene.name, count);
+  RunJobs(count, request.threads, &progress, [&](int i) {
+    SolverOptions options = request.options;
+    options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
+    SolvedRun& run = runs[i];
+    run.report =
+        Solve(request.solvers[i % solvers], {request.scene, request.contacts[i / solvers], request.precision}, options);
+    if (!run.report.losses.empty()) {
+      run.exact = SimulateExactly(request.scene, run.report.initial_state, run.report.control);
+    }
+  });
+  std::erase_if(runs, [](const SolvedRun& run) { return run.report.solver.empty(); });
+  return runs;
+}
+
+Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
+  Json list = Json::array();
+  for (const SolvedRun& run : runs) {
+    const SolveReport& report = run.report;
+    Json item = {{"contact", report.contact}, {"solver", report.solver}};
+    if (!report.losses.empty()) {
+      item["initial_loss"] = NumberToJson(report.initial_loss);
+      item["final_loss"] = NumberToJson(report.final_loss);
+      if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
+      Json losses = Json::array();
+      for (double loss : report.losses) losses.push_back(NumberToJson(loss));
+      item["losses"] = std::move(losses);
+      item["iterations"] = report.iterations;
+      item["evaluations"] = report.evaluations;
+      item["seconds"] = report.seconds;
+    }
+    item["termination"] = TerminationToString(report.termination);
+    if (!report.reason.empty()) item["reason"] = report.reason;
+    if (!report.losses.empty()) {
+      item["events"] = EventsToJson(run.exact.events);
+      item["velocity"] = VectorsToJson(report.initial_state, 2);
+      item["control"] = ControlToJson(request.scene, report.control);
+      if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
+    }
+    list.push_back(std::move(item));
+  }
+  return {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
+}
+
+void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs) {
+  Table table({{"contact"},
+               {"solver"},
+               {"initial loss", 10},
+               {"final loss", 10},
+               {"exact loss", 10},
+               {"iterations"},
+               {"gradients"},
+               {"seconds", 3},
+               {"termination"},
+               {"remark"}});
+  for (const SolvedRun& run : runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty()) {
+      table.AddRow({report.contact,
+                    report.solver,
+                    "",
+                    "",
+                    "",
+                    "",
+                    "",
+                    "",
+                    TerminationToString(report.termination),
+                    report.reason});
+      continue;
+    }
+    table.AddRow({report.contact,
+                  report.solver,
+                  report.initial_loss,
+                  report.final_loss,
+                  run.exact.ok ? std::optional(run.exact.loss) : std::nullopt,
+                  report.iterations,
+                  report.evaluations,
+                  report.seconds,
+                  TerminationToString(report.termination),
+                  report.reason});
+  }
+  std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
+}
+
+int SolveExitCode(const std::vector<SolvedRun>& runs) {
+  if (runs.size() == 1 && runs[0].report.termination == Termination::kNotApplicable) {
+    std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
+              << runs[0].report.reason << std::endl;
+    return kWrongInput;
+  }
+  for (const SolvedRun& run : runs) {
+    if (run.report.termination == Termination::kFailed || run.report.termination == Termination::kInterrupted) {
+      return kAnswerFailed;
+    }
+  }
+  return kDone;
+}
+
+int SolveMain(int argc, char** argv) {
+  return RunMain(
+      argc, argv, "Optimises a scene: saltus_solve --scene=FILE [--contact=LIST] [--solver=LIST] [--json]", [] {
+        Request request;
+        if (!ReadRequest({}, &request)) return kDone;
+        if (request.solvers.empty())
+          throw InputError("--solver=none leaves nothing to do; expected at least one solver");
+        const std::vector<SolvedRun> runs = SolveAll(request);
+        if (!request.output_dir.empty()) WriteSolutions(request, runs);
+        if (request.json) {
+          PrintJson(SolveToJson(request, runs), request.precision);
+        } else {
+          PrintSolveTable(request, runs);
+        }
+        return SolveExitCode(runs);
+      });
+}
+
+}  // namespace saltus
