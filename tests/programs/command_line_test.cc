@@ -1,0 +1,152 @@
+// The programs as a user runs them: exit codes, JSON keys, CSV.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <array>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "saltus/io/table.h"
+
+namespace saltus {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string output;  // stdout
+  std::string errors;  // stderr
+};
+
+Outcome RunProgram(const std::string& command) {
+  const std::string errors = testing::TempDir() + "/errors_" + std::to_string(getpid());
+  Outcome outcome;
+  FILE* pipe = popen((SALTUS_BINARY_DIR "/problems/" + command + " 2>" + errors).c_str(), "r");
+  std::array<char, 4096> buffer;
+  for (size_t count; (count = fread(buffer.data(), 1, buffer.size(), pipe)) > 0;) {
+    outcome.output.append(buffer.data(), count);
+  }
+  const int status = pclose(pipe);
+  outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  std::ifstream file(errors);
+  outcome.errors.assign(std::istreambuf_iterator<char>(file), {});
+  return outcome;
+}
+
+std::string Scene(const std::string& name) { return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml "; }
+
+TEST(CommandLine, TwoBallsByGradientDescent) {
+  const Outcome outcome = RunProgram("two_balls --contact=direct_toi --solver=gd --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json document = json::parse(outcome.output);
+  const json& run = document["solve"]["runs"][0];
+  EXPECT_EQ(run["contact"], "direct_toi");
+  EXPECT_EQ(run["solver"], "gd");
+  ASSERT_EQ(run["losses"].size(), 1001u);
+  EXPECT_NEAR(run["losses"][999], 1.395810606, 1e-7);
+  EXPECT_EQ(run["losses"][0], run["initial_loss"]);
+  EXPECT_EQ(run["losses"][1000], run["final_loss"]);
+  EXPECT_EQ(run["termination"], "iteration_limit");
+  EXPECT_EQ(run["control"].size(), 480u);
+  EXPECT_EQ(run["velocity"].size(), 2u);
+  const json& gradient = document["audit"]["audits"][0]["gradient"];
+  EXPECT_NEAR(gradient["position"][0][0], -0.719080, 1e-6);
+  EXPECT_EQ(gradient["control"].size(), 480u);
+  EXPECT_TRUE(gradient["parameters"].contains("restitution"));
+}
+
+TEST(CommandLine, AnySteps) {
+  const Outcome outcome =
+      RunProgram("two_balls --contact=direct_toi --solver=none --steps=1000 --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_EQ(json::parse(outcome.output)["audit"]["audits"][0]["gradient"]["control"].size(), 1000u);
+}
+
+TEST(CommandLine, StiffnessSweepGivesThePublishedCurve) {
+  const Outcome outcome =
+      RunProgram("saltus_sweep" + Scene("two_balls") +
+                 "--contact=compliant_warp --solver=gd --sweep='stiffness=1e2:1e5:log:4' --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 4u);
+  // The fourth, 1e5 N/m, fails to learn and ends where rounding leaves it.
+  const std::array<double, 3> expected = {1.76746, 1.49850, 1.66228};
+  for (size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(std::stod(csv->rows[i][*csv->Find("loss_before_last")]), expected[i], 1e-4);
+  }
+  EXPECT_GT(std::stod(csv->rows[3][*csv->Find("loss_before_last")]), 1.6);
+}
+
+TEST(CommandLine, AFailedPointIsARowWithItsReason) {
+  const Outcome outcome =
+      RunProgram("saltus_sweep" + Scene("two_balls") +
+                 "--contact=direct --solver=gd --iterations=2 --sweep='restitution=0.5,1.5;friction=0,0.1' "
+                 "--progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 4u);
+  const size_t termination = *csv->Find("termination"), reason = *csv->Find("reason");
+  EXPECT_EQ(csv->rows[0][termination], "iteration_limit");
+  EXPECT_EQ(csv->rows[1][termination], "not_applicable");
+  EXPECT_THAT(csv->rows[1][reason], HasSubstr("friction"));
+  EXPECT_EQ(csv->rows[2][termination], "failed");
+  EXPECT_THAT(csv->rows[2][reason], HasSubstr("restitution"));
+}
+
+TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
+  const std::string bad = testing::TempDir() + "/bad.yaml";
+  std::ofstream(bad) << "name: bad\nduration: 1\nsteps: 10\nbodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n";
+  const struct {
+    std::string command, message;
+  } cases[] = {
+      {"saltus_audit --scene=" + bad, "bodies[0].radius"},
+      {"saltus_audit --scene=/nonexistent.yaml", "nonexistent"},
+      {"saltus_audit", "--scene"},
+      {"saltus_audit --no_such_flag=1", "no_such_flag"},
+      {"saltus_audit --steps=many" + Scene("two_balls"), "steps"},
+      {"saltus_audit --steps=-3" + Scene("two_balls"), "steps"},
+      {"saltus_audit --restitution=2" + Scene("two_balls"), "restitution"},
+      {"saltus_audit --contact=direct_tio" + Scene("two_balls"), "direct_tio"},
+      {"saltus_audit --contact=direct --friction=0.1" + Scene("two_balls"), "friction"},
+      {"saltus_audit --precision=half" + Scene("two_balls"), "precision"},
+      {"saltus_audit stray" + Scene("two_balls"), "stray"},
+      {"saltus_solve --solver=ceres_lm --contact=direct" + Scene("bounce_once"), "ceres_lm"},
+      {"saltus_solve --solver=newton" + Scene("two_balls"), "newton"},
+      {"saltus_sweep --sweep=stiffness" + Scene("two_balls"), "stiffness"},
+      {"saltus_sweep --sweep=colour=1,2" + Scene("two_balls"), "colour"},
+      {"saltus_sweep --sweep=stiffness=-1:1:log:3" + Scene("two_balls"), "logarithmic"},
+  };
+  for (const auto& [command, message] : cases) {
+    const Outcome outcome = RunProgram(command);
+    EXPECT_EQ(outcome.exit_code, 2) << command << "\n" << outcome.errors;
+    EXPECT_THAT(outcome.errors, HasSubstr(message)) << command;
+  }
+}
+
+TEST(CommandLine, ListsAndHelpAreNoErrors) {
+  EXPECT_THAT(RunProgram("saltus_solve --contact=list").output, HasSubstr("direct_toi"));
+  EXPECT_EQ(RunProgram("saltus_solve --contact=list").exit_code, 0);
+  EXPECT_THAT(RunProgram("saltus_solve --solver=list").output, HasSubstr("gd"));
+  EXPECT_EQ(RunProgram("saltus_solve --help").exit_code, 0);
+}
+
+TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct,convex --friction=0.1 --json --progress=none" + Scene("ground_wall"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json audits = json::parse(outcome.output)["audits"];
+  ASSERT_EQ(audits.size(), 2u);
+  for (const json& audit : audits) {
+    EXPECT_EQ(audit.contains("reason"), audit["contact"] == "direct");
+  }
+}
+
+}  // namespace
+}  // namespace saltus
