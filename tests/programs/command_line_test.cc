@@ -102,7 +102,8 @@ TEST(CommandLine, AFailedPointIsARowWithItsReason) {
 
 TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
   const std::string bad = testing::TempDir() + "/bad.yaml";
-  std::ofstream(bad) << "name: bad\nduration: 1\nsteps: 10\nbodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n";
+  std::ofstream(bad) << "name: bad\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"
+                        "bodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n";
   const struct {
     std::string command, message;
   } cases[] = {
