@@ -1,0 +1,36 @@
+// How each contact model looks in every figure: one colour, dash and marker per name.
+//
+// The colours were chosen by maximising the smallest OKLab distance between any two, as seen with normal vision and
+// with full protanopia and deuteranopia (Machado, Oliveira and Fernandes 2009, "A physiologically-based model for
+// simulation of color vision deficiency").
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace saltus {
+
+enum class Dash { kSolid, kDashed, kDotted, kDashDotted };
+
+enum class Marker { kNone, kCircle, kSquare, kTriangle, kTriangleDown, kDiamond, kOpenCircle, kOpenSquare, kCross };
+
+struct ModelStyle {
+  std::string_view model;
+  std::string_view colour;  // "#rrggbb"
+  Dash dash = Dash::kSolid;
+  Marker marker = Marker::kNone;
+};
+
+// Every name with a style of its own: "analytic" (black), then the contact models.
+const std::vector<ModelStyle>& ModelStyles();
+
+// The style of a contact model; a name that is not in the table always gets the same one of its styles.
+const ModelStyle& StyleOf(std::string_view model);
+
+std::string ColourOf(std::string_view model);
+
+// A colour for a quantity that is swept, from dark blue (0) to light orange (1), with lightness growing throughout.
+std::string RampColour(double fraction);
+
+}  // namespace saltus
