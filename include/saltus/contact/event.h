@@ -1,4 +1,4 @@
-// Event-driven simulation: exact arcs, exact impact times.
+// Event-driven simulation: free flight in exact arcs between impacts, which are found to machine precision.
 #pragma once
 
 #include "saltus/contact/event_step.h"

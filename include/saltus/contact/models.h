@@ -7,6 +7,7 @@
 #include "saltus/contact/compliant_warp.h"
 #include "saltus/contact/convex.h"
 #include "saltus/contact/direct.h"
+#include "saltus/contact/event.h"
 #include "saltus/contact/pbd_brax.h"
 #include "saltus/contact/pbd_warp.h"
 #include "saltus/contact/toi_velocity.h"
@@ -23,7 +24,8 @@ using ContactModels = std::tuple<
     CompliantBrax,
     PbdWarp,
     PbdBrax,
-    ToiVelocity>;
+    ToiVelocity,
+    Event>;
 // clang-format on
 
 }  // namespace saltus
