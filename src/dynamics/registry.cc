@@ -2,16 +2,13 @@
 
 #include <glog/logging.h>
 
+#include "dynamics/registry_shard.h"
 #include "saltus/contact/models.h"
-#include "saltus/dynamics/model_simulator.h"
 
 namespace saltus {
 namespace {
 
-struct Entry {
-  std::string (*why_not)(const Scene&);
-  std::unique_ptr<Simulator> (*make)(const Scene&, Precision);
-};
+using WhyNotFunction = std::string (*)(const Scene&);
 
 template <ContactModel M>
 std::string WhyNot(const Scene& scene) {
@@ -23,30 +20,27 @@ std::string WhyNot(const Scene& scene) {
   return "";
 }
 
-template <ContactModel M>
-std::unique_ptr<Simulator> Make(const Scene& scene, Precision precision) {
-  if (precision == Precision::kDouble || M::kTraits.double_engine) {
-    return std::make_unique<ModelSimulator<M, double>>(scene, precision);
-  }
-  if constexpr (!M::kTraits.double_engine) return std::make_unique<ModelSimulator<M, float>>(scene, precision);
-  return nullptr;
-}
-
 template <typename... M>
 std::vector<ModelTraits> TraitsOf(const std::tuple<M...>*) {
   return {M::kTraits...};
 }
 template <typename... M>
-std::vector<Entry> EntriesOf(const std::tuple<M...>*) {
-  return {{&WhyNot<M>, &Make<M>}...};
+std::vector<WhyNotFunction> WhyNotsOf(const std::tuple<M...>*) {
+  return {&WhyNot<M>...};
 }
 
-const Entry& EntryOf(std::string_view name) {
-  static const std::vector<Entry>& entries =
-      *new std::vector<Entry>(EntriesOf(static_cast<const ContactModels*>(nullptr)));
+int IndexOf(std::string_view name) {
   const ModelTraits* traits = FindContactModel(name);
   CHECK(traits != nullptr) << "unknown contact model " << name;
-  return entries[traits - AllContactModels().data()];
+  return static_cast<int>(traits - AllContactModels().data());
+}
+
+template <int kShard = 0>
+std::unique_ptr<Simulator> Make(int index, const Scene& scene, Precision precision) {
+  if constexpr (kShard + 1 < kNumShards) {
+    if (index % kNumShards != kShard) return Make<kShard + 1>(index, scene, precision);
+  }
+  return MakeInShard<kShard>(index, scene, precision);
 }
 
 }  // namespace
@@ -64,11 +58,15 @@ const ModelTraits* FindContactModel(std::string_view name) {
   return nullptr;
 }
 
-std::string WhyNotApplicable(std::string_view model, const Scene& scene) { return EntryOf(model).why_not(scene); }
+std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
+  static const std::vector<WhyNotFunction>& why_nots =
+      *new std::vector<WhyNotFunction>(WhyNotsOf(static_cast<const ContactModels*>(nullptr)));
+  return why_nots[IndexOf(model)](scene);
+}
 
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision) {
   CHECK(WhyNotApplicable(model, scene).empty()) << WhyNotApplicable(model, scene);
-  return EntryOf(model).make(scene, precision);
+  return Make(IndexOf(model), scene, precision);
 }
 
 }  // namespace saltus
