@@ -7,6 +7,7 @@
 
 #include "programs/experiments.h"
 #include "programs/notebook_files.h"
+#include "programs/paper_figures.h"
 #include "programs/published.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
@@ -27,6 +28,11 @@ int Reproduce() {
   }
   CompareWithPublished(experiments, &rows);
   WriteNotebookFiles(experiments, output_dir);
+  for (const PaperFigure& figure : MakePaperFigures(experiments)) {
+    const std::string path = output_dir + "/" + figure.name;
+    const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
+    if (!status.ok()) throw InputError(status.message());
+  }
 
   int failed = 0;
   for (const auto& [name, caption] : PublishedTables()) {
