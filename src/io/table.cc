@@ -13,21 +13,7 @@
 namespace saltus {
 namespace {
 
-std::string_view ToneName(Tone tone) {
-  switch (tone) {
-    case Tone::kPlain:
-      return "";
-    case Tone::kGood:
-      return "good";
-    case Tone::kWarning:
-      return "warning";
-    case Tone::kBad:
-      return "bad";
-    case Tone::kMuted:
-      return "muted";
-  }
-  return "";
-}
+constexpr size_t kLongText = 40;  // characters from which a cell is a sentence rather than a word
 
 std::string_view AnsiColour(Tone tone) {
   switch (tone) {
@@ -165,6 +151,22 @@ class CsvReader {
 
 }  // namespace
 
+std::string_view ToneName(Tone tone) {
+  switch (tone) {
+    case Tone::kPlain:
+      return "";
+    case Tone::kGood:
+      return "good";
+    case Tone::kWarning:
+      return "warning";
+    case Tone::kBad:
+      return "bad";
+    case Tone::kMuted:
+      return "muted";
+  }
+  return "";
+}
+
 std::string Cell::Display(int significant_digits) const {
   const double* number = std::get_if<double>(&value_);
   if (number == nullptr) return Exact();
@@ -242,9 +244,13 @@ std::string Table::ToHtml() const {
   for (size_t i = 0; i < rows_.size(); ++i) {
     html += "<tr>";
     for (size_t j = 0; j < columns_.size(); ++j) {
-      const std::string tone(ToneName(rows_[i][j].tone()));
-      const std::string space = alignment[j].empty() || tone.empty() ? "" : " ";
-      html += open("td", alignment[j] + space + tone) + EscapeHtml(Display(i, j)) + "</td>";
+      const std::string text = Display(i, j);
+      std::string classes = alignment[j];
+      const std::string_view length = Width(text) > kLongText ? "long" : "";
+      for (const std::string_view name : {ToneName(rows_[i][j].tone()), length}) {
+        if (!name.empty()) classes += (classes.empty() ? "" : " ") + std::string(name);
+      }
+      html += open("td", classes) + EscapeHtml(text) + "</td>";
     }
     html += "</tr>\n";
   }

@@ -56,6 +56,9 @@ TEST(TableTest, HtmlEscapesAndMarksCells) {
   EXPECT_THAT(html, HasSubstr("<td class=\"good\">match</td>"));
   EXPECT_THAT(html, HasSubstr("<td class=\"bad\">a|b &lt;c&gt;, &quot;d&quot;</td>"));
   EXPECT_THAT(html, HasSubstr("<td class=\"number\"></td>"));
+  Table table({{"note"}});
+  table.AddRow({Cell(std::string(41, 'x')).With(Tone::kMuted)});
+  EXPECT_THAT(table.ToHtml(), HasSubstr("<td class=\"muted long\">xxx"));
 }
 
 TEST(TableTest, CsvQuotesAsRfc4180Asks) {

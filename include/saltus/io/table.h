@@ -17,6 +17,9 @@ namespace saltus {
 // What a cell says beyond its value: a colour on a terminal, a class in HTML.
 enum class Tone { kPlain, kGood, kWarning, kBad, kMuted };
 
+// "good", "warning", "bad", "muted", or "" for a plain one: the class in HTML.
+std::string_view ToneName(Tone tone);
+
 // Text, a number, or nothing.
 class Cell {
  public:
@@ -71,7 +74,8 @@ class Table {
   // RFC 4180 with a header line; lines end in a bare line feed.
   std::string ToCsv() const;
 
-  // A <table> element; cells have the classes "number", "good", "warning", "bad", "muted" where they apply.
+  // A <table> element; cells have the classes "number", "long" (text of more than 40 characters) and
+  // that of their tone where these apply.
   std::string ToHtml() const;
 
   // Aligned columns for a terminal; with `colour`, ANSI escapes show the tones.
