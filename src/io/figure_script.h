@@ -10,7 +10,7 @@
 
 namespace saltus::internal {
 
-// Colours that are not data. The report redefines them for dark pages.
+// Colours that are not data.
 inline constexpr char kInk[] = "#24292f";
 inline constexpr char kFaintInk[] = "#6e7781";
 inline constexpr char kGrid[] = "#e6e8eb";
