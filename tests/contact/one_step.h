@@ -45,14 +45,25 @@ class OneStep {
     simulator_->Step(start_, force_, after_, &touches_);
   }
 
+  // Dense A and B at the start, and the derivative by restitution, friction, stiffness, damping and the masses of the
+  // discs of the only island.
+  void Linearize(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
+    StepLinearization linearization;
+    simulator_->Linearize(start_, force_, false, &linearization);
+    linearization.ToDense(A, B);
+  }
+  Eigen::MatrixXd ParameterDerivatives() const {
+    StepLinearization linearization;
+    simulator_->Linearize(start_, force_, true, &linearization);
+    return linearization.islands.at(0).P;
+  }
+
   // Compares the linearization at the start with central differences: `rows` and `columns` say which entries of a body
   // (0..size-1) and, in the columns, which of its force (size, size + 1) are compared.
   void ExpectDerivative(const std::vector<int>& rows, const std::vector<int>& columns, double width,
                         double tolerance) const {
-    StepLinearization linearization;
-    simulator_->Linearize(start_, force_, false, &linearization);
     Eigen::MatrixXd A, B;
-    linearization.ToDense(&A, &B);
+    Linearize(&A, &B);
     const int num_bodies = simulator_->num_bodies();
     for (int body = 0; body < num_bodies; ++body) {
       if (simulator_->scene().bodies[body].fixed) continue;

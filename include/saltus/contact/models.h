@@ -8,6 +8,7 @@
 #include "saltus/contact/convex.h"
 #include "saltus/contact/direct.h"
 #include "saltus/contact/event.h"
+#include "saltus/contact/lcp.h"
 #include "saltus/contact/pbd_brax.h"
 #include "saltus/contact/pbd_warp.h"
 #include "saltus/contact/toi_velocity.h"
@@ -16,6 +17,7 @@ namespace saltus {
 
 // clang-format off
 using ContactModels = std::tuple<
+    Lcp,
     Convex<false>,
     Convex<true>,
     Direct<false>,

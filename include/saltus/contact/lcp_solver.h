@@ -1,0 +1,53 @@
+// Linear complementarity problems whose bounds follow other unknowns, as contacts with friction pose them.
+//
+// Find x and w = Lambda x - b such that in each row
+//
+//   normal row:                          x >= 0, w >= 0, x w = 0
+//   tangent row with the normal row n:   |x| <= mu x_n;  w = 0 strictly inside,  w >= 0 at -mu x_n,  w <= 0 at +mu x_n
+//
+// Source: NimblePhysics 0.7.2, BoxedLcpConstraintSolver, LCPUtils, ConstrainedGroupGradientMatrices.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+namespace saltus {
+
+struct BoxedLcp {
+  Eigen::MatrixXd matrix;   // Lambda, symmetric positive semidefinite
+  Eigen::VectorXd rhs;      // b
+  std::vector<int> normal;  // of each row: its normal row; of a normal row itself
+  double friction = 0;      // mu >= 0
+
+  int size() const { return static_cast<int>(normal.size()); }
+  bool IsNormal(int row) const { return normal[row] == row; }
+};
+
+enum class LcpClass {
+  kFree,        // x = 0
+  kClamping,    // w = 0
+  kUpperBound,  // x = mu x_n
+  kLowerBound,  // x = -mu x_n
+};
+
+// With C the clamping rows, Q is Lambda restricted to them, where rows at a bound count as +-mu times their normal:
+// the impulses solve Q x_C = b_C.
+struct LcpSolution {
+  Eigen::VectorXd x;
+  std::vector<LcpClass> classes;
+  std::vector<int> clamping;  // C, ascending
+  Eigen::MatrixXd inverse;    // Q^+
+  double regularization = 0;  // added to the diagonal of Lambda; 0 unless the problem has no solution
+};
+
+// The solution, in the steps of the source: classes are found by principal pivoting; the impulses are classified (below
+// 1e-6 they are none, within 1e-5 of a bound they are at it), and solved for again in their classes by the minimum-norm
+// Q^+ b, which is kept if it fits to 1e-5. A problem without a solution that fits to 1e-5 gets 1e-4 on its diagonal,
+// and if that does not help, loses its friction. It always returns; without friction the result of the last resort
+// exists.
+LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
+
+// By how much x violates the conditions above, the largest over all rows; bounds count as reached within `at_bound`.
+double LcpViolation(const BoxedLcp& problem, const Eigen::VectorXd& x, double at_bound);
+
+}  // namespace saltus

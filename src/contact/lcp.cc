@@ -1,0 +1,156 @@
+#include "saltus/contact/lcp.h"
+
+#include <Eigen/QR>
+#include <algorithm>
+
+namespace saltus {
+namespace {
+
+// Places 2 x 2 blocks of moving discs; those of fixed ones are dropped.
+class Dofs {
+ public:
+  Dofs(const StepInput<double>& in, int num_discs) : in_(in), index_(num_discs, -1) {}
+
+  void Add(int disc) {
+    if (in_.bodies[disc].fixed || index_[disc] >= 0) return;
+    index_[disc] = 2 * static_cast<int>(discs_.size());
+    discs_.push_back(disc);
+  }
+  int size() const { return 2 * static_cast<int>(discs_.size()); }
+  const std::vector<int>& discs() const { return discs_; }
+  // First degree of freedom of a disc, or -1.
+  int operator[](int disc) const { return index_[disc]; }
+
+ private:
+  const StepInput<double>& in_;
+  std::vector<int> index_, discs_;
+};
+
+Eigen::VectorXd ImpulseDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction) {
+  Eigen::VectorXd a = Eigen::VectorXd::Zero(dofs.size());
+  if (dofs[c.a] >= 0) a.segment<2>(dofs[c.a]) = direction;
+  if (!c.plane && dofs[c.b] >= 0) a.segment<2>(dofs[c.b]) = -direction;
+  return a;
+}
+
+// d ImpulseDirection / dp for two discs at `distance`; zero at a plane. Normal and tangent turn alike, each along the
+// other, when the centres move along the tangent.
+Eigen::MatrixXd TurningOfDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction, const Vec2d& tangent,
+                                   double distance) {
+  Eigen::MatrixXd turning = Eigen::MatrixXd::Zero(dofs.size(), dofs.size());
+  if (c.plane) return turning;
+  const Eigen::VectorXd along = ImpulseDirection(dofs, c, tangent);
+  return ImpulseDirection(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
+}
+
+// The matrix closest to the identity with a^T X a = -e for each column a of `bounces`.
+Eigen::MatrixXd BounceMatrix(const Eigen::MatrixXd& bounces, double restitution) {
+  const int size = static_cast<int>(bounces.rows());
+  Eigen::MatrixXd X = Eigen::MatrixXd::Identity(size, size);
+  if (bounces.cols() == 0) return X;
+  const Eigen::MatrixXd gram = bounces.transpose() * bounces;
+  const Eigen::MatrixXd squared = gram.cwiseProduct(gram);
+  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition(squared.rows(), squared.cols());
+  decomposition.setThreshold(1e-11);
+  decomposition.compute(squared);
+  const Eigen::VectorXd weights =
+      decomposition.solve(gram.diagonal().array().matrix() + Eigen::VectorXd::Constant(gram.rows(), restitution));
+  for (int i = 0; i < bounces.cols(); ++i) X -= weights[i] * bounces.col(i) * bounces.col(i).transpose();
+  return X;
+}
+
+}  // namespace
+
+void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
+                    Eigen::MatrixXd* B) const {
+  const int n = static_cast<int>(x.size());
+  *A = Eigen::MatrixXd::Identity(4 * n, 4 * n);
+  *B = Eigen::MatrixXd::Zero(4 * n, 2 * n);
+  for (int i = 0; i < n; ++i) {
+    if (in.bodies[i].fixed) continue;
+    A->block<2, 2>(4 * i, 4 * i + 2).diagonal().setConstant(in.h);
+    B->block<2, 2>(4 * i + 2, 2 * i).diagonal().setConstant(in.h * in.bodies[i].inverse_mass);
+  }
+  std::vector<State<double>> flying(n);
+  FreeFlight(*this, in, x, std::span(flying));
+  for (const Group<double>& group : FindGroups<double>(in, x, flying)) LinearizeGroup(in, flying, group, A, B);
+}
+
+void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying, const Group<double>& group,
+                         Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
+  const LcpSolution solution = SolveBoxedLcp(Problem(in, group));
+  Dofs dofs(in, static_cast<int>(flying.size()));
+  for (const Row<double>& row : group) {
+    dofs.Add(row.candidate.a);
+    if (!row.candidate.plane) dofs.Add(row.candidate.b);
+  }
+  const int size = dofs.size();
+  const int num_clamping = static_cast<int>(solution.clamping.size());
+  Eigen::VectorXd inverse_mass(size), free_velocity(size);
+  for (int disc : dofs.discs()) {
+    inverse_mass.segment<2>(dofs[disc]).setConstant(in.bodies[disc].inverse_mass);
+    free_velocity.segment<2>(dofs[disc]) = flying[disc].v;
+  }
+
+  // Per clamping row k: its direction a_k, the impulse a_k + sigma t_k that one unit of it causes together with a
+  // tangent at its bound, the derivatives G of both by position, and beta.
+  Eigen::MatrixXd direction(size, num_clamping), caused(size, num_clamping);
+  std::vector<Eigen::MatrixXd> turning(num_clamping), caused_turning(num_clamping);
+  Eigen::VectorXd beta(num_clamping), rhs(num_clamping), impulse(num_clamping);
+  Eigen::MatrixXd bounces(size, 0);
+  for (int k = 0; k < num_clamping; ++k) {
+    const int i = solution.clamping[k];
+    const Vec2d tangent = Perpendicular(group[group[i].normal].direction);
+    direction.col(k) = ImpulseDirection(dofs, group[i].candidate, group[i].direction);
+    turning[k] = TurningOfDirection(dofs, group[i].candidate, group[i].direction, tangent, group[i].distance);
+    caused.col(k) = direction.col(k);
+    caused_turning[k] = turning[k];
+    for (int j = 0; j < static_cast<int>(group.size()); ++j) {
+      const LcpClass c = solution.classes[j];
+      if (group[j].normal != i || (c != LcpClass::kUpperBound && c != LcpClass::kLowerBound)) continue;
+      const double sigma = c == LcpClass::kUpperBound ? in.contact.friction : -in.contact.friction;
+      caused.col(k) += sigma * ImpulseDirection(dofs, group[j].candidate, group[j].direction);
+      caused_turning[k] +=
+          sigma * TurningOfDirection(dofs, group[j].candidate, group[j].direction, tangent, group[j].distance);
+    }
+    beta[k] = group[i].bounced ? 1 + in.contact.restitution : 1;
+    rhs[k] = group[i].rhs;
+    impulse[k] = solution.x[i];
+    if (!group[i].bounced) continue;
+    bounces.conservativeResize(Eigen::NoChange, bounces.cols() + 1);
+    bounces.rightCols<1>() = direction.col(k);
+  }
+
+  const Eigen::MatrixXd response = inverse_mass.asDiagonal() * caused;  // of the velocities to clamping impulses
+  Eigen::MatrixXd vv = Eigen::MatrixXd::Identity(size, size);
+  Eigen::MatrixXd pv = Eigen::MatrixXd::Zero(size, size);
+  if (num_clamping > 0) {
+    vv -= response * solution.inverse * beta.asDiagonal() * direction.transpose();
+    const Eigen::VectorXd z = solution.inverse * rhs;
+    const Eigen::VectorXd dv = response * z;
+    Eigen::MatrixXd turned = Eigen::MatrixXd::Zero(size, size);   // sum of z G
+    Eigen::MatrixXd applied = Eigen::MatrixXd::Zero(size, size);  // sum of f G
+    Eigen::MatrixXd change(num_clamping, size);                   // d(b - Q z)/dp
+    for (int k = 0; k < num_clamping; ++k) {
+      turned += z[k] * caused_turning[k];
+      applied += impulse[k] * caused_turning[k];
+      change.row(k) = -(dv + beta[k] * free_velocity).transpose() * turning[k];
+    }
+    change -= direction.transpose() * inverse_mass.asDiagonal() * turned;
+    pv = response * solution.inverse * change + inverse_mass.asDiagonal() * applied;
+  }
+
+  const Eigen::MatrixXd X = BounceMatrix(bounces, in.contact.restitution);
+  for (int row : dofs.discs()) {
+    for (int column : dofs.discs()) {
+      const auto block = [&](const Eigen::MatrixXd& m) { return m.block<2, 2>(dofs[row], dofs[column]); };
+      A->block<2, 2>(4 * row, 4 * column) = block(X);
+      A->block<2, 2>(4 * row, 4 * column + 2) = in.h * block(X);
+      A->block<2, 2>(4 * row + 2, 4 * column) = block(pv);
+      A->block<2, 2>(4 * row + 2, 4 * column + 2) = block(vv);
+      B->block<2, 2>(4 * row + 2, 2 * column) = in.h * in.bodies[column].inverse_mass * block(vv);
+    }
+  }
+}
+
+}  // namespace saltus
