@@ -7,7 +7,7 @@
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
-#include "solve/scenes.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {

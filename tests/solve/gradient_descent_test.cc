@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "saltus/solve/solver.h"
-#include "solve/scenes.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {

@@ -1,0 +1,29 @@
+// One step of a simulator as a cost function of Ceres, for transcriptions in which states are variables too:
+//
+//   r(x, u, x') = x' - f(x, u)
+//
+// Parameter blocks: the state x (Simulator::state_size() numbers), the forces u on the controlled discs (2 each, in
+// their order; no such block if none is controlled), the next state x'. Jacobians are those of Simulator::Linearize.
+#pragma once
+
+#include <ceres/cost_function.h>
+
+#include <memory>
+
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus {
+
+class StepCost final : public ceres::CostFunction {
+ public:
+  // Several costs, in several threads, may share a simulator.
+  explicit StepCost(std::shared_ptr<const Simulator> simulator);
+
+  // False, so that Ceres rejects the point, if the step or its linearization are not finite.
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  std::shared_ptr<const Simulator> simulator_;
+};
+
+}  // namespace saltus

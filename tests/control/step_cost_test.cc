@@ -1,0 +1,190 @@
+// Steps as costs of Ceres: their Jacobians against those that Ceres finds by differences, for all models in free
+// flight and in contact.
+#include "saltus/control/step_cost.h"
+
+#include <ceres/gradient_checker.h>
+#include <gmock/gmock.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "saltus/dynamics/registry.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::ElementsAre;
+
+// Blocks of a step, contiguous.
+struct Blocks {
+  std::vector<double> x, control, next;
+
+  std::vector<const double*> Pointers() const {
+    std::vector<const double*> pointers{x.data()};
+    if (!control.empty()) pointers.push_back(control.data());
+    pointers.push_back(next.data());
+    return pointers;
+  }
+};
+
+// Steps of a rollout: one in which nothing touches, and for each pair that touches, one amid its first contact.
+std::vector<int> InterestingSteps(const Simulator& simulator) {
+  std::vector<int> steps{1};
+  const std::vector<StepTouch>& touches = simulator.touches();
+  std::vector<Candidate> seen;
+  for (const StepTouch& first : touches) {
+    const Candidate& pair = first.touch.candidate;
+    if (std::find(seen.begin(), seen.end(), pair) != seen.end()) continue;
+    seen.push_back(pair);
+    int last = first.step;
+    for (const StepTouch& touch : touches) {
+      if (touch.touch.candidate == pair && touch.step == last + 1) last = touch.step;
+    }
+    steps.push_back((first.step + last) / 2);
+  }
+  return steps;
+}
+
+Blocks BlocksAt(const Simulator& simulator, std::span<const double> control, int k) {
+  const int size = simulator.state_size(), control_size = 2 * simulator.num_controlled();
+  Blocks blocks{std::vector<double>(size), {}, std::vector<double>(size)};
+  simulator.GetState(k, blocks.x);
+  simulator.GetState(k + 1, blocks.next);
+  blocks.control.assign(control.begin() + k * control_size, control.begin() + (k + 1) * control_size);
+  for (size_t i = 0; i < blocks.next.size(); ++i) blocks.next[i] += 0.01 * std::sin(1.0 + i);
+  return blocks;
+}
+
+// By ceres::GradientChecker; its own verdict is relative even to entries that are zero up to rounding.
+bool GradientsAgree(const ceres::CostFunction& cost, const Blocks& blocks, std::string* error) {
+  ceres::NumericDiffOptions options;
+  options.ridders_relative_initial_step_size = 1e-5;  // small against what would begin or end a contact
+  ceres::GradientChecker checker(&cost, static_cast<const std::vector<const ceres::Manifold*>*>(nullptr), options);
+  ceres::GradientChecker::ProbeResults results;
+  checker.Probe(blocks.Pointers().data(), 1e-6, &results);
+  *error = results.error_log;
+  if (!results.return_value) return false;
+  for (size_t i = 0; i < results.jacobians.size(); ++i) {
+    const double scale = std::max(1.0, results.jacobians[i].cwiseAbs().maxCoeff());
+    if ((results.jacobians[i] - results.numeric_jacobians[i]).cwiseAbs().maxCoeff() > 1e-6 * scale) return false;
+  }
+  return true;
+}
+
+class StepCostOf : public testing::TestWithParam<std::string> {};
+
+TEST_P(StepCostOf, HasTheJacobianOfTheStep) {
+  const std::string model = GetParam();
+  bool touched = false;
+  for (Scene scene : {FourDiscs(0), FourDiscs(0.3), BounceOffTheGrid(), ProblemScene("ground_wall")}) {
+    if (!WhyNotApplicable(model, scene).empty()) continue;
+    std::shared_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
+    const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+    ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
+    const StepCost cost(simulator);
+    for (int k : InterestingSteps(*simulator)) {
+      std::string error;
+      EXPECT_TRUE(GradientsAgree(cost, BlocksAt(*simulator, control, k), &error)) << scene.name << " step " << k << "\n"
+                                                                                  << error;
+      touched = touched || k > 1;
+    }
+  }
+  EXPECT_TRUE(touched);
+}
+
+std::vector<std::string> Models(bool published_jacobian) {
+  std::vector<std::string> names;
+  for (const ModelTraits& model : AllContactModels()) {
+    if (model.published_jacobian == published_jacobian) names.emplace_back(model.name);
+  }
+  return names;
+}
+
+std::string NameOf(const testing::TestParamInfo<std::string>& info) { return info.param; }
+
+INSTANTIATE_TEST_SUITE_P(Derived, StepCostOf, testing::ValuesIn(Models(false)), NameOf);
+
+// A published Jacobian is that of the step in free flight. In contact it leaves out what its source leaves out (the
+// convex models: that the normal of two discs turns; the LCP: see its header), so the check fails there.
+class PublishedStepCostOf : public testing::TestWithParam<std::string> {};
+
+TEST_P(PublishedStepCostOf, DiffersFromTheStepInContactOnly) {
+  const Scene scene = FourDiscs(0);
+  std::shared_ptr<Simulator> simulator = MakeSimulator(GetParam(), scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
+  const StepCost cost(simulator);
+  int differs = 0;
+  for (int k : InterestingSteps(*simulator)) {
+    std::string error;
+    const bool agrees = GradientsAgree(cost, BlocksAt(*simulator, control, k), &error);
+    EXPECT_TRUE(agrees || k > 1) << error;
+    if (!agrees) ++differs;
+  }
+  EXPECT_GT(differs, 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(Published, PublishedStepCostOf, testing::ValuesIn(Models(true)), NameOf);
+
+// One entry of the Jacobian by x is off by a part in a thousand.
+class WrongCost final : public ceres::CostFunction {
+ public:
+  explicit WrongCost(std::shared_ptr<const Simulator> simulator) : cost_(std::move(simulator)) {
+    set_num_residuals(cost_.num_residuals());
+    *mutable_parameter_block_sizes() = cost_.parameter_block_sizes();
+  }
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    if (!cost_.Evaluate(parameters, residuals, jacobians)) return false;
+    if (jacobians != nullptr && jacobians[0] != nullptr) jacobians[0][0] *= 1.001;
+    return true;
+  }
+
+ private:
+  StepCost cost_;
+};
+
+TEST(StepCost, TheCheckCanFail) {
+  const Scene scene = FourDiscs(0);
+  std::shared_ptr<Simulator> simulator = MakeSimulator("direct_toi", scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
+  const Blocks blocks = BlocksAt(*simulator, control, 1);
+  std::string error;
+  EXPECT_TRUE(GradientsAgree(StepCost(simulator), blocks, &error)) << error;
+  EXPECT_FALSE(GradientsAgree(WrongCost(simulator), blocks, &error));
+}
+
+TEST(StepCost, IsZeroAlongARollout) {
+  const Scene scene = FourDiscs(0);
+  std::shared_ptr<Simulator> simulator = MakeSimulator("direct_toi", scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
+  const StepCost cost(simulator);
+  std::vector<double> residuals(simulator->state_size());
+  for (int k = 0; k < simulator->num_steps(); ++k) {
+    Blocks blocks = BlocksAt(*simulator, control, k);
+    simulator->GetState(k + 1, blocks.next);
+    ASSERT_TRUE(cost.Evaluate(blocks.Pointers().data(), residuals.data(), nullptr));
+    EXPECT_THAT(residuals, testing::Each(0.0)) << k;
+  }
+}
+
+TEST(StepCost, HasOneBlockLessWithoutControl) {
+  const StepCost pushed(MakeSimulator("direct", FourDiscs(0), Precision::kDouble));
+  EXPECT_THAT(pushed.parameter_block_sizes(), ElementsAre(16, 4, 16));
+  const StepCost free(MakeSimulator("direct", ProblemScene("ground_wall"), Precision::kDouble));
+  EXPECT_THAT(free.parameter_block_sizes(), ElementsAre(4, 4));
+}
+
+TEST(StepCost, RefusesWhatIsNotFinite) {
+  std::shared_ptr<Simulator> simulator = MakeSimulator("direct", ProblemScene("ground_wall"), Precision::kDouble);
+  const Blocks blocks{{0, 1, std::nan(""), 0}, {}, {0, 0, 0, 0}};
+  std::vector<double> residuals(4);
+  EXPECT_FALSE(StepCost(simulator).Evaluate(blocks.Pointers().data(), residuals.data(), nullptr));
+}
+
+}  // namespace
+}  // namespace saltus
