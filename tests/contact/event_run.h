@@ -9,7 +9,7 @@
 
 namespace saltus::testing {
 
-using EventSimulator = ModelSimulator<Event, double>;
+using EventSimulator = ModelSimulator<EventDriven, double>;
 
 inline std::vector<double> HeldControl(const Scene& scene) {
   std::vector<double> control;

@@ -9,7 +9,7 @@
 // values. All contacts of a step see the state at its start and their contributions add, in the order of the
 // candidates, unless a model's header says otherwise.
 //
-// To add a model: one header here, one line in models.h.
+// To add a model: one header here, one line in src/contact/models.cmake.
 #pragma once
 
 #include <concepts>

@@ -5,7 +5,7 @@
 
 namespace saltus {
 
-struct Event {
+struct EventDriven {
   static constexpr ModelTraits kTraits = {.name = "event",
                                           .summary = "event-driven: exact arcs, impacts and impact times",
                                           .source = "saltation matrix; Newton's restitution, Coulomb's friction",

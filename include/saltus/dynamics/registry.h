@@ -10,7 +10,7 @@
 
 namespace saltus {
 
-// Traits of all models of contact/models.h, in its order.
+// Traits of all models, in the order of src/contact/models.cmake.
 const std::vector<ModelTraits>& AllContactModels();
 
 // The traits of the model of that name, or null.
