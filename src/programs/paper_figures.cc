@@ -81,6 +81,9 @@ void AddPaths(const std::vector<Path>& paths, const std::string& label, const st
 Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem, const std::string& title) {
   const Scene& scene = experiments.scene(problem);
   Panel panel = ScenePanel(scene, title);
+  for (const Plane& plane : scene.planes) {
+    if (plane.normal[1] == 0) panel.x.max = plane.point[0] + 0.15;  // so that a wall to the right is seen
+  }
   const Experiment* first = Shown(experiments, problem, 0, "direct_toi");
   if (first == nullptr) return panel;
   const int steps = first->gradient.num_steps;

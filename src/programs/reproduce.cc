@@ -8,6 +8,7 @@
 #include "programs/experiments.h"
 #include "programs/notebook_files.h"
 #include "programs/paper_figures.h"
+#include "programs/paper_report.h"
 #include "programs/published.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
@@ -26,20 +27,28 @@ int Reproduce() {
     std::cerr << "interrupted" << std::endl;
     return kAnswerFailed;
   }
+  const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
+  const double experiment_seconds = elapsed();
   CompareWithPublished(experiments, &rows);
   WriteNotebookFiles(experiments, output_dir);
-  for (const PaperFigure& figure : MakePaperFigures(experiments)) {
+  const std::vector<PaperFigure> figures = MakePaperFigures(experiments);
+  for (const PaperFigure& figure : figures) {
     const std::string path = output_dir + "/" + figure.name;
     const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
     if (!status.ok()) throw InputError(status.message());
   }
+  WritePaperReport(experiments, rows, figures, experiment_seconds, output_dir);
 
-  int failed = 0;
-  for (const auto& [name, caption] : PublishedTables()) {
-    const Table table = ToTable(rows, name);
+  const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
     WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
-  }
+  };
+  for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
+  write_table("solvers_ground_wall", "Solvers, task 2 without friction", SolverTable(experiments, "ground_wall", 0));
+  write_table("solvers_ground_wall_mu", "Solvers, task 2 with friction", SolverTable(experiments, "ground_wall", 0.1));
+  write_table("solvers_two_balls", "Solvers, task 3", SolverTable(experiments, "two_balls", 0));
+
+  int failed = 0;
   for (const PublishedRow& row : rows) {
     if (!row.IsJudged() || row.Matches()) continue;
     ++failed;
@@ -47,9 +56,8 @@ int Reproduce() {
               << ": expected " << row.expected << " within " << row.tolerance << ", got "
               << (row.ours ? std::to_string(*row.ours) : "nothing") << std::endl;
   }
-  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  std::cout << rows.size() - failed << " of " << rows.size() << " rows as expected, in " << seconds << " s"
-            << std::endl;
+  std::cout << rows.size() - failed << " of " << rows.size() << " rows as expected, in " << elapsed() << " s\n"
+            << output_dir << "/report.html" << std::endl;
   return failed == 0 ? kDone : kAnswerFailed;
 }
 
