@@ -22,7 +22,7 @@ body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.6 sy
   Roboto, "Liberation Sans", Arial, sans-serif; -webkit-text-size-adjust: 100%; }
 a { color: var(--link); text-decoration: none; }
 a:hover { text-decoration: underline; }
-main { max-width: 62rem; margin: 0 auto; padding: 2rem 1.25rem 5rem; min-width: 0; }
+main { max-width: 76rem; margin: 0 auto; padding: 2rem 1.25rem 5rem; min-width: 0; }
 header { border-bottom: 1px solid var(--line); margin-bottom: 2rem; }
 h1 { font-size: 2rem; line-height: 1.2; margin: 0 0 .5rem; letter-spacing: -.01em; }
 h2 { font-size: 1.45rem; line-height: 1.3; margin: 3rem 0 .75rem; padding-bottom: .3rem;
@@ -35,7 +35,7 @@ code, pre { font: .875em/1.5 ui-monospace, "SFMono-Regular", Menlo, Consolas, "L
 code { background: var(--raised); border-radius: 4px; padding: .1em .3em; }
 pre { background: var(--raised); border: 1px solid var(--line); border-radius: 8px; padding: .9rem 1rem;
   overflow-x: auto; }
-nav { font-size: .875rem; line-height: 1.4; padding: 1rem 1.25rem 0; max-width: 62rem; margin: 0 auto; }
+nav { font-size: .875rem; line-height: 1.4; padding: 1rem 1.25rem 0; max-width: 76rem; margin: 0 auto; }
 nav ol { list-style: none; margin: .6rem 0 0; padding: 0; }
 nav li { margin: .35rem 0; }
 nav .level2 { padding-left: .9rem; }
@@ -68,7 +68,7 @@ figcaption b, figure summary b { color: var(--ink); }
 table { border-collapse: separate; border-spacing: 0; width: 100%; font-size: .875rem; line-height: 1.4;
   font-variant-numeric: tabular-nums; }
 th, td { padding: .42rem .75rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-td.long { min-width: 15rem; }
+td.long { min-width: 13rem; }
 th { position: sticky; top: 0; background: var(--raised); font-weight: 600; white-space: nowrap; z-index: 1; }
 tbody tr:last-child td { border-bottom: 0; }
 tbody tr:hover td:not(.good):not(.warning):not(.bad) { background: var(--raised); }
