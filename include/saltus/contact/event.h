@@ -1,4 +1,35 @@
 // Event-driven simulation: free flight in exact arcs between impacts, which are found to machine precision.
+//
+// The acceleration a = u/m + g of a disc is constant within a step. The gap of a pair is then a polynomial in time, of
+// degree 4 for two discs, and an impact is its first zero (event_roots.h), however many lie in one step. With n the
+// normal towards disc a, t = Perpendicular(n), w = v_a - v_b and 1/m = 1/m_a + 1/m_b, the impulse on a is
+//
+//   P = p_n n + p_t t       p_n = -(1 + e) m n.w                         (Newton's restitution)
+//                           p_t = -mu p_n sign(t.w), but at most -m t.w  (Coulomb: slip, stick)
+//
+// Discs do not spin. Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse,
+// that is the saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
+//
+// Rules, with the thresholds of event_disc.h:
+//
+// Order. Events are resolved one by one: the earliest first, of several at the same time the first candidate (discs by
+//   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A
+//   row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both walls. Derivatives
+//   are those of this order. After kMaxEvents in one step impacts have no restitution.
+// Grid nodes. An impact in the last kNodeMargin of a step belongs to the next step, which starts with it: its
+//   derivative is the one-sided one with that step's force on both sides of the impact.
+// Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; closing, they meet
+//   at the start, and no position is changed.
+// Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
+//   closed: its normal velocity becomes zero, which ends the bounces of e < 1 after finitely many, and the forces of
+//   event_forces.h keep it closed until other forces or an impact open it. It sticks or slides by Coulomb's law with
+//   the same mu; sliding ends at the exact time. Positions and velocities are projected onto the closed contacts, so
+//   derivatives are those of motion that stays on them. Reported as kSustained, again in every step.
+// Two discs that slide along each other turn their normal: they move in arcs of at most kLargestTurn, of second
+//   order in it, and are exactly in contact at the end of each step. Everything else is exact.
+// Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or
+//   passes if it parts again before the gap is -kContactGap. Reported as kGrazing; the derivative is that of the side
+//   on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
 #pragma once
 
 #include "saltus/contact/event_step.h"

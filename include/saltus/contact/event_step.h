@@ -1,56 +1,18 @@
-// One step of the event-driven model (event.h), as an object: the discs and pairs of the step and the queue of events.
+// One step of the event-driven model (event.h), as an object: the discs and pairs of the step and their next events.
 //
 // Every disc carries the time since which its acceleration is constant, and is moved on only when something happens to
 // it; discs that never meet therefore do not influence each other's bits. All decisions are taken on values.
 #pragma once
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <memory_resource>
+#include <type_traits>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
-#include "saltus/contact/event_roots.h"
+#include "saltus/contact/event_press.h"
 
 namespace saltus::internal {
-
-// Position, velocity and constant acceleration of a disc, as values.
-struct Motion {
-  Vec2d p, v, a;
-  Motion After(double s) const { return {p + s * (v + (0.5 * s) * a), v + s * a, a}; }
-};
-
-// How the two sides of a pair move relative to each other.
-struct Approach {
-  double gap;           // m
-  double speed;         // m/s, of the gap; negative if closing
-  double acceleration;  // m/s^2, of the gap, the turning of the normal included
-  GapPolynomial polynomial;
-};
-
-inline Approach MeasureApproach(const Motion& a, const HalfPlane<double>& plane, double radius) {
-  Approach out;
-  out.gap = Dot(plane.normal, a.p) - plane.offset - radius;
-  out.speed = Dot(plane.normal, a.v);
-  out.acceleration = Dot(plane.normal, a.a);
-  out.polynomial.c = {out.gap, out.speed, 0.5 * out.acceleration, 0, 0};
-  return out;
-}
-
-inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius) {
-  const Separation<double> at = Separate<double>(a.p, b.p);
-  const Vec2d d = a.p - b.p, w = a.v - b.v, q = a.a - b.a;
-  const double sliding = Dot(Perpendicular(at.normal), w);
-  Approach out;
-  out.gap = at.distance - radius;
-  out.speed = Dot(at.normal, w);
-  out.acceleration = Dot(at.normal, q) + (at.distance > 0 ? sliding * sliding / at.distance : 0.0);
-  out.polynomial.c = {
-      out.gap * (at.distance + radius), 2 * Dot(d, w), Dot(w, w) + Dot(d, q), Dot(w, q), 0.25 * Dot(q, q)};
-  return out;
-}
 
 template <typename T>
 class EventStep {
@@ -58,20 +20,17 @@ class EventStep {
   using State = BodyState<T, 0>;
   static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
 
-  // See event.h for what these are.
-  static constexpr double kNodeMargin = 1e-9;   // of the step
-  static constexpr double kContactGap = 1e-11;  // m
-  static constexpr double kSlowSpeed = 1e-6;    // m/s
-  static constexpr double kStillSpeed = 1e-14;  // m/s
-  static constexpr double kPushing = 1e-9;      // m/s^2
-  static constexpr int kMaxEvents = 100000;
-
   EventStep(const StepInput<T>& in, std::span<const State> x)
-      : in_(in), limit_(in.h * (1 - kNodeMargin)), discs_(in.scratch), pairs_(in.candidates.size(), in.scratch) {
+      : in_(in),
+        limit_(in.h * (1 - kNodeMargin)),
+        discs_(in.scratch),
+        pairs_(in.candidates.size(), in.scratch),
+        group_(in) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
       discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
     }
+    group_.SetDiscs(discs_);
   }
 
   // True if some pair may touch within the step.
@@ -87,37 +46,42 @@ class EventStep {
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
-      if (q < 0) return;
+      if (q < 0) break;
+      ++order_;
       Resolve(q);
       for (int other = 0; other < num_pairs(); ++other) {
         if (IsDirty(other)) Predict(other);
       }
-      for (Disc& disc : discs_) disc.dirty = false;
+      for (EventDisc<T>& disc : discs_) disc.dirty = false;
     }
+    CloseCurvedContacts();
   }
 
-  // The state of disc i at the end of the step; nothing to be said if no event concerned it.
+  // Whether an event concerned disc i, and if so its state at the end of the step.
   bool Moved(int i) const { return discs_[i].moved; }
   State End(int i) const {
     const T end(in_.h);
-    return {PositionAt(i, end), VelocityAt(i, end)};
+    return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
   }
 
  private:
-  struct Disc {
-    T t;              // s, since the start of the step
-    Vec2<T> p, v, a;  // at t; a holds from t on
-    bool moved = false;
-    bool dirty = false;
-    int order = 0;  // number of its last event
-  };
+  using Group = PressedGroup<T>;
+
   struct Pair {
-    double next = kNever;  // s, its next event
+    double next = kNever;    // s, its next event
+    int passed = -1;         // number of the event since which it is ignored while it touches
+    int released = -1;       // number of the event that last ended held
+    bool held = false;       // closed, and kept closed by the accelerations of its discs
+    bool curved = false;     // its discs move around each other while held, or did
+    bool stopping = false;   // held, and its next event is that sliding ends
+    int reported_mode = -1;  // of the last report as a sustained contact
   };
 
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
+  const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
+  bool Moves(int i) const { return !in_.bodies[i].fixed; }
   bool IsDirty(int q) const {
-    const Candidate& c = in_.candidates[q];
+    const Candidate& c = CandidateOf(q);
     return discs_[c.a].dirty || (!c.plane && discs_[c.b].dirty);
   }
   int NextPair() const {
@@ -132,51 +96,79 @@ class EventStep {
     return next;
   }
 
-  Vec2<T> PositionAt(int i, const T& time) const {
-    const Disc& disc = discs_[i];
-    const T s = time - disc.t;
-    return disc.p + Scale(s, Vec2<T>(disc.v + Scale(T(s * 0.5), disc.a)));
-  }
-  Vec2<T> VelocityAt(int i, const T& time) const {
-    const Disc& disc = discs_[i];
-    return disc.v + Scale(T(time - disc.t), disc.a);
-  }
   Vec2<T> RelativeVelocityAt(const Candidate& c, const T& time) const {
-    return RelativeVelocity<T>(c, [&](int i) { return VelocityAt(i, time); });
+    return RelativeVelocity<T>(c, [&](int i) { return discs_[i].VelocityAt(time); });
   }
   Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
-    return SeparationAt(in_, c, [&](int i) { return PositionAt(i, time); });
+    return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
   }
-
   Motion MotionAt(int i, double time) const {
-    const Disc& disc = discs_[i];
+    const EventDisc<T>& disc = discs_[i];
     const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
     return Motion{value(disc.p), value(disc.v), value(disc.a)}.After(time - Value(disc.t));
   }
+  template <typename MotionOf>
+  Approach Measure(const Candidate& c, const MotionOf& motion) const {
+    if (c.plane) return MeasureApproach(motion(c.a), in_.planes[c.b], in_.ContactDistance(c));
+    return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+  }
   Approach ApproachAt(const Candidate& c, double time) const {
-    const Motion a = MotionAt(c.a, time);
-    if (c.plane) return MeasureApproach(a, in_.planes[c.b], in_.ContactDistance(c));
-    return MeasureApproach(a, MotionAt(c.b, time), in_.ContactDistance(c));
+    return Measure(c, [&](int i) { return MotionAt(i, time); });
   }
 
-  // The last time at which something happened to the pair.
-  const T& LastTime(const Candidate& c) const {
-    if (c.plane || discs_[c.a].order >= discs_[c.b].order) return discs_[c.a].t;
-    return discs_[c.b].t;
+  // The time and the number of the last event of a pair's discs.
+  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
+  const EventDisc<T>& LastDisc(const Candidate& c) const {
+    return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
   }
 
-  void Predict(int q, bool ignore_start = false) {
-    const Candidate& c = in_.candidates[q];
+  void Predict(int q) {
+    Pair& pair = pairs_[q];
+    if (pair.held) return;
+    const Candidate& c = CandidateOf(q);
     const double now = Value(LastTime(c));
     const Approach approach = ApproachAt(c, now);
-    pairs_[q].next = now + FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start);
+    bool ignore_start = false;
+    if (approach.Touching()) {
+      const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
+      if (matters && pair.passed != LastDisc(c).order) {
+        pair.next = now;
+        return;
+      }
+      ignore_start = true;
+    }
+    pair.next = now + FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start);
   }
 
   void Resolve(int q) {
-    const Candidate& c = in_.candidates[q];
-    ++order_;
-    Impact(c, ImpactTime(c, pairs_[q].next));
+    const Candidate& c = CandidateOf(q);
+    const double time = pairs_[q].next;
+    if (pairs_[q].held) {
+      Settle(q, pairs_[q].stopping ? StopTime(c, time) : T(time));
+      return;
+    }
+    const Approach approach = ApproachAt(c, time);
+    if (approach.speed < -kSlowSpeed) {
+      Impact(c, ImpactTime(c, time));
+      return;
+    }
+    const bool arrives = time > Value(LastTime(c));
+    const T slow_time = !arrives ? LastTime(c) : approach.speed < -kSharpSpeed ? ImpactTime(c, time) : T(time);
+    if (approach.Pushing()) {
+      Settle(q, slow_time);
+      return;
+    }
+    Release(c.a, slow_time);
+    if (!c.plane) Release(c.b, slow_time);
+    in_.Report(c, ContactMode::kFrictionless, TimeInStep(slow_time), ContactKind::kGrazing);
+    if (approach.Grazing()) {
+      pairs_[q].passed = order_;
+    } else {
+      StopClosing(c);
+    }
   }
+
+  double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
 
   // The predicted time, corrected by one Newton step in T: its derivative is that of the impact time. A pair that
   // overlaps has no impact time; it meets at its last event.
@@ -185,13 +177,20 @@ class EventStep {
     const Separation<T> at = SeparationAtTime(c, time);
     const T gap = at.distance - in_.ContactDistance(c);
     if (Value(gap) < -kContactGap) return LastTime(c);
-    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
-    return time - Divide(gap, speed);
+    return time - Divide(gap, Value(Dot(at.normal, RelativeVelocityAt(c, time))));
+  }
+  // Likewise for the time at which sliding ends.
+  T StopTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
+    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
+    return time - Divide(Dot(tangent, RelativeVelocityAt(c, time)), Value(Dot(tangent, a)));
   }
 
   void MoveTo(int i, const T& time) {
-    Disc& disc = discs_[i];
-    const Vec2<T> p = PositionAt(i, time), v = VelocityAt(i, time);
+    if (!Moves(i)) return;
+    EventDisc<T>& disc = discs_[i];
+    const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
     disc.p = p;
     disc.v = v;
     disc.t = time;
@@ -199,9 +198,24 @@ class EventStep {
     disc.order = order_;
   }
 
+  // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
+  void Release(int i, const T& time) {
+    if (!Moves(i)) return;
+    MoveTo(i, time);
+    discs_[i].a = in_.Acceleration(i);
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (!pairs_[q].held || (c.a != i && (c.plane || c.b != i))) continue;
+      pairs_[q].held = false;
+      pairs_[q].released = order_;
+      Release(c.a, time);
+      if (!c.plane) Release(c.b, time);
+    }
+  }
+
   void Impact(const Candidate& c, const T& time) {
-    MoveTo(c.a, time);
-    if (!c.plane) MoveTo(c.b, time);
+    Release(c.a, time);
+    if (!c.plane) Release(c.b, time);
     const Separation<T> at = SeparationAtTime(c, time);
     const Vec2<T> w = RelativeVelocityAt(c, time), tangent = Perpendicular(at.normal);
     const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
@@ -217,15 +231,133 @@ class EventStep {
     }
     const Vec2<T> impulse = Scale(normal_impulse, at.normal) + Scale(tangential_impulse, tangent);
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-    in_.Report(c, mode, std::clamp(Value(time), 0.0, in_.h));
+    in_.Report(c, mode, TimeInStep(time));
+  }
+
+  // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
+  void StopClosing(const Candidate& c) {
+    const Vec2<T> normal = SeparationAt(in_, c, [&](int i) { return discs_[i].p; }).normal;
+    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, w)), normal);
+    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+  }
+
+  // Closes pair q, and whatever else that makes discs press against, from `time` on.
+  void Settle(int q, const T& time) {
+    group_.Clear();
+    Join(q, time);
+    do {
+      group_.SolveForces();
+    } while (Grow(time));
+    for (const auto& contact : group_.contacts()) {
+      const Candidate& c = CandidateOf(contact.pair);
+      if (!contact.closed && ApproachAt(c, Value(time)).speed < -kStillSpeed) StopClosing(c);
+    }
+    group_.ProjectPositions();
+    group_.ProjectVelocities();
+    group_.SetAccelerations(0);
+    const double ahead = CurvedStep(Value(time));
+    if (ahead > 0) group_.SetAccelerations(0.5 * ahead);
+    for (const auto& contact : group_.contacts()) Hold(contact, time, ahead);
+  }
+
+  void Join(int q, const T& time) {
+    const Candidate& c = CandidateOf(q);
+    if (!group_.HasDisc(c.a)) Release(c.a, time);
+    if (!c.plane && !group_.HasDisc(c.b)) Release(c.b, time);
+    group_.Add(q, pairs_[q].curved);
+  }
+
+  // Adds the pairs that press now that others do. True if there are any.
+  bool Grow(const T& time) {
+    bool grows = false;
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
+      const Approach approach = Measure(c, [&](int i) {
+        Motion motion = MotionAt(i, Value(time));
+        if (group_.HasDisc(i)) motion.a = group_.Acceleration(i);
+        return motion;
+      });
+      const bool drifted = pairs_[q].curved && pairs_[q].released == order_;
+      if (!(approach.Touching() || drifted) || !approach.Pushing()) continue;
+      Join(q, time);
+      grows = true;
+    }
+    return grows;
+  }
+
+  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not.
+  double CurvedStep(double now) const {
+    double step = kNever;
+    for (const auto& contact : group_.contacts()) {
+      if (!contact.closed || !contact.Curved()) continue;
+      const double radius = in_.ContactDistance(CandidateOf(contact.pair));
+      const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
+      const double turn_rate = std::abs(group_.SlidingAcceleration(contact)) / radius;
+      if (turn > 0) step = std::min(step, kLargestTurn / turn);
+      if (turn_rate > 0) step = std::min(step, std::sqrt(2 * kLargestTurn / turn_rate));
+    }
+    const double left = in_.h - now;
+    if (step == kNever || left <= 0) return 0;
+    return left / std::ceil(left / step);
+  }
+
+  void Hold(const typename Group::Contact& contact, const T& time, double ahead) {
+    Pair& pair = pairs_[contact.pair];
+    const Candidate& c = CandidateOf(contact.pair);
+    pair.held = contact.closed;
+    pair.curved = contact.closed && contact.Curved() && ahead > 0;
+    pair.stopping = false;
+    pair.passed = order_;
+    if (pair.reported_mode != static_cast<int>(contact.mode)) {
+      in_.Report(c, contact.mode, TimeInStep(time), ContactKind::kSustained);
+      pair.reported_mode = static_cast<int>(contact.mode);
+    }
+    if (!contact.closed) return;
+    pair.next = pair.curved ? Value(time) + ahead : kNever;
+    if (contact.mode != ContactMode::kSlip) return;
+    const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
+    if (std::abs(sliding) <= kStickSpeed || sliding * change >= 0) return;
+    const double stop = Value(time) - sliding / change;
+    if (stop > pair.next) return;
+    pair.next = stop;
+    pair.stopping = true;
+  }
+
+  // Discs that moved around each other end the step exactly in contact.
+  void CloseCurvedContacts() {
+    const T end(in_.h);
+    for (int q = 0; q < num_pairs(); ++q) {
+      if (!pairs_[q].held || !pairs_[q].curved) continue;
+      group_.Clear();
+      Gather(q, end);
+      for (const auto& contact : group_.contacts()) pairs_[contact.pair].curved = false;
+      group_.ProjectPositions();
+      group_.ProjectVelocities();
+    }
+  }
+  // Moves all discs that press against each other with those of pair q to `time`.
+  void Gather(int q, const T& time) {
+    if (!pairs_[q].held || group_.Contains(q)) return;
+    const Candidate& c = CandidateOf(q);
+    MoveTo(c.a, time);
+    if (!c.plane) MoveTo(c.b, time);
+    group_.AddClosed(q, static_cast<ContactMode>(pairs_[q].reported_mode), pairs_[q].curved);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+      if (shares(c.a) || (!c.plane && shares(c.b))) Gather(other, time);
+    }
   }
 
   const StepInput<T>& in_;
   double limit_;  // s, events after it are left to the next step
-  std::pmr::vector<Disc> discs_;
+  std::pmr::vector<EventDisc<T>> discs_;
   std::pmr::vector<Pair> pairs_;
   int order_ = 0;
   bool inelastic_ = false;
+  Group group_;
 };
 
 }  // namespace saltus::internal

@@ -1,0 +1,272 @@
+// Contacts that stay closed, in the event-driven model (event.h): a group of discs that press against each other and
+// against planes, at one instant.
+//
+// Which contacts press, stick or slip is decided on values (event_forces.h). Then three small linear systems, one for
+// each of position, velocity and acceleration, keep the closed contacts closed; they are solved on values, and one
+// correction in T carries the derivatives.
+#pragma once
+
+#include <cmath>
+#include <memory_resource>
+#include <vector>
+
+#include "saltus/contact/event_disc.h"
+#include "saltus/contact/event_forces.h"
+
+namespace saltus::internal {
+
+template <typename T>
+class PressedGroup {
+ public:
+  struct Contact {
+    int pair = 0;  // index of its candidate
+    PressingContact force;
+    ContactMode mode = ContactMode::kFrictionless;
+    bool closed = false;
+    bool drifts = false;  // its discs have moved around each other since it was last closed exactly
+    bool Curved() const { return force.b >= 0 && mode != ContactMode::kStick; }
+  };
+
+  explicit PressedGroup(const StepInput<T>& in)
+      : in_(in),
+        contacts_(in.scratch),
+        rows_(in.scratch),
+        matrix_(in.scratch),
+        forces_(in.scratch),
+        acceleration_(in.scratch),
+        inverse_mass_(in.scratch) {}
+
+  // The discs of the step, which the functions below read and change. They must stay where they are.
+  void SetDiscs(std::span<EventDisc<T>> discs) {
+    discs_ = discs;
+    acceleration_.resize(discs.size());
+    inverse_mass_.resize(discs.size());
+    for (std::size_t i = 0; i < discs.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
+  }
+  void Clear() { contacts_.clear(); }
+
+  std::span<const Contact> contacts() const { return contacts_; }
+  bool Contains(int pair) const {
+    for (const Contact& contact : contacts_) {
+      if (contact.pair == pair) return true;
+    }
+    return false;
+  }
+  // Precondition: its discs have been moved to the instant of the group.
+  void Add(int pair, bool drifts) {
+    const Candidate& c = in_.candidates[pair];
+    if (!HasDisc(c.a)) Reset(c.a);
+    if (!c.plane && !HasDisc(c.b)) Reset(c.b);
+    contacts_.push_back({pair, {}, ContactMode::kFrictionless, false, drifts});
+  }
+  void AddClosed(int pair, ContactMode mode, bool drifts) { contacts_.push_back({pair, {}, mode, true, drifts}); }
+  bool HasDisc(int i) const {
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      if (!in_.bodies[i].fixed && (c.a == i || (!c.plane && c.b == i))) return true;
+    }
+    return false;
+  }
+
+  // The forces on values, and which contacts they close. Afterwards Acceleration(i) is the one under them, for discs
+  // of the group.
+  void SolveForces() {
+    for (Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      Reset(c.a);
+      if (!c.plane) Reset(c.b);
+    }
+    for (Contact& contact : contacts_) Measure(&contact);
+    forces_.clear();
+    for (const Contact& contact : contacts_) forces_.push_back(contact.force);
+    const double friction = Value(in_.contact.friction);
+    SolvePressingForces(friction, inverse_mass_, acceleration_, forces_);
+    double largest = 0;
+    for (std::size_t k = 0; k < forces_.size(); ++k) {
+      contacts_[k].force = forces_[k];
+      largest = std::max(largest, forces_[k].normal_force);
+    }
+    for (Contact& contact : contacts_) Classify(friction, 1e-12 * largest, &contact);
+  }
+  const Vec2d& Acceleration(int i) const { return acceleration_[i]; }
+
+  // Makes the gaps and the velocities across closed contacts zero, by impulses along them. An overlap beyond the
+  // tolerance stays, unless it comes from drift.
+  void ProjectPositions() {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (!contact.closed) continue;
+      const Candidate& c = in_.candidates[contact.pair];
+      const Separation<T> at = SeparationOf(c);
+      T gap = at.distance - in_.ContactDistance(c);
+      if (Value(gap) < -kContactGap && !contact.drifts) gap -= Value(gap);
+      rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, gap, T(0.0)});
+    }
+    SolveRows();
+    ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].p += change; });
+  }
+  void ProjectVelocities() {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (!contact.closed) continue;
+      const Candidate& c = in_.candidates[contact.pair];
+      const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
+      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+      rows_.push_back({c.a, c.plane ? -1 : c.b, normal, normal, Dot(normal, w), T(0.0)});
+      if (contact.mode != ContactMode::kStick) continue;
+      rows_.push_back({c.a, c.plane ? -1 : c.b, tangent, tangent, Dot(tangent, w), T(0.0)});
+    }
+    SolveRows();
+    ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v += change; });
+  }
+
+  // Sets the accelerations under which closed contacts stay closed, when the discs have flown `ahead` s further.
+  void SetAccelerations(double ahead) {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (contact.closed) AddAccelerationRows(contact, ahead);
+    }
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      discs_[c.a].a = in_.Acceleration(c.a);
+      if (!c.plane) discs_[c.b].a = in_.Acceleration(c.b);
+    }
+    // The forces found on values, then what is missing.
+    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].a += change; };
+    ForEachPush(push);
+    for (Row& row : rows_) {
+      row.violation += Dot(row.direction, discs_[row.a].a);
+      if (row.b >= 0) row.violation -= Dot(row.direction, discs_[row.b].a);
+    }
+    SolveRows();
+    ForEachPush(push);
+  }
+
+  // Sliding speed of a contact and its rate of change, as values.
+  double SlidingSpeed(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const Vec2d w = ValueOf(discs_[f.a].v) - (f.b >= 0 ? ValueOf(discs_[f.b].v) : Vec2d(0, 0));
+    return Dot(Perpendicular(f.normal), w);
+  }
+  double SlidingAcceleration(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const Vec2d q = ValueOf(discs_[f.a].a) - (f.b >= 0 ? ValueOf(discs_[f.b].a) : Vec2d(0, 0));
+    return Dot(Perpendicular(f.normal), q);
+  }
+
+ private:
+  // One scalar condition across a contact, and the force that keeps it.
+  struct Row {
+    int a, b;           // b = -1: a plane
+    Vec2<T> direction;  // what is measured
+    Vec2<T> push;       // along which the force acts
+    T violation;
+    T force;
+  };
+
+  static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
+  Separation<T> SeparationOf(const Candidate& c) const {
+    return SeparationAt(in_, c, [&](int i) { return discs_[i].p; });
+  }
+  void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
+
+  void Measure(Contact* contact) const {
+    const Candidate& c = in_.candidates[contact->pair];
+    PressingContact& f = contact->force;
+    const auto position = [&](int i) { return ValueOf(discs_[i].p); };
+    const Separation<double> at =
+        c.plane ? Separate<double>(position(c.a), in_.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
+    f.a = c.a;
+    f.b = c.plane ? -1 : c.b;
+    f.normal = at.normal;
+    f.mass = Value(in_.EffectiveMass(c));
+    const double sliding = SlidingSpeed(*contact);
+    const bool may_stick = Value(in_.contact.friction) > 0 && std::abs(sliding) <= kStickSpeed;
+    f.sliding = may_stick ? 0 : (sliding > 0) - (sliding < 0);
+    f.turning = c.plane || at.distance == 0 || may_stick ? 0.0 : sliding * sliding / at.distance;
+  }
+
+  static void Classify(double friction, double open, Contact* contact) {
+    PressingContact& f = contact->force;
+    contact->closed = f.normal_force > open;
+    if (!(friction > 0)) {
+      contact->mode = ContactMode::kFrictionless;
+      return;
+    }
+    const double bound = friction * f.normal_force;
+    const bool sticks = f.sliding == 0 && std::abs(f.tangential_force) < bound * (1 - 1e-12);
+    contact->mode = sticks ? ContactMode::kStick : ContactMode::kSlip;
+    if (f.sliding == 0 && !sticks) f.sliding = f.tangential_force > 0 ? -1 : 1;
+  }
+
+  void AddAccelerationRows(const Contact& contact, double ahead) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const PressingContact& f = contact.force;
+    const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
+      const EventDisc<T>& disc = discs_[i];
+      return disc.p + Scale(ahead, Vec2<T>(disc.v + Scale(0.5 * ahead, disc.a)));
+    });
+    const Vec2<T> tangent = Perpendicular(at.normal);
+    const int b = c.plane ? -1 : c.b;
+    if (contact.mode == ContactMode::kStick) {
+      rows_.push_back({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
+      rows_.push_back({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force)});
+      return;
+    }
+    T turning(0.0);
+    if (!c.plane && Value(at.distance) > 0) {
+      const Vec2<T> w =
+          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(ahead, discs_[i].a); });
+      const T sliding = Dot(tangent, w);
+      turning = Divide(T(sliding * sliding), at.distance);
+    }
+    const T& friction = in_.contact.friction;
+    const Vec2<T> push = at.normal - Scale(T(friction * double(f.sliding)), tangent);
+    rows_.push_back({c.a, b, at.normal, push, turning, T(f.normal_force)});
+  }
+
+  // The forces that undo the violations.
+  void SolveRows() {
+    const int n = static_cast<int>(rows_.size());
+    if (n == 0) return;
+    matrix_.resize(n * n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(rows_[i], rows_[j]);
+    }
+    PseudoInvert(n, matrix_);
+    for (int i = 0; i < n; ++i) {
+      rows_[i].force = T(0.0);
+      for (int j = 0; j < n; ++j) rows_[i].force -= rows_[j].violation * matrix_[i * n + j];
+    }
+  }
+  // How much the force of row j changes what row i measures.
+  double Coupling(const Row& i, const Row& j) const {
+    double mobility = 0;
+    const auto meet = [&](int p, int q, double sign) {
+      if (p >= 0 && p == q) mobility += sign * inverse_mass_[p];
+    };
+    meet(i.a, j.a, 1);
+    meet(i.b, j.b, 1);
+    meet(i.a, j.b, -1);
+    meet(i.b, j.a, -1);
+    return mobility * Dot(ValueOf(i.direction), ValueOf(j.push));
+  }
+  template <typename Apply>
+  void ForEachPush(const Apply& apply) const {
+    for (const Row& row : rows_) {
+      apply(row.a, Scale(T(row.force * in_.bodies[row.a].inverse_mass), row.push));
+      if (row.b >= 0) apply(row.b, Scale(T(-row.force * in_.bodies[row.b].inverse_mass), row.push));
+    }
+  }
+
+  const StepInput<T>& in_;
+  std::span<EventDisc<T>> discs_;
+  std::pmr::vector<Contact> contacts_;
+  std::pmr::vector<Row> rows_;
+  std::pmr::vector<double> matrix_;
+  std::pmr::vector<PressingContact> forces_;
+  std::pmr::vector<Vec2d> acceleration_;  // per disc, values
+  std::pmr::vector<double> inverse_mass_;
+};
+
+}  // namespace saltus::internal

@@ -1,0 +1,234 @@
+// Where impacts die out: resting, sliding and rolling-off contact, simultaneous impacts, grazing.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "contact/event_run.h"
+
+namespace saltus {
+namespace {
+
+using testing::EventRun;
+
+const Plane kGround{"ground", {0, 0}, {0, 1}};
+
+Scene Dropped(double restitution, double friction, double speed, double duration, int steps) {
+  Scene scene;
+  scene.duration = duration;
+  scene.steps = steps;
+  scene.gravity = {0, -9.8};
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 2, .position = {0, 1}, .velocity = {speed, 0}}};
+  scene.planes = {kGround};
+  scene.contact.restitution = restitution;
+  scene.contact.friction = friction;
+  return scene;
+}
+
+TEST(EventRest, ADroppedBallComesToRestAndStays) {
+  for (int steps : {1, 9, 1000}) {
+    EventRun run(Dropped(0.5, 0, 0, 10, steps));
+    const std::vector<double> end = run.End();
+    EXPECT_NEAR(end[1], 0.1, 1e-13);
+    EXPECT_NEAR(end[3], 0, 1e-13);
+    int impacts = 0, sustained = 0;
+    for (const StepTouch& touch : run.simulator.touches()) {
+      (touch.touch.kind == ContactKind::kSustained ? sustained : impacts) += 1;
+    }
+    EXPECT_EQ(impacts, 23) << "from 4.2 m/s down by halves to 1e-6 m/s";
+    EXPECT_GT(sustained, 0);
+    for (double derivative : run.GradientOf(1).initial) EXPECT_NEAR(derivative, 0, 1e-12);
+  }
+}
+
+// The sum of all impulses is known in closed form, so is where friction stops the ball.
+TEST(EventRest, ABouncingBallIsStoppedByFriction) {
+  const double mu = 0.1, e = 0.5, v0 = 3, g = 9.8, fall = std::sqrt(2 * 0.9 / g), down = g * fall;
+  // Every impact slips. Bounces last 2 e^k down / g and take mu (1 + e) e^k down from the speed.
+  double x = v0 * fall, v = v0, bounce = down;
+  while (bounce > 1e-9) {
+    v -= mu * (1 + e) * bounce;
+    bounce *= e;
+    x += v * 2 * bounce / g;
+  }
+  x += v * v / (2 * mu * g);
+  for (int steps : {1, 11, 500}) {
+    EventRun run(Dropped(e, mu, v0, 10, steps));
+    const std::vector<double> end = run.End();
+    EXPECT_NEAR(end[0], x, 1e-6);
+    EXPECT_NEAR(end[1], 0.1, 1e-13);
+    EXPECT_NEAR(end[2], 0, 1e-12);
+    EXPECT_EQ(run.simulator.touches().back().touch.mode, ContactMode::kStick);
+  }
+}
+
+// Down a slope: sticks below the friction angle, slides with g (sin - mu cos) above.
+TEST(EventRest, Slope) {
+  for (double angle : {0.2, 0.6}) {
+    const double mu = 0.4, g = 9.8;
+    Scene scene = Dropped(0.3, mu, 0, 1, 50);
+    const Vec2d normal(std::sin(angle), std::cos(angle)), down(std::cos(angle), -std::sin(angle));
+    scene.planes = {{"slope", {0, 0}, normal}};
+    scene.bodies[0].position = 0.1 * normal;
+    EventRun run(scene);
+    const std::vector<double> end = run.End();
+    const Vec2d p(end[0], end[1]), v(end[2], end[3]);
+    const double a = std::tan(angle) < mu ? 0.0 : g * (std::sin(angle) - mu * std::cos(angle));
+    EXPECT_NEAR(Dot(normal, p), 0.1, 1e-13);
+    EXPECT_NEAR(Dot(down, p), 0.5 * a, 1e-12);
+    EXPECT_NEAR(Dot(down, v), a, 1e-12);
+    if (a > 0) {
+      const Sensitivity gradient = run.GradientOf(0);
+      EXPECT_NEAR(gradient.parameters.friction, -0.5 * g * std::cos(angle) * down[0], 1e-11);
+      EXPECT_NEAR(gradient.initial[0], down[0] * down[0], 1e-12);
+      EXPECT_NEAR(gradient.initial[1], down[0] * down[1], 1e-12);
+    }
+  }
+}
+
+TEST(EventRest, SlidingStopsAndTheForceThatStartsItAgain) {
+  Scene scene = Dropped(0.3, 0.5, 2, 1, 4);
+  scene.bodies[0].position = {0, 0.1};
+  scene.control = {{0}, {Vec2d(0, 0)}};
+  EventRun run(scene);
+  EXPECT_NEAR(run.End()[0], 4 / (2 * 0.5 * 9.8), 1e-12);
+  EXPECT_EQ(run.End()[2], 0);
+  const Sensitivity gradient = run.GradientOf(0);
+  EXPECT_NEAR(gradient.initial[2], 2 * 2 / (2 * 0.5 * 9.8), 1e-11) << "v^2 / (2 mu g)";
+  EXPECT_NEAR(gradient.parameters.friction, -4 / (2 * 0.25 * 9.8), 1e-11);
+
+  scene.bodies[0].velocity = {0, 0};
+  for (double push : {9.7, 9.9}) {  // mu m g = 9.8 N
+    scene.control.initial = {Vec2d(push, 0)};
+    EXPECT_NEAR(EventRun(scene).End()[0], 0.5 * std::max(0.0, push - 9.8) / 2, 1e-12);
+  }
+  scene.control.initial = {Vec2d(0, 20)};  // more than its weight
+  EXPECT_NEAR(EventRun(scene).End()[1], 0.1 + 0.5 * (20 - 19.6) / 2, 1e-12);
+}
+
+TEST(EventRest, APileInACornerStays) {
+  Scene scene = Dropped(0.4, 0, 0, 10, 300);
+  scene.planes = {{"left", {0, 0}, {1, 1}}, {"right", {0, 0}, {-1, 1}}};
+  scene.bodies = {{.name = "a", .radius = 0.1, .mass = 2, .position = {0, 0.5}},
+                  {.name = "b", .radius = 0.1, .mass = 1, .position = {0.001, 1}},
+                  {.name = "c", .radius = 0.1, .mass = 3, .position = {-0.3, 1.5}}};
+  for (double friction : {0.0, 0.3}) {
+    scene.contact.friction = friction;
+    EventRun run(scene);
+    const std::vector<double> before = run.State(290), end = run.End();
+    for (int i = 0; i < 12; ++i) {
+      EXPECT_NEAR(end[i], before[i], 1e-9) << i;
+      if (i % 4 >= 2) {
+        EXPECT_NEAR(end[i], 0, 1e-9);
+      }
+    }
+  }
+}
+
+// One disc slides off a fixed one without friction: it leaves where cos(angle) = 2/3 of the start's height, by energy.
+TEST(EventRest, SlidingOffADisc) {
+  Scene scene = Dropped(0.3, 0, 0, 0.9, 900);
+  const double start = 0.1, reach = 0.5;
+  scene.planes.clear();
+  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {reach * std::sin(start), reach * std::cos(start)}},
+                  {.name = "hill", .radius = 0.4, .fixed = true}};
+  EventRun run(scene);
+  for (int k = 0; k <= scene.steps; ++k) {
+    const std::vector<double> x = run.State(k);
+    const double distance = std::hypot(x[0], x[1]);
+    ASSERT_GT(distance, reach - 1e-9);
+    const double energy = 0.5 * (x[2] * x[2] + x[3] * x[3]) + 9.8 * x[1];
+    EXPECT_NEAR(energy, 9.8 * reach * std::cos(start), 1e-4);
+  }
+  const std::vector<double> leaving = run.State(run.simulator.touches().back().step);
+  EXPECT_NEAR(leaving[1] / reach, 2.0 / 3 * std::cos(start), 0.003) << "one step changes it by 0.0026";
+}
+
+// Two discs pushed against each other off their line of centres: momentum, and no overlap.
+TEST(EventRest, PushedDiscsTurnAroundEachOther) {
+  Scene scene;
+  scene.steps = 40;
+  scene.bodies = {{.name = "a", .radius = 0.2, .mass = 1, .position = {0, 0}},
+                  {.name = "b", .radius = 0.2, .mass = 2, .position = {0.4, 0}}};
+  scene.contact.restitution = 0.5;
+  scene.control = {{0, 1}, {Vec2d(3, 0.2), Vec2d(-1, 0)}};
+  for (double friction : {0.0, 0.05, 0.5}) {
+    scene.contact.friction = friction;
+    EventRun run(scene);
+    for (int k = 0; k <= scene.steps; ++k) {
+      const std::vector<double> x = run.State(k);
+      EXPECT_GT(std::hypot(x[0] - x[4], x[1] - x[5]), 0.4 - 1e-9);
+      EXPECT_NEAR(x[2] + 2 * x[6], 2 * k / 40.0, 1e-12);
+      EXPECT_NEAR(x[3] + 2 * x[7], 0.2 * k / 40.0, 1e-12);
+    }
+  }
+}
+
+TEST(EventSimultaneous, NewtonsCradle) {
+  Scene scene;
+  scene.steps = 3;
+  for (int i = 0; i < 5; ++i) {
+    scene.bodies.push_back(
+        {.name = std::string(1, 'a' + i), .radius = 0.1, .position = {0.2 * i, 0}, .velocity = {0, 0}});
+  }
+  scene.bodies[0].position[0] = -0.3;
+  scene.bodies[0].velocity[0] = 1;
+  EventRun run(scene);
+  const std::vector<double> end = run.End();
+  for (int i = 0; i < 4; ++i) EXPECT_NEAR(end[4 * i + 2], 0, 1e-12);
+  EXPECT_NEAR(end[4 * 4 + 2], 1, 1e-12);
+  EXPECT_NEAR(end[4 * 4], 0.8 + 0.7, 1e-12);
+
+  // Mirrored: the last hits the first.
+  for (int i = 0; i < 5; ++i) {
+    scene.bodies[i].position = {0.2 * i, 0};
+    scene.bodies[i].velocity = {0, 0};
+  }
+  scene.bodies[4].position[0] = 1.1;
+  scene.bodies[4].velocity[0] = -1;
+  const std::vector<double> mirrored = EventRun(scene).End();
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_NEAR(mirrored[4 * i], 0.8 - end[4 * (4 - i)], 1e-12);
+    EXPECT_NEAR(mirrored[4 * i + 2], -end[4 * (4 - i) + 2], 1e-12);
+  }
+}
+
+TEST(EventSimultaneous, CornerOfTwoPlanes) {
+  Scene scene;
+  scene.steps = 5;
+  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {0.6, 0.6}, .velocity = {-1, -1}}};
+  scene.planes = {kGround, {"wall", {0, 0}, {1, 0}}};
+  scene.contact.restitution = 0.7;
+  EventRun run(scene);
+  const std::vector<double> end = run.End();
+  EXPECT_NEAR(end[0], 0.1 + 0.7 * 0.5, 1e-12);
+  EXPECT_NEAR(end[1], 0.1 + 0.7 * 0.5, 1e-12);
+  EXPECT_NEAR(end[2], 0.7, 1e-12);
+  EXPECT_NEAR(end[3], 0.7, 1e-12);
+  EXPECT_EQ(run.simulator.touches().size(), 2u);
+  EXPECT_NEAR(run.GradientOf(0).initial[0], -0.7, 1e-12);
+  EXPECT_NEAR(run.GradientOf(0).initial[1], 0, 1e-12);
+}
+
+TEST(EventGrazing, IsFlaggedAndFinite) {
+  // Along the ground, and past a disc, with the gap closing to zero exactly and to within rounding.
+  for (double dip : {0.0, 1e-16, -1e-16, 1e-12, -1e-12}) {
+    Scene scene;
+    scene.steps = 4;
+    scene.bodies = {{.name = "a", .radius = 0.1, .position = {-1, 0.5 + dip}, .velocity = {2, 0}},
+                    {.name = "b", .radius = 0.4, .position = {0, 0}}};
+    scene.contact.friction = 0.3;
+    EventRun run(scene);
+    const std::vector<double> end = run.End();
+    EXPECT_NEAR(end[0], 1, 1e-5);
+    EXPECT_NEAR(end[3], 0, 1e-5);
+    const Sensitivity gradient = run.GradientOf(1);
+    for (double derivative : gradient.initial) EXPECT_TRUE(std::isfinite(derivative));
+    for (const StepTouch& touch : run.simulator.touches()) {
+      if (touch.touch.kind != ContactKind::kGrazing) continue;
+      EXPECT_NEAR(gradient.initial[1], 1, 1e-12) << "that of the side which does not touch";
+    }
+  }
+}
+
+}  // namespace
+}  // namespace saltus
