@@ -13,21 +13,9 @@
 namespace saltus {
 namespace {
 
-// The gradient with respect to forces held over `intervals` intervals: the sum over the steps of each.
-std::vector<double> Coarsen(const std::vector<double>& control, int steps, int intervals) {
-  CHECK_EQ(steps % intervals, 0);
-  const size_t width = steps > 0 ? control.size() / steps : 0;
-  std::vector<double> coarse(width * intervals, 0.0);
-  for (size_t i = 0; i < control.size(); ++i) {
-    const size_t step = i / width;
-    coarse[step / (steps / intervals) * width + i % width] += control[i];
-  }
-  return coarse;
-}
-
 Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
   std::vector<double> all = gradient.gradient.initial;
-  const std::vector<double> control = Coarsen(gradient.gradient.control, gradient.num_steps, intervals);
+  const std::vector<double> control = CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals);
   all.insert(all.end(), control.begin(), control.end());
   return Eigen::Map<Eigen::VectorXd>(all.data(), all.size());
 }
@@ -55,6 +43,17 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
 }
 
 }  // namespace
+
+std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals) {
+  CHECK_EQ(steps % intervals, 0);
+  const size_t width = steps > 0 ? control.size() / steps : 0;
+  std::vector<double> coarse(width * intervals, 0.0);
+  for (size_t i = 0; i < control.size(); ++i) {
+    const size_t step = i / width;
+    coarse[step / (steps / intervals) * width + i % width] += control[i];
+  }
+  return coarse;
+}
 
 GradientError CompareGradients(const ModelGradient& gradient, const ModelGradient& exact) {
   CHECK(gradient.ok() && exact.ok());

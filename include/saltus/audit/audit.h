@@ -21,6 +21,10 @@ struct GradientError {
 // Precondition: both are ok and of the same scene; the control grid of one is a refinement of the other's.
 GradientError CompareGradients(const ModelGradient& gradient, const ModelGradient& exact);
 
+// The gradient with respect to forces held over `intervals` equal parts of the horizon: the sum over the steps of each.
+// `control` is K x C x 2 with K = steps, a multiple of `intervals`.
+std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals);
+
 struct ModelAudit {
   ModelGradient gradient;
   std::optional<GradientError> error;  // if there is a gradient and a reference

@@ -1,0 +1,83 @@
+// How the error of a model's gradient behaves when its time steps are refined: the ground of every verdict.
+//
+// A single number cannot tell a gradient that is inexact because steps are finite from one that is wrong whatever the
+// step. So the gradient is computed at several levels of refinement, each with twice the steps of the one before. Its
+// error also depends on where in a step an impact falls; a level therefore stands for several neighbouring step counts,
+// and its error is their median. The observed order is the slope of log(error) against log(step) over the finer levels.
+//
+//   right        within 1e-6 at every step count
+//   consistent   the error falls with the step throughout, with an order of at least a half
+//   wrong        it does not
+//   wrong sign   wrong, and an entry that is not negligible has the wrong sign
+//
+// Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
+// wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
+//
+// Gradients by the control are compared as those by forces held over `intervals` equal parts of the horizon, so that
+// all step counts have the same reference. The study computes in double whatever the scene is simulated in.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/audit/gradients.h"
+
+namespace saltus {
+
+enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown };
+const char* VerdictToString(Verdict verdict);  // "right", "consistent", "wrong", "wrong sign", "unknown"
+// kWrong or kWrongSign.
+bool IsWrong(Verdict verdict);
+
+// A part of the gradient whose entries have one unit, judged on its own.
+enum class Quantity { kPosition, kVelocity, kControl, kRestitution, kFriction, kMass, kGravity };
+const char* QuantityToString(Quantity quantity);
+
+// Names of the entries of a quantity, and the entries themselves: two for each disc that moves (position, velocity),
+// two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), or one number.
+// Precondition: the gradient's number of steps is a multiple of `intervals`.
+std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
+std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
+
+struct RefinementOptions {
+  int levels = 7;               // at least 4 are run
+  int most_levels = 11;         // run as long as the error falls but is large, so that it may yet come to a rest
+  int samples = 9;              // step counts per level
+  double tolerance = 1e-6;      // relative error of a right gradient
+  double smallest_order = 0.5;  // of a consistent one
+  double budget = 1e7;          // steps times discs of one level; finer ones than the fourth are left out above it
+};
+
+struct RefinementLevel {
+  double steps = 0;  // geometric mean of the step counts
+  double error = 0;  // median over the step counts, relative to the exact norm
+  double smallest = 0, largest = 0;
+};
+
+struct QuantityStudy {
+  Quantity quantity = Quantity::kPosition;
+  Verdict verdict = Verdict::kUnknown;
+  double order = 0;                      // observed over the finer levels; 0 if errors are mere rounding
+  std::vector<RefinementLevel> levels;   // from coarse to fine
+  std::vector<double> exact;             // entries as of EntryNames
+  std::vector<double> finest;            // medians over the finest level: what the model converges to
+  std::vector<std::string> wrong_signs;  // entries that are wrong in sign, at the scene's own steps or at the finest
+};
+
+struct RefinementStudy {
+  std::string reason;  // why there is none: no exact gradient, or a rollout that is not finite
+  int intervals = 0;
+  std::vector<QuantityStudy> quantities;  // those that the scene has
+  // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that
+  // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter.
+  Verdict verdict = Verdict::kUnknown;
+
+  bool ok() const { return reason.empty(); }
+  const QuantityStudy* Find(Quantity quantity) const;
+};
+
+// Precondition: the model can take the scene.
+RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {});
+
+}  // namespace saltus

@@ -1,0 +1,340 @@
+#include "saltus/audit/refinement.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "saltus/audit/audit.h"
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+namespace {
+
+// Errors below this are rounding: they need not fall.
+constexpr double kRounding = 1e-9;
+// Entries smaller than this, relative to the largest of their quantity, may have any sign.
+constexpr double kNegligible = 1e-3;
+
+std::vector<Quantity> QuantitiesOf(const Scene& scene) {
+  std::vector<Quantity> quantities = {Quantity::kPosition, Quantity::kVelocity};
+  if (scene.num_controlled() > 0) quantities.push_back(Quantity::kControl);
+  quantities.push_back(Quantity::kRestitution);
+  // At zero the loss has only a right derivative with respect to friction.
+  if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
+  quantities.push_back(Quantity::kMass);
+  quantities.push_back(Quantity::kGravity);
+  return quantities;
+}
+
+double Norm(const std::vector<double>& entries) {
+  double sum = 0;
+  for (double entry : entries) sum += entry * entry;
+  return std::sqrt(sum);
+}
+
+double Largest(const std::vector<double>& entries) {
+  double largest = 0;
+  for (double entry : entries) largest = std::max(largest, std::abs(entry));
+  return largest;
+}
+
+double Distance(const std::vector<double>& a, const std::vector<double>& b) {
+  std::vector<double> difference(a.size());
+  std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());
+  return Norm(difference);
+}
+
+double Median(std::vector<double> values) {
+  const auto middle = values.begin() + values.size() / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// The control is compared over at most eight parts of the horizon, each of several steps.
+int NumIntervals(const Scene& scene) {
+  int intervals = 1;
+  while (intervals < 8 && scene.steps >= 32 * intervals) intervals *= 2;
+  return intervals;
+}
+
+// -d log(error) / d log(steps) over the levels from `first` on, by least squares.
+double FitOrder(const std::vector<RefinementLevel>& levels, size_t first) {
+  double sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
+  const double n = static_cast<double>(levels.size() - first);
+  for (size_t i = first; i < levels.size(); ++i) {
+    const double x = std::log(levels[i].steps), y = std::log(std::max(levels[i].error, kRounding));
+    sum_x += x;
+    sum_y += y;
+    sum_xx += x * x;
+    sum_xy += x * y;
+  }
+  return -(n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x);
+}
+
+// Entries that contradict the exact ones in sign; neither side may be negligible.
+std::vector<std::string> FindWrongSigns(const std::vector<std::string>& names, const std::vector<double>& exact,
+                                        const std::vector<double>& own, const std::vector<double>& finest) {
+  const double negligible = kNegligible * Largest(exact);
+  std::vector<std::string> wrong;
+  for (size_t i = 0; i < exact.size(); ++i) {
+    if (std::abs(exact[i]) <= negligible) continue;
+    const auto contradicts = [&](double value) { return value * exact[i] < 0 && std::abs(value) > negligible; };
+    if (contradicts(own[i]) || contradicts(finest[i])) wrong.push_back(names[i]);
+  }
+  return wrong;
+}
+
+// Before that no floor can be told from slow convergence.
+constexpr double kSettled = 0.01;
+// Orders are fitted over this many of the finest levels.
+constexpr size_t kTail = 4;
+
+void Judge(const RefinementOptions& options, QuantityStudy* study) {
+  const std::vector<RefinementLevel>& levels = study->levels;
+  double largest = 0;
+  for (const RefinementLevel& level : levels) largest = std::max(largest, level.largest);
+  study->order = largest > kRounding ? FitOrder(levels, levels.size() - kTail) : 0;
+  if (largest <= options.tolerance) {
+    study->verdict = Verdict::kRight;
+  } else if (std::min(study->order, FitOrder(levels, 0)) >= options.smallest_order) {
+    study->verdict = Verdict::kConsistent;
+  } else {
+    study->verdict = study->wrong_signs.empty() ? Verdict::kWrong : Verdict::kWrongSign;
+  }
+}
+
+// An error that falls may yet come to rest above zero, as that of a stiff spring does.
+bool MayHaveAFloor(const QuantityStudy& study) {
+  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
+}
+
+bool EntersTheVerdict(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
+}
+
+Verdict Overall(const RefinementStudy& study) {
+  Verdict worst = Verdict::kRight;
+  for (const QuantityStudy& quantity : study.quantities) {
+    if (quantity.quantity == Quantity::kPosition || quantity.quantity == Quantity::kVelocity) {
+      worst = std::max(worst, quantity.verdict);
+    } else if (quantity.quantity == Quantity::kControl && IsWrong(quantity.verdict)) {
+      worst = std::max(worst, Verdict::kWrong);
+    }
+  }
+  return worst;
+}
+
+// Adds one level after the other to a study.
+class Study {
+ public:
+  Study(std::string_view contact, const Scene& scene, const RefinementOptions& options, RefinementStudy* out)
+      : contact_(contact), scene_(scene), options_(options), out_(*out) {
+    out_.intervals = NumIntervals(scene);
+    unit_ = out_.intervals * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+    Scene coarse = scene;
+    coarse.steps = out_.intervals;
+    const std::optional<ModelGradient> exact = ExactGradientOf(coarse);
+    if (!exact) {
+      out_.reason = "there is no exact gradient";
+      return;
+    }
+    for (Quantity quantity : QuantitiesOf(scene)) {
+      QuantityStudy& added = out_.quantities.emplace_back();
+      added.quantity = quantity;
+      added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);
+      // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
+      scales_.push_back(std::max(Norm(added.exact), 1e-6 * std::max(1.0, std::abs(exact->loss))));
+    }
+  }
+
+  // Steps times discs.
+  double CostOf(int level) const {
+    return std::ldexp(double(scene_.steps), level) * options_.samples * scene_.num_bodies();
+  }
+
+  bool Undecided() const {
+    return std::any_of(out_.quantities.begin(), out_.quantities.end(), [](const QuantityStudy& study) {
+      return EntersTheVerdict(study.quantity) && MayHaveAFloor(study);
+    });
+  }
+
+  // False, with the reason in the study, if a rollout is not finite.
+  bool AddLevel(int level) {
+    const int base = std::max(1, scene_.steps / unit_) << level;
+    std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
+    double log_steps = 0;
+    for (int sample = 0; sample < options_.samples; ++sample) {
+      Scene refined = scene_;
+      refined.steps = unit_ * (base + sample);
+      log_steps += std::log(refined.steps) / options_.samples;
+      const ModelGradient gradient = ComputeGradient(contact_, refined, Precision::kDouble);
+      if (!gradient.ok()) {
+        out_.reason = "with " + std::to_string(refined.steps) + " steps, " + gradient.reason;
+        return false;
+      }
+      for (size_t q = 0; q < entries.size(); ++q) {
+        entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
+      }
+    }
+    for (size_t q = 0; q < entries.size(); ++q) Record(std::exp(log_steps), entries[q], scales_[q], level, q);
+    return true;
+  }
+
+ private:
+  void Record(double steps, const std::vector<std::vector<double>>& samples, double scale, int level, size_t q) {
+    QuantityStudy& study = out_.quantities[q];
+    std::vector<double> errors;
+    for (const std::vector<double>& entries : samples) errors.push_back(Distance(entries, study.exact) / scale);
+    const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
+    study.levels.push_back({steps, Median(errors), *smallest, *largest});
+    study.finest.clear();
+    for (size_t entry = 0; entry < study.exact.size(); ++entry) {
+      std::vector<double> values;
+      for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
+      study.finest.push_back(Median(values));
+    }
+    if (level == 0) coarsest_.push_back(samples.front());
+    study.wrong_signs =
+        FindWrongSigns(EntryNames(scene_, study.quantity, out_.intervals), study.exact, coarsest_[q], study.finest);
+    if (study.levels.size() >= kTail) Judge(options_, &study);
+  }
+
+  std::string contact_;
+  const Scene& scene_;
+  const RefinementOptions& options_;
+  RefinementStudy& out_;
+  int unit_ = 1;
+  std::vector<double> scales_;
+  std::vector<std::vector<double>> coarsest_;
+};
+
+}  // namespace
+
+const char* VerdictToString(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+      return "right";
+    case Verdict::kConsistent:
+      return "consistent";
+    case Verdict::kWrong:
+      return "wrong";
+    case Verdict::kWrongSign:
+      return "wrong sign";
+    case Verdict::kUnknown:
+      return "unknown";
+  }
+  LOG(FATAL) << "no such verdict";
+}
+
+bool IsWrong(Verdict verdict) { return verdict == Verdict::kWrong || verdict == Verdict::kWrongSign; }
+
+const char* QuantityToString(Quantity quantity) {
+  switch (quantity) {
+    case Quantity::kPosition:
+      return "position";
+    case Quantity::kVelocity:
+      return "velocity";
+    case Quantity::kControl:
+      return "control";
+    case Quantity::kRestitution:
+      return "restitution";
+    case Quantity::kFriction:
+      return "friction";
+    case Quantity::kMass:
+      return "mass";
+    case Quantity::kGravity:
+      return "gravity";
+  }
+  LOG(FATAL) << "no such quantity";
+}
+
+std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals) {
+  std::vector<std::string> names;
+  const auto add_vector = [&](const std::string& prefix, const std::string& suffix) {
+    names.push_back(prefix + "x" + suffix);
+    names.push_back(prefix + "y" + suffix);
+  };
+  switch (quantity) {
+    case Quantity::kPosition:
+    case Quantity::kVelocity:
+      for (const Body& body : scene.bodies) {
+        if (!body.fixed) add_vector(quantity == Quantity::kPosition ? "p" : "v", " " + body.name);
+      }
+      break;
+    case Quantity::kControl:
+      for (int k = 0; k < intervals; ++k) {
+        for (int body : scene.control.bodies) {
+          add_vector("u", "[" + std::to_string(k) + "] " + scene.bodies[body].name);
+        }
+      }
+      break;
+    case Quantity::kMass:
+      for (const Body& body : scene.bodies) {
+        if (!body.fixed) names.push_back("mass " + body.name);
+      }
+      break;
+    case Quantity::kGravity:
+      add_vector("g", "");
+      break;
+    case Quantity::kRestitution:
+    case Quantity::kFriction:
+      names.push_back(QuantityToString(quantity));
+      break;
+  }
+  return names;
+}
+
+std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals) {
+  const Sensitivity& g = gradient.gradient;
+  std::vector<double> entries;
+  switch (quantity) {
+    case Quantity::kPosition:
+    case Quantity::kVelocity:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        const int at = 4 * i + (quantity == Quantity::kVelocity ? 2 : 0);
+        if (!scene.bodies[i].fixed) entries.insert(entries.end(), {g.initial[at], g.initial[at + 1]});
+      }
+      break;
+    case Quantity::kControl:
+      entries = CoarsenControl(g.control, gradient.num_steps, intervals);
+      break;
+    case Quantity::kRestitution:
+      entries = {g.parameters.restitution};
+      break;
+    case Quantity::kFriction:
+      entries = {g.parameters.friction};
+      break;
+    case Quantity::kMass:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        if (!scene.bodies[i].fixed) entries.push_back(i < int(g.parameters.mass.size()) ? g.parameters.mass[i] : 0.0);
+      }
+      break;
+    case Quantity::kGravity:
+      entries = {g.parameters.gravity[0], g.parameters.gravity[1]};
+      break;
+  }
+  return entries;
+}
+
+const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
+  for (const QuantityStudy& study : quantities) {
+    if (study.quantity == quantity) return &study;
+  }
+  return nullptr;
+}
+
+RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options) {
+  RefinementStudy study;
+  Study run(contact, scene, options, &study);
+  if (!study.ok()) return study;
+  const int levels = std::max<int>(options.levels, kTail);
+  for (int level = 0; level < levels || (level < options.most_levels && run.Undecided()); ++level) {
+    if (level >= static_cast<int>(kTail) && run.CostOf(level) > options.budget) break;
+    if (!run.AddLevel(level)) return study;
+  }
+  study.verdict = Overall(study);
+  return study;
+}
+
+}  // namespace saltus
