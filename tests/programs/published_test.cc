@@ -24,7 +24,8 @@ class Published : public testing::Test {
       ++seen;
       const std::string name = row.problem + " " + row.contact + " " + row.quantity;
       ASSERT_TRUE(row.ours) << name << " is not computed";
-      if (row.IsJudged()) EXPECT_NEAR(*row.ours, row.expected, row.tolerance) << name;
+      if (!row.IsJudged()) continue;
+      EXPECT_NEAR(*row.ours, row.expected, row.tolerance) << name;
     }
     EXPECT_EQ(seen, count);
   }
