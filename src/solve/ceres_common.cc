@@ -8,7 +8,7 @@ namespace {
 bool GradientVanished(std::span<const ceres::IterationSummary> iterations) {
   double largest = 0;
   for (const ceres::IterationSummary& iteration : iterations) largest = std::max(largest, iteration.gradient_max_norm);
-  return iterations.back().gradient_max_norm <= std::max(kGradientTolerance, 1e-6 * largest);
+  return iterations.back().gradient_max_norm <= std::max(kGradientTolerance, kGradientReduction * largest);
 }
 
 Termination Judge(const CeresOutcome& outcome) {
@@ -22,6 +22,12 @@ Termination Judge(const CeresOutcome& outcome) {
 }
 
 }  // namespace
+
+double GivenEffort(const SingleShooting& shooting) {
+  const Scene& scene = shooting.scene();
+  if (scene.optimize == Optimize::kControl) return 0;
+  return EffortLoss(scene.objective, shooting.ControlAt(shooting.initial_guess()), shooting.simulator().step());
+}
 
 bool RecordIteration::Record(const ceres::IterationSummary& summary) {
   if (summary.iteration == 0 || summary.step_is_successful) last_ = loss_(summary.cost);

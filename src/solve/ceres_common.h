@@ -4,6 +4,7 @@
 #include <ceres/iteration_callback.h>
 #include <ceres/types.h>
 
+#include <functional>
 #include <span>
 #include <string>
 
@@ -17,6 +18,9 @@ inline constexpr double kGradientTolerance = 1e-10;
 inline constexpr double kFunctionTolerance = 1e-16;
 inline constexpr double kParameterTolerance = 1e-15;
 
+// A gradient has vanished if it is below kGradientTolerance, or this part of the largest one met.
+inline constexpr double kGradientReduction = 1e-6;
+
 // From what Ceres minimizes to the loss.
 struct LossOfCost {
   double scale = 1;
@@ -28,15 +32,15 @@ struct LossOfCost {
 // Ceres, keeping its iterate, when told to.
 class RecordIteration final : public ceres::IterationCallback {
  public:
-  // `z` is what Ceres updates in every iteration.
-  RecordIteration(SolveRun* run, const LossOfCost& loss, const std::vector<double>* z)
-      : run_(run), loss_(loss), z_(z) {}
+  // `z` is what Ceres updates in every iteration; `loss` gives the loss of an accepted step from its cost.
+  RecordIteration(SolveRun* run, std::function<double(double cost)> loss, const std::vector<double>* z)
+      : run_(run), loss_(std::move(loss)), z_(z) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override;
   bool Record(const ceres::IterationSummary& summary);
 
  private:
   SolveRun* run_;
-  LossOfCost loss_;
+  std::function<double(double)> loss_;
   const std::vector<double>* z_;
   double last_ = 0;
 };
@@ -49,8 +53,11 @@ struct CeresOutcome {
   bool failure_is_stall;  // FAILURE at a later iterate means that no descent was found
 };
 
+// The effort of a control that is not optimized: a constant that Ceres does not see.
+double GivenEffort(const SingleShooting& shooting);
+
 // Of a run that ends at z: records what the callback was not shown and writes the report. Converged means that the
-// gradient has vanished: it is below kGradientTolerance, or 1e-6 of the largest one met. A tolerance on steps or losses
+// gradient has vanished. A tolerance on steps or losses
 // says no such thing: where the loss has a kink, steps shrink until it is met.
 SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 

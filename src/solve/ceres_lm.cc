@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "ceres_common.h"
+#include "saltus/control/objective_cost.h"
 
 namespace saltus {
 namespace {
@@ -24,9 +25,9 @@ std::vector<int> BlockSizes(int num_variables) {
 }
 
 // The terminal residuals, as one vector, as a function of all variables.
-class TerminalCost final : public ceres::CostFunction {
+class ShootingCost final : public ceres::CostFunction {
  public:
-  TerminalCost(SingleShooting* shooting, const std::vector<int>& block_sizes)
+  ShootingCost(SingleShooting* shooting, const std::vector<int>& block_sizes)
       : shooting_(shooting),
         z_(shooting->num_variables()),
         residuals_(NumTerminalResiduals(shooting->scene().objective)),
@@ -81,28 +82,8 @@ class TerminalCost final : public ceres::CostFunction {
   mutable int num_jacobians_ = 0;
 };
 
-// scale * u.
-class EffortCost final : public ceres::CostFunction {
- public:
-  EffortCost(double scale, int size) : scale_(scale) {
-    set_num_residuals(size);
-    mutable_parameter_block_sizes()->push_back(size);
-  }
-
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    for (int i = 0; i < num_residuals(); ++i) residuals[i] = scale_ * parameters[0][i];
-    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
-    std::fill_n(jacobians[0], num_residuals() * num_residuals(), 0.0);
-    for (int i = 0; i < num_residuals(); ++i) jacobians[0][i * num_residuals() + i] = scale_;
-    return true;
-  }
-
- private:
-  double scale_;
-};
-
 // Adds the residuals of the scene's objective at z, which must outlive the problem.
-const TerminalCost* AddResiduals(SingleShooting* shooting, std::vector<double>* z, ceres::Problem* problem) {
+const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* z, ceres::Problem* problem) {
   const std::vector<int> sizes = BlockSizes(shooting->num_variables());
   std::vector<double*> blocks;
   double* next = z->data();
@@ -110,7 +91,7 @@ const TerminalCost* AddResiduals(SingleShooting* shooting, std::vector<double>* 
     blocks.push_back(next);
     next += size;
   }
-  auto* terminal = new TerminalCost(shooting, sizes);  // owned by the problem
+  auto* terminal = new ShootingCost(shooting, sizes);  // owned by the problem
   problem->AddResidualBlock(terminal, nullptr, blocks);
 
   const Scene& scene = shooting->scene();
@@ -153,14 +134,9 @@ SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& opt
     return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
   ceres::Problem problem;
-  const TerminalCost* terminal = AddResiduals(&run.shooting(), &z, &problem);
+  const ShootingCost* terminal = AddResiduals(&run.shooting(), &z, &problem);
 
-  // Ceres minimizes half the sum of squares; the effort of a control that is not optimized is a constant.
-  LossOfCost loss{.scale = 2};
-  const Scene& scene = request.scene;
-  if (scene.optimize != Optimize::kControl) {
-    loss.offset = EffortLoss(scene.objective, run.shooting().ControlAt(z), run.shooting().simulator().step());
-  }
+  const LossOfCost loss{.scale = 2, .offset = GivenEffort(run.shooting())};  // Ceres minimizes half the sum of squares
   RecordIteration record(&run, loss, &z);
   ceres::Solver::Options ceres_options = LeastSquaresOptions(options, problem.NumParameterBlocks());
   ceres_options.callbacks = {&record};

@@ -2,8 +2,10 @@
 
 #include <glog/logging.h>
 
+#include "ceres_lagrangian.h"
 #include "ceres_lbfgs.h"
 #include "ceres_lm.h"
+#include "ceres_shooting.h"
 #include "gradient_descent.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
@@ -26,6 +28,8 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent},
       {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotSingleShooting, SolveByCeresLbfgs},
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
+      {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
+      {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
   };
   // clang-format on
   return solvers;

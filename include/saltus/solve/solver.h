@@ -48,6 +48,9 @@ struct SolveReport {
   int iterations = 0;
   int evaluations = 0;  // gradients (or Jacobians) computed
   double seconds = 0;
+  // Step shooting: of each step, the largest component of its defect (m or m/s); one vector each time that defects were
+  // looked at, the last one at the solution. The loss is that of a rollout, whatever they are.
+  std::vector<std::vector<double>> defects;
   std::vector<double> initial_state;  // B x 4
   std::vector<double> control;        // K x C x 2
 };

@@ -1,0 +1,58 @@
+// Step shooting: the states between steps are variables too, and each step of the simulator is a cost of its own.
+//
+//   variables   states x_0 .. x_K and forces u_0 .. u_{K-1} of K steps
+//   defects     c_k = x_{k+1} - f(x_k, u_k), to be closed: zero of all of them is one rollout
+//   residuals   those of the terminal terms at x_K, and sqrt(effort dt) u_k
+//
+// Ceres knows no equality constraints. How the defects are closed is for solvers to decide; they add the costs for it
+// (see step_cost.h).
+#pragma once
+
+#include <ceres/problem.h>
+
+#include <span>
+#include <vector>
+
+#include "saltus/control/single_shooting.h"
+
+namespace saltus {
+
+class StepShooting {
+ public:
+  // States and forces are those of the last rollout of `shooting`, which was at its initial guess and must outlive the
+  // object. The objective must be a sum of squares.
+  explicit StepShooting(const SingleShooting* shooting);
+
+  const SingleShooting& shooting() const { return *shooting_; }
+  const Simulator& simulator() const { return shooting_->simulator(); }
+  int num_steps() const { return simulator().num_steps(); }
+  int state_size() const { return simulator().state_size(); }
+
+  double* State(int k) { return &states_[static_cast<size_t>(k) * state_size()]; }
+  // The parameter blocks of a StepCost of step k.
+  std::vector<double*> StepBlocks(int k);
+
+  // The decision variables of single shooting among the variables.
+  std::vector<double> Decisions() const;
+
+  // Adds the effort, unless the forces are given. The terminal cost is left to the caller.
+  void AddEffort(ceres::Problem* problem);
+
+  // Holds constant what is not to be optimized. Precondition: all steps have been added to the problem.
+  void HoldConstants(ceres::Problem* problem);
+
+ private:
+  const SingleShooting* shooting_;
+  std::vector<double> states_;   // (K + 1) x state size
+  std::vector<double> control_;  // K x C x 2
+  std::vector<int> free_;        // indices in x_0 of the decision variables, unless these are forces
+};
+
+// The states of the simulator's last rollout, (K + 1) x state size.
+std::vector<double> StatesOf(const Simulator& simulator);
+
+// Of each step, the largest component of its defect, m or m/s. `states` is (K + 1) x state size.
+std::vector<double> LargestDefects(const Simulator& simulator, std::span<const double> states,
+                                   std::span<const double> control);
+
+}  // namespace saltus

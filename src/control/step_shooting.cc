@@ -1,0 +1,83 @@
+#include "saltus/control/step_shooting.h"
+
+#include <ceres/manifold.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "saltus/control/objective_cost.h"
+
+namespace saltus {
+
+StepShooting::StepShooting(const SingleShooting* shooting)
+    : shooting_(shooting),
+      states_(StatesOf(shooting->simulator())),
+      control_(shooting->ControlAt(shooting->initial_guess())) {
+  const Scene& scene = shooting->scene();
+  if (scene.optimize != Optimize::kVelocity && scene.optimize != Optimize::kPosition) return;
+  const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;
+  for (int body : scene.free) {
+    for (int j = 0; j < 2; ++j) free_.push_back(body * simulator().body_size() + offset + j);
+  }
+}
+
+std::vector<double*> StepShooting::StepBlocks(int k) {
+  const int forces = 2 * simulator().num_controlled();
+  if (forces == 0) return {State(k), State(k + 1)};
+  return {State(k), &control_[static_cast<size_t>(k) * forces], State(k + 1)};
+}
+
+std::vector<double> StepShooting::Decisions() const {
+  if (shooting_->scene().optimize == Optimize::kControl) return control_;
+  std::vector<double> z;
+  for (int index : free_) z.push_back(states_[index]);
+  return z;
+}
+
+void StepShooting::AddEffort(ceres::Problem* problem) {
+  const Scene& scene = shooting_->scene();
+  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
+  const double scale = std::sqrt(scene.objective.effort * simulator().step());
+  const int forces = 2 * simulator().num_controlled();
+  for (int k = 0; k < num_steps(); ++k) {
+    problem->AddResidualBlock(new EffortCost(scale, forces), nullptr, StepBlocks(k)[1]);
+  }
+}
+
+void StepShooting::HoldConstants(ceres::Problem* problem) {
+  if (shooting_->scene().optimize == Optimize::kControl) {
+    problem->SetParameterBlockConstant(State(0));
+    return;
+  }
+  std::vector<int> held;
+  for (int i = 0; i < state_size(); ++i) {
+    if (std::find(free_.begin(), free_.end(), i) == free_.end()) held.push_back(i);
+  }
+  problem->SetManifold(State(0), new ceres::SubsetManifold(state_size(), held));
+  if (simulator().num_controlled() == 0) return;
+  for (int k = 0; k < num_steps(); ++k) problem->SetParameterBlockConstant(StepBlocks(k)[1]);
+}
+
+std::vector<double> StatesOf(const Simulator& simulator) {
+  const size_t size = simulator.state_size();
+  std::vector<double> states((simulator.num_steps() + 1) * size);
+  for (int k = 0; k <= simulator.num_steps(); ++k) simulator.GetState(k, {&states[k * size], size});
+  return states;
+}
+
+std::vector<double> LargestDefects(const Simulator& simulator, std::span<const double> states,
+                                   std::span<const double> control) {
+  const size_t size = simulator.state_size();
+  std::vector<double> force(2 * simulator.num_bodies()), next(size), largest(simulator.num_steps());
+  for (int k = 0; k < simulator.num_steps(); ++k) {
+    simulator.ExpandForce(control, k, force);
+    simulator.Step(states.subspan(k * size, size), force, next);
+    for (size_t i = 0; i < size; ++i) {
+      const double defect = std::abs(states[(k + 1) * size + i] - next[i]);
+      if (!(defect <= largest[k])) largest[k] = defect;  // so that one that is not a number is seen
+    }
+  }
+  return largest;
+}
+
+}  // namespace saltus
