@@ -7,6 +7,7 @@
 #include "ceres_lm.h"
 #include "ceres_shooting.h"
 #include "gradient_descent.h"
+#include "grid_solver.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -30,6 +31,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
+      {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum},
   };
   // clang-format on
   return solvers;

@@ -1,0 +1,60 @@
+#include "grid_solver.h"
+
+#include <cmath>
+#include <optional>
+#include <sstream>
+
+#include "saltus/dynamics/registry.h"
+#include "saltus/exact/grid_optimum.h"
+#include "solve_run.h"
+
+namespace saltus {
+namespace {
+
+std::optional<GridOptimum> FindBest(const Scene& scene, std::string* why_not) {
+  std::optional<GridOptimum> best;
+  for (const TwoDiscSequence sequence : {TwoDiscSequence::kImpactThenPlane, TwoDiscSequence::kImpact}) {
+    const std::optional<GridOptimum> found = FindGridOptimum(scene, sequence, why_not);
+    if (found && (!best || found->loss < best->loss)) best = found;
+  }
+  return best;
+}
+
+std::string Describe(const GridOptimum& optimum) {
+  std::ostringstream text;
+  text << "impact on node " << optimum.node << " at " << optimum.impact_time
+       << " s; one-sided gradients balance at theta " << optimum.theta << ", to " << optimum.residual;
+  return text.str();
+}
+
+}  // namespace
+
+std::string WhyNotGridOptimum(const SolveRequest& request) {
+  if (!FindContactModel(request.contact)->event_driven) return "the closed form is that of exact event-driven dynamics";
+  if (request.scene.optimize != Optimize::kControl) return "the closed form optimizes a control";
+  std::string why_not;
+  return FindBest(request.scene, &why_not) ? "" : why_not;
+}
+
+SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("grid_optimum", request, options);
+  std::vector<double> z = run.shooting().initial_guess();
+  double loss = 0;
+  if (!run.shooting().Evaluate(z, &loss, nullptr)) {
+    return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
+  }
+  if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);
+
+  const std::optional<GridOptimum> optimum = FindBest(request.scene, nullptr);
+  for (size_t k = 0; k < optimum->control.size(); ++k) {
+    for (int j = 0; j < 2; ++j) z[2 * k + j] = optimum->control[k][j];
+  }
+  if (!run.shooting().Evaluate(z, &loss, nullptr) || !(std::abs(loss - optimum->loss) < 1e-9 * (1 + optimum->loss))) {
+    return run.Finish(run.shooting().initial_guess(), Termination::kFailed, "a rollout contradicts the closed form");
+  }
+  run.Record(loss, z);
+  const bool stationary = optimum->theta >= 0 && optimum->theta <= 1 && optimum->residual < 1e-12;
+  return run.Finish(z, stationary ? Termination::kConverged : Termination::kNoProgress, Describe(*optimum));
+}
+
+}  // namespace saltus

@@ -1,0 +1,18 @@
+// The optimum of one disc that strikes another, on the scene's time grid, in closed form but for two numbers: see
+// saltus/exact/grid_optimum.h. Other solvers stall at any of the nodes around it, each of which is a local minimum.
+#pragma once
+
+#include <string>
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// The best of the collision sequences that the closed form knows (the discs once, then perhaps the second disc on a
+// plane). kConverged means stationary in the sense of Clarke: the two one-sided gradients balance.
+SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options);
+
+// Why the closed form cannot take a request; empty if it can.
+std::string WhyNotGridOptimum(const SolveRequest& request);
+
+}  // namespace saltus
