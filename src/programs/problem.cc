@@ -1,8 +1,10 @@
 #include "programs/problem.h"
 
 #include <filesystem>
+#include <iostream>
 
 #include "programs/audit.h"
+#include "programs/launches.h"
 #include "programs/solve.h"
 
 namespace saltus {
@@ -15,11 +17,18 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     const AuditReport audit = RunAudit(request);
     std::vector<SolvedRun> runs;
     if (!request.solvers.empty() && request.scene.optimize != Optimize::kNone) runs = SolveAll(request);
+    const std::vector<LaunchSolution> launches = FindLaunches(request.scene);
     if (request.json) {
-      PrintJson({{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, runs)}}, request.precision);
+      Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, runs)}};
+      if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
+      PrintJson(document, request.precision);
     } else {
       PrintAuditTable(request, audit);
       if (!runs.empty()) PrintSolveTable(request, runs);
+      if (!launches.empty()) {
+        std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
+                  << LaunchTable(launches).ToText();
+      }
     }
     return std::max(AuditExitCode(request, audit), SolveExitCode(runs));
   });

@@ -1,5 +1,6 @@
 #include "programs/solve.h"
 
+#include <algorithm>
 #include <cmath>
 #include <iostream>
 
@@ -67,6 +68,10 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["iterations"] = report.iterations;
       item["evaluations"] = report.evaluations;
       item["seconds"] = report.seconds;
+      if (!report.defects.empty()) {
+        const std::vector<double>& defects = report.defects.back();
+        item["defect"] = NumberToJson(*std::max_element(defects.begin(), defects.end()));
+      }
     }
     item["termination"] = TerminationToString(report.termination);
     if (!report.reason.empty()) item["reason"] = report.reason;

@@ -60,6 +60,35 @@ TEST(CommandLine, TwoBallsByGradientDescent) {
   EXPECT_TRUE(gradient["parameters"].contains("restitution"));
 }
 
+// Every launch that hits the target; values by an independent search (data/exact_references.json).
+TEST(CommandLine, GroundWallListsEveryLaunchThatHits) {
+  std::ifstream file(SALTUS_SOURCE_DIR "/data/exact_references.json");
+  const json reference = json::parse(file)["task2"];
+  const std::pair<const char*, const char*> cases[] = {{"0", "minima_frictionless"}, {"0.1", "minima_mu0.1"}};
+  for (const auto& [friction, key] : cases) {
+    const Outcome outcome = RunProgram(std::string("ground_wall --contact=event --solver=ceres_lm --json ") +
+                                       "--progress=none --friction=" + friction);
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+    const json document = json::parse(outcome.output);
+    ASSERT_EQ(document["launches"].size(), reference[key].size());
+    double speed_squared = 0;
+    for (const json& launch : document["launches"]) {
+      std::string branch;
+      for (const json& event : launch["events"]) branch += (branch.empty() ? "" : "+") + event["b"].get<std::string>();
+      const json& expected = reference[key][branch.empty() ? "none" : branch];
+      for (int j = 0; j < 2; ++j) {
+        EXPECT_NEAR(launch["velocity"][j].get<double>(), std::stod(expected[j].get<std::string>()), 1e-9) << branch;
+      }
+      EXPECT_EQ(launch["minimum_effort"], branch.empty()) << branch;
+      EXPECT_GT(launch["speed_squared"], speed_squared);
+      speed_squared = launch["speed_squared"];
+    }
+    const json& run = document["solve"]["runs"][0];
+    EXPECT_LT(run["final_loss"], 1e-20);
+    EXPECT_LE(run["iterations"], 15);
+  }
+}
+
 TEST(CommandLine, AnySteps) {
   const Outcome outcome =
       RunProgram("two_balls --contact=direct_toi --solver=none --steps=1000 --json --progress=none");
