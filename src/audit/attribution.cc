@@ -1,0 +1,426 @@
+#include "saltus/audit/attribution.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+#include <optional>
+
+#include "audit/impact_faults.h"
+#include "audit/step_map.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/physics/geometry.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kTouching = 1e-11;  // m, overlap that is none
+constexpr int kLongest = 1024;       // steps of one interval; a contact that lasts longer is cut
+constexpr int kMargin = 2;           // steps by which an interval may grow to find the exact impact
+// How much smaller steps are when asking whether a force is resolved, at most and at least.
+constexpr int kFiner = 32, kLeastFiner = 4;
+constexpr int kMostFineSteps = 8192;
+constexpr double kSmallError = 1e-3;
+// An error stays if so many times the steps leave this part of it; one of first order would fall to an eighth.
+constexpr int kRefinement = 8;
+constexpr double kStays = 0.25;
+
+// Steps [begin, end) of the model and the pairs that touch in them.
+struct Interval {
+  int begin = 0, end = 0;
+  int first_touch = 0, last_touch = 0;
+  std::vector<Candidate> pairs;
+};
+
+class Attributor {
+ public:
+  Attributor(std::string_view contact, const Scene& scene)
+      : contact_(contact), scene_(scene), model_(MakeSimulator(contact, scene, Precision::kDouble)) {}
+
+  Attribution Run();
+
+ private:
+  const Simulator& model() const { return *model_; }
+  double h() const { return model_->step(); }
+
+  std::vector<double> StateAt(int k) const {
+    std::vector<double> x(model_->state_size());
+    model_->GetState(k, x);
+    return x;
+  }
+  // Position and velocity only.
+  std::vector<double> PlainStateAt(int k) const {
+    const std::vector<double> x = StateAt(k);
+    std::vector<double> plain;
+    for (int i = 0; i < model_->num_bodies(); ++i) {
+      plain.insert(plain.end(), x.begin() + i * model_->body_size(), x.begin() + i * model_->body_size() + 4);
+    }
+    return plain;
+  }
+  ForceOfStep ForcesFrom(int begin, int finer = 1) const {
+    return [this, begin, finer](int k, std::span<double> force) {
+      model_->ExpandForce(control_, begin + k / finer, force);
+    };
+  }
+  // The model `contact` over the time of an interval, cut into `steps` of its own steps.
+  std::unique_ptr<Simulator> SimulatorOf(std::string_view contact, const Interval& interval, int steps) const {
+    Scene scene = scene_;
+    scene.duration = (interval.end - interval.begin) * h();
+    scene.steps = steps * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+    return MakeSimulator(contact, scene, Precision::kDouble);
+  }
+
+  std::vector<Interval> FindIntervals() const;
+  bool Overlap(const std::vector<Candidate>& pairs, int k) const;
+  StepMap ExactOver(const Interval& interval, const std::vector<int>* bodies) const;
+  void FindCostates(const std::vector<Interval>& intervals);
+  ContactError Compare(const Interval& interval, const Eigen::VectorXd& costate) const;
+  std::string Why(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                  const std::vector<int>& bodies) const;
+  std::optional<PairImpact> OnlyImpact(const Interval& interval, const StepMap& exact) const;
+  std::string WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                            const std::vector<int>& bodies) const;
+  std::vector<int> MovingBodies(const std::vector<StepTouch>& a, const std::vector<StepTouch>& b) const;
+  double Norm(const Eigen::VectorXd& costate) const;
+  std::string PairName(const Candidate& pair) const;
+  std::string CompareSequences(const std::vector<Interval>& intervals) const;
+
+  std::string contact_;
+  Scene scene_;
+  std::unique_ptr<Simulator> model_;
+  std::string exact_contact_;
+  std::vector<double> initial_, control_;
+  std::vector<Eigen::VectorXd> costates_;  // at the end of each interval
+};
+
+double Attributor::Norm(const Eigen::VectorXd& costate) const {
+  double sum = 0;
+  for (int i = 0; i < costate.size(); ++i) {
+    const double entry = costate[i] / (i % 4 < 2 ? 1.0 : scene_.duration);
+    sum += entry * entry;
+  }
+  return std::sqrt(sum);
+}
+
+std::string Attributor::PairName(const Candidate& pair) const {
+  return scene_.bodies[pair.a].name + " - " + (pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name);
+}
+
+bool Attributor::Overlap(const std::vector<Candidate>& pairs, int k) const {
+  const std::vector<double> x = PlainStateAt(k);
+  const auto position = [&](int i) { return Vec2d(x[4 * i], x[4 * i + 1]); };
+  return std::any_of(pairs.begin(), pairs.end(), [&](const Candidate& pair) {
+    const double radius = scene_.bodies[pair.a].radius;
+    if (pair.plane) {
+      const Plane& plane = scene_.planes[pair.b];
+      return Dot(Vec2d(plane.normal.normalized()), Vec2d(position(pair.a) - plane.point)) < radius - kTouching;
+    }
+    return (position(pair.a) - position(pair.b)).norm() < radius + scene_.bodies[pair.b].radius - kTouching;
+  });
+}
+
+std::vector<Interval> Attributor::FindIntervals() const {
+  const std::vector<StepTouch>& touches = model_->touches();
+  std::vector<Interval> intervals;
+  int free_from = 0;  // end of the last interval
+  for (size_t i = 0; i < touches.size() && intervals.size() < Attribution::kMostContacts;) {
+    Interval interval;
+    interval.begin = interval.first_touch = touches[i].step;
+    interval.end = interval.begin + 1;
+    const auto full = [&] { return interval.end - interval.begin >= kLongest; };
+    for (bool grown = true; grown && !full();) {
+      grown = false;
+      for (; i < touches.size() && touches[i].step < interval.end; ++i) {
+        const Candidate& pair = touches[i].touch.candidate;
+        if (std::find(interval.pairs.begin(), interval.pairs.end(), pair) == interval.pairs.end()) {
+          interval.pairs.push_back(pair);
+        }
+        interval.last_touch = touches[i].step;
+      }
+      const bool touches_next = i < touches.size() && touches[i].step == interval.end;
+      if (interval.end < model_->num_steps() && (touches_next || Overlap(interval.pairs, interval.end))) {
+        ++interval.end;
+        grown = true;
+      }
+    }
+    while (interval.begin > free_from && Overlap(interval.pairs, interval.begin) && !full()) --interval.begin;
+    for (int margin = 0; margin < kMargin && ExactOver(interval, nullptr).touches.empty(); ++margin) {
+      if (interval.begin > free_from) --interval.begin;
+      const bool next_is_free = i >= touches.size() || touches[i].step > interval.end;
+      if (interval.end < model_->num_steps() && next_is_free) ++interval.end;
+    }
+    while (i < touches.size() && touches[i].step < interval.end) ++i;
+    free_from = interval.end;
+    intervals.push_back(std::move(interval));
+  }
+  return intervals;
+}
+
+StepMap Attributor::ExactOver(const Interval& interval, const std::vector<int>* bodies) const {
+  const int steps = interval.end - interval.begin;
+  const std::unique_ptr<Simulator> exact = SimulatorOf(exact_contact_, interval, steps);
+  const std::vector<double> begin = PlainStateAt(interval.begin);
+  if (bodies == nullptr) return RunSteps(*exact, begin, ForcesFrom(interval.begin), steps);
+  return ComposeSteps(*exact, begin, ForcesFrom(interval.begin), steps, *bodies);
+}
+
+// One sweep of the model's own adjoint from the end.
+void Attributor::FindCostates(const std::vector<Interval>& intervals) {
+  std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(2 * model_->num_bodies());
+  std::vector<double> unused(u.size());
+  TerminalGradient(scene_.objective, StateAt(model_->num_steps()), model_->body_size(), lambda);
+  costates_.resize(intervals.size());
+  StepLinearization step;
+  int k = model_->num_steps();
+  for (int i = static_cast<int>(intervals.size()) - 1; i >= 0; --i) {
+    for (; k > intervals[i].end; --k) {
+      model_->ExpandForce(control_, k - 1, u);
+      model_->Linearize(StateAt(k - 1), u, /*with_parameters=*/false, &step);
+      step.ApplyTranspose(lambda, before, unused);
+      std::swap(lambda, before);
+    }
+    costates_[i] = Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size());
+  }
+}
+
+std::vector<int> Attributor::MovingBodies(const std::vector<StepTouch>& a, const std::vector<StepTouch>& b) const {
+  std::vector<int> bodies;
+  for (const std::vector<StepTouch>* touches : {&a, &b}) {
+    for (const StepTouch& at : *touches) {
+      const Candidate& pair = at.touch.candidate;
+      bodies.push_back(pair.a);
+      if (!pair.plane) bodies.push_back(pair.b);
+    }
+  }
+  std::sort(bodies.begin(), bodies.end());
+  bodies.erase(std::unique(bodies.begin(), bodies.end()), bodies.end());
+  std::erase_if(bodies, [&](int body) { return scene_.bodies[body].fixed; });
+  return bodies;
+}
+
+ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd& costate) const {
+  ContactError error;
+  error.first_step = interval.first_touch;
+  error.last_step = interval.last_touch;
+  const Candidate& pair = interval.pairs.front();
+  error.a = scene_.bodies[pair.a].name;
+  error.b = pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name;
+
+  const std::vector<double> begin = StateAt(interval.begin);
+  const int steps = interval.end - interval.begin;
+  const StepMap approximate_touches = RunSteps(model(), begin, ForcesFrom(interval.begin), steps);
+  const std::vector<int> bodies = MovingBodies(ExactOver(interval, nullptr).touches, approximate_touches.touches);
+  const StepMap exact = ExactOver(interval, &bodies);
+  const StepMap approximate = ComposeSteps(model(), begin, ForcesFrom(interval.begin), steps, bodies);
+  error.exact_impacts = static_cast<int>(exact.touches.size());
+
+  const int n = static_cast<int>(bodies.size());
+  Eigen::VectorXd lambda(4 * n);
+  for (int i = 0; i < n; ++i) lambda.segment<4>(4 * i) = costate.segment<4>(bodies[i] * model().body_size());
+  const Eigen::MatrixXd difference = approximate.A - exact.A;
+  const double scale = std::max(Norm(exact.A.transpose() * lambda), 1e-300);
+  error.error = Norm(difference.transpose() * lambda) / scale;
+
+  double largest = -1;
+  for (const Block block : {Block::kPositionFromPosition,
+                            Block::kVelocityFromPosition,
+                            Block::kPositionFromVelocity,
+                            Block::kVelocityFromVelocity}) {
+    const bool to_velocity = block == Block::kVelocityFromPosition || block == Block::kVelocityFromVelocity;
+    const bool from_velocity = block == Block::kPositionFromVelocity || block == Block::kVelocityFromVelocity;
+    Eigen::VectorXd part = Eigen::VectorXd::Zero(4 * n);
+    for (int r = 0; r < 4 * n; ++r) {
+      if ((r % 4 >= 2) != to_velocity) continue;
+      for (int c = 0; c < 4 * n; ++c) {
+        if ((c % 4 >= 2) == from_velocity) part[c] += difference(r, c) * lambda[r];
+      }
+    }
+    if (Norm(part) <= largest) continue;
+    largest = Norm(part);
+    error.block = block;
+  }
+  if (error.error > kSmallError) error.why = Why(interval, exact, approximate, bodies);
+  return error;
+}
+
+std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const StepMap& exact) const {
+  if (exact.touches.size() != 1 || interval.pairs.size() != 1) return std::nullopt;
+  const StepTouch& at = exact.touches.front();
+  const Candidate& pair = at.touch.candidate;
+  if (at.touch.kind != ContactKind::kImpact || !(pair == interval.pairs.front())) return std::nullopt;
+
+  // The exact state at the begin of the step with the impact, and from there to the impact.
+  Interval until = interval;
+  until.end = interval.begin + at.step;
+  std::vector<double> x = PlainStateAt(interval.begin);
+  if (at.step > 0) x = ExactOver(until, nullptr).end;
+  std::vector<double> force(2 * model_->num_bodies());
+  ForcesFrom(interval.begin)(at.step, force);
+  const double time = at.touch.time;
+  struct Motion {
+    Vec2d p, v, a;
+    double inverse_mass;
+  };
+  const auto motion = [&](int i) -> Motion {
+    const Body& body = scene_.bodies[i];
+    const Vec2d p(x[4 * i], x[4 * i + 1]), v(x[4 * i + 2], x[4 * i + 3]);
+    if (body.fixed) return {p, Vec2d::Zero(), Vec2d::Zero(), 0.0};
+    const Vec2d a = Vec2d(force[2 * i], force[2 * i + 1]) / body.mass + scene_.gravity;
+    return {p + time * (v + 0.5 * time * a), v + time * a, a, 1 / body.mass};
+  };
+  const Motion a = motion(pair.a);
+  PairImpact impact;
+  impact.inverse_mass_a = a.inverse_mass;
+  impact.velocity_a = a.v;
+  impact.acceleration_a = a.a;
+  impact.velocity_b = impact.acceleration_b = Vec2d::Zero();
+  if (pair.plane) {
+    impact.normal = scene_.planes[pair.b].normal.normalized();
+  } else {
+    const Motion b = motion(pair.b);
+    impact.normal = (a.p - b.p).normalized();
+    impact.inverse_distance = 1 / (a.p - b.p).norm();
+    impact.inverse_mass_b = b.inverse_mass;
+    impact.velocity_b = b.v;
+    impact.acceleration_b = b.a;
+  }
+  impact.restitution = scene_.contact.restitution;
+  impact.friction = scene_.contact.friction;
+  impact.mode = at.touch.mode;
+  impact.before = at.step * h() + time;
+  impact.after = (interval.end - interval.begin) * h() - impact.before;
+  impact.step = h();
+  return impact;
+}
+
+// The same model over the same interval with far smaller steps.
+std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                                      const std::vector<int>& bodies) const {
+  const int lasts = interval.last_touch - interval.first_touch + 1;
+  if (lasts < 2) return "";
+  const int length = interval.end - interval.begin;
+  const int finer = std::clamp(kMostFineSteps / length, kLeastFiner, kFiner);
+  const std::unique_ptr<Simulator> fine_model = SimulatorOf(contact_, interval, length * finer);
+  const StepMap fine =
+      ComposeSteps(*fine_model, StateAt(interval.begin), ForcesFrom(interval.begin, finer), length * finer, bodies);
+  const double coarse_error = (approximate.A - exact.A).norm(), fine_error = (fine.A - exact.A).norm();
+  char text[128];
+  if (fine_error < 0.5 * coarse_error) {
+    std::snprintf(text,
+                  sizeof text,
+                  "contact force not resolved by its %d steps (%d times as many leave %.0f %% of the error)",
+                  lasts,
+                  finer,
+                  100 * fine_error / coarse_error);
+  } else {
+    std::snprintf(text, sizeof text, "contact is soft: it lasts %.2g s, and smaller steps do not help", lasts * h());
+  }
+  return text;
+}
+
+std::string Attributor::Why(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                            const std::vector<int>& bodies) const {
+  if (exact.touches.empty()) return "touches where the exact motion does not";
+  const bool lasts = interval.last_touch > interval.first_touch;
+  if (interval.end - interval.begin >= kLongest) return "a contact that lasts";
+  if (lasts) {
+    const std::string why = WhyUnresolved(interval, exact, approximate, bodies);
+    if (!why.empty()) return why;
+  }
+  if (const std::optional<PairImpact> impact = OnlyImpact(interval, exact)) {
+    // Bodies are in the order of their indices, and so are the two of a pair.
+    if (const std::optional<std::string> fault = RecogniseFault(*impact, approximate.A, scene_.duration)) return *fault;
+  }
+  if (exact.touches.size() > 1) return std::to_string(exact.touches.size()) + " impacts in one step";
+  return "no known cause";
+}
+
+// The order of pairs, where every pair's contact counts once as long as it lasts.
+std::string Attributor::CompareSequences(const std::vector<Interval>& intervals) const {
+  std::vector<std::string> own, exact;
+  for (const Interval& interval : intervals) {
+    for (const Candidate& pair : interval.pairs) own.push_back(PairName(pair));
+  }
+  const std::unique_ptr<Simulator> reference = MakeSimulator(exact_contact_, scene_, Precision::kDouble);
+  if (!reference->Rollout(initial_, InitialControl(scene_, reference->num_steps()))) return "";
+  for (const StepTouch& at : reference->touches()) {
+    if (at.touch.kind == ContactKind::kImpact) exact.push_back(PairName(at.touch.candidate));
+  }
+  const size_t count = std::min(own.size(), exact.size());
+  for (size_t i = 0; i < count; ++i) {
+    if (own[i] != exact[i]) {
+      return "contact " + std::to_string(i + 1) + " is " + own[i] + ", not " + exact[i];
+    }
+  }
+  if (own.size() < exact.size()) return "misses contact " + std::to_string(count + 1) + ", " + exact[count];
+  if (own.size() > exact.size() && intervals.size() < Attribution::kMostContacts) {
+    return "has a contact that is none, " + own[count];
+  }
+  return "";
+}
+
+Attribution Attributor::Run() {
+  Attribution out;
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (traits.event_driven && WhyNotApplicable(traits.name, scene_).empty()) exact_contact_ = traits.name;
+  }
+  if (exact_contact_.empty()) {
+    out.reason = "there is no exact flow";
+    return out;
+  }
+  initial_ = InitialState(scene_);
+  control_ = InitialControl(scene_, model_->num_steps());
+  if (!model_->Rollout(initial_, control_)) {
+    out.reason = "the rollout is not finite";
+    return out;
+  }
+  const std::vector<Interval> intervals = FindIntervals();
+  FindCostates(intervals);
+  for (size_t i = 0; i < intervals.size(); ++i) out.contacts.push_back(Compare(intervals[i], costates_[i]));
+  out.sequence = CompareSequences(intervals);
+  return out;
+}
+
+}  // namespace
+
+const char* BlockToString(Block block) {
+  switch (block) {
+    case Block::kPositionFromPosition:
+      return "position from position";
+    case Block::kVelocityFromPosition:
+      return "velocity from position";
+    case Block::kPositionFromVelocity:
+      return "position from velocity";
+    case Block::kVelocityFromVelocity:
+      return "velocity from velocity";
+  }
+  LOG(FATAL) << "no such block";
+}
+
+Attribution AttributeError(std::string_view contact, const Scene& scene) {
+  Attribution own = Attributor(contact, scene).Run();
+  if (!own.ok() || own.contacts.empty()) return own;
+  // Not quite a multiple, so that an impact on a grid node is not on one again.
+  Scene refined = scene;
+  refined.steps = kRefinement * scene.steps + CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+  const Attribution fine = Attributor(contact, refined).Run();
+  for (size_t i = 0; i < own.contacts.size(); ++i) {
+    ContactError& error = own.contacts[i];
+    const ContactError* same = i < fine.contacts.size() ? &fine.contacts[i] : nullptr;
+    if (same != nullptr && (same->a != error.a || same->b != error.b)) same = nullptr;
+    error.stays = error.error > kSmallError && (same == nullptr || same->error > kStays * error.error);
+    const bool unresolved = error.last_step > error.first_step;
+    // The closed forms are of single impacts, which small steps show best.
+    if (!unresolved && same != nullptr && !same->why.empty()) error.why = same->why;
+    if (!error.stays && !unresolved) error.why.clear();
+    if (own.first_wrong < 0 && error.error > kSmallError && (error.stays || unresolved)) {
+      own.first_wrong = static_cast<int>(i);
+    }
+  }
+  return own;
+}
+
+}  // namespace saltus

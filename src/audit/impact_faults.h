@@ -1,0 +1,65 @@
+// The linearization of one impact in closed form, with terms that models are known to drop.
+//
+// Variations (dq, dv) of a pair at the nominal time of impact, w and s = n . w the relative velocity and its normal
+// part, a the accelerations (constant over the impact):
+//
+//   dtau = -(n . dd) / s                                 shift of the time of impact, dd = dq_a - dq_b
+//   dv_c = dv + [a dtau]                                 at the shifted impact
+//   th   = t . (dd + [w dtau]) / rho                     turning of the normal; 0 at planes
+//   dv+  = dv_c +- dP / m - [a dtau]                     P as a function of n and w
+//   dq+  = dq + [(v - v+) dtau]
+//
+// Brackets mark what may be missing. Source: the saltation matrix of a rigid impact with Newton's restitution and
+// Coulomb's friction.
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <string>
+
+#include "saltus/contact/contact_model.h"
+
+namespace saltus {
+
+// An exact impact within an interval of time.
+struct PairImpact {
+  Vec2d normal;                                   // towards a
+  double inverse_distance = 0;                    // 1/m, of the centres; 0 at planes
+  double inverse_mass_a = 0, inverse_mass_b = 0;  // 1/kg; 0 if fixed
+  Vec2d velocity_a, velocity_b;                   // m/s, before; zero if fixed
+  Vec2d acceleration_a, acceleration_b;
+  double restitution = 1, friction = 0;
+  ContactMode mode = ContactMode::kFrictionless;
+  double before = 0, after = 0;  // s, from the begin of the interval, and to its end
+  double step = 0;               // s, the model's
+
+  int num_moving() const { return (inverse_mass_a > 0) + (inverse_mass_b > 0); }
+};
+
+// What of the impact a linearization knows.
+struct ImpactTerms {
+  enum class Normal { kTurning, kAtFixedTime, kFrozen };
+  // The last is a cone program whose solution is multiplied by 1 + restitution, sliding and all.
+  enum class Friction { kNone, kSlip, kStick, kCone };
+
+  double position_shift = 1;             // factor of (v - v+) dtau
+  bool shift_along_normal_only = false;  // what friction adds to that is left out
+  bool acceleration = true;              // a dtau
+  Normal normal = Normal::kTurning;      // th; th without w dtau; 0
+  double restitution = 1;
+  Friction law = Friction::kNone;
+  double friction = 0;  // coefficient
+  // 1/s; with positions projected to contact and velocities taken from their differences, one over the step.
+  double overlap_rate = 0;
+};
+
+ImpactTerms ExactTerms(const PairImpact& impact);
+
+// d(state at the end of the interval) / d(state at its begin) over the discs that move, a before b, [p v] each.
+Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& terms);
+
+// The known fault, or faults, with which LinearizeImpact comes close to `model`, in words; nothing if none does.
+// Positions and velocities are compared on the scale of `duration`.
+std::optional<std::string> RecogniseFault(const PairImpact& impact, const Eigen::MatrixXd& model, double duration);
+
+}  // namespace saltus
