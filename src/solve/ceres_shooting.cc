@@ -3,6 +3,8 @@
 #include <ceres/evaluation_callback.h>
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
 
 #include "ceres_common.h"
 #include "step_solver.h"
@@ -46,6 +48,8 @@ class Path final : public ceres::EvaluationCallback {
   bool finite() const { return finite_; }
   double loss() const { return loss_; }
   const StepOnPath& step(int k) const { return steps_[k]; }
+  // sum |y_k / w|^2.
+  double costate_cost() const { return costate_cost_; }
   const double* State(int k) const { return &states_[static_cast<size_t>(k) * variables_->state_size()]; }
   const StepCost& step_cost() const { return *step_cost_; }
   const TerminalCost* terminal_cost() const { return terminal_cost_.get(); }
@@ -53,9 +57,11 @@ class Path final : public ceres::EvaluationCallback {
  private:
   bool Linearize() {
     Eigen::VectorXd costate = LastCostate();
+    costate_cost_ = 0;
     for (int k = variables_->num_steps() - 1; k >= 0; --k) {
       if (!LinearizeStep(k)) return false;
       steps_[k].costate = costate;
+      costate_cost_ += costate.squaredNorm() / (kDefectWeight * kDefectWeight);
       costate = -steps_[k].jacobians.front().transpose() * costate;
     }
     return true;
@@ -93,7 +99,7 @@ class Path final : public ceres::EvaluationCallback {
   std::unique_ptr<TerminalCost> terminal_cost_;
   std::vector<double> z_, states_;
   std::vector<StepOnPath> steps_;
-  double loss_ = 0;
+  double loss_ = 0, costate_cost_ = 0;
   bool finite_ = true;
 };
 
@@ -140,6 +146,28 @@ class EndOfPath final : public ceres::CostFunction {
   int num_steps_;
 };
 
+// A constant less what costates contribute to the cost. They change whenever a step has been accepted; without this, so
+// would the cost, and Ceres would hold the change against the next step.
+class CostateBalance final : public ceres::CostFunction {
+ public:
+  CostateBalance(const Path* path, int state_size) : path_(path) {
+    set_num_residuals(1);
+    mutable_parameter_block_sizes()->push_back(state_size);
+  }
+
+  bool Evaluate(double const* const*, double* residual, double** jacobians) const override {
+    constexpr double kMargin = 10;  // by which costates may grow
+    if (sum_ == 0) sum_ = kMargin * path_->costate_cost();
+    *residual = std::sqrt(std::max(0.0, sum_ - path_->costate_cost()));
+    if (jacobians != nullptr && jacobians[0] != nullptr) std::fill_n(jacobians[0], parameter_block_sizes()[0], 0.0);
+    return true;
+  }
+
+ private:
+  const Path* path_;
+  mutable double sum_ = 0;  // set by the first evaluation, at the initial guess
+};
+
 void AddCosts(const Path* path, StepShooting* variables, ceres::Problem* problem) {
   const int num_steps = variables->num_steps();
   for (int k = 0; k < num_steps; ++k) {
@@ -148,6 +176,7 @@ void AddCosts(const Path* path, StepShooting* variables, ceres::Problem* problem
   if (path->terminal_cost() != nullptr) {
     problem->AddResidualBlock(new EndOfPath(path, num_steps), nullptr, variables->State(num_steps));
   }
+  problem->AddResidualBlock(new CostateBalance(path, variables->state_size()), nullptr, variables->State(num_steps));
   variables->AddEffort(problem);
   variables->HoldConstants(problem);
 }
