@@ -11,13 +11,13 @@
 namespace saltus {
 namespace {
 
-constexpr double kClosed = 1e-9;      // m, m/s: a defect below is closed
-constexpr double kFirstWeight = 1;    // mu
-constexpr double kLastWeight = 1e8;   // mu grows no further
-constexpr double kGrowth = 10;        // of mu
-constexpr double kShrinkage = 0.25;   // of the largest defect; where less is reached, mu grows
-constexpr int kMaxRounds = 30;        // updates of the multipliers
-constexpr int kRoundIterations = 50;  // of Ceres between them, at most
+constexpr double kClosed = 1e-9;           // m, m/s: a defect below is closed
+constexpr double kLastWeight = 1e8;        // mu grows no further
+constexpr double kGrowth = 10;             // of mu
+constexpr double kShrinkage = 0.25;        // of the largest defect; where less is reached, mu grows
+constexpr int kMaxRounds = 30;             // updates of the multipliers
+constexpr int kRoundIterations = 30;       // of Ceres between them, at most
+constexpr double kRoundTolerance = 1e-13;  // relative change of the cost that ends a round
 
 // sqrt(mu) (c + y / mu).
 class DefectCost final : public ceres::CostFunction {
@@ -91,6 +91,7 @@ class Rounds {
         z_(guess),
         variables_(&run->shooting()),
         step_cost_(MakeStepCost(run->shooting().simulator())),
+        mu_(1 / run->shooting().simulator().step()),
         read_(&variables_, &z_),
         record_(run, &z_) {
     for (int k = 0; k < variables_.num_steps(); ++k) {
@@ -130,6 +131,7 @@ class Rounds {
  private:
   ceres::TerminationType Minimize(int iterations) {
     ceres::Solver::Options options = SparseOptions(iterations);
+    options.function_tolerance = kRoundTolerance;
     options.callbacks = {&read_, &record_};
     ceres::Solver::Summary summary;
     ceres::Solve(options, &problem_, &summary);
@@ -149,7 +151,7 @@ class Rounds {
   std::vector<double> z_;
   StepShooting variables_;
   std::unique_ptr<StepCost> step_cost_;
-  double mu_ = kFirstWeight;
+  double mu_;
   ceres::Problem problem_;
   std::vector<DefectCost*> costs_;
   ReadDecisions read_;

@@ -2,8 +2,9 @@
 //
 //   sum_k mu |c_k + y_k / mu|^2,   c_k = x_{k+1} - f(x_k, u_k),
 //
-// over states and forces; between such rounds the multipliers y_k grow by mu c_k, and mu by kGrowth where defects did
-// not shrink enough (Hestenes, Powell 1969; Nocedal, Wright, "Numerical Optimization", 17.3).
+// over states and forces, at first with mu = 1 / dt (defects per time, in the mean over time); between such rounds the
+// multipliers y_k grow by mu c_k, and mu by kGrowth where defects did not shrink enough (Hestenes, Powell 1969;
+// Nocedal, Wright, "Numerical Optimization", 17.3).
 //
 // Without contact this converges. Through a collision it should not be trusted: with its defects open a trajectory need
 // not collide as the forces would have it. The Jacobian of a defect knows nothing of a collision in the step before or
