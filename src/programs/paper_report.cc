@@ -52,38 +52,9 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
 
 }  // namespace
 
-Table SolverTable(const Experiments& experiments, const std::string& problem, double friction) {
-  Table table({{"contact"},
-               {"solver"},
-               {"final loss", 9},
-               {"exact loss", 9},
-               {"iterations"},
-               {"gradients"},
-               {"milliseconds", 3},
-               {"termination"}});
-  for (const Experiment& experiment : experiments.all()) {
-    if (experiment.scene.name != problem || experiment.scene.contact.friction != friction ||
-        experiment.precision != Precision::kDouble || experiment.runs.size() < 2) {
-      continue;
-    }
-    for (const SolvedRun& run : experiment.runs) {
-      const SolveReport& report = run.report;
-      if (report.losses.empty()) continue;
-      table.AddRow({report.contact,
-                    report.solver,
-                    report.final_loss,
-                    run.exact.ok ? std::optional(run.exact.loss) : std::nullopt,
-                    report.iterations,
-                    report.evaluations,
-                    1e3 * report.seconds,
-                    TerminationToString(report.termination)});
-    }
-  }
-  return table;
-}
-
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
-                      const std::vector<PaperFigure>& figures, double seconds, const std::string& output_dir) {
+                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison, double seconds,
+                      const std::string& output_dir) {
   HtmlReport report("Gradients through contact, reproduced",
                     "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have "
                     "Correct Gradients w.r.t. Position, Velocity and Control?”, every table and figure next to ours "
@@ -133,13 +104,13 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
 
   report.AddHeading(1, "Better solvers");
   report.AddParagraph(
-      "The same problems by Ceres: L-BFGS on the adjoint gradient, and Levenberg-Marquardt on the residuals. `final "
-      "loss` is what the solver minimised, under its contact model; `exact loss` is the same solution re-simulated "
-      "exactly, the only column that may be compared between models. A better solver finds the wrong model's optimum "
-      "sooner; it does not repair the gradient.");
-  report.AddTable(SolverTable(experiments, "ground_wall", 0), "Task 2 without friction");
-  report.AddTable(SolverTable(experiments, "ground_wall", 0.1), "Task 2 with friction 0.1");
-  report.AddTable(SolverTable(experiments, "two_balls", 0), "Task 3");
+      "The same problems by other solvers. `loss under the model` is what the solver minimised; `exact loss` is the "
+      "same solution re-simulated exactly, the only one that may be compared between models, and `gap` what it leaves "
+      "to gain. A better solver finds the wrong model's optimum sooner; it does not repair the gradient.");
+  report.AddList(comparison.Findings());
+  const std::vector<PaperFigure> comparison_figures = comparison.Figures();
+  for (const PaperFigure& figure : comparison_figures) AddFigure(comparison_figures, figure.name, &report);
+  for (const CaptionedTable& table : comparison.Tables()) report.AddTable(table.table, table.caption);
   AddFigure(figures, "solver_learning", &report);
 
   report.AddHeading(1, "Optima of the follow-up paper");

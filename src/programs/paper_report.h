@@ -7,14 +7,13 @@
 #include "programs/experiments.h"
 #include "programs/paper_figures.h"
 #include "programs/published.h"
+#include "programs/solver_comparison.h"
 
 namespace saltus {
 
-// How the solvers did, one row a contact model and solver: task 2 with and without friction, and task 3.
-Table SolverTable(const Experiments& experiments, const std::string& problem, double friction);
-
 // Writes report.html into `output_dir`. Throws InputError if it cannot. `seconds` is what the experiments took.
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
-                      const std::vector<PaperFigure>& figures, double seconds, const std::string& output_dir);
+                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison, double seconds,
+                      const std::string& output_dir);
 
 }  // namespace saltus

@@ -10,6 +10,7 @@
 #include "programs/paper_figures.h"
 #include "programs/paper_report.h"
 #include "programs/published.h"
+#include "programs/solver_comparison.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
 DEFINE_string(data_dir, SALTUS_DATA_DIR, "directory of published.csv");
@@ -29,24 +30,29 @@ int Reproduce() {
   }
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
   const double experiment_seconds = elapsed();
+  SolverComparison comparison(experiments);
+  if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) {
+    std::cerr << "interrupted" << std::endl;
+    return kAnswerFailed;
+  }
   CompareWithPublished(experiments, &rows);
   WriteNotebookFiles(experiments, output_dir);
   const std::vector<PaperFigure> figures = MakePaperFigures(experiments);
-  for (const PaperFigure& figure : figures) {
-    const std::string path = output_dir + "/" + figure.name;
-    const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
-    if (!status.ok()) throw InputError(status.message());
+  for (const auto& written : {figures, comparison.Figures()}) {
+    for (const PaperFigure& figure : written) {
+      const std::string path = output_dir + "/" + figure.name;
+      const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
+      if (!status.ok()) throw InputError(status.message());
+    }
   }
-  WritePaperReport(experiments, rows, figures, experiment_seconds, output_dir);
+  WritePaperReport(experiments, rows, figures, comparison, experiment_seconds, output_dir);
 
   const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
     WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
   };
   for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
-  write_table("solvers_ground_wall", "Solvers, task 2 without friction", SolverTable(experiments, "ground_wall", 0));
-  write_table("solvers_ground_wall_mu", "Solvers, task 2 with friction", SolverTable(experiments, "ground_wall", 0.1));
-  write_table("solvers_two_balls", "Solvers, task 3", SolverTable(experiments, "two_balls", 0));
+  for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
 
   int failed = 0;
   for (const PublishedRow& row : rows) {
