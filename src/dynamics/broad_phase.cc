@@ -44,7 +44,7 @@ int BroadPhase::Find(std::span<const Disc> discs, std::vector<Candidate>* candid
 
   double quiet = std::numeric_limits<double>::infinity();
   const auto consider = [&](double gap, double speed, double acceleration, const Candidate& candidate) {
-    const double time = TimeToCover(gap, speed, acceleration);
+    const double time = TimeToCover(gap - push_gap_, speed, acceleration);
     if (time < dt_) candidates->push_back(candidate);
     quiet = std::min(quiet, time);
   };

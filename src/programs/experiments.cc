@@ -48,6 +48,7 @@ Experiments::Experiments(const std::string& problems_dir) {
   }
   const double friction = 0.1;
   for (const ModelTraits& traits : AllContactModels()) {
+    if (!traits.compared && !traits.event_driven) continue;
     const std::string contact(traits.name);
     for (const Precision precision : {Precision::kDouble, Precision::kFloat}) {
       if (precision == Precision::kFloat && traits.event_driven) continue;

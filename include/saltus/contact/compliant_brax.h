@@ -31,7 +31,9 @@ struct CompliantBrax {
                                           .source = "Brax 0.0.13, legacy_spring",
                                           .grid_steps = 2,
                                           .chains = true,
-                                          .restitution_power = 2};
+                                          .restitution_power = 2,
+                                          .averages = true,
+                                          .compared = true};
   static constexpr int kRotation = 1;
   template <typename T>
   using State = BodyState<T, kRotation>;

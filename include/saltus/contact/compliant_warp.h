@@ -24,7 +24,9 @@ struct CompliantWarp {
   static constexpr ModelTraits kTraits = {.name = "compliant_warp",
                                           .summary = "spring, damper and Coulomb friction at the start of the step",
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
-                                          .compliant = true};
+                                          .compliant = true,
+                                          .rebound = Rebound::kEmergent,
+                                          .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -24,6 +24,14 @@
 
 namespace saltus {
 
+// How fast bodies separate after an impact.
+enum class Rebound {
+  kRestitution,  // closing speed * restitution^restitution_power
+  kElasticOnly,  // so with restitution 1; more slowly than stated with less
+  kEmergent,     // what the law of force or the correction of overlaps makes of it
+  kPlastic,      // not at all: restitution is not read
+};
+
 // What a model says of itself. Tests, the audit and the programs take their exceptions from here, never from its name.
 struct ModelTraits {
   std::string_view name;            // the value of --contact
@@ -36,7 +44,13 @@ struct ModelTraits {
   bool published_jacobian = false;  // its linearization is defined by its source and is not the derivative of its step
   bool chains = false;              // one step can pass an impact on to a disc that the hit disc hits
   bool event_driven = false;        // free flight and impact times are exact, whatever the step
-  double restitution_power = 1;     // separates with restitution^power (2 where a package multiplies both bodies')
+  Rebound rebound = Rebound::kRestitution;
+  double restitution_power = 1;  // separates with restitution^power (2 where a package multiplies both bodies')
+  bool projects = false;         // moves bodies apart that overlap, within a step
+  bool averages = false;         // momentum is not conserved when a disc touches several things at once
+  bool sequential = false;       // takes the contacts of a step one after the other, so their order matters
+  bool compared = false;         // one of those that the published comparisons (2022, 2023) report
+  double reach = 0;              // m, gap from which on bodies push each other
 };
 
 // State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.

@@ -27,7 +27,8 @@ struct Convex {
       .summary = kTimeOfImpact ? "impulse by a cone program, position corrected by the time of impact"
                                : "impulse by a cone program at the end of the step",
       .source = "DiffCoSim (Zhong, Dey, Chakraborty 2021); Zhong, Han, Brikis 2022",
-      .published_jacobian = true};
+      .published_jacobian = true,
+      .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -23,7 +23,8 @@ struct Direct {
       .summary = kTimeOfImpact ? "direct velocity impulse, position corrected by the time of impact"
                                : "direct velocity impulse at the end of the step",
       .source = "DiffTaichi (Hu et al. 2020); Zhong, Han, Brikis 2022",
-      .friction = false};
+      .friction = false,
+      .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -42,7 +42,8 @@ struct EventDriven {
                                           .source = "saltation matrix; Newton's restitution, Coulomb's friction",
                                           .double_engine = true,
                                           .chains = true,
-                                          .event_driven = true};
+                                          .event_driven = true,
+                                          .sequential = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

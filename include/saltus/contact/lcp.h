@@ -34,7 +34,8 @@ struct Lcp {
                                           .summary = "linear complementarity problem with the published Jacobian",
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
                                           .double_engine = true,
-                                          .published_jacobian = true};
+                                          .published_jacobian = true,
+                                          .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

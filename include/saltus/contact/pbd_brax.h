@@ -41,7 +41,10 @@ struct PbdBrax {
                                           .summary = "position-based dynamics, contacts in every second step",
                                           .source = "Brax 0.0.13, pbd",
                                           .grid_steps = 2,
-                                          .restitution_power = 2};
+                                          .restitution_power = 2,
+                                          .projects = true,
+                                          .averages = true,
+                                          .compared = true};
   static constexpr int kRotation = 3;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -29,7 +29,10 @@ namespace saltus {
 struct PbdWarp {
   static constexpr ModelTraits kTraits = {.name = "pbd_warp",
                                           .summary = "position-based dynamics, one projection and one restitution pass",
-                                          .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022"};
+                                          .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
+                                          .rebound = Rebound::kElasticOnly,
+                                          .projects = true,
+                                          .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

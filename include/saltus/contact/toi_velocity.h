@@ -25,7 +25,8 @@ struct ToiVelocity {
   static constexpr ModelTraits kTraits = {.name = "toi_velocity",
                                           .summary = "direct velocity impulse, velocities and position at the impact",
                                           .source = "Zhong, Han, Dey, Brikis 2023",
-                                          .friction = false};
+                                          .friction = false,
+                                          .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

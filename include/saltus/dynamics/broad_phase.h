@@ -3,8 +3,9 @@
 // A disc cannot leave the ball of radius
 //   reach = (|v| + |a| dt) dt
 // around its position before the step ends, for any of the integrators. A pair is a candidate if its gap is no larger
-// than its reaches. Where impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is
-// bounded by the kinetic energy of all discs that it can meet, and candidates are extended until they no longer grow.
+// than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::reach). Where
+// impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is bounded by the kinetic
+// energy of all discs that it can meet, and candidates are extended until they no longer grow.
 #pragma once
 
 #include <span>
@@ -24,8 +25,9 @@ class BroadPhase {
     bool fixed;
   };
 
-  BroadPhase(std::vector<HalfPlane<double>> planes, double dt, bool chains)
-      : planes_(std::move(planes)), dt_(dt), chains_(chains) {}
+  // `push_gap`: ModelTraits::reach, m.
+  BroadPhase(std::vector<HalfPlane<double>> planes, double dt, bool chains, double push_gap)
+      : planes_(std::move(planes)), dt_(dt), chains_(chains), push_gap_(push_gap) {}
 
   // Overwrites `candidates`: discs by index pairs, then discs against planes. Returns for how many steps, this one
   // included, the list stands: one if there are candidates; otherwise as long as no disc can have met another, if the
@@ -39,6 +41,7 @@ class BroadPhase {
   std::vector<HalfPlane<double>> planes_;
   double dt_;
   bool chains_;
+  double push_gap_;
   std::vector<double> speed_;  // m/s, bound per disc
 };
 

@@ -64,7 +64,7 @@ class ModelSimulator final : public Simulator {
     Workspace& work = workspace_;
     work.force.assign(num_bodies(), Vec2<S>::Zero());
     const std::vector<double> push = LargestAccelerations();
-    BroadPhase broad_phase(wide_planes_, step(), M::kTraits.chains);
+    BroadPhase broad_phase(wide_planes_, step(), M::kTraits.chains, M::kTraits.reach);
     int quiet_until = 0;
     for (int k = 0; k < num_steps_; ++k) {
       const std::span<const State> x = StateAt(k);
@@ -309,7 +309,8 @@ class ModelSimulator final : public Simulator {
       work->force[i] = Vec2<S>(S(force[2 * i]), S(force[2 * i + 1]));
       push[i] = scene_.gravity.norm() + std::hypot(force[2 * i], force[2 * i + 1]) * double(bodies_[i].inverse_mass);
     }
-    BroadPhase(wide_planes_, step(), M::kTraits.chains).Find(Discs(*from, push, work), &work->candidates);
+    BroadPhase(wide_planes_, step(), M::kTraits.chains, M::kTraits.reach)
+        .Find(Discs(*from, push, work), &work->candidates);
     StepInput<S> in = Input(*work);
     in.touches = &work->touches;
     model_.Step(in, std::span<const State>(*from), std::span<State>(*to));

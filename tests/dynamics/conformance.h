@@ -1,0 +1,570 @@
+// What every contact model must do, as checks that say what is wrong, or nothing. Exceptions come from a model's
+// traits.
+//
+// Checks are functions, not assertions, so that conformance_test.cc can also show that they find seeded faults.
+#pragma once
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus::conformance {
+
+struct Model {
+  ModelTraits traits;
+  std::function<std::unique_ptr<Simulator>(const Scene&)> make;
+  std::function<std::string(const Scene&)> why_not;  // as WhyNotApplicable
+};
+
+template <typename... Parts>
+std::string Say(const Parts&... parts) {
+  std::ostringstream out;
+  out.precision(10);
+  (out << ... << parts);
+  return out.str();
+}
+
+// A rollout of a scene from its initial state, under its initial control.
+class Run {
+ public:
+  Run(const Model& model, const Scene& scene) : simulator_(model.make(scene)), x_(simulator_->state_size()) {
+    finite_ = simulator_->Rollout(InitialState(scene), InitialControl(scene, simulator_->num_steps()));
+  }
+  const Simulator& simulator() const { return *simulator_; }
+  bool finite() const { return finite_; }
+  int last() const { return simulator_->num_steps(); }
+  Vec2d Position(int k, int i) { return Entry(k, i, 0); }
+  Vec2d Velocity(int k, int i) { return Entry(k, i, 2); }
+
+  // Gap of two discs, or of disc 0 and plane 0 in a scene of one disc, m; and the speed at which it grows, m/s.
+  double Gap(int k) {
+    const Scene& scene = simulator_->scene();
+    if (scene.num_bodies() > 1) {
+      return (Position(k, 0) - Position(k, 1)).norm() - scene.bodies[0].radius - scene.bodies[1].radius;
+    }
+    return Dot(Normal(k), Vec2d(Position(k, 0) - scene.planes[0].point)) - scene.bodies[0].radius;
+  }
+  double GapSpeed(int k) {
+    const bool pair = simulator_->scene().num_bodies() > 1;
+    return Dot(Normal(k), pair ? Vec2d(Velocity(k, 0) - Velocity(k, 1)) : Velocity(k, 0));
+  }
+  Vec2d Normal(int k) {
+    const Scene& scene = simulator_->scene();
+    if (scene.num_bodies() > 1) return (Position(k, 0) - Position(k, 1)).normalized();
+    return scene.planes[0].normal.normalized();
+  }
+  Vec2d Momentum(int k) {
+    Vec2d sum = Vec2d::Zero();
+    for (int i = 0; i < simulator_->num_bodies(); ++i) sum += simulator_->scene().bodies[i].mass * Velocity(k, i);
+    return sum;
+  }
+
+ private:
+  Vec2d Entry(int k, int i, int offset) {
+    simulator_->GetState(k, x_);
+    const double* at = &x_[i * simulator_->body_size() + offset];
+    return {at[0], at[1]};
+  }
+
+  std::unique_ptr<Simulator> simulator_;
+  std::vector<double> x_;
+  bool finite_;
+};
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Scenes.
+
+// Two discs of 1 kg and 3 kg that close at 3 m/s, head-on up to `offset`, and meet once after about 0.13 s.
+inline Scene TwoDiscs(double restitution, double friction = 0, double offset = 0) {
+  const Vec2d along(0.6, 0.8), across(-0.8, 0.6);
+  Scene scene;
+  scene.name = "two_discs";
+  scene.duration = 0.5;
+  scene.steps = 240;
+  scene.bodies = {
+      {.name = "a", .radius = 0.2, .mass = 1, .position = -0.5 * along + offset * across, .velocity = 2 * along},
+      {.name = "b", .radius = 0.3, .mass = 3, .position = 0.401 * along, .velocity = -along}};
+  scene.contact = {.restitution = restitution, .friction = friction, .stiffness = 1e4, .damping = 0};
+  return scene;
+}
+
+// A disc that meets a tilted plane at 2 m/s after about 0.15 s, sliding at `sliding`.
+inline Scene DiscOnPlane(double restitution, double friction = 0, double sliding = 0) {
+  const Vec2d normal(-0.28, 0.96), along(0.96, 0.28);
+  Scene scene;
+  scene.name = "disc_on_plane";
+  scene.duration = 0.5;
+  scene.steps = 240;
+  scene.bodies = {
+      {.name = "a", .radius = 0.2, .mass = 1.5, .position = 0.501 * normal, .velocity = -2 * normal + sliding * along}};
+  scene.planes = {{"ground", {0, 0}, normal}};
+  scene.contact = {.restitution = restitution, .friction = friction, .stiffness = 1e4, .damping = 0};
+  return scene;
+}
+
+inline std::vector<Scene> Impacts(double restitution) { return {TwoDiscs(restitution), DiscOnPlane(restitution)}; }
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Flight.
+
+// A step without contact is the model's own affine map, and follows the exact arc to first order in the step.
+inline std::string CheckFreeFlight(const Model& model) {
+  Scene scene;
+  scene.name = "flight";
+  scene.duration = 0.5;
+  scene.steps = 240;
+  scene.gravity = {0.3, -9.8};
+  scene.bodies = {{.name = "a", .radius = 0.1, .mass = 1.7, .position = {1, 2}, .velocity = {-0.4, 0.9}},
+                  {.name = "b", .radius = 0.1, .mass = 0.6, .position = {50, 0}, .velocity = {2, -1}}};
+  scene.control = {{0}, {{1, -2}}};
+  Run run(model, scene);
+  if (!run.finite()) return "free flight is not finite";
+  const double h = run.simulator().step();
+  std::vector<double> x(run.simulator().state_size()), force(4);
+  run.simulator().GetState(0, x);
+  run.simulator().ExpandForce(InitialControl(scene, run.last()), 0, force);
+  StepLinearization linearization;
+  run.simulator().Linearize(x, force, false, &linearization);
+  if (!linearization.islands.empty()) return "something touches in free flight";
+  const StepLinearization::FreeFlight& f = linearization.free;
+  for (int i = 0; i < 2; ++i) {
+    const Vec2d a = scene.gravity + (i == 0 ? Vec2d(scene.control.initial[0] / scene.bodies[0].mass) : Vec2d(0, 0));
+    for (int k = 0; k < run.last(); ++k) {
+      const Vec2d p = run.Position(k, i), v = run.Velocity(k, i);
+      const Vec2d next_p = f.pp * p + f.pv * v + f.pa * a, next_v = f.vp * p + f.vv * v + f.va * a;
+      // A velocity that is a difference of positions is rounded as they are, over the step.
+      const double rounding = 4e-16 * (1 + p.norm());
+      if ((run.Position(k + 1, i) - next_p).norm() > 8 * rounding) return Say("position of flight differs, step ", k);
+      if ((run.Velocity(k + 1, i) - next_v).norm() > 16 * rounding / h) return Say("velocity differs, step ", k);
+    }
+    const double T = scene.duration;
+    const Vec2d end = scene.bodies[i].position + T * scene.bodies[i].velocity + 0.5 * T * T * a;
+    if ((run.Position(run.last(), i) - end).norm() > a.norm() * T * h) return "flight is not that of the force";
+    if ((run.Velocity(run.last(), i) - scene.bodies[i].velocity - T * a).norm() > 1e-9) return "flight gains speed";
+  }
+  return "";
+}
+
+// Discs that are near each other and do not touch move as each does alone, bit by bit.
+inline std::string CheckNeighbours(const Model& model) {
+  const double gap = model.traits.reach + 5e-4;
+  if (!(gap < 1)) return "";
+  Scene both;
+  both.name = "neighbours";
+  both.duration = 0.5;
+  both.steps = 240;
+  both.gravity = {0.3, -9.8};
+  both.bodies = {{.name = "a", .radius = 0.2, .mass = 1, .position = {0, 2}, .velocity = {-1, 0.1}},
+                 {.name = "b", .radius = 0.3, .mass = 3, .position = {0.5 + gap, 2}, .velocity = {0.3, 0.2}}};
+  for (int i = 0; i < 2; ++i) {
+    Scene alone = both;
+    alone.bodies = {both.bodies[i]};
+    Run single(model, alone), pair(model, both);
+    if (!pair.simulator().touches().empty()) return "discs that part are said to touch";
+    if (single.Position(1, 0) != pair.Position(1, i) || single.Velocity(1, 0) != pair.Velocity(1, i)) {
+      return "a neighbour that does not touch changes the step";
+    }
+  }
+  return "";
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Impacts.
+
+inline std::string CheckMomentum(const Model& model) {
+  for (const double friction : {0.0, 0.2}) {
+    if (friction > 0 && !model.traits.friction) continue;
+    Run run(model, TwoDiscs(0.8, friction, 0.2));
+    if (run.simulator().touches().empty()) return "the discs do not meet";
+    const double change = (run.Momentum(run.last()) - run.Momentum(0)).norm();
+    if (!(change < 1e-9)) return Say("momentum changes by ", change, " kg m/s, friction ", friction);
+  }
+  return "";
+}
+
+inline std::string CheckRestitution(const Model& model) {
+  for (const double restitution : {1.0, 0.8, 0.3}) {
+    for (const Scene& scene : Impacts(restitution)) {
+      Run run(model, scene);
+      const double ratio = run.GapSpeed(run.last()) / -run.GapSpeed(0);
+      const std::string found =
+          Say("separates with ", ratio, " of the closing speed for restitution ", restitution, " in ", scene.name);
+      switch (model.traits.rebound) {
+        case Rebound::kElasticOnly:
+          if (restitution == 1) break;
+          if (!(ratio >= 0 && ratio <= 1)) return found;
+          continue;
+        case Rebound::kEmergent:
+          if (!(ratio >= -1e-9 && ratio < 1.35)) return found;
+          continue;
+        case Rebound::kPlastic:
+          if (!(std::abs(ratio) < 0.01)) return found;
+          continue;
+        case Rebound::kRestitution:
+          break;
+      }
+      if (!(std::abs(ratio - std::pow(restitution, model.traits.restitution_power)) < 1e-4)) return found;
+    }
+  }
+  return "";
+}
+
+// The impulse points away from the other side: bodies that meet do not pass through each other.
+inline std::string CheckSeparation(const Model& model) {
+  for (const Scene& scene : Impacts(0.9)) {
+    Run run(model, scene);
+    const int last = run.last();
+    if (!run.finite()) return Say(scene.name, " is not finite");
+    const double change = Dot(run.Normal(0), Vec2d(run.Velocity(last, 0) - run.Velocity(0, 0)));
+    if (!(change > 0.1)) return Say("disc a gains ", change, " m/s away from the other side in ", scene.name);
+    if (!(run.GapSpeed(last) > -0.01)) return Say("the sides still close at the end of ", scene.name);
+    if (Dot(run.Normal(0), run.Normal(last)) < 0) return Say("the discs have passed through each other");
+  }
+  return "";
+}
+
+// Rigid models overlap by no more than two steps' approach (one until they notice, one in which, for some, only the
+// velocity turns), and for no longer than it takes to leave; compliant ones by no more than a spring gives way, and not
+// in the end.
+inline std::string CheckOverlap(const Model& model) {
+  for (const Scene& scene : Impacts(0.9)) {
+    Run run(model, scene);
+    const double closing = -run.GapSpeed(0);
+    const double mass = scene.num_bodies() > 1 ? 0.75 : scene.bodies[0].mass;
+    const double bound = model.traits.compliant ? 1.5 * closing * std::sqrt(mass / scene.contact.stiffness) + 0.01
+                                                : 2.01 * closing * run.simulator().step();
+    int overlapping = 0;
+    for (int k = 0; k <= run.last(); ++k) {
+      const double gap = run.Gap(k);
+      if (!(gap > -bound)) return Say("overlap of ", -gap, " m in ", scene.name);
+      if (gap < -1e-9) ++overlapping;
+    }
+    if (!model.traits.compliant && overlapping > 4) return Say("overlap in ", overlapping, " states of ", scene.name);
+    if (!(run.Gap(run.last()) > -1e-9) && model.traits.rebound != Rebound::kPlastic) return "overlap remains";
+  }
+  return "";
+}
+
+// A model that says so moves bodies apart that overlap, from whatever state.
+inline std::string CheckProjection(const Model& model) {
+  if (!model.traits.projects) return "";
+  for (Scene scene : Impacts(0.5)) {
+    for (Body& body : scene.bodies) body.velocity = {0, 0};
+    const std::unique_ptr<Simulator> simulator = model.make(scene);
+    const Vec2d n = scene.num_bodies() > 1 ? Vec2d(-0.6, -0.8) : scene.planes[0].normal;
+    const double touching = scene.num_bodies() > 1 ? 0.5 : 0.2, overlap = 1e-4;
+    std::vector<double> initial = InitialState(scene), x(simulator->state_size()), next(x.size());
+    const Vec2d base = scene.num_bodies() > 1 ? scene.bodies[1].position : Vec2d(0, 0);
+    const Vec2d p = base + (touching - overlap) * n;
+    std::copy_n(p.data(), 2, initial.begin());
+    simulator->ExpandInitial(initial, x);
+    const std::vector<double> force(2 * scene.num_bodies());
+    simulator->Step(x, force, next);
+    x = next;
+    const Vec2d other = scene.num_bodies() > 1 ? Vec2d(x[simulator->body_size()], x[simulator->body_size() + 1]) : base;
+    const double left = touching - Dot(n, Vec2d(Vec2d(x[0], x[1]) - other));
+    if (!(left < 0.01 * overlap)) return Say("an overlap of ", overlap, " m is ", left, " m a step later");
+  }
+  return "";
+}
+
+// Friction resists sliding, within Coulomb's bound, and does not reverse it.
+inline std::string CheckFriction(const Model& model) {
+  if (!model.traits.friction) return "";
+  for (const double friction : {0.1, 0.3}) {
+    const double sliding = 1.5;
+    Run run(model, DiscOnPlane(0.9, friction, sliding));
+    const Vec2d change = run.Velocity(run.last(), 0) - run.Velocity(0, 0), n = run.Normal(0);
+    const double normal = Dot(n, change), tangential = -Dot(Perpendicular(n), change);
+    const double sense = -Dot(Perpendicular(n), run.Velocity(0, 0)) > 0 ? 1 : -1;
+    if (!(sense * tangential < 0)) return Say("friction pushes along, by ", sense * tangential, " m/s");
+    if (!(std::abs(tangential) <= std::min(friction * normal * (1 + 1e-6), sliding))) {
+      return Say("friction of ", tangential, " m/s exceeds ", friction, " times ", normal);
+    }
+  }
+  return "";
+}
+
+inline std::string CheckFixedDiscs(const Model& model) {
+  for (const double friction : {0.0, 0.2}) {
+    if (friction > 0 && !model.traits.friction) continue;
+    for (const int fixed : {0, 1}) {
+      Scene scene = TwoDiscs(0.8, friction, 0.1);
+      scene.gravity = {1, -3};
+      scene.bodies[fixed].fixed = true;
+      scene.bodies[fixed].velocity = {0, 0};
+      Run run(model, scene);
+      if (run.simulator().touches().empty()) return "the fixed disc is not met";
+      for (int k = 0; k <= run.last(); ++k) {
+        if (run.Position(k, fixed) != scene.bodies[fixed].position || run.Velocity(k, fixed) != Vec2d(0, 0)) {
+          return Say("the fixed disc moves in step ", k);
+        }
+      }
+      if (!(Dot(run.Normal(0), Vec2d(run.Velocity(run.last(), 0) - run.Velocity(0, 0))) > 0) && fixed == 1) {
+        return "the fixed disc does not push";
+      }
+    }
+  }
+  return "";
+}
+
+// A disc that meets two others in the same step, the scene being symmetric about the x axis.
+inline std::string CheckSeveralAtOnce(const Model& model) {
+  Scene scene;
+  scene.name = "break";
+  scene.duration = 0.25;
+  scene.steps = 120;
+  scene.bodies = {{.name = "a", .radius = 0.2, .mass = 1, .position = {-0.5, 0}, .velocity = {3, 0}},
+                  {.name = "b", .radius = 0.2, .mass = 1.5, .position = {0.2, 0.25}},
+                  {.name = "c", .radius = 0.2, .mass = 1.5, .position = {0.2, -0.25}}};
+  scene.contact = {.restitution = 0.6, .friction = 0, .stiffness = 1e4, .damping = 0};
+  Run run(model, scene);
+  const int last = run.last();
+  if (!run.finite()) return "three discs at once are not finite";
+  if (run.simulator().touches().size() < 2) return "the discs do not meet";
+  const double change = (run.Momentum(last) - run.Momentum(0)).norm();
+  if (!model.traits.averages && !(change < 1e-9)) return Say("momentum changes by ", change, " kg m/s");
+  const Vec2d a = run.Velocity(last, 0), b = run.Velocity(last, 1), c = run.Velocity(last, 2);
+  if (!(b[0] > 0.1 && b[1] > 0.1 && c[0] > 0.1 && c[1] < -0.1)) return "the discs are not pushed apart";
+  if (model.traits.sequential) return "";
+  if (!(std::abs(a[1]) < 1e-9 && std::abs(b[0] - c[0]) < 1e-9 && std::abs(b[1] + c[1]) < 1e-9)) {
+    return "the result is not symmetric";
+  }
+  return "";
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Derivatives.
+
+inline bool SameTouches(const std::vector<Touch>& a, const std::vector<Touch>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const Touch& l, const Touch& r) {
+    return l.candidate == r.candidate && l.mode == r.mode && l.kind == r.kind;
+  });
+}
+
+// A column of a step's derivative by central differences. False near a tie: where what touches changes within the
+// difference, or where half the width gives another result.
+class StepDifference {
+ public:
+  StepDifference(const Simulator& simulator, std::vector<double> x, std::vector<double> force)
+      : simulator_(simulator), x_(std::move(x)), force_(std::move(force)) {
+    Eigen::VectorXd next(x_.size());
+    simulator.Step(x_, force_, {next.data(), x_.size()}, &touches_);
+  }
+
+  bool Compute(bool by_force, int column, Eigen::VectorXd* derivative) const {
+    Eigen::VectorXd half;
+    if (!Central(by_force, column, 1e-6, derivative) || !Central(by_force, column, 5e-7, &half)) return false;
+    return (*derivative - half).cwiseAbs().maxCoeff() < 1e-5 * (1 + half.cwiseAbs().maxCoeff());
+  }
+
+ private:
+  bool Central(bool by_force, int column, double width, Eigen::VectorXd* derivative) const {
+    Eigen::VectorXd up, down;
+    if (!Shifted(by_force, column, width, &up) || !Shifted(by_force, column, -width, &down)) return false;
+    *derivative = (up - down) / (2 * width);
+    return true;
+  }
+  bool Shifted(bool by_force, int column, double shift, Eigen::VectorXd* next) const {
+    std::vector<double> x = x_, force = force_;
+    (by_force ? force : x)[column] += shift;
+    next->resize(x.size());
+    std::vector<Touch> touches;
+    simulator_.Step(x, force, {next->data(), x.size()}, &touches);
+    return SameTouches(touches, touches_);
+  }
+
+  const Simulator& simulator_;
+  std::vector<double> x_, force_;
+  std::vector<Touch> touches_;
+};
+
+// Steps of a rollout in which something touches, at most `count` of them, spread over the rollout.
+inline std::vector<int> TouchedSteps(const Simulator& simulator, int count) {
+  std::vector<int> all;
+  for (const StepTouch& touch : simulator.touches()) {
+    if (all.empty() || all.back() != touch.step) all.push_back(touch.step);
+  }
+  std::vector<int> some;
+  const int size = static_cast<int>(all.size());
+  for (int i = 0; i < std::min(size, count); ++i) some.push_back(all[i * size / std::min(size, count)]);
+  return some;
+}
+
+// The linearization of steps with contact is the derivative of the step, away from ties.
+inline std::string CheckDerivative(const Model& model, const Scene& scene) {
+  if (model.traits.published_jacobian) return "";
+  Run run(model, scene);
+  const Simulator& simulator = run.simulator();
+  const std::vector<int> steps = TouchedSteps(simulator, 12);
+  if (steps.empty()) return "nothing touches";
+  int compared = 0, ties = 0;
+  for (const int k : steps) {
+    std::vector<double> x(simulator.state_size()), force(2 * simulator.num_bodies());
+    simulator.GetState(k, x);
+    simulator.ExpandForce(InitialControl(scene, run.last()), k, force);
+    StepLinearization linearization;
+    simulator.Linearize(x, force, false, &linearization);
+    Eigen::MatrixXd A, B;
+    linearization.ToDense(&A, &B);
+    const StepDifference difference(simulator, x, force);
+    for (int column = 0; column < A.cols() + B.cols(); ++column) {
+      const bool by_force = column >= A.cols();
+      const int at = by_force ? column - A.cols() : column;
+      if (scene.bodies[at / (by_force ? 2 : simulator.body_size())].fixed) continue;
+      Eigen::VectorXd expected;
+      if (!difference.Compute(by_force, at, &expected)) {
+        ++ties;
+        continue;
+      }
+      ++compared;
+      const Eigen::VectorXd actual = by_force ? B.col(at) : A.col(at);
+      const double error = (actual - expected).cwiseAbs().maxCoeff();
+      if (!(error < 2e-5 * (1 + expected.cwiseAbs().maxCoeff()))) {
+        return Say("step ", k, ", by ", by_force ? "force " : "state ", at, ": off by ", error);
+      }
+    }
+  }
+  if (compared < 2 * ties) return Say("only ", compared, " columns are away from ties, ", ties, " are not");
+  return "";
+}
+
+// Resting, grazing and slipless contacts, exactly touching: results and derivatives are finite.
+inline std::string CheckDegenerateStates(const Model& model) {
+  for (const double friction : {0.0, 0.3}) {
+    if (friction > 0 && !model.traits.friction) continue;
+    for (const double overlap : {0.0, 1e-7, -1e-7}) {
+      for (const Vec2d& velocity : {Vec2d(0, 0), Vec2d(1, 0), Vec2d(0, -1e-9), Vec2d(0, -2), Vec2d(0, 2)}) {
+        Scene scene;
+        scene.name = "degenerate";
+        scene.duration = 0.5;
+        scene.steps = 240;
+        scene.gravity = {0, -9.8};
+        scene.bodies = {{.name = "a", .radius = 0.2, .mass = 1, .position = {0, 0.2}},
+                        {.name = "b", .radius = 0.2, .mass = 2, .position = {0.4, 0.2}}};
+        scene.planes = {{"ground", {0, 0}, {0, 1}}};
+        scene.contact.friction = friction;
+        if (!model.why_not(scene).empty()) continue;
+        const std::unique_ptr<Simulator> simulator = model.make(scene);
+        std::vector<double> initial = InitialState(scene), x(simulator->state_size()), next(x.size());
+        initial[1] -= overlap;
+        initial[2] = velocity[0];
+        initial[3] = velocity[1];
+        simulator->ExpandInitial(initial, x);
+        const std::vector<double> force(4);
+        simulator->Step(x, force, next);
+        StepLinearization linearization;
+        simulator->Linearize(x, force, true, &linearization);
+        bool finite = std::all_of(next.begin(), next.end(), [](double value) { return std::isfinite(value); });
+        for (const StepLinearization::Island& island : linearization.islands) {
+          finite = finite && island.A.allFinite() && island.B.allFinite() && island.P.allFinite();
+        }
+        if (!finite) {
+          return Say("not finite at overlap ", overlap, ", velocity ", velocity.transpose(), ", friction ", friction);
+        }
+      }
+    }
+  }
+  return "";
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Symmetries.
+
+// Largest difference of p and v at the end, disc i of `a` being disc map[i] of `b` and its vectors turned by `turn`.
+inline double EndDifference(Run& a, Run& b, const std::vector<int>& map, const Eigen::Matrix2d& turn) {
+  double largest = 0;
+  for (int i = 0; i < static_cast<int>(map.size()); ++i) {
+    largest = std::max(largest, (turn * a.Position(a.last(), i) - b.Position(b.last(), map[i])).norm());
+    largest = std::max(largest, (turn * a.Velocity(a.last(), i) - b.Velocity(b.last(), map[i])).norm());
+  }
+  return largest;
+}
+
+inline Scene Turned(Scene scene, const Eigen::Matrix2d& turn) {
+  scene.gravity = turn * scene.gravity;
+  for (Body& body : scene.bodies) {
+    body.position = turn * body.position;
+    body.velocity = turn * body.velocity;
+  }
+  for (Plane& plane : scene.planes) {
+    plane.point = turn * plane.point;
+    plane.normal = turn * plane.normal;
+  }
+  for (Vec2d& force : scene.control.initial) force = turn * force;
+  return scene;
+}
+
+inline Scene Reordered(const Scene& scene, const std::vector<int>& map) {
+  Scene reordered = scene;
+  for (int i = 0; i < scene.num_bodies(); ++i) reordered.bodies[map[i]] = scene.bodies[i];
+  for (int& body : reordered.control.bodies) body = map[body];
+  return reordered;
+}
+
+// The same scene turned, mirrored, or with its discs in another order moves the same way.
+inline std::string CheckSymmetries(const Model& model, const Scene& scene) {
+  Run run(model, scene);
+  if (run.simulator().touches().empty()) return "nothing touches";
+  std::vector<int> same(scene.num_bodies()), reversed(scene.num_bodies());
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    same[i] = i;
+    reversed[i] = scene.num_bodies() - 1 - i;
+  }
+  const double tolerance = 1e-7;
+  Eigen::Matrix2d mirror, turn;
+  mirror << -1, 0, 0, 1;
+  turn << 0.6, -0.8, 0.8, 0.6;
+  Run mirrored(model, Turned(scene, mirror)), turned(model, Turned(scene, turn)),
+      reordered(model, Reordered(scene, reversed));
+  if (const double by = EndDifference(run, mirrored, same, mirror); !(by < tolerance)) return Say("mirrored: ", by);
+  if (const double by = EndDifference(run, turned, same, turn); !(by < tolerance)) return Say("turned: ", by);
+  const double by = EndDifference(run, reordered, reversed, Eigen::Matrix2d::Identity());
+  if (!(by < tolerance)) return Say("reordered: ", by);
+  return "";
+}
+
+// The same bits twice, from the same simulator and from another.
+inline std::string CheckDeterminism(const Model& model, const Scene& scene) {
+  Run first(model, scene), second(model, scene);
+  const std::unique_ptr<Simulator> again = model.make(scene);
+  const std::vector<double> control = InitialControl(scene, again->num_steps());
+  std::vector<double> a(again->state_size()), b(a.size()), c(a.size());
+  for (int repetition = 0; repetition < 2; ++repetition) again->Rollout(InitialState(scene), control);
+  first.simulator().GetState(first.last(), a);
+  second.simulator().GetState(first.last(), b);
+  again->GetState(first.last(), c);
+  return a == b && a == c ? "" : "the same rollout gives other bits";
+}
+
+// Two groups of discs far apart move as each does alone, bit by bit.
+inline std::string CheckGroupsApart(const Model& model) {
+  if (model.traits.reach > 50) return "";
+  const Scene near = TwoDiscs(0.8, 0, 0.1);
+  Scene far = near;
+  for (Body& body : far.bodies) {
+    body.position += Vec2d(64, 0);
+    body.velocity *= 1.25;
+    body.name += "2";
+  }
+  Scene both = near;
+  both.bodies.insert(both.bodies.end(), far.bodies.begin(), far.bodies.end());
+  Run one(model, near), other(model, far), all(model, both);
+  for (int i = 0; i < 4; ++i) {
+    Run& alone = i < 2 ? one : other;
+    const int last = all.last();
+    if (alone.Position(last, i % 2) != all.Position(last, i) || alone.Velocity(last, i % 2) != all.Velocity(last, i)) {
+      return "discs far apart influence each other";
+    }
+  }
+  return "";
+}
+
+}  // namespace saltus::conformance
