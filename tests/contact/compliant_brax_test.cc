@@ -3,24 +3,22 @@
 #include <gtest/gtest.h>
 
 #include "contact/one_step.h"
-#include "contact/published_rows.h"
+#include "saltus/control/single_shooting.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using contact_test::DiscScene;
-using contact_test::LoadProblem;
 using contact_test::OneStep;
 
 constexpr double kTolerance = 1e-14;
 const Plane kGround = {"ground", {0, 0}, {0, 1}};
 const Plane kWall = {"wall", {0, 0}, {1, 0}};
 
-TEST(CompliantBrax, PublishedRows) { contact_test::ExpectPublished("compliant_brax"); }
-
 // The released implementation computes in single precision; with friction its loss shows that.
 TEST(CompliantBrax, LossInSinglePrecision) {
-  Scene scene = LoadProblem("ground_wall");
+  Scene scene = ProblemScene("ground_wall");
   scene.contact.friction = 0.1;
   double loss;
   for (const auto& [precision, expected] : {std::pair(Precision::kFloat, 8.901242), {Precision::kDouble, 8.901251}}) {
@@ -32,7 +30,7 @@ TEST(CompliantBrax, LossInSinglePrecision) {
 
 // With n1 the integrator step of the hit: d/dv = h (2 n1 - N), d/du_0 = h^2 (4 n1 - 2 N - 3).
 TEST(CompliantBrax, ClosedFormOfOneBounce) {
-  Scene scene = LoadProblem("bounce_once");
+  Scene scene = ProblemScene("bounce_once");
   scene.bodies[0].position[1] = 1.001;
   SingleShooting shooting(MakeSimulator("compliant_brax", scene, Precision::kDouble));
   double loss;
@@ -45,7 +43,7 @@ TEST(CompliantBrax, ClosedFormOfOneBounce) {
 }
 
 TEST(CompliantBrax, OddNumberOfStepsIsRefused) {
-  Scene scene = LoadProblem("bounce_once");
+  Scene scene = ProblemScene("bounce_once");
   scene.steps = 481;
   EXPECT_FALSE(WhyNotApplicable("compliant_brax", scene).empty());
 }

@@ -10,8 +10,6 @@ class ConvexTest : public ::testing::Test {};
 using Models = ::testing::Types<Convex<false>, Convex<true>>;
 TYPED_TEST_SUITE(ConvexTest, Models);
 
-TYPED_TEST(ConvexTest, PublishedGradientsAndVelocities) { ExpectPublishedRows<TypeParam>(); }
-
 TYPED_TEST(ConvexTest, DerivativeAtPlanesIsThatOfDifferences) {
   Scene scene = Corner();
   for (const double friction : {0.2, 1.0, 2.0}) {  // slip on both, stick on one, stick on both

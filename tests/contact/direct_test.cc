@@ -10,8 +10,6 @@ class DirectTest : public ::testing::Test {};
 using Models = ::testing::Types<Direct<false>, Direct<true>>;
 TYPED_TEST_SUITE(DirectTest, Models);
 
-TYPED_TEST(DirectTest, PublishedGradientsAndVelocities) { ExpectPublishedRows<TypeParam>(); }
-
 TYPED_TEST(DirectTest, DerivativeIsThatOfDifferences) {
   ExpectStepDerivative<TypeParam>(ObliqueCollision());
   ExpectStepDerivative<TypeParam>(Corner());

@@ -5,13 +5,13 @@
 #include <Eigen/LU>
 
 #include "contact/one_step.h"
-#include "contact/published_rows.h"
+#include "saltus/control/single_shooting.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using contact_test::DiscScene;
-using contact_test::LoadProblem;
 using contact_test::OneStep;
 
 constexpr double kStep = 1.0 / 480;
@@ -19,8 +19,6 @@ const Plane kGround = {"ground", {0, 0}, {0, 1}};
 const Plane kWall = {"wall", {0, 0}, {1, 0}};
 const std::vector<int> kVelocities = {2, 3};
 const std::vector<int> kEverything = {0, 1, 2, 3, 4, 5};
-
-TEST(Lcp, PublishedRows) { contact_test::ExpectPublished("lcp"); }
 
 // Reference values of an independent implementation.
 TEST(Lcp, LossesGradientsAndImpactSteps) {
@@ -33,12 +31,12 @@ TEST(Lcp, LossesGradientsAndImpactSteps) {
   double loss;
   Sensitivity gradient;
   std::vector<int> steps;
-  evaluate(LoadProblem("bounce_once"), &loss, &gradient, &steps);
+  evaluate(ProblemScene("bounce_once"), &loss, &gradient, &steps);
   EXPECT_NEAR(loss, 1.1833333333, 1e-10);
   EXPECT_NEAR(gradient.control[1], -kStep * (1 - kStep), 1e-14);
   EXPECT_EQ(steps, std::vector<int>({217}));
 
-  Scene scene = LoadProblem("ground_wall");
+  Scene scene = ProblemScene("ground_wall");
   evaluate(scene, &loss, &gradient, &steps);
   EXPECT_NEAR(loss, 8.493499808011151, 1e-12);
   EXPECT_NEAR(gradient.initial[0], -5.336, 1e-8);
@@ -55,7 +53,7 @@ TEST(Lcp, LossesGradientsAndImpactSteps) {
   EXPECT_NEAR(gradient.initial[3], -0.7899847, 1e-7);
   EXPECT_EQ(steps, std::vector<int>({76, 251}));
 
-  evaluate(LoadProblem("two_balls"), &loss, &gradient, &steps);
+  evaluate(ProblemScene("two_balls"), &loss, &gradient, &steps);
   EXPECT_NEAR(loss, 2.0665260, 1e-7);
   EXPECT_EQ(steps, std::vector<int>({333}));
 }

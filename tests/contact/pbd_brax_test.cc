@@ -3,13 +3,13 @@
 #include <gtest/gtest.h>
 
 #include "contact/one_step.h"
-#include "contact/published_rows.h"
+#include "saltus/control/single_shooting.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using contact_test::DiscScene;
-using contact_test::LoadProblem;
 using contact_test::OneStep;
 
 constexpr double kEps = 1e-6;
@@ -27,12 +27,10 @@ Evaluation EvaluateScene(const Scene& scene, Precision precision) {
   return result;
 }
 
-TEST(PbdBrax, PublishedRows) { contact_test::ExpectPublished("pbd_brax"); }
-
 TEST(PbdBrax, LossInSinglePrecision) {
-  EXPECT_NEAR(EvaluateScene(LoadProblem("bounce_once"), Precision::kFloat).loss, 1.191653, 6e-7);
-  EXPECT_NEAR(EvaluateScene(LoadProblem("two_balls"), Precision::kFloat).loss, 2.0606112, 6e-7);
-  Scene scene = LoadProblem("ground_wall");
+  EXPECT_NEAR(EvaluateScene(ProblemScene("bounce_once"), Precision::kFloat).loss, 1.191653, 6e-7);
+  EXPECT_NEAR(EvaluateScene(ProblemScene("two_balls"), Precision::kFloat).loss, 2.0606112, 6e-7);
+  Scene scene = ProblemScene("ground_wall");
   EXPECT_NEAR(EvaluateScene(scene, Precision::kFloat).loss, 8.678955, 1.5e-6);
   scene.contact.friction = 0.1;
   EXPECT_NEAR(EvaluateScene(scene, Precision::kFloat).loss, 8.710405, 6e-7);
@@ -40,14 +38,14 @@ TEST(PbdBrax, LossInSinglePrecision) {
 
 // The same quantities in double, from an independent implementation.
 TEST(PbdBrax, DoublePrecision) {
-  const Evaluation balls = EvaluateScene(LoadProblem("two_balls"), Precision::kDouble);
+  const Evaluation balls = EvaluateScene(ProblemScene("two_balls"), Precision::kDouble);
   EXPECT_NEAR(balls.loss, 2.05762876, 6e-9);
   EXPECT_NEAR(balls.gradient.initial[0], -0.359248, 6e-7);
   EXPECT_NEAR(balls.gradient.initial[4], -0.358567, 6e-7);
   EXPECT_NEAR(balls.gradient.initial[2], -0.469804, 6e-7);
   EXPECT_NEAR(balls.gradient.initial[6], -0.248010, 6e-7);
   EXPECT_NEAR(balls.gradient.control[0], 0.00054404, 6e-9);
-  Scene scene = LoadProblem("ground_wall");
+  Scene scene = ProblemScene("ground_wall");
   const Evaluation smooth = EvaluateScene(scene, Precision::kDouble);
   EXPECT_NEAR(smooth.loss, 8.67895693, 6e-9);
   EXPECT_NEAR(smooth.gradient.initial[2], -0.831188, 6e-7);
@@ -62,7 +60,7 @@ TEST(PbdBrax, DoublePrecision) {
 
 // The regularisers are all that is left of the derivative by the initial height.
 TEST(PbdBrax, RegularisersInOneBounce) {
-  Scene scene = LoadProblem("bounce_once");
+  Scene scene = ProblemScene("bounce_once");
   scene.bodies[0].position[1] = 1.001;
   const Sensitivity away = EvaluateScene(scene, Precision::kDouble).gradient;
   EXPECT_NEAR(away.initial[1], -0.000521999, 6e-10);
@@ -76,7 +74,7 @@ TEST(PbdBrax, RegularisersInOneBounce) {
 }
 
 TEST(PbdBrax, OddNumberOfStepsIsRefused) {
-  Scene scene = LoadProblem("bounce_once");
+  Scene scene = ProblemScene("bounce_once");
   scene.steps = 481;
   EXPECT_FALSE(WhyNotApplicable("pbd_brax", scene).empty());
 }

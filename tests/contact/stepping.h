@@ -1,5 +1,5 @@
-// Steps, rollouts and forward derivatives of a contact model on a scene, for tests: a plain loop over all pairs that
-// knows nothing of broad phases, islands and adjoints. And the published scenes and rows to compare with.
+// Steps and forward derivatives of a contact model on a scene, for tests: a plain loop over all pairs that knows
+// nothing of broad phases, islands and adjoints. And the problems with their losses and gradients.
 #pragma once
 
 #include <gmock/gmock.h>
@@ -7,13 +7,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <memory_resource>
-#include <sstream>
 #include <string>
 #include <vector>
 
+#include "saltus/audit/gradients.h"
 #include "saltus/contact/contact_model.h"
+#include "test_scenes.h"
 
 namespace saltus::testing {
 
@@ -106,169 +106,15 @@ std::vector<BodyState<double, 0>> StepOnce(const Scene& scene, std::vector<Touch
   return StepOnce<M>(scene, Arguments<double>(scene), touches);
 }
 
-// The loss of a rollout from `arguments`. Its force is held over the horizon but for the first step's, `first_force`.
-template <typename M, typename T>
-T Loss(const Scene& scene, StepArguments<T> arguments, const std::vector<Vec2<T>>& first_force) {
-  using S = Base<T>;
-  const std::vector<Vec2<T>> force = arguments.force;
-  T loss = T(S(0));
-  for (int k = 0; k < scene.steps; ++k) {
-    arguments.force = k == 0 ? first_force : force;
-    for (const int i : scene.control.bodies) {
-      const Vec2<T>& u = arguments.force[i];
-      loss += S(scene.objective.effort * scene.dt()) * Dot(u, u);
-    }
-    arguments.x = StepOnce<M>(scene, arguments);
-  }
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
-    const Vec2<T>& q = position ? arguments.x[term.body].p : arguments.x[term.body].v;
-    if (term.component) {
-      loss += S(term.weight) * q[*term.component];
-    } else {
-      const Vec2<T> miss(q[0] - S(term.target[0]), q[1] - S(term.target[1]));
-      loss += S(term.weight) * Dot(miss, miss);
-    }
-  }
-  return loss;
-}
-
-template <typename M, typename S = double>
-S InitialLoss(const Scene& scene) {
-  const StepArguments<S> arguments = Arguments<S>(scene);
-  return Loss<M>(scene, arguments, arguments.force);
-}
-
-// Derivative of the loss by forward Jets. `quantity`: "dloss/" and dp_y, dv2_x (body 2 of 1, 2, ...), du0_y or du1_0_x
-// (force on body 1 in step 0).
-template <typename M, typename S>
-S LossDerivative(const Scene& scene, const std::string& quantity) {
-  using J = StepJet<S>;
-  StepArguments<J> arguments = Arguments<J>(scene);
-  std::vector<Vec2<J>> first_force = arguments.force;
-  const char kind = quantity[7];
-  const int component = quantity.back() == 'y';
-  const bool numbered = kind == 'u' ? quantity[9] == '_' && quantity.size() > 11 : quantity[8] != '_';
-  const int body = numbered ? quantity[8] - '1' : 0;
-  J& seed = kind == 'p'   ? arguments.x[body].p[component]
-            : kind == 'v' ? arguments.x[body].v[component]
-                          : first_force[body][component];
-  seed.v[0] = S(1);
-  return Loss<M>(scene, arguments, first_force).v[0];
-}
-
-// The velocity of disc 0 after gradient descent on it: z <- z - rate * gradient.
-template <typename M, typename S>
-Vec2<S> DescendVelocity(const Scene& scene, double rate, int iterations) {
-  using J = StepJet<S>;
-  StepArguments<J> arguments = Arguments<J>(scene);
-  arguments.x[0].v[0].v[0] = S(1);
-  arguments.x[0].v[1].v[1] = S(1);
-  for (int k = 0; k < iterations; ++k) {
-    const J loss = Loss<M>(scene, arguments, arguments.force);
-    arguments.x[0].v[0].a -= S(rate) * loss.v[0];
-    arguments.x[0].v[1].a -= S(rate) * loss.v[1];
-  }
-  return {arguments.x[0].v[0].a, arguments.x[0].v[1].a};
-}
-
-inline Scene BounceOnce() {
-  Scene scene;
-  scene.name = "bounce_once";
-  scene.duration = 1;
-  scene.steps = 480;
-  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {-1, 1}, .velocity = {2, -2}}};
-  scene.planes = {{.name = "ground", .point = {0, 0}, .normal = {0, 1}}};
-  scene.control = {{0}, {Vec2d(0, 0)}};
-  scene.objective.terminal = {{.body = 0, .component = 1}};
-  return scene;
-}
-
-inline Scene GroundWall(double friction) {
-  Scene scene;
-  scene.name = "ground_wall";
-  scene.duration = 0.6;
-  scene.steps = 288;
-  scene.gravity = {0, -9.8};
-  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {-0.5, 1}, .velocity = {5, -5}}};
-  scene.planes = {{.name = "ground", .point = {0, 0}, .normal = {0, 1}},
-                  {.name = "wall", .point = {1.75, 0}, .normal = {-1, 0}}};
-  scene.contact = {.restitution = 0.92, .friction = friction, .stiffness = 1e4, .damping = 10};
-  scene.objective.terminal = {{.body = 0, .component = {}, .target = {-2, 1.5}}};
-  return scene;
-}
-
-inline Scene TwoBalls() {
-  Scene scene;
-  scene.name = "two_balls";
-  scene.duration = 1;
-  scene.steps = 480;
-  scene.bodies = {{.name = "striker", .radius = 0.2, .position = {-2, -2}},
-                  {.name = "target", .radius = 0.2, .position = {-1, -1}}};
-  scene.control = {{0}, {Vec2d(3, 3)}};
-  scene.objective = {{{.body = 1, .component = {}, .target = {0, 0}}}, 0.1};
-  return scene;
-}
-
-struct PublishedRow {
-  std::string problem, friction, contact, precision, quantity, verdict;
-  double expected, tolerance;
-};
-
-// The rows of data/published.csv for one model.
-inline std::vector<PublishedRow> PublishedRows(const std::string& contact) {
-  std::ifstream file(std::string(SALTUS_SOURCE_DIR) + "/data/published.csv");
-  std::vector<PublishedRow> rows;
-  for (std::string line; std::getline(file, line);) {
-    std::vector<std::string> cells;
-    std::istringstream stream(line);
-    for (std::string cell; std::getline(stream, cell, ',');) cells.push_back(cell);
-    if (cells.size() < 9 || cells[3] != contact) continue;
-    cells.resize(10);
-    rows.push_back(
-        {cells[1], cells[2], cells[3], cells[4], cells[5], cells[9], std::stod(cells[7]), std::stod(cells[8])});
-  }
-  return rows;
-}
-
-template <typename M, typename S>
-void ExpectPublishedRow(const PublishedRow& row) {
-  SCOPED_TRACE(row.problem + " mu=" + row.friction + " " + row.contact + " " + row.quantity);
-  const Scene scene = row.problem == "bounce_once"   ? BounceOnce()
-                      : row.problem == "ground_wall" ? GroundWall(std::stod(row.friction))
-                                                     : TwoBalls();
-  if (row.quantity.starts_with("dloss/")) {
-    EXPECT_NEAR((LossDerivative<M, S>(scene, row.quantity)), row.expected, row.tolerance);
-  } else if (row.quantity == "v_x_1000" || row.quantity == "v_y_1000") {
-    const Vec2<S> velocity = DescendVelocity<M, S>(scene, 0.01, 1000);
-    EXPECT_NEAR(velocity[row.quantity[2] == 'y'], row.expected, row.tolerance);
-  }
-}
-
-// Gradients, and velocities after 1000 descent steps unless they are chaotic.
-template <typename M>
-void ExpectPublishedRows() {
-  const std::vector<PublishedRow> rows = PublishedRows(std::string(M::kTraits.name));
-  ASSERT_FALSE(rows.empty());
-  for (const PublishedRow& row : rows) {
-    if (row.verdict == "chaotic") continue;
-    if (row.precision == "float") {
-      ExpectPublishedRow<M, float>(row);
-    } else {
-      ExpectPublishedRow<M, double>(row);
-    }
-  }
-}
-
 // Jets give the bits of the scalar step, and finite derivatives.
-template <typename M, typename S>
+template <typename M>
 void ExpectJetsHaveScalarBits(const Scene& scene) {
-  using J = StepJet<S>;
+  using J = StepJet<double>;
   StepArguments<J> arguments = Arguments<J>(scene);
   const std::vector<J*> scalars = arguments.Scalars();
-  for (std::size_t i = 0; i < scalars.size(); ++i) scalars[i]->v[i % kJetWidth] = S(1);
+  for (std::size_t i = 0; i < scalars.size(); ++i) scalars[i]->v[i % kJetWidth] = 1;
   const std::vector<BodyState<J, 0>> with_jets = StepOnce<M>(scene, arguments);
-  const std::vector<BodyState<S, 0>> plain = StepOnce<M>(scene, Arguments<S>(scene));
+  const std::vector<BodyState<double, 0>> plain = StepOnce<M>(scene);
   for (std::size_t i = 0; i < plain.size(); ++i) {
     for (int k = 0; k < 2; ++k) {
       EXPECT_EQ(with_jets[i].p[k].a, plain[i].p[k]);
@@ -277,12 +123,6 @@ void ExpectJetsHaveScalarBits(const Scene& scene) {
       EXPECT_TRUE(with_jets[i].v[k].v.allFinite());
     }
   }
-}
-
-template <typename M>
-void ExpectJetsHaveScalarBits(const Scene& scene) {
-  ExpectJetsHaveScalarBits<M, double>(scene);
-  ExpectJetsHaveScalarBits<M, float>(scene);
 }
 
 // The step's derivative with respect to everything, against central differences. Precondition: no event within 1e-6.
@@ -319,6 +159,25 @@ inline Vec2d Momentum(const Scene& scene, const std::vector<BodyState<double, 0>
   Vec2d sum(0, 0);
   for (std::size_t i = 0; i < x.size(); ++i) sum += scene.bodies[i].mass * x[i].v;
   return sum;
+}
+
+inline Scene TwoBalls() { return ProblemScene("two_balls"); }
+
+inline Scene GroundWall(double friction) {
+  Scene scene = ProblemScene("ground_wall");
+  scene.contact.friction = friction;
+  return scene;
+}
+
+// Loss and gradient at the initial guess.
+template <typename M>
+ModelGradient Gradient(const Scene& scene, Precision precision = Precision::kDouble) {
+  return ComputeGradient(M::kTraits.name, scene, precision);
+}
+
+template <typename M>
+double InitialLoss(const Scene& scene, Precision precision = Precision::kDouble) {
+  return Gradient<M>(scene, precision).loss;
 }
 
 // Two discs of 1 kg and 3 kg that meet obliquely, 2.8 mm before contact, or 11 mm after it if they overlap.

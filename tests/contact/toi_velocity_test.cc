@@ -11,12 +11,13 @@ TEST(ToiVelocityTest, TwoBalls) {
   EXPECT_NEAR(InitialLoss<ToiVelocity>(TwoBalls()), 2.0574282224457, 1e-12);
   Scene terminal = TwoBalls();
   terminal.objective.effort = 0;
-  EXPECT_NEAR((InitialLoss<ToiVelocity, float>(terminal)), 0.2574226, 5e-7);
-  EXPECT_NEAR((LossDerivative<ToiVelocity, double>(TwoBalls(), "dloss/dp1_x")), -0.3951, 5e-5);
-  EXPECT_NEAR((LossDerivative<ToiVelocity, double>(TwoBalls(), "dloss/dp2_x")), -0.3225, 5e-5);
-  EXPECT_NEAR((LossDerivative<ToiVelocity, double>(TwoBalls(), "dloss/dv1_x")), -0.4949, 5e-5);
-  EXPECT_NEAR((LossDerivative<ToiVelocity, double>(TwoBalls(), "dloss/dv2_x")), -0.2226, 5e-5);
-  EXPECT_NEAR((LossDerivative<ToiVelocity, double>(TwoBalls(), "dloss/du1_0_x")), 0.0002, 5e-5);
+  EXPECT_NEAR(InitialLoss<ToiVelocity>(terminal, Precision::kFloat), 0.2574226, 5e-7);
+  const Sensitivity gradient = Gradient<ToiVelocity>(TwoBalls()).gradient;
+  EXPECT_NEAR(gradient.initial[0], -0.3951, 5e-5);
+  EXPECT_NEAR(gradient.initial[4], -0.3225, 5e-5);
+  EXPECT_NEAR(gradient.initial[2], -0.4949, 5e-5);
+  EXPECT_NEAR(gradient.initial[6], -0.2226, 5e-5);
+  EXPECT_NEAR(gradient.control[0], 0.0002, 5e-5);
 }
 
 TEST(ToiVelocityTest, DerivativeIsThatOfDifferences) {

@@ -1,12 +1,18 @@
 // Every number that the paper prints, at its precision and within its tolerance, from what saltus_reproduce runs.
 #include "programs/published.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include <map>
 
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
 namespace {
+
+using testing::ElementsAre;
+using testing::Pair;
 
 class Published : public testing::Test {
  protected:
@@ -17,19 +23,6 @@ class Published : public testing::Test {
     CompareWithPublished(*experiments_, rows_);
   }
 
-  static void ExpectTable(const std::string& table, size_t count) {
-    size_t seen = 0;
-    for (const PublishedRow& row : *rows_) {
-      if (row.table != table) continue;
-      ++seen;
-      const std::string name = row.problem + " " + row.contact + " " + row.quantity;
-      ASSERT_TRUE(row.ours) << name << " is not computed";
-      if (!row.IsJudged()) continue;
-      EXPECT_NEAR(*row.ours, row.expected, row.tolerance) << name;
-    }
-    EXPECT_EQ(seen, count);
-  }
-
   static Experiments* experiments_;
   static std::vector<PublishedRow>* rows_;
 };
@@ -37,12 +30,19 @@ class Published : public testing::Test {
 Experiments* Published::experiments_ = nullptr;
 std::vector<PublishedRow>* Published::rows_ = nullptr;
 
-TEST_F(Published, BounceOnce) { ExpectTable("T1", 27); }
-TEST_F(Published, GroundWall) { ExpectTable("T2", 36); }
-TEST_F(Published, TwoBalls) { ExpectTable("T3", 60); }
-TEST_F(Published, GroundWallWithFriction) { ExpectTable("T4", 28); }
-TEST_F(Published, Stiffness) { ExpectTable("F5", 8); }
-TEST_F(Published, FollowUpOptima) { ExpectTable("L4DC", 2); }
+TEST_F(Published, EveryNumber) {
+  std::map<std::string, int> rows_of_table;
+  for (const PublishedRow& row : *rows_) {
+    ++rows_of_table[row.table];
+    const std::string name = row.table + " " + row.problem + " " + row.contact + " " + row.quantity;
+    ASSERT_TRUE(row.ours) << name << " is not computed";
+    if (!row.IsJudged()) continue;
+    EXPECT_NEAR(*row.ours, row.expected, row.tolerance) << name;
+  }
+  EXPECT_THAT(
+      rows_of_table,
+      ElementsAre(Pair("F5", 8), Pair("L4DC", 2), Pair("T1", 27), Pair("T2", 36), Pair("T3", 60), Pair("T4", 28)));
+}
 
 TEST_F(Published, ARowOutsideItsToleranceDoesNotMatch) {
   PublishedRow row = rows_->front();
