@@ -8,7 +8,8 @@ namespace saltus {
 namespace {
 
 constexpr int kMaxSweeps = 20000;
-constexpr double kConverged = 1e-15;  // of the largest acceleration
+constexpr double kConverged = 1e-14;  // of the largest acceleration given
+constexpr double kWedged = 1e9;       // likewise
 constexpr double kRank = 1e-10;
 
 Vec2d RelativeAcceleration(const PressingContact& c, std::span<const Vec2d> acceleration) {
@@ -42,7 +43,7 @@ double Relax(double friction, std::span<const double> inverse_mass, std::span<Ve
 
 }  // namespace
 
-void SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+bool SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                          std::span<PressingContact> contacts) {
   double scale = 0;
   for (PressingContact& c : contacts) {
@@ -52,8 +53,10 @@ void SolvePressingForces(double friction, std::span<const double> inverse_mass, 
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
     double change = 0;
     for (PressingContact& c : contacts) change = std::max(change, Relax(friction, inverse_mass, acceleration, &c));
-    if (change <= kConverged * scale) return;
+    if (change <= kConverged * scale) break;
+    if (change > kWedged * scale) return false;
   }
+  return true;
 }
 
 void PseudoInvert(int n, std::span<double> matrix) {

@@ -23,10 +23,11 @@
 // Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
 //   closed: its normal velocity becomes zero, which ends the bounces of e < 1 after finitely many, and the forces of
 //   event_forces.h keep it closed until other forces or an impact open it. It sticks or slides by Coulomb's law with
-//   the same mu; sliding ends at the exact time. Positions and velocities are projected onto the closed contacts, so
-//   derivatives are those of motion that stays on them. Reported as kSustained, again in every step.
-// Two discs that slide along each other turn their normal: they move in arcs of at most kLargestTurn, of second
-//   order in it, and are exactly in contact at the end of each step. Everything else is exact.
+//   the same mu; sliding ends at the exact time, or at once where friction wedges the discs in. Positions and
+//   velocities are projected onto the closed contacts, so derivatives are those of motion that stays on them. Reported
+//   as kSustained, again in every step.
+// Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
+//   kLargestDrift, and are exactly in contact at the end of each step. Everything else is exact.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or
 //   passes if it parts again before the gap is -kContactGap. Reported as kGrazing; the derivative is that of the side
 //   on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.

@@ -7,14 +7,15 @@
 namespace saltus::internal {
 
 // The thresholds that event.h states.
-inline constexpr double kNodeMargin = 1e-10;  // of the step
-inline constexpr double kContactGap = 1e-11;  // m
-inline constexpr double kSlowSpeed = 1e-6;    // m/s
-inline constexpr double kSharpSpeed = 1e-9;   // m/s; slower impacts have a time without derivative
-inline constexpr double kStillSpeed = 1e-14;  // m/s
-inline constexpr double kStickSpeed = 1e-9;   // m/s
-inline constexpr double kPushing = 1e-11;     // m/s^2
-inline constexpr double kLargestTurn = 1.0 / 256;
+inline constexpr double kNodeMargin = 1e-10;    // of the step
+inline constexpr double kRoundingGap = 1e-14;   // m
+inline constexpr double kContactGap = 1e-10;    // m
+inline constexpr double kSlowSpeed = 1e-6;      // m/s
+inline constexpr double kSharpSpeed = 1e-9;     // m/s; slower impacts have a time without derivative
+inline constexpr double kStillSpeed = 1e-14;    // m/s
+inline constexpr double kStickSpeed = 1e-9;     // m/s
+inline constexpr double kPushing = 1e-11;       // m/s^2
+inline constexpr double kLargestDrift = 3e-11;  // m
 inline constexpr int kMaxEvents = 100000;
 
 // A disc since the last event that concerned it.

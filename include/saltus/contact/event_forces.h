@@ -8,7 +8,8 @@
 //   |f_t| <= mu f_n, t.b = 0 unless at a bound  where the two do not slide
 //   f_t = -mu f_n sign(v_t)                     where they do
 //
-// Solved by projected Gauss-Seidel, in the order of the contacts.
+// Solved by projected Gauss-Seidel, in the order of the contacts. Where all discs that touch slide, friction can wedge
+// them in: then no forces satisfy this, only an impulse that ends the sliding does.
 #pragma once
 
 #include <span>
@@ -29,8 +30,8 @@ struct PressingContact {
 };
 
 // Overwrites the forces, and `acceleration` (per disc, m/s^2) with the one under them. inverse_mass: per disc, 1/kg; 0
-// if it does not move.
-void SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+// if it does not move. False if the discs wedge; then neither is of use.
+bool SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                          std::span<PressingContact> contacts);
 
 // Pseudo-inverse of a small square matrix, for equations of which some may follow from others. `matrix`: n x n, row by

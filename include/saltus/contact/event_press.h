@@ -43,7 +43,10 @@ class PressedGroup {
     inverse_mass_.resize(discs.size());
     for (std::size_t i = 0; i < discs.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
   }
-  void Clear() { contacts_.clear(); }
+  void Clear() {
+    contacts_.clear();
+    wedged_ = false;
+  }
 
   std::span<const Contact> contacts() const { return contacts_; }
   bool Contains(int pair) const {
@@ -68,56 +71,45 @@ class PressedGroup {
     return false;
   }
 
-  // The forces on values, and which contacts they close. Afterwards Acceleration(i) is the one under them, for discs
-  // of the group.
+  // The forces on values, and which contacts they close.
   void SolveForces() {
-    for (Contact& contact : contacts_) {
-      const Candidate& c = in_.candidates[contact.pair];
-      Reset(c.a);
-      if (!c.plane) Reset(c.b);
-    }
     for (Contact& contact : contacts_) Measure(&contact);
-    forces_.clear();
-    for (const Contact& contact : contacts_) forces_.push_back(contact.force);
-    const double friction = Value(in_.contact.friction);
-    SolvePressingForces(friction, inverse_mass_, acceleration_, forces_);
-    double largest = 0;
-    for (std::size_t k = 0; k < forces_.size(); ++k) {
-      contacts_[k].force = forces_[k];
-      largest = std::max(largest, forces_[k].normal_force);
+    wedged_ = !TryForces();
+    if (wedged_) {
+      for (Contact& contact : contacts_) contact.force.sliding = contact.force.turning = 0;
+      TryForces();
     }
+    const double friction = Value(in_.contact.friction);
+    double largest = 0;
+    for (const Contact& contact : contacts_) largest = std::max(largest, contact.force.normal_force);
     for (Contact& contact : contacts_) Classify(friction, 1e-12 * largest, &contact);
   }
-  const Vec2d& Acceleration(int i) const { return acceleration_[i]; }
 
   // Makes the gaps and the velocities across closed contacts zero, by impulses along them. An overlap beyond the
-  // tolerance stays, unless it comes from drift.
+  // tolerance stays, unless it comes from drift. Twice: the first solution leaves nothing but derivatives to the
+  // second, so that the derivatives of its matrix do not matter.
   void ProjectPositions() {
+    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
+    rows_.clear();
+    for (const Contact& contact : contacts_) AddOverlap(contact);
+    SolveRows();
+    ForEachPush(push);
     rows_.clear();
     for (const Contact& contact : contacts_) {
-      if (!contact.closed) continue;
-      const Candidate& c = in_.candidates[contact.pair];
-      const Separation<T> at = SeparationOf(c);
-      T gap = at.distance - in_.ContactDistance(c);
-      if (Value(gap) < -kContactGap && !contact.drifts) gap -= Value(gap);
-      rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, gap, T(0.0)});
+      if (contact.closed) AddGap(contact);
     }
     SolveRows();
-    ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].p += change; });
+    ForEachPush(push);
   }
   void ProjectVelocities() {
-    rows_.clear();
-    for (const Contact& contact : contacts_) {
-      if (!contact.closed) continue;
-      const Candidate& c = in_.candidates[contact.pair];
-      const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
-      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
-      rows_.push_back({c.a, c.plane ? -1 : c.b, normal, normal, Dot(normal, w), T(0.0)});
-      if (contact.mode != ContactMode::kStick) continue;
-      rows_.push_back({c.a, c.plane ? -1 : c.b, tangent, tangent, Dot(tangent, w), T(0.0)});
+    for (int pass = 0; pass < 2; ++pass) {
+      rows_.clear();
+      for (const Contact& contact : contacts_) {
+        if (contact.closed) AddVelocityRows(contact);
+      }
+      SolveRows();
+      ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v += change; });
     }
-    SolveRows();
-    ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v += change; });
   }
 
   // Sets the accelerations under which closed contacts stay closed, when the discs have flown `ahead` s further.
@@ -170,6 +162,19 @@ class PressedGroup {
   }
   void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
 
+  bool TryForces() {
+    forces_.clear();
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      Reset(c.a);
+      if (!c.plane) Reset(c.b);
+      forces_.push_back(contact.force);
+    }
+    const bool solved = SolvePressingForces(Value(in_.contact.friction), inverse_mass_, acceleration_, forces_);
+    for (std::size_t k = 0; k < forces_.size(); ++k) contacts_[k].force = forces_[k];
+    return solved;
+  }
+
   void Measure(Contact* contact) const {
     const Candidate& c = in_.candidates[contact->pair];
     PressingContact& f = contact->force;
@@ -197,6 +202,33 @@ class PressedGroup {
     const bool sticks = f.sliding == 0 && std::abs(f.tangential_force) < bound * (1 - 1e-12);
     contact->mode = sticks ? ContactMode::kStick : ContactMode::kSlip;
     if (f.sliding == 0 && !sticks) f.sliding = f.tangential_force > 0 ? -1 : 1;
+  }
+
+  bool MayMove(double gap, const Contact& contact) const { return gap >= -kContactGap || contact.drifts; }
+  void AddGap(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const Separation<T> at = SeparationOf(c);
+    T gap = at.distance - in_.ContactDistance(c);
+    if (!MayMove(Value(gap), contact)) gap -= Value(gap);
+    rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, gap, T(0.0)});
+  }
+  // On values. Not only of closed contacts: closing these must not push others into each other bit by bit.
+  void AddOverlap(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const Separation<T> at = SeparationOf(c);
+    const double gap = Value(at.distance) - in_.ContactDistance(c);
+    if (!MayMove(gap, contact) || (!contact.closed && gap > -0.1 * kContactGap)) return;
+    rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
+  }
+
+  void AddVelocityRows(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const int b = c.plane ? -1 : c.b;
+    const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
+    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+    rows_.push_back({c.a, b, normal, normal, Dot(normal, w), T(0.0)});
+    if (contact.mode != ContactMode::kStick && !wedged_) return;
+    rows_.push_back({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
   }
 
   void AddAccelerationRows(const Contact& contact, double ahead) {
@@ -261,6 +293,7 @@ class PressedGroup {
 
   const StepInput<T>& in_;
   std::span<EventDisc<T>> discs_;
+  bool wedged_ = false;  // sliding ends at once
   std::pmr::vector<Contact> contacts_;
   std::pmr::vector<Row> rows_;
   std::pmr::vector<double> matrix_;

@@ -158,33 +158,42 @@ class EventStep {
       Settle(q, slow_time);
       return;
     }
-    Release(c.a, slow_time);
-    if (!c.plane) Release(c.b, slow_time);
     in_.Report(c, ContactMode::kFrictionless, TimeInStep(slow_time), ContactKind::kGrazing);
     if (approach.Grazing()) {
-      pairs_[q].passed = order_;
-    } else {
-      StopClosing(c);
+      // Nothing changes for the two, so nothing else is to be considered again.
+      pairs_[q].passed = LastDisc(c).order;
+      pairs_[q].next = time + FirstClosing(approach.polynomial, std::max(limit_ - time, 0.0), true);
+      return;
     }
+    Release(c.a, slow_time);
+    if (!c.plane) Release(c.b, slow_time);
+    StopClosing(c);
+    pairs_[q].passed = order_;
   }
 
   double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
 
-  // The predicted time, corrected by one Newton step in T: its derivative is that of the impact time. A pair that
-  // overlaps has no impact time; it meets at its last event.
+  // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
+  // overlapped already at its last event has no impact time of its own; it meets at that event.
   T ImpactTime(const Candidate& c, double predicted) const {
     const T time(predicted);
     const Separation<T> at = SeparationAtTime(c, time);
     const T gap = at.distance - in_.ContactDistance(c);
-    if (Value(gap) < -kContactGap) return LastTime(c);
-    return time - Divide(gap, Value(Dot(at.normal, RelativeVelocityAt(c, time))));
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    if (predicted <= Value(LastTime(c))) {
+      const bool first = LastDisc(c).order == 0;
+      const double allowed = first ? kContactGap - 2 * kNodeMargin * in_.h * speed : kRoundingGap;
+      if (Value(gap) < -allowed) return LastTime(c);
+    }
+    return time - Divide(T(gap - Value(gap)), speed);
   }
   // Likewise for the time at which sliding ends.
   T StopTime(const Candidate& c, double predicted) const {
     const T time(predicted);
     const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
     const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
-    return time - Divide(Dot(tangent, RelativeVelocityAt(c, time)), Value(Dot(tangent, a)));
+    const T sliding = Dot(tangent, RelativeVelocityAt(c, time));
+    return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
   }
 
   void MoveTo(int i, const T& time) {
@@ -242,16 +251,18 @@ class EventStep {
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
   }
 
-  // Closes pair q, and whatever else that makes discs press against, from `time` on.
+  // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on.
   void Settle(int q, const T& time) {
     group_.Clear();
     Join(q, time);
-    do {
-      group_.SolveForces();
-    } while (Grow(time));
+    while (Grow(time)) {
+    }
+    group_.SolveForces();
     for (const auto& contact : group_.contacts()) {
       const Candidate& c = CandidateOf(contact.pair);
-      if (!contact.closed && ApproachAt(c, Value(time)).speed < -kStillSpeed) StopClosing(c);
+      if (contact.closed || ApproachAt(c, Value(time)).speed >= -kStillSpeed) continue;
+      StopClosing(c);
+      ReportSustained(contact, time);
     }
     group_.ProjectPositions();
     group_.ProjectVelocities();
@@ -268,35 +279,35 @@ class EventStep {
     group_.Add(q, pairs_[q].curved);
   }
 
-  // Adds the pairs that press now that others do. True if there are any.
+  // Adds the pairs that touch a disc of the group. True if there are any.
   bool Grow(const T& time) {
     bool grows = false;
     for (int q = 0; q < num_pairs(); ++q) {
       const Candidate& c = CandidateOf(q);
       if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
-      const Approach approach = Measure(c, [&](int i) {
-        Motion motion = MotionAt(i, Value(time));
-        if (group_.HasDisc(i)) motion.a = group_.Acceleration(i);
-        return motion;
-      });
       const bool drifted = pairs_[q].curved && pairs_[q].released == order_;
-      if (!(approach.Touching() || drifted) || !approach.Pushing()) continue;
+      if (!drifted && !ApproachAt(c, Value(time)).Touching()) continue;
       Join(q, time);
       grows = true;
     }
     return grows;
   }
 
-  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not.
+  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not. A
+  // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: the gap is
+  // off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8 after s.
   double CurvedStep(double now) const {
     double step = kNever;
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
       const double radius = in_.ContactDistance(CandidateOf(contact.pair));
+      const double drift = kLargestDrift / radius;
       const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
-      const double turn_rate = std::abs(group_.SlidingAcceleration(contact)) / radius;
-      if (turn > 0) step = std::min(step, kLargestTurn / turn);
-      if (turn_rate > 0) step = std::min(step, std::sqrt(2 * kLargestTurn / turn_rate));
+      const double change = std::abs(group_.SlidingAcceleration(contact)) / radius;
+      const auto limit = [&](double s) { step = std::min(step, s); };
+      if (turn * change > 0) limit(std::cbrt(4 * drift / (turn * change)));
+      if (change > 0) limit(std::sqrt(4 * std::sqrt(drift) / change));
+      if (turn > 0) limit(std::sqrt(std::sqrt(8 * drift)) / turn);
     }
     const double left = in_.h - now;
     if (step == kNever || left <= 0) return 0;
@@ -305,16 +316,12 @@ class EventStep {
 
   void Hold(const typename Group::Contact& contact, const T& time, double ahead) {
     Pair& pair = pairs_[contact.pair];
-    const Candidate& c = CandidateOf(contact.pair);
     pair.held = contact.closed;
     pair.curved = contact.closed && contact.Curved() && ahead > 0;
     pair.stopping = false;
     pair.passed = order_;
-    if (pair.reported_mode != static_cast<int>(contact.mode)) {
-      in_.Report(c, contact.mode, TimeInStep(time), ContactKind::kSustained);
-      pair.reported_mode = static_cast<int>(contact.mode);
-    }
     if (!contact.closed) return;
+    ReportSustained(contact, time);
     pair.next = pair.curved ? Value(time) + ahead : kNever;
     if (contact.mode != ContactMode::kSlip) return;
     const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
@@ -323,6 +330,14 @@ class EventStep {
     if (stop > pair.next) return;
     pair.next = stop;
     pair.stopping = true;
+  }
+
+  // Once for each mode.
+  void ReportSustained(const typename Group::Contact& contact, const T& time) {
+    int& reported = pairs_[contact.pair].reported_mode;
+    if (reported == static_cast<int>(contact.mode)) return;
+    reported = static_cast<int>(contact.mode);
+    in_.Report(CandidateOf(contact.pair), contact.mode, TimeInStep(time), ContactKind::kSustained);
   }
 
   // Discs that moved around each other end the step exactly in contact.
