@@ -152,8 +152,7 @@ class EventStep {
       Impact(c, ImpactTime(c, time));
       return;
     }
-    const bool arrives = time > Value(LastTime(c));
-    const T slow_time = !arrives ? LastTime(c) : approach.speed < -kSharpSpeed ? ImpactTime(c, time) : T(time);
+    const T slow_time = SlowTime(c, time, approach);
     if (approach.Pushing()) {
       Settle(q, slow_time);
       return;
@@ -186,6 +185,16 @@ class EventStep {
       if (Value(gap) < -allowed) return LastTime(c);
     }
     return time - Divide(T(gap - Value(gap)), speed);
+  }
+  // Likewise when they touch slowly.
+  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
+    const T time(predicted);
+    if (predicted <= Value(LastTime(c))) return LastTime(c);
+    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
+    if (!approach.Pushing()) return time;
+    // They never parted by more than rounding: this is when they begin to close.
+    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
+    return time - Divide(T(speed - Value(speed)), approach.acceleration);
   }
   // Likewise for the time at which sliding ends.
   T StopTime(const Candidate& c, double predicted) const {
