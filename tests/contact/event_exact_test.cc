@@ -9,7 +9,8 @@ namespace {
 
 using exact_test::Number;
 using exact_test::References;
-using testing::EventRun;
+using saltus::testing::EventRun;
+using saltus::testing::StartOf;
 
 constexpr double kTolerance = 1e-10;
 
@@ -53,6 +54,26 @@ TEST_P(EventExact, BounceOnce) {
     const double after = lever(std::max(begin, 0.45), std::max(end, 0.45));
     EXPECT_NEAR(gradient.control[2 * k + 1], after - before, 1e-13) << k;
   }
+}
+
+TEST(EventExactGrid, TwoBallsOnHalfTheGrid) {
+  EventRun run(exact_test::TwoBalls(240));
+  ExpectRelative(run.Gradient().control[0], Number(References()["task3_du0_N240"]["du0_analytic_correct"]), "u_0");
+}
+
+// The impact time crosses nodes of the grid on the way.
+TEST(EventExactGrid, GradientDescentOnTheControl) {
+  const auto& exact = References()["exact_gradient_descent"];
+  const auto descend = [](const Scene& scene, double rate, int updates) {
+    EventRun run(scene);
+    for (int i = 0; i < updates; ++i) {
+      const std::vector<double> gradient = run.Gradient().control;
+      for (std::size_t k = 0; k < gradient.size(); ++k) run.control[k] -= rate * gradient[k];
+      EXPECT_TRUE(run.simulator.Rollout(StartOf(scene), run.control));
+    }
+    return run.Loss();
+  };
+  EXPECT_NEAR(descend(exact_test::TwoBalls(), 10, 1000), Number(exact["task3_480"]["loss_1000"]), 1e-11);
 }
 
 // The impact sits on node 216 of 480, and every published value is about this grid.
@@ -130,6 +151,40 @@ TEST_P(EventExact, FollowUps) {
         ExpectRelative(gradient.control[2 * k + i], Number(exact["du"][k][i]), "u_" + std::to_string(k));
       }
     }
+  }
+}
+
+// Every launch that hits the target is a minimum: no loss, no gradient.
+TEST_P(EventExact, LaunchesThatHitTheTarget) {
+  for (double friction : {0.0, 0.1}) {
+    for (const auto& velocity : References()["task2"][friction > 0 ? "minima_mu0.1" : "minima_frictionless"]) {
+      Scene scene = WithSteps(exact_test::GroundWall(friction));
+      scene.bodies[0].velocity = exact_test::Vector(velocity);
+      EventRun run(scene);
+      EXPECT_LT(run.Loss(), 1e-25);
+      for (double derivative : run.Gradient().initial) EXPECT_NEAR(derivative, 0, 1e-12);
+    }
+  }
+}
+
+// A thousand gradients in a row.
+TEST_P(EventExact, GradientDescentOnTheLaunch) {
+  for (double friction : {0.0, 0.1}) {
+    const auto& exact = References()["exact_gradient_descent"][friction > 0 ? "task2_mu0.1" : "task2_mu0"];
+    Scene scene = WithSteps(exact_test::GroundWall(friction));
+    std::vector<double> losses;
+    for (int i = 0; i < 1000; ++i) {
+      EventRun run(scene);
+      losses.push_back(run.Loss());
+      const Sensitivity gradient = run.Gradient();
+      scene.bodies[0].velocity -= 0.01 * Vec2d(gradient.initial[2], gradient.initial[3]);
+    }
+    const int iterations[] = {0, 1, 10, 100, 999};
+    for (int i = 0; i < 5; ++i) {
+      ExpectRelative(losses[iterations[i]], Number(exact["losses_at_0_1_10_100_999"][i]), "loss");
+    }
+    ExpectRelative(EventRun(scene).Loss(), Number(exact["loss_1000"]), "last loss");
+    for (int i = 0; i < 2; ++i) ExpectRelative(scene.bodies[0].velocity[i], Number(exact["velocity_1000"][i]), "v");
   }
 }
 
