@@ -3,10 +3,13 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
+#include <functional>
+#include <map>
 #include <memory>
+#include <numeric>
 #include <optional>
+#include <utility>
 
 #include "audit/impact_faults.h"
 #include "audit/step_map.h"
@@ -28,11 +31,34 @@ constexpr double kSmallError = 1e-3;
 constexpr int kRefinement = 8;
 constexpr double kStays = 0.25;
 
-// Steps [begin, end) of the model and the pairs that touch in them.
+// A pair, and the first and last step in which the model lets it touch.
+struct Meeting {
+  Candidate pair;
+  int first = 0, last = 0;
+};
+
+// Steps [begin, end) of the model, and the pairs that meet in them: connected by discs that move, so that other discs
+// may meet in the same steps without being part of it.
 struct Interval {
   int begin = 0, end = 0;
-  int first_touch = 0, last_touch = 0;
-  std::vector<Candidate> pairs;
+  std::vector<Meeting> meetings;
+
+  int first_touch() const {
+    int first = meetings.front().first;
+    for (const Meeting& meeting : meetings) first = std::min(first, meeting.first);
+    return first;
+  }
+  int last_touch() const {
+    int last = 0;
+    for (const Meeting& meeting : meetings) last = std::max(last, meeting.last);
+    return last;
+  }
+  // Steps of the longest meeting.
+  int longest() const {
+    int steps = 0;
+    for (const Meeting& meeting : meetings) steps = std::max(steps, meeting.last - meeting.first + 1);
+    return steps;
+  }
 };
 
 class Attributor {
@@ -74,7 +100,10 @@ class Attributor {
   }
 
   std::vector<Interval> FindIntervals() const;
-  bool Overlap(const std::vector<Candidate>& pairs, int k) const;
+  void AddTouch(const StepTouch& at, std::vector<Interval>* intervals) const;
+  bool Overlap(const Interval& interval, int k) const;
+  bool Involves(const Interval& interval, const Candidate& pair) const;
+  bool HasExactImpact(const Interval& interval) const;
   StepMap ExactOver(const Interval& interval, const std::vector<int>* bodies) const;
   void FindCostates(const std::vector<Interval>& intervals);
   ContactError Compare(const Interval& interval, const Eigen::VectorXd& costate) const;
@@ -83,7 +112,9 @@ class Attributor {
   std::optional<PairImpact> OnlyImpact(const Interval& interval, const StepMap& exact) const;
   std::string WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
                             const std::vector<int>& bodies) const;
-  std::vector<int> MovingBodies(const std::vector<StepTouch>& a, const std::vector<StepTouch>& b) const;
+  // Drops touches that no chain of touches connects with the interval; collects the discs that move of the others.
+  void KeepConnected(Interval interval, std::vector<StepTouch>* exact, std::vector<StepTouch>* own,
+                     std::vector<int>* bodies) const;
   double Norm(const Eigen::VectorXd& costate) const;
   std::string PairName(const Candidate& pair) const;
   std::string CompareSequences(const std::vector<Interval>& intervals) const;
@@ -109,10 +140,11 @@ std::string Attributor::PairName(const Candidate& pair) const {
   return scene_.bodies[pair.a].name + " - " + (pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name);
 }
 
-bool Attributor::Overlap(const std::vector<Candidate>& pairs, int k) const {
+bool Attributor::Overlap(const Interval& interval, int k) const {
   const std::vector<double> x = PlainStateAt(k);
   const auto position = [&](int i) { return Vec2d(x[4 * i], x[4 * i + 1]); };
-  return std::any_of(pairs.begin(), pairs.end(), [&](const Candidate& pair) {
+  return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
+    const Candidate& pair = meeting.pair;
     const double radius = scene_.bodies[pair.a].radius;
     if (pair.plane) {
       const Plane& plane = scene_.planes[pair.b];
@@ -122,41 +154,77 @@ bool Attributor::Overlap(const std::vector<Candidate>& pairs, int k) const {
   });
 }
 
+bool Attributor::Involves(const Interval& interval, const Candidate& pair) const {
+  const auto shares = [&](int body, const Candidate& other) {
+    return !scene_.bodies[body].fixed && (body == other.a || (!other.plane && body == other.b));
+  };
+  return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
+    return shares(pair.a, meeting.pair) || (!pair.plane && shares(pair.b, meeting.pair));
+  });
+}
+
+void Attributor::AddTouch(const StepTouch& at, std::vector<Interval>* intervals) const {
+  const auto belongs = [&](const Interval& interval) {
+    return at.step <= interval.end && at.step - interval.begin < kLongest && Involves(interval, at.touch.candidate);
+  };
+  Interval joined{at.step, at.step + 1, {{at.touch.candidate, at.step, at.step}}};
+  for (const Interval& interval : *intervals) {
+    if (!belongs(interval)) continue;
+    joined.begin = std::min(joined.begin, interval.begin);
+    joined.end = std::max(joined.end, interval.end);
+    for (const Meeting& meeting : interval.meetings) {
+      if (meeting.pair == at.touch.candidate) {
+        joined.meetings.front().first = std::min(meeting.first, joined.meetings.front().first);
+      } else {
+        joined.meetings.push_back(meeting);
+      }
+    }
+  }
+  std::erase_if(*intervals, belongs);
+  while (joined.end < model_->num_steps() && joined.end - joined.begin < kLongest && Overlap(joined, joined.end)) {
+    ++joined.end;
+  }
+  intervals->push_back(std::move(joined));
+}
+
 std::vector<Interval> Attributor::FindIntervals() const {
-  const std::vector<StepTouch>& touches = model_->touches();
   std::vector<Interval> intervals;
-  int free_from = 0;  // end of the last interval
-  for (size_t i = 0; i < touches.size() && intervals.size() < Attribution::kMostContacts;) {
-    Interval interval;
-    interval.begin = interval.first_touch = touches[i].step;
-    interval.end = interval.begin + 1;
+  for (const StepTouch& at : model_->touches()) {
+    AddTouch(at, &intervals);
+    if (intervals.size() > Attribution::kMostContacts) {
+      intervals.pop_back();
+      break;
+    }
+  }
+  std::stable_sort(intervals.begin(), intervals.end(), [](const Interval& a, const Interval& b) {
+    return a.first_touch() < b.first_touch();
+  });
+  for (size_t i = 0; i < intervals.size(); ++i) {
+    Interval& interval = intervals[i];
+    // Neighbours in time that share a disc.
+    int from = 0, to = model_->num_steps();
+    for (size_t j = 0; j < intervals.size(); ++j) {
+      const bool shares = std::any_of(intervals[j].meetings.begin(),
+                                      intervals[j].meetings.end(),
+                                      [&](const Meeting& meeting) { return Involves(interval, meeting.pair); });
+      if (j == i || !shares) continue;
+      if (j < i) from = std::max(from, intervals[j].end);
+      if (j > i) to = std::min(to, intervals[j].begin);
+    }
     const auto full = [&] { return interval.end - interval.begin >= kLongest; };
-    for (bool grown = true; grown && !full();) {
-      grown = false;
-      for (; i < touches.size() && touches[i].step < interval.end; ++i) {
-        const Candidate& pair = touches[i].touch.candidate;
-        if (std::find(interval.pairs.begin(), interval.pairs.end(), pair) == interval.pairs.end()) {
-          interval.pairs.push_back(pair);
-        }
-        interval.last_touch = touches[i].step;
-      }
-      const bool touches_next = i < touches.size() && touches[i].step == interval.end;
-      if (interval.end < model_->num_steps() && (touches_next || Overlap(interval.pairs, interval.end))) {
-        ++interval.end;
-        grown = true;
-      }
+    while (interval.begin > from && !full() && Overlap(interval, interval.begin)) --interval.begin;
+    for (int margin = 0; margin < kMargin && !full() && !HasExactImpact(interval); ++margin) {
+      if (interval.begin > from) --interval.begin;
+      if (interval.end < to) ++interval.end;
     }
-    while (interval.begin > free_from && Overlap(interval.pairs, interval.begin) && !full()) --interval.begin;
-    for (int margin = 0; margin < kMargin && ExactOver(interval, nullptr).touches.empty(); ++margin) {
-      if (interval.begin > free_from) --interval.begin;
-      const bool next_is_free = i >= touches.size() || touches[i].step > interval.end;
-      if (interval.end < model_->num_steps() && next_is_free) ++interval.end;
-    }
-    while (i < touches.size() && touches[i].step < interval.end) ++i;
-    free_from = interval.end;
-    intervals.push_back(std::move(interval));
   }
   return intervals;
+}
+
+bool Attributor::HasExactImpact(const Interval& interval) const {
+  const std::vector<StepTouch> touches = ExactOver(interval, nullptr).touches;
+  return std::any_of(
+      touches.begin(), touches.end(), [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
 }
 
 StepMap Attributor::ExactOver(const Interval& interval, const std::vector<int>* bodies) const {
@@ -173,9 +241,12 @@ void Attributor::FindCostates(const std::vector<Interval>& intervals) {
   std::vector<double> unused(u.size());
   TerminalGradient(scene_.objective, StateAt(model_->num_steps()), model_->body_size(), lambda);
   costates_.resize(intervals.size());
+  std::vector<size_t> order(intervals.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return intervals[a].end > intervals[b].end; });
   StepLinearization step;
   int k = model_->num_steps();
-  for (int i = static_cast<int>(intervals.size()) - 1; i >= 0; --i) {
+  for (size_t i : order) {
     for (; k > intervals[i].end; --k) {
       model_->ExpandForce(control_, k - 1, u);
       model_->Linearize(StateAt(k - 1), u, /*with_parameters=*/false, &step);
@@ -186,34 +257,51 @@ void Attributor::FindCostates(const std::vector<Interval>& intervals) {
   }
 }
 
-std::vector<int> Attributor::MovingBodies(const std::vector<StepTouch>& a, const std::vector<StepTouch>& b) const {
-  std::vector<int> bodies;
-  for (const std::vector<StepTouch>* touches : {&a, &b}) {
-    for (const StepTouch& at : *touches) {
-      const Candidate& pair = at.touch.candidate;
-      bodies.push_back(pair.a);
-      if (!pair.plane) bodies.push_back(pair.b);
+void Attributor::KeepConnected(Interval interval, std::vector<StepTouch>* exact, std::vector<StepTouch>* own,
+                               std::vector<int>* bodies) const {
+  const auto involved = [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); };
+  for (bool grown = true; grown;) {
+    grown = false;
+    for (const std::vector<StepTouch>* touches : {exact, own}) {
+      for (const StepTouch& at : *touches) {
+        const bool known = std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
+          return meeting.pair == at.touch.candidate;
+        });
+        if (known || !involved(at)) continue;
+        interval.meetings.push_back({at.touch.candidate, at.step, at.step});
+        grown = true;
+      }
     }
   }
-  std::sort(bodies.begin(), bodies.end());
-  bodies.erase(std::unique(bodies.begin(), bodies.end()), bodies.end());
-  std::erase_if(bodies, [&](int body) { return scene_.bodies[body].fixed; });
-  return bodies;
+  std::erase_if(*exact, std::not_fn(involved));
+  std::erase_if(*own, std::not_fn(involved));
+  for (const Meeting& meeting : interval.meetings) {
+    bodies->push_back(meeting.pair.a);
+    if (!meeting.pair.plane) bodies->push_back(meeting.pair.b);
+  }
+  std::sort(bodies->begin(), bodies->end());
+  bodies->erase(std::unique(bodies->begin(), bodies->end()), bodies->end());
+  std::erase_if(*bodies, [&](int body) { return scene_.bodies[body].fixed; });
 }
 
 ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd& costate) const {
   ContactError error;
-  error.first_step = interval.first_touch;
-  error.last_step = interval.last_touch;
-  const Candidate& pair = interval.pairs.front();
-  error.a = scene_.bodies[pair.a].name;
-  error.b = pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name;
+  error.first_step = interval.first_touch();
+  error.last_step = interval.last_touch();
+  const auto first = std::find_if(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
+    return meeting.first == error.first_step;
+  });
+  error.a = scene_.bodies[first->pair.a].name;
+  error.b = first->pair.plane ? scene_.planes[first->pair.b].name : scene_.bodies[first->pair.b].name;
 
   const std::vector<double> begin = StateAt(interval.begin);
   const int steps = interval.end - interval.begin;
-  const StepMap approximate_touches = RunSteps(model(), begin, ForcesFrom(interval.begin), steps);
-  const std::vector<int> bodies = MovingBodies(ExactOver(interval, nullptr).touches, approximate_touches.touches);
-  const StepMap exact = ExactOver(interval, &bodies);
+  std::vector<StepTouch> own = RunSteps(model(), begin, ForcesFrom(interval.begin), steps).touches;
+  std::vector<StepTouch> exact_touches = ExactOver(interval, nullptr).touches;
+  std::vector<int> bodies;
+  KeepConnected(interval, &exact_touches, &own, &bodies);
+  StepMap exact = ExactOver(interval, &bodies);
+  exact.touches = exact_touches;
   const StepMap approximate = ComposeSteps(model(), begin, ForcesFrom(interval.begin), steps, bodies);
   error.exact_impacts = static_cast<int>(exact.touches.size());
 
@@ -247,10 +335,10 @@ ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd
 }
 
 std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const StepMap& exact) const {
-  if (exact.touches.size() != 1 || interval.pairs.size() != 1) return std::nullopt;
+  if (exact.touches.size() != 1 || interval.meetings.size() != 1) return std::nullopt;
   const StepTouch& at = exact.touches.front();
   const Candidate& pair = at.touch.candidate;
-  if (at.touch.kind != ContactKind::kImpact || !(pair == interval.pairs.front())) return std::nullopt;
+  if (at.touch.kind != ContactKind::kImpact || !(pair == interval.meetings.front().pair)) return std::nullopt;
 
   // The exact state at the begin of the step with the impact, and from there to the impact.
   Interval until = interval;
@@ -299,8 +387,7 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
 // The same model over the same interval with far smaller steps.
 std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
                                       const std::vector<int>& bodies) const {
-  const int lasts = interval.last_touch - interval.first_touch + 1;
-  if (lasts < 2) return "";
+  const int lasts = interval.longest();
   const int length = interval.end - interval.begin;
   const int finer = std::clamp(kMostFineSteps / length, kLeastFiner, kFiner);
   const std::unique_ptr<Simulator> fine_model = SimulatorOf(contact_, interval, length * finer);
@@ -324,12 +411,11 @@ std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& e
 std::string Attributor::Why(const Interval& interval, const StepMap& exact, const StepMap& approximate,
                             const std::vector<int>& bodies) const {
   if (exact.touches.empty()) return "touches where the exact motion does not";
-  const bool lasts = interval.last_touch > interval.first_touch;
-  if (interval.end - interval.begin >= kLongest) return "a contact that lasts";
-  if (lasts) {
-    const std::string why = WhyUnresolved(interval, exact, approximate, bodies);
-    if (!why.empty()) return why;
-  }
+  const bool rests = std::any_of(exact.touches.begin(), exact.touches.end(), [](const StepTouch& at) {
+    return at.touch.kind == ContactKind::kSustained;
+  });
+  if (rests || interval.end - interval.begin >= kLongest) return "a contact that lasts";
+  if (interval.longest() > 1) return WhyUnresolved(interval, exact, approximate, bodies);
   if (const std::optional<PairImpact> impact = OnlyImpact(interval, exact)) {
     // Bodies are in the order of their indices, and so are the two of a pair.
     if (const std::optional<std::string> fault = RecogniseFault(*impact, approximate.A, scene_.duration)) return *fault;
@@ -338,26 +424,28 @@ std::string Attributor::Why(const Interval& interval, const StepMap& exact, cons
   return "no known cause";
 }
 
-// The order of pairs, where every pair's contact counts once as long as it lasts.
+// How often each pair meets; a contact counts once as long as it lasts. Their order is not compared: several may fall
+// into one step.
 std::string Attributor::CompareSequences(const std::vector<Interval>& intervals) const {
-  std::vector<std::string> own, exact;
-  for (const Interval& interval : intervals) {
-    for (const Candidate& pair : interval.pairs) own.push_back(PairName(pair));
-  }
+  if (intervals.size() >= Attribution::kMostContacts) return "";
+  std::vector<std::string> pairs;  // in the order of their first exact contact, then of the model's
+  std::map<std::string, int> own, exact;
+  const auto count = [&](const Candidate& pair, std::map<std::string, int>* counts) {
+    const std::string name = PairName(pair);
+    if (own[name] + exact[name] == 0) pairs.push_back(name);
+    ++(*counts)[name];
+  };
   const std::unique_ptr<Simulator> reference = MakeSimulator(exact_contact_, scene_, Precision::kDouble);
   if (!reference->Rollout(initial_, InitialControl(scene_, reference->num_steps()))) return "";
   for (const StepTouch& at : reference->touches()) {
-    if (at.touch.kind == ContactKind::kImpact) exact.push_back(PairName(at.touch.candidate));
+    if (at.touch.kind == ContactKind::kImpact) count(at.touch.candidate, &exact);
   }
-  const size_t count = std::min(own.size(), exact.size());
-  for (size_t i = 0; i < count; ++i) {
-    if (own[i] != exact[i]) {
-      return "contact " + std::to_string(i + 1) + " is " + own[i] + ", not " + exact[i];
-    }
+  for (const Interval& interval : intervals) {
+    for (const Meeting& meeting : interval.meetings) count(meeting.pair, &own);
   }
-  if (own.size() < exact.size()) return "misses contact " + std::to_string(count + 1) + ", " + exact[count];
-  if (own.size() > exact.size() && intervals.size() < Attribution::kMostContacts) {
-    return "has a contact that is none, " + own[count];
+  for (const std::string& pair : pairs) {
+    if (own[pair] == exact[pair]) continue;
+    return pair + " meet " + std::to_string(own[pair]) + " times, not " + std::to_string(exact[pair]);
   }
   return "";
 }

@@ -79,4 +79,38 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene) {
   return std::nullopt;
 }
 
+const ContactError* ModelAudit::FirstWrong() const {
+  if (!attribution || attribution->first_wrong < 0) return nullptr;
+  return &attribution->contacts[attribution->first_wrong];
+}
+
+std::string ModelAudit::Why() const {
+  if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
+  if (const ContactError* first = FirstWrong()) return first->why;
+  if (attribution && !attribution->sequence.empty()) return attribution->sequence;
+  if (attribution && !attribution->ok()) return attribution->reason;
+  if (attribution) return "no single contact is wrong";
+  if (widths) return widths->Summary();
+  if (!refinement) return "";
+  return refinement->ok() ? "the error falls, but not yet below one percent" : refinement->reason;
+}
+
+ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
+                      const std::optional<ModelGradient>& reference, const AuditOptions& options) {
+  ModelAudit audit;
+  audit.gradient = ComputeGradient(contact, scene, precision);
+  if (!audit.gradient.ok()) return audit;
+  if (reference) {
+    audit.error = CompareGradients(audit.gradient, *reference);
+    audit.refinement = StudyRefinement(contact, scene, options.refinement);
+    audit.verdict = audit.refinement->verdict;
+    if (IsWrong(audit.verdict)) audit.attribution = AttributeError(contact, scene);
+  }
+  if (options.width_sweep || !reference) {
+    audit.widths = SweepWidths(contact, scene, options.widths);
+    if (!reference) audit.verdict = audit.widths->verdict;
+  }
+  return audit;
+}
+
 }  // namespace saltus

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "audit/statistics.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
 
@@ -43,12 +44,6 @@ double Distance(const std::vector<double>& a, const std::vector<double>& b) {
   std::vector<double> difference(a.size());
   std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());
   return Norm(difference);
-}
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // The control is compared over at most eight parts of the horizon, each of several steps.
@@ -113,13 +108,33 @@ bool EntersTheVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
 }
 
+// From good to bad; what is wrong outweighs what is unknown.
+int Badness(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+      return 0;
+    case Verdict::kConsistent:
+      return 1;
+    case Verdict::kUnknown:
+      return 2;
+    case Verdict::kWrong:
+      return 3;
+    case Verdict::kWrongSign:
+      return 4;
+  }
+  LOG(FATAL) << "no such verdict";
+}
+
 Verdict Overall(const RefinementStudy& study) {
   Verdict worst = Verdict::kRight;
+  const auto worsen = [&](Verdict verdict) {
+    if (Badness(verdict) > Badness(worst)) worst = verdict;
+  };
   for (const QuantityStudy& quantity : study.quantities) {
     if (quantity.quantity == Quantity::kPosition || quantity.quantity == Quantity::kVelocity) {
-      worst = std::max(worst, quantity.verdict);
+      worsen(quantity.verdict);
     } else if (quantity.quantity == Quantity::kControl && IsWrong(quantity.verdict)) {
-      worst = std::max(worst, Verdict::kWrong);
+      worsen(Verdict::kWrong);
     }
   }
   return worst;
@@ -332,6 +347,9 @@ RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, co
   for (int level = 0; level < levels || (level < options.most_levels && run.Undecided()); ++level) {
     if (level >= static_cast<int>(kTail) && run.CostOf(level) > options.budget) break;
     if (!run.AddLevel(level)) return study;
+  }
+  for (QuantityStudy& quantity : study.quantities) {
+    if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
   study.verdict = Overall(study);
   return study;

@@ -15,7 +15,20 @@ run(${configure} -B ${WORK}/installed -DCMAKE_PREFIX_PATH=${prefix})
 run(${CMAKE_COMMAND} --build ${WORK}/installed)
 run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
 
-run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE})
+# With a contact model of the user's own: its header gets an entry in the registry.
+run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE}
+    "-DSALTUS_EXTRA_MODELS=${SOURCE_TREE}/tests/audit/mirror_model.h Mirror")
+file(GLOB entries ${WORK}/subproject/saltus/src/registry_entry_*.cc)
+set(found FALSE)
+foreach(entry IN LISTS entries)
+  file(READ ${entry} text)
+  if(text MATCHES "mirror_model.h" AND text MATCHES "MakeEntry<Mirror>")
+    set(found TRUE)
+  endif()
+endforeach()
+if(NOT found)
+  message(FATAL_ERROR "The model in SALTUS_EXTRA_MODELS has no entry in the registry")
+endif()
 
 run(${CMAKE_COMMAND} -DMANIFEST=${BUILD_TREE}/install_manifest.txt -P ${SOURCE_TREE}/cmake/uninstall.cmake)
 file(GLOB_RECURSE left ${prefix}/*)

@@ -1,14 +1,22 @@
 // The gradient of a loss as every contact model sees it, beside the exact one.
 //
 // The exact gradient is that of the event-driven model; where that one cannot take the scene, a closed form; where
-// there is none either, the models stand alone.
+// there is none either, the models stand alone, and differences of their own losses are all that can be said.
+//
+// To audit a model of your own: write it as one header (contact/contact_model.h says what a model has), and configure
+//   cmake -DSALTUS_EXTRA_MODELS="/path/to/my_model.h MyModel" ...
+// It then is a value of --contact in every program, AllContactModels() lists it, and AuditModel takes it by name; no
+// further code is needed. tests/audit/mirror_model.h is an example.
 #pragma once
 
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "saltus/audit/attribution.h"
 #include "saltus/audit/gradients.h"
+#include "saltus/audit/refinement.h"
+#include "saltus/audit/width_sweep.h"
 
 namespace saltus {
 
@@ -25,15 +33,36 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
 // `control` is K x C x 2 with K = steps, a multiple of `intervals`.
 std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals);
 
+struct AuditOptions {
+  RefinementOptions refinement = {};
+  bool width_sweep = false;  // also where there is an exact gradient
+  WidthSweepOptions widths = {};
+};
+
 struct ModelAudit {
-  ModelGradient gradient;
+  ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
+  // That of the refinement; without a reference that of the width sweep.
+  Verdict verdict = Verdict::kUnknown;
+  std::optional<RefinementStudy> refinement;  // if there are a gradient and a reference
+  std::optional<Attribution> attribution;     // if the refinement calls it wrong
+  std::optional<WidthSweepStudy> widths;      // if asked for, or if there is no reference
+
+  // The contact that the error begins with, or null.
+  const ContactError* FirstWrong() const;
+  // Why the verdict is what it is, in one sentence; empty for a right or a consistent gradient.
+  std::string Why() const;
 };
 
 struct AuditReport {
   std::optional<ModelGradient> reference;  // contact is "event", or "closed form"
   std::vector<ModelAudit> models;
 };
+
+// Audits one model. `reference` is ExactGradientOf(scene). Preconditions: `contact` is the name of a model, `scene` is
+// valid. Where the model cannot take the scene, the gradient says why and there is nothing else.
+ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
+                      const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
 // The exact gradient of a scene, or nothing.
 std::optional<ModelGradient> ExactGradientOf(const Scene& scene);
