@@ -9,6 +9,7 @@ namespace saltus {
 
 AuditReport RunAudit(const Request& request);
 Json AuditToJson(const Request& request, const AuditReport& report);
+// Gradients and verdicts as tables on stdout, in colour on a terminal.
 void PrintAuditTable(const Request& request, const AuditReport& report);
 // Wrong input if the only model asked for cannot take the scene; failed if a rollout was not finite.
 int AuditExitCode(const Request& request, const AuditReport& report);

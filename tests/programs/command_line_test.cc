@@ -178,5 +178,60 @@ TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
   }
 }
 
+const json& AuditOf(const json& document, const std::string& contact) {
+  for (const json& audit : document["audits"]) {
+    if (audit["contact"] == contact) return audit;
+  }
+  static const json none;
+  ADD_FAILURE() << "no audit of " << contact;
+  return none;
+}
+
+TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
+  const Outcome outcome = RunProgram("saltus_audit --json --progress=none" + Scene("two_balls"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json document = json::parse(outcome.output);
+  EXPECT_EQ(document["reference"]["contact"], "event");
+  // Not -0.0009, as published.
+  EXPECT_NEAR(document["reference"]["gradient"]["control"][0][0][0], 0.00021380129632184102, 1e-14);
+  const json& direct_toi = AuditOf(document, "direct_toi");
+  EXPECT_EQ(direct_toi["verdict"], "wrong");
+  EXPECT_EQ(direct_toi["first_wrong_step"], 331);
+  EXPECT_EQ(direct_toi["first_wrong_contact"], json({"striker", "target"}));
+  EXPECT_EQ(direct_toi["block"], "velocity from position");
+  EXPECT_EQ(direct_toi["why"], "acceleration at the impact ignored");
+  const json& position = direct_toi["refinement"]["quantities"][0];
+  EXPECT_GE(position["error"].size(), 4u);
+  EXPECT_NEAR(position["converges_to"][0], -0.7199, 1e-3);
+  EXPECT_NEAR(position["converges_to"][2], 0, 1e-9);
+  EXPECT_EQ(AuditOf(document, "toi_velocity")["verdict"], "consistent");
+  EXPECT_FALSE(AuditOf(document, "toi_velocity").contains("first_wrong_step"));
+  EXPECT_EQ(AuditOf(document, "event")["verdict"], "right");
+}
+
+TEST(CommandLine, TheAuditWritesTablesAndFigures) {
+  const std::string dir = testing::TempDir() + "/audit_" + std::to_string(getpid());
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
+                 Scene("two_balls"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_THAT(outcome.output, HasSubstr("acceleration at the impact ignored"));
+  EXPECT_THAT(outcome.output, HasSubstr("agrees with narrow differences, not with wide ones"));
+  EXPECT_EQ(outcome.output.find('\033'), std::string::npos) << "colour in a pipe";
+  const StatusOr<CsvDocument> refinement = ReadCsv(dir + "/two_balls_refinement.csv");
+  ASSERT_TRUE(refinement.ok()) << refinement.status().message();
+  EXPECT_GE(refinement->rows.size(), 2u * 3 * 4);
+  const StatusOr<CsvDocument> entries = ReadCsv(dir + "/two_balls_gradients.csv");
+  ASSERT_TRUE(entries.ok()) << entries.status().message();
+  const std::vector<std::string>& first = entries->rows[0];
+  EXPECT_EQ(first[*entries->Find("entry")], "px striker");
+  EXPECT_NEAR(std::stod(first[*entries->Find("exact")]), -0.39866841646141652, 1e-12);
+  EXPECT_NEAR(std::stod(first[*entries->Find("own steps")]), -0.719080, 1e-6);
+  EXPECT_TRUE(ReadCsv(dir + "/two_balls_contacts.csv").ok());
+  for (const char* name : {"refinement.svg", "refinement.png", "widths.svg", "widths.csv", "verdicts.md"}) {
+    EXPECT_TRUE(std::ifstream(dir + "/two_balls_" + name).good()) << name;
+  }
+}
+
 }  // namespace
 }  // namespace saltus

@@ -1,0 +1,114 @@
+// The audit as JSON, under the keys that the README promises.
+#include "programs/audit.h"
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+namespace {
+
+Json NumbersToJson(const std::vector<double>& values) {
+  Json numbers = Json::array();
+  for (double value : values) numbers.push_back(NumberToJson(value));
+  return numbers;
+}
+
+Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
+  Json quantities = Json::array();
+  for (const QuantityStudy& quantity : study.quantities) {
+    std::vector<double> steps, errors;
+    for (const RefinementLevel& level : quantity.levels) {
+      steps.push_back(level.steps);
+      errors.push_back(level.error);
+    }
+    quantities.push_back({{"quantity", QuantityToString(quantity.quantity)},
+                          {"verdict", VerdictToString(quantity.verdict)},
+                          {"order", NumberToJson(quantity.order)},
+                          {"steps", NumbersToJson(steps)},
+                          {"error", NumbersToJson(errors)},
+                          {"entries", EntryNames(scene, quantity.quantity, study.intervals)},
+                          {"exact", NumbersToJson(quantity.exact)},
+                          {"converges_to", NumbersToJson(quantity.finest)},
+                          {"wrong_signs", quantity.wrong_signs}});
+  }
+  return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
+}
+
+Json ContactsToJson(const Attribution& attribution) {
+  Json contacts = Json::array();
+  for (const ContactError& error : attribution.contacts) {
+    contacts.push_back({{"first_step", error.first_step},
+                        {"last_step", error.last_step},
+                        {"a", error.a},
+                        {"b", error.b},
+                        {"exact_impacts", error.exact_impacts},
+                        {"error", NumberToJson(error.error)},
+                        {"stays", error.stays},
+                        {"block", BlockToString(error.block)},
+                        {"why", error.why}});
+  }
+  return contacts;
+}
+
+Json WidthsToJson(const WidthSweepStudy& study) {
+  Json sweeps = Json::array();
+  for (const WidthSweep& sweep : study.sweeps) {
+    sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
+                      {"entry", sweep.entry},
+                      {"gradient", NumberToJson(sweep.gradient)},
+                      {"narrow", NumberToJson(sweep.narrow)},
+                      {"wide", NumberToJson(sweep.wide)},
+                      {"finding", WidthFindingToString(sweep.finding)},
+                      {"grid_width", NumberToJson(sweep.grid_width)},
+                      {"widths", NumbersToJson(sweep.widths)},
+                      {"slopes", NumbersToJson(sweep.slopes)}});
+  }
+  return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
+}
+
+Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
+  Json item = {{"contact", audit.gradient.contact}};
+  if (!audit.gradient.ok()) {
+    item["termination"] = WhyNotApplicable(audit.gradient.contact, scene).empty() ? "failed" : "not_applicable";
+    item["reason"] = audit.gradient.reason;
+    return item;
+  }
+  item["loss"] = NumberToJson(audit.gradient.loss);
+  item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
+  if (audit.error) {
+    item["relative_error"] = NumberToJson(audit.error->relative);
+    item["angle"] = NumberToJson(audit.error->angle);
+  }
+  item["verdict"] = VerdictToString(audit.verdict);
+  if (const ContactError* first = audit.FirstWrong()) {
+    item["first_wrong_step"] = first->first_step;
+    item["first_wrong_contact"] = {first->a, first->b};
+    item["block"] = BlockToString(first->block);
+  }
+  if (const std::string why = audit.Why(); !why.empty()) item["why"] = why;
+  if (audit.refinement && audit.refinement->ok()) item["refinement"] = RefinementToJson(scene, *audit.refinement);
+  if (audit.attribution && audit.attribution->ok()) {
+    item["contacts"] = ContactsToJson(*audit.attribution);
+    item["sequence"] = audit.attribution->sequence;
+  }
+  if (audit.widths && audit.widths->ok()) item["width_sweep"] = WidthsToJson(*audit.widths);
+  return item;
+}
+
+}  // namespace
+
+Json AuditToJson(const Request& request, const AuditReport& report) {
+  Json document = {{"scene", request.scene.name},
+                   {"steps", request.scene.steps},
+                   {"precision", request.precision == Precision::kFloat ? "float" : "double"}};
+  if (report.reference) {
+    document["reference"] = {{"contact", report.reference->contact},
+                             {"loss", report.reference->loss},
+                             {"gradient", GradientToJson(request.scene, report.reference->gradient)},
+                             {"events", EventsToJson(report.reference->events)}};
+  }
+  Json audits = Json::array();
+  for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));
+  document["audits"] = std::move(audits);
+  return document;
+}
+
+}  // namespace saltus

@@ -1,0 +1,231 @@
+#include "programs/audit_tables.h"
+
+#include <cstdio>
+
+namespace saltus {
+namespace {
+
+Tone ToneOf(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+    case Verdict::kConsistent:
+      return Tone::kGood;
+    case Verdict::kWrong:
+    case Verdict::kWrongSign:
+      return Tone::kBad;
+    case Verdict::kUnknown:
+      break;
+  }
+  return Tone::kMuted;
+}
+
+// One column a component, named as a derivative of the loss: position and velocity of every disc that moves, and the
+// first force on every controlled disc.
+std::vector<Column> GradientColumns(const Scene& scene) {
+  std::vector<Column> columns = {{"contact"}, {"loss", 8}};
+  for (const char* quantity : {"p", "v"}) {
+    for (const Body& body : scene.bodies) {
+      if (body.fixed) continue;
+      for (const char* axis : {"x", "y"})
+        columns.push_back({"d/d" + std::string(quantity) + axis + " " + body.name, 5});
+    }
+  }
+  for (int body : scene.control.bodies) {
+    for (const char* axis : {"x", "y"})
+      columns.push_back({"d/du" + std::string(axis) + "[0] " + scene.bodies[body].name, 5});
+  }
+  columns.push_back({"rel. error", 3});
+  columns.push_back({"angle, rad", 3});
+  return columns;
+}
+
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const ModelGradient& gradient) {
+  std::vector<Cell> row = {name, gradient.loss};
+  for (int offset : {0, 2}) {
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      if (scene.bodies[i].fixed) continue;
+      for (int j = 0; j < 2; ++j) row.emplace_back(gradient.gradient.initial[4 * i + offset + j]);
+    }
+  }
+  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(gradient.gradient.control[i]);
+  return row;
+}
+
+// "consistent, order 0.98" or "wrong, error 0.89": the number that the verdict rests on.
+Cell VerdictCell(const QuantityStudy* study) {
+  if (study == nullptr) return {};
+  char text[64];
+  const char* verdict = VerdictToString(study->verdict);
+  if (study->verdict == Verdict::kConsistent) {
+    std::snprintf(text, sizeof text, "%s, order %.2f", verdict, study->order);
+  } else if (study->verdict == Verdict::kRight) {
+    std::snprintf(text, sizeof text, "%s", verdict);
+  } else {
+    std::snprintf(text, sizeof text, "%s, error %.2g", verdict, study->levels.back().error);
+  }
+  return Cell(text).With(ToneOf(study->verdict));
+}
+
+}  // namespace
+
+Table GradientTable(const Request& request, const AuditReport& report) {
+  Table table(GradientColumns(request.scene));
+  const auto add = [&](std::vector<Cell> row, const std::optional<GradientError>& error) {
+    row.push_back(error ? Cell(error->relative) : Cell());
+    row.push_back(error ? Cell(error->angle) : Cell());
+    table.AddRow(std::move(row));
+  };
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.gradient.ok()) continue;
+    add(GradientRow(request.scene, audit.gradient.contact, audit.gradient), audit.error);
+  }
+  if (report.reference) {
+    const std::string name = "exact (" + report.reference->contact + ")";
+    add(GradientRow(request.scene, name, *report.reference), std::nullopt);
+  }
+  return table;
+}
+
+Table VerdictTable(const AuditReport& report) {
+  Table table({{"contact"},
+               {"verdict"},
+               {"by position"},
+               {"by velocity"},
+               {"by control"},
+               {"first wrong step"},
+               {"of"},
+               {"wrong in"},
+               {"why"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.gradient.ok()) continue;
+    std::vector<Cell> row = {audit.gradient.contact, Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))};
+    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+      row.push_back(VerdictCell(audit.refinement ? audit.refinement->Find(quantity) : nullptr));
+    }
+    if (const ContactError* first = audit.FirstWrong()) {
+      row.insert(row.end(), {Cell(first->first_step), first->a + " - " + first->b, BlockToString(first->block)});
+    } else {
+      row.insert(row.end(), 3, Cell());
+    }
+    row.emplace_back(audit.Why());
+    table.AddRow(std::move(row));
+  }
+  return table;
+}
+
+Table EntryTable(const Scene& scene, const AuditReport& report) {
+  Table table({{"contact"}, {"quantity"}, {"entry"}, {"exact"}, {"own steps"}, {"converges to"}, {"wrong sign"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement || !audit.refinement->ok()) continue;
+    const int intervals = audit.refinement->intervals;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
+      // The scene's own steps need not be a multiple of the intervals of control.
+      std::vector<double> own;
+      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
+        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        const bool flips =
+            std::find(study.wrong_signs.begin(), study.wrong_signs.end(), names[i]) != study.wrong_signs.end();
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      names[i],
+                      study.exact[i],
+                      own.empty() ? Cell() : Cell(own[i]),
+                      study.finest[i],
+                      flips ? "yes" : "no"});
+      }
+    }
+  }
+  return table;
+}
+
+Table RefinementTable(const AuditReport& report) {
+  Table table({{"contact"}, {"quantity"}, {"verdict"}, {"order"}, {"steps"}, {"error"}, {"smallest"}, {"largest"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement) continue;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      for (const RefinementLevel& level : study.levels) {
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      VerdictToString(study.verdict),
+                      study.order,
+                      level.steps,
+                      level.error,
+                      level.smallest,
+                      level.largest});
+      }
+    }
+  }
+  return table;
+}
+
+Table ContactTable(const AuditReport& report) {
+  Table table({{"contact"},
+               {"first step"},
+               {"last step"},
+               {"a"},
+               {"b"},
+               {"exact impacts"},
+               {"error", 3},
+               {"stays"},
+               {"wrong in"},
+               {"why"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.attribution) continue;
+    for (const ContactError& error : audit.attribution->contacts) {
+      table.AddRow({audit.gradient.contact,
+                    error.first_step,
+                    error.last_step,
+                    error.a,
+                    error.b,
+                    error.exact_impacts,
+                    error.error,
+                    error.stays ? "yes" : "no",
+                    BlockToString(error.block),
+                    error.why});
+    }
+  }
+  return table;
+}
+
+Table PlateauTable(const AuditReport& report) {
+  Table table(
+      {{"contact"}, {"entry"}, {"gradient", 5}, {"narrow differences", 5}, {"wide differences", 5}, {"finding"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.widths) continue;
+    for (const WidthSweep& sweep : audit.widths->sweeps) {
+      const bool against = sweep.finding == WidthFinding::kOnlyOfItsSteps || sweep.finding == WidthFinding::kOfNeither;
+      const Tone tone = against ? Tone::kBad : sweep.finding == WidthFinding::kNothing ? Tone::kGood : Tone::kMuted;
+      table.AddRow({audit.gradient.contact,
+                    sweep.entry,
+                    sweep.gradient,
+                    sweep.narrow,
+                    sweep.wide,
+                    Cell(WidthFindingToString(sweep.finding)).With(tone)});
+    }
+  }
+  return table;
+}
+
+Table SlopeTable(const AuditReport& report) {
+  Table table({{"contact"}, {"quantity"}, {"entry"}, {"grid width"}, {"width"}, {"slope"}, {"gradient"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.widths) continue;
+    for (const WidthSweep& sweep : audit.widths->sweeps) {
+      for (size_t i = 0; i < sweep.widths.size(); ++i) {
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(sweep.quantity),
+                      sweep.entry,
+                      sweep.grid_width,
+                      sweep.widths[i],
+                      sweep.slopes[i],
+                      sweep.gradient});
+      }
+    }
+  }
+  return table;
+}
+
+}  // namespace saltus

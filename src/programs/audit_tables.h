@@ -1,0 +1,31 @@
+// The audit as tables: for people and, with all digits, as CSV.
+#pragma once
+
+#include "programs/program.h"
+#include "saltus/audit/audit.h"
+#include "saltus/io/table.h"
+
+namespace saltus {
+
+// Loss and gradient at the scene's own steps, one row a model, the exact one last.
+Table GradientTable(const Request& request, const AuditReport& report);
+
+// Verdicts, and for wrong models the first wrong step and why. Toned.
+Table VerdictTable(const AuditReport& report);
+
+// Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
+Table EntryTable(const Scene& scene, const AuditReport& report);
+
+// Error by level of refinement.
+Table RefinementTable(const AuditReport& report);
+
+// Every contact of the models that are wrong.
+Table ContactTable(const AuditReport& report);
+
+// Plateaus of the width sweep, one row an entry and model.
+Table PlateauTable(const AuditReport& report);
+
+// All slopes of the width sweep.
+Table SlopeTable(const AuditReport& report);
+
+}  // namespace saltus
