@@ -2,39 +2,80 @@
 
 #include <glog/logging.h>
 
+#include <cmath>
+
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
+namespace {
 
-ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control) {
-  ExactRun run;
-  const ModelTraits* exact = nullptr;
+const ModelTraits* ExactModel() {
   for (const ModelTraits& traits : AllContactModels()) {
-    if (traits.event_driven) exact = &traits;
+    if (traits.event_driven) return &traits;
   }
+  return nullptr;
+}
+
+// Runs `scene` for control intervals of one length from `x` (B x 4) on, which becomes the state at the end.
+bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, double start,
+                       std::vector<double>* x, ExactRun* run) {
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
+  CHECK_EQ(simulator->state_size(), static_cast<int>(x->size()));
+  if (!simulator->Rollout(*x, control)) {
+    run->reason = "the exact rollout is not finite";
+    return false;
+  }
+  simulator->GetState(simulator->num_steps(), *x);
+  for (const Event& event : EventsOf(*simulator)) {
+    run->events.push_back(event);
+    run->events.back().time += start;
+  }
+  for (const StepTouch& at : simulator->touches()) {
+    if (at.touch.time < 0) continue;
+    run->contacts.push_back(at.touch.candidate);
+    if (at.touch.kind != ContactKind::kImpact) run->only_impacts = false;
+  }
+  run->loss += EffortLoss(scene.objective, control, simulator->step());
+  return true;
+}
+
+}  // namespace
+
+ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                         const std::vector<double>& durations) {
+  ExactRun run;
+  const ModelTraits* exact = ExactModel();
   if (exact == nullptr) {
     run.reason = "no event-driven contact model is registered";
     return run;
   }
-  Scene resampled = scene;
-  if (scene.num_controlled() > 0) {
-    CHECK_EQ(control.size() % (2 * scene.num_controlled()), 0u);
-    resampled.steps = static_cast<int>(control.size() / (2 * scene.num_controlled()));
+  const size_t width = 2 * scene.num_controlled();
+  CHECK(durations.empty() || control.size() == width * durations.size());
+  Scene part = scene;
+  if (width > 0) {
+    CHECK_EQ(control.size() % width, 0u);
+    part.steps = static_cast<int>(control.size() / width);
   }
-  run.reason = WhyNotApplicable(exact->name, resampled);
+  run.reason = WhyNotApplicable(exact->name, part);
   if (!run.reason.empty()) return run;
-  const std::unique_ptr<Simulator> simulator = MakeSimulator(exact->name, resampled, Precision::kDouble);
-  if (!simulator->Rollout(initial, control)) {
-    run.reason = "the exact rollout is not finite";
-    return run;
+
+  std::vector<double> x = initial;
+  if (durations.empty()) {
+    if (!RunEqualIntervals(exact->name, part, control, 0, &x, &run)) return run;
+  } else {
+    double start = 0;
+    for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
+      while (end < durations.size() && durations[end] == durations[begin]) ++end;
+      part.steps = static_cast<int>(end - begin);
+      part.duration = part.steps * durations[begin];
+      const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
+      if (!RunEqualIntervals(exact->name, part, rows, start, &x, &run)) return run;
+      start += part.duration;
+    }
   }
-  std::vector<double> x(simulator->state_size());
-  simulator->GetState(simulator->num_steps(), x);
   run.ok = true;
-  run.loss = TerminalLoss(scene.objective, x, simulator->body_size()) +
-             EffortLoss(scene.objective, control, simulator->step());
-  run.events = EventsOf(*simulator);
+  run.loss += TerminalLoss(scene.objective, x, 4);
   return run;
 }
 

@@ -15,8 +15,12 @@ struct ExactRun {
   std::string reason;  // if not ok
   double loss = 0;
   std::vector<Event> events;
+  std::vector<Candidate> contacts;  // of the events, by indices of the scene
+  bool only_impacts = true;         // no event is a resting or grazing contact
 };
-// Shapes: initial is B x 4; control is K x C x 2 for any K that divides the horizon into equal intervals.
-ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control);
+// Shapes: initial is B x 4; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that sum up to
+// the horizon), or equally long if there are none.
+ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                         const std::vector<double>& durations = {});
 
 }  // namespace saltus
