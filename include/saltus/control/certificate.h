@@ -1,0 +1,85 @@
+// Whether a control is optimal: how well it meets each condition of the hybrid minimum principle.
+//
+// The control is constant on intervals; in exact dynamics it has some impacts, which cut the time into phases, and the
+// flight of each pushed disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
+// lambda_v.(u/m + g):
+//
+//   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: how far the forces on an arc, at the
+//                   middles of their intervals, are from a straight line. The line gives the costates of pushed discs.
+//   transversality  the costates at the end are the derivatives of the terminal terms. All other discs' costates start
+//                   there.
+//   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact; nu is that which fits best.
+//   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
+//                   impacts, this and not the pointwise condition is exact; they differ by O(h^2).)
+//
+// On a grid that does not move, the last condition gives way to another: with an impact on a node and a force that
+// jumps there, the loss has a kink, with the gradients `early` and `late` as if the impact were just before and just
+// after the node. Each belongs to a nu; a minimum lies between them, theta early + (1 - theta) late = 0 with theta in
+// [0, 1] (Clarke).
+//
+// Conditions of first order say nothing of other sequences of impacts, which may be better.
+//
+// Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
+// principle" (arXiv 2205.08622). Residuals are relative to the largest costate (Hamiltonian) of the path.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+inline constexpr double kCertificateTolerance = 1e-6;
+
+struct ImpactCertificate {
+  double time = 0;              // s
+  std::string a, b;             // as in Event
+  double speed = 0;             // of approach along the normal, m/s
+  double multiplier = 0;        // nu, 1/m
+  double jump = 0;              // residual of the costate jump
+  double hamiltonian = 0;       // residual: the Hamiltonian after less that before
+  bool on_node = false;         // the impact is at the boundary of two control intervals
+  std::optional<double> theta;  // if the force jumps there
+};
+
+struct Certificate {
+  enum class Verdict {
+    kOptimal,        // all conditions hold
+    kOptimalOnGrid,  // all but the Hamiltonian's, and every theta lies in [0, 1]
+    kNotOptimal,
+    kNotApplicable,
+  };
+  Verdict verdict = Verdict::kNotApplicable;
+  std::string reason;  // which condition fails worst, or why there is nothing to certify
+
+  double stationarity = 0;
+  double costate_jump = 0;
+  double hamiltonian = 0;
+  double transversality = 0;
+  std::vector<ImpactCertificate> impacts;
+
+  // With an impact on a node of a fixed grid: largest component of the gradients of the loss by the control as if all
+  // impacts on nodes were early, late, and of their combination with the thetas, 1/N.
+  std::optional<double> gradient_early, gradient_late, gradient_combined;
+
+  // What is known of other sequences of impacts: nothing or that one of them is better, or that none searched is.
+  enum class Scope { kLocal, kBestOfSearched };
+  Scope scope = Scope::kLocal;
+  int sequences_searched = 0;
+};
+
+// "optimal", "optimal_on_grid", "not_optimal", "not_applicable"; "local", "best_of_searched".
+const char* VerdictToString(Certificate::Verdict verdict);
+const char* ScopeToString(Certificate::Scope scope);
+
+// Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
+// none.
+Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations = {});
+
+// From the four residuals, and the thetas, to verdict and reason.
+void Judge(Certificate* certificate);
+
+}  // namespace saltus

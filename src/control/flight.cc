@@ -1,0 +1,87 @@
+#include "flight.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+
+namespace saltus {
+namespace {
+
+constexpr double kNodeMargin = 1e-9;  // of the interval: an impact this near to a node is on it
+
+DiscStates After(const Flight::Piece& piece, double s) {
+  DiscStates x = piece.at_start;
+  for (size_t i = 0; i < x.p.size(); ++i) {
+    x.p[i] += s * (x.v[i] + 0.5 * s * piece.acceleration[i]);
+    x.v[i] += s * piece.acceleration[i];
+  }
+  return x;
+}
+
+std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
+  std::vector<Vec2d> acceleration;
+  for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    const int body = scene.control.bodies[c];
+    acceleration[body] += Vec2d(forces[2 * c], forces[2 * c + 1]) / scene.bodies[body].mass;
+  }
+  return acceleration;
+}
+
+Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
+  if (c.plane) return MakeHalfPlane(scene.planes[c.b]).normal;
+  return Separate<double>(x.p[c.a], x.p[c.b]).normal;
+}
+
+}  // namespace
+
+Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
+               std::span<const double> durations, const ExactRun& run) {
+  CHECK(run.ok);
+  const size_t width = 2 * scene.num_controlled();
+  CHECK_EQ(control.size(), durations.size() * width);
+  DiscStates x;
+  for (size_t i = 0; i < initial.size(); i += 4) {
+    x.p.emplace_back(initial[i], initial[i + 1]);
+    x.v.emplace_back(initial[i + 2], initial[i + 3]);
+  }
+  double start = 0;
+  size_t next = 0;
+  for (size_t k = 0; k < durations.size(); ++k) {
+    const std::vector<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
+    const double h = durations[k], margin = kNodeMargin * h;
+    double now = 0;  // since the start of the interval
+    const auto fly_to = [&](double to) {
+      const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration};
+      x = After(piece, to - now);
+      if (to - now > margin) pieces_.push_back(piece);
+      now = to;
+    };
+    const bool last = k + 1 == durations.size();
+    while (next < run.events.size() && (last || run.events[next].time < start + h - margin)) {
+      const Candidate& c = run.contacts[next];
+      const double at = std::clamp(run.events[next].time - start, now, h);
+      fly_to(at);
+      const ImpactLaw law = MakeImpactLaw(scene, c);
+      Hit hit{start + at, c, static_cast<int>(pieces_.size()), at <= margin, x, {}};
+      const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
+      hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other);
+      x.v[c.a] += law.inverse_mass_a * hit.impact.impulse;
+      if (!c.plane) x.v[c.b] -= law.inverse_mass_b * hit.impact.impulse;
+      hits_.push_back(std::move(hit));
+      ++next;
+    }
+    fly_to(h);
+    start += h;
+  }
+  end_ = x;
+}
+
+DiscStates Flight::Before(double time) const {
+  const auto after =
+      std::partition_point(pieces_.begin(), pieces_.end(), [&](const Piece& piece) { return piece.start < time; });
+  const Piece& piece = after == pieces_.begin() ? *after : *(after - 1);
+  return After(piece, std::min(time - piece.start, piece.duration));
+}
+
+}  // namespace saltus

@@ -1,0 +1,58 @@
+// The exact motion of all discs under a piecewise constant control, as pieces of constant acceleration and the impacts
+// between them: what an exact re-simulation has found, written out for those who need it between grid nodes.
+#pragma once
+
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "impact.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+struct DiscStates {
+  std::vector<Vec2d> p, v;  // m and m/s, of every disc
+};
+
+class Flight {
+ public:
+  // All discs over a part of one control interval.
+  struct Piece {
+    int interval = 0;
+    double start = 0, duration = 0;  // s
+    DiscStates at_start;
+    std::vector<Vec2d> acceleration;  // m/s^2, of every disc, gravity included
+  };
+  struct Hit {
+    double time = 0;
+    Candidate contact;
+    int next_piece = 0;    // the piece that starts here
+    bool on_node = false;  // at the boundary of two control intervals
+    DiscStates before;     // positions and velocities of all discs just before
+    Impact<double> impact;
+  };
+
+  // `run` is the exact run of `initial` and `control` on intervals of `durations`. Preconditions: run.ok, and
+  // durations.size() rows in `control`.
+  Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
+         std::span<const double> durations, const ExactRun& run);
+
+  const std::vector<Piece>& pieces() const { return pieces_; }
+  const std::vector<Hit>& hits() const { return hits_; }
+  const DiscStates& end() const { return end_; }
+
+  // Just before `time`, which lies in [0, T].
+  DiscStates Before(double time) const;
+
+ private:
+  void Fly(double duration);
+
+  std::vector<Piece> pieces_;
+  std::vector<Hit> hits_;
+  DiscStates end_;
+};
+
+}  // namespace saltus
