@@ -2,12 +2,15 @@
 
 #include <glog/logging.h>
 
+#include "ceres_event.h"
 #include "ceres_lagrangian.h"
 #include "ceres_lbfgs.h"
 #include "ceres_lm.h"
 #include "ceres_shooting.h"
 #include "gradient_descent.h"
 #include "grid_solver.h"
+#include "hmp.h"
+#include "phase_solution.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -32,6 +35,8 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum},
+      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent},
+      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp},
   };
   // clang-format on
   return solvers;

@@ -4,10 +4,13 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "saltus/control/certificate.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 
@@ -27,11 +30,23 @@ struct SolverOptions {
   int iterations = 1000;        // at most
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
 
-  bool keep_iterates = false;  // fill SolveReport::iterates
+  bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
+
+  // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets
+  // mode_search leave it for others.
+  std::optional<ContactSequence> sequence = std::nullopt;
+  bool search = true;
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
   std::function<bool(int iteration, double loss)> callback = nullptr;
+};
+
+// One optimum of a search over collision sequences.
+struct LocalOptimum {
+  ContactSequence sequence;
+  double loss = 0;
+  std::vector<double> times;  // of the impacts, s
 };
 
 // Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
@@ -51,8 +66,11 @@ struct SolveReport {
   // Step shooting: of each step, the largest component of its defect (m or m/s); one vector each time that defects were
   // looked at, the last one at the solution. The loss is that of a rollout, whatever they are.
   std::vector<std::vector<double>> defects;
-  std::vector<double> initial_state;  // B x 4
-  std::vector<double> control;        // K x C x 2
+  std::vector<double> initial_state;       // B x 4
+  std::vector<double> control;             // K x C x 2
+  std::vector<double> durations;           // of the K control intervals, s; none if they are equal
+  std::optional<Certificate> certificate;  // of solvers that certify themselves
+  std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
 };
 
 struct SolverEntry {

@@ -1,0 +1,17 @@
+// The indirect method: a zero of the conditions of the hybrid minimum principle (control/costate.h), in continuous
+// time and to rounding.
+//
+// Unknowns are the variables of EventPhases and one multiplier an impact: five for one impact of a pushed disc.
+// Newton's method needs a start near by, which Levenberg-Marquardt on the same variables gives; both by Ceres. The
+// control reported is the best one on Scene::steps intervals with the very same impacts, so its loss is a little
+// higher.
+#pragma once
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// The certificate holds the conditions in continuous time. Precondition: WhyNotEventPhases is empty.
+SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options);
+
+}  // namespace saltus

@@ -1,0 +1,33 @@
+// The least loss along a given collision sequence, by Ceres: Levenberg-Marquardt on the few variables of EventPhases.
+// Gaps that no pushed disc closes by itself are constraints, met by an augmented Lagrangian.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "control/event_phases.h"
+
+namespace saltus {
+
+struct PhaseMinimum {
+  std::vector<double> z;
+  bool valid = false;      // there is a path; all else is filled
+  bool converged = false;  // the gradient has vanished and the gaps are closed
+  bool interrupted = false;
+  double loss = 0;
+  double gap = 0;                   // m, the largest
+  std::vector<double> multipliers;  // of the gaps, by impact; 0 for those closed by construction
+  int iterations = 0;               // of Ceres, in all
+  int jacobians = 0;
+};
+
+struct PhaseMinimumOptions {
+  int iterations = 200;  // of Ceres, in all
+  double gap_tolerance = 1e-11;
+  double gradient_tolerance = 1e-8;           // of the largest gradient met
+  std::function<bool(double loss)> callback;  // after each iteration; false interrupts
+};
+
+PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, const PhaseMinimumOptions& options);
+
+}  // namespace saltus

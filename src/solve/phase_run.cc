@@ -1,0 +1,56 @@
+#include "phase_run.h"
+
+namespace saltus {
+
+PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
+    : start_(std::chrono::steady_clock::now()),
+      scene_(request.scene),
+      options_(options),
+      guess_(GuessTrial(request.scene)) {
+  report_.contact = request.contact;
+  report_.solver = solver;
+  if (guess_.exact.ok) Record(guess_.exact.loss);
+}
+
+std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
+  if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
+  if (!guess_.exact.only_impacts) {
+    return Refuse(Termination::kNotApplicable,
+                  "from the initial guess discs rest on or graze each other or a plane; it knows impacts only");
+  }
+  if (sequence.empty()) {
+    return Refuse(Termination::kNotApplicable, "there is no contact in the sequence; give one with --sequence");
+  }
+  return std::nullopt;
+}
+
+bool PhaseRun::Record(double loss) {
+  report_.losses.push_back(loss);
+  const int iteration = static_cast<int>(report_.losses.size()) - 1;
+  if (options_.callback && !options_.callback(iteration, loss)) interrupted_ = true;
+  return !interrupted_;
+}
+
+SolveReport PhaseRun::Refuse(Termination termination, std::string reason) {
+  SolveReport refused;
+  refused.contact = report_.contact;
+  refused.solver = report_.solver;
+  refused.termination = termination;
+  refused.reason = std::move(reason);
+  return refused;
+}
+
+SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termination, std::string reason) {
+  report_.termination = termination;
+  report_.reason = std::move(reason);
+  report_.initial_loss = report_.losses.front();
+  report_.final_loss = loss;
+  report_.iterations = static_cast<int>(report_.losses.size()) - 1;
+  report_.initial_state = InitialState(scene_);
+  report_.control = trial.control;
+  report_.durations = trial.durations;
+  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  return std::move(report_);
+}
+
+}  // namespace saltus

@@ -1,0 +1,42 @@
+// What the solvers on event phases do around their algorithm: time, simulate the initial guess, collect losses, ask the
+// callback, write the report.
+#pragma once
+
+#include <chrono>
+#include <string>
+
+#include "phase_solution.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+class PhaseRun {
+ public:
+  // The clock of the report starts here.
+  PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+
+  const Scene& scene() const { return scene_; }
+  const SolverOptions& options() const { return options_; }
+  const Trial& guess() const { return guess_; }
+  // Why there is nothing to start from, as a report; otherwise nothing.
+  std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
+
+  // Appends the loss after another iteration. False if the callback wants to stop.
+  bool Record(double loss);
+  bool interrupted() const { return interrupted_; }
+
+  SolveReport& report() { return report_; }
+  SolveReport Finish(const Trial& trial, double loss, Termination termination, std::string reason = {});
+
+ private:
+  SolveReport Refuse(Termination termination, std::string reason);
+
+  std::chrono::steady_clock::time_point start_;
+  const Scene& scene_;
+  const SolverOptions& options_;
+  Trial guess_;
+  SolveReport report_;
+  bool interrupted_ = false;
+};
+
+}  // namespace saltus

@@ -1,0 +1,175 @@
+#include "phase_solution.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "saltus/dynamics/registry.h"
+#include "solve_run.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kSameTime = 1e-6;  // of the horizon
+
+double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
+  const double reach = MakeImpactLaw(scene, c).reach;
+  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - reach;
+  return Separate<double>(x.p[c.a], x.p[c.b]).distance - reach;
+}
+
+// For each impact of `sequence` the hit of the flight that it is, or -1: a longest common subsequence.
+std::vector<int> Align(const ContactSequence& sequence, const std::vector<Flight::Hit>& hits) {
+  const int n = static_cast<int>(sequence.size()), m = static_cast<int>(hits.size());
+  std::vector<std::vector<int>> length(n + 1, std::vector<int>(m + 1, 0));
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = m - 1; j >= 0; --j) {
+      length[i][j] =
+          sequence[i] == hits[j].contact ? 1 + length[i + 1][j + 1] : std::max(length[i + 1][j], length[i][j + 1]);
+    }
+  }
+  std::vector<int> hit(n, -1);
+  for (int i = 0, j = 0; i < n && j < m;) {
+    if (sequence[i] == hits[j].contact) {
+      hit[i++] = j++;
+    } else if (length[i + 1][j] >= length[i][j + 1]) {
+      ++i;
+    } else {
+      ++j;
+    }
+  }
+  return hit;
+}
+
+// When the pair is nearest inside (from, to).
+double NearestTime(const Scene& scene, const Flight& flight, const Candidate& c, double from, double to) {
+  constexpr int kSamples = 24;
+  double best = 0.5 * (from + to), least = std::numeric_limits<double>::infinity();
+  for (int i = 1; i < kSamples; ++i) {
+    const double t = from + (to - from) * i / kSamples;
+    const double gap = GapOf(scene, c, flight.Before(t));
+    if (gap < least) {
+      least = gap;
+      best = t;
+    }
+  }
+  return best;
+}
+
+bool IsPushed(const Scene& scene, int body) {
+  return std::find(scene.control.bodies.begin(), scene.control.bodies.end(), body) != scene.control.bodies.end();
+}
+
+// Gives a pushed disc of the pair such a velocity that the two approach.
+void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
+  Vec2d normal;
+  if (c.plane) {
+    normal = MakeHalfPlane(scene.planes[c.b]).normal;
+  } else {
+    normal = Separate<double>(x->p[c.a], x->p[c.b]).normal;
+  }
+  const double speed = Dot(normal, x->v[c.a]) - (c.plane ? 0.0 : Dot(normal, x->v[c.b]));
+  const double least = (MakeImpactLaw(scene, c).reach + std::abs(GapOf(scene, c, *x))) / scene.duration;
+  if (speed < -least) return;
+  if (IsPushed(scene, c.a)) {
+    x->v[c.a] -= (speed + least) * normal;
+  } else if (!c.plane && IsPushed(scene, c.b)) {
+    x->v[c.b] += (speed + least) * normal;
+  }
+}
+
+}  // namespace
+
+std::string WhyNotEventPhases(const SolveRequest& request) {
+  const Scene& scene = request.scene;
+  const ModelTraits* model = FindContactModel(request.contact);
+  if (model != nullptr && !model->event_driven) return "it solves with exact impacts only (contact model event)";
+  if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
+  if (scene.optimize != Optimize::kControl) return "it finds a control, and the scene optimizes something else";
+  if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
+  if (scene.objective.effort == 0) return "without a cost of effort the best control is not unique";
+  return "";
+}
+
+Trial GuessTrial(const Scene& scene) {
+  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}};
+  trial.exact = SimulateExactly(scene, InitialState(scene), trial.control);
+  return trial;
+}
+
+Flight FlightOf(const Scene& scene, const Trial& trial) {
+  return Flight(scene, InitialState(scene), trial.control, trial.durations, trial.exact);
+}
+
+PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence) {
+  PhaseGuess guess;
+  const std::vector<int> hit = Align(sequence, flight.hits());
+  const int n = static_cast<int>(sequence.size());
+  guess.times.resize(n);
+  for (int k = 0; k < n;) {
+    if (hit[k] >= 0) {
+      guess.times[k] = flight.hits()[hit[k]].time;
+      guess.before.push_back({flight.hits()[hit[k]].before.p, flight.hits()[hit[k]].before.v});
+      ++k;
+      continue;
+    }
+    int end = k;  // of a run of new impacts, which share the time between their neighbours
+    while (end < n && hit[end] < 0) ++end;
+    const double from = k > 0 ? guess.times[k - 1] : 0.0;
+    const double to = end < n ? flight.hits()[hit[end]].time : scene.duration;
+    const double share = (to - from) / (end - k);
+    for (int i = k; i < end; ++i) {
+      const double begin = from + (i - k) * share;
+      guess.times[i] = NearestTime(scene, flight, sequence[i], begin, begin + share);
+      DiscStates x = flight.Before(guess.times[i]);
+      MakeApproach(scene, sequence[i], &x);
+      guess.before.push_back({x.p, x.v});
+    }
+    k = end;
+  }
+  guess.end = {flight.end().p, flight.end().v};
+  return guess;
+}
+
+bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
+                const std::vector<double>& times) {
+  if (!run.ok || !run.only_impacts || run.contacts != sequence) return false;
+  for (size_t k = 0; k < times.size(); ++k) {
+    if (std::abs(run.events[k].time - times[k]) > kSameTime * scene.duration) return false;
+  }
+  return true;
+}
+
+std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
+  if (!run.ok) return run.reason;
+  if (!run.only_impacts) return "discs rest on or graze each other or a plane";
+  const std::string planned = ContactSequenceToString(scene, sequence);
+  const std::string met = ContactSequenceToString(scene, run.contacts);
+  if (planned == met) return "along " + planned + " impacts come at other times than planned";
+  return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
+}
+
+PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
+                         const PhaseMinimumOptions& options) {
+  PhaseSolution solution;
+  solution.sequence = sequence;
+  std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
+  if (intervals.empty()) return solution;
+  const EventPhases phases(scene, sequence, std::move(intervals));
+  solution.minimum = MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), options);
+  Path<double> path;
+  if (!solution.minimum.valid || !phases.Unroll(solution.minimum.z.data(), &path)) return solution;
+  solution.valid = true;
+  phases.Control(path, &solution.trial.control, &solution.trial.durations);
+  solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);
+  std::vector<double> times;
+  for (const auto& impact : path.impacts) times.push_back(impact.time);
+  solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
+  return solution;
+}
+
+ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {
+  return options.sequence ? *options.sequence : guess.exact.contacts;
+}
+
+}  // namespace saltus

@@ -1,0 +1,63 @@
+// What the solvers on event phases share: where they start, one solve along a sequence, and whether its result is what
+// really happens.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "control/flight.h"
+#include "phase_minimum.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// Why event phases cannot take a request; empty if they can.
+std::string WhyNotEventPhases(const SolveRequest& request);
+
+// A control on intervals of any length, and what it does in exact dynamics.
+struct Trial {
+  std::vector<double> control, durations;
+  ExactRun exact;
+};
+
+// The scene's initial guess.
+Trial GuessTrial(const Scene& scene);
+// Precondition: trial.exact.ok.
+Flight FlightOf(const Scene& scene, const Trial& trial);
+
+// Where to start along a sequence.
+struct PhaseGuess {
+  std::vector<double> times;               // of the impacts, rising
+  std::vector<EventPhases::State> before;  // just before each
+  EventPhases::State end;
+};
+// From a flight along a sequence of its own: impacts that both have, in order, are kept. A new one is put where its
+// pair comes nearest between its neighbours, and a pushed disc is given a velocity towards the other.
+PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence);
+
+// The outcome of a solve along a sequence.
+struct PhaseSolution {
+  ContactSequence sequence;
+  bool valid = false;  // all else is filled
+  PhaseMinimum minimum;
+  Trial trial;            // the control found
+  bool realized = false;  // its impacts are those of the sequence and no others
+  bool optimal() const { return valid && minimum.converged && realized; }
+};
+// With piecewise constant forces on Scene::steps intervals. Not valid if there are too few of them, or the guess is of
+// no use.
+PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
+                         const PhaseMinimumOptions& options);
+
+// Whether the exact run has these impacts, at these times, and no others.
+bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
+                const std::vector<double>& times);
+// For a person: where the exact run departs from the sequence.
+std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
+
+// The sequence that the options ask for; that of the initial guess unless one is given.
+ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess);
+
+}  // namespace saltus
