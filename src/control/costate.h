@@ -1,4 +1,4 @@
-// The conditions of the hybrid minimum principle on a path of EventPhases in continuous time.
+// The conditions of the hybrid minimum principle on a path of EventPhases.
 //
 // Costates obey lambda_q' = 0, lambda_v' = -lambda_q between impacts. Of a pushed disc they are read off its arcs,
 // since stationarity, 2 effort u + lambda_v / m = 0, makes them
@@ -12,6 +12,9 @@
 //   H- = H+                                  H = effort |u|^2 + sum lambda_q.v + lambda_v.(u/m + g)
 //   psi = 0                                  where no pushed disc takes part
 //   lambda(T) = d(terminal terms)            for every disc that is pushed to the end.
+//
+// For forces that are constant on intervals, H is its mean over a phase; with intervals of length h that adds
+// effort m^2 |b|^2 h^2 / 4 for every arc that spans the phase.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
 // principle" (arXiv 2205.08622); the running cost enters through H.
@@ -133,7 +136,7 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
       }
       jump_of_h -= power(before, event.before[side], body[side], arc >= 0 ? &push : nullptr);
     }
-    *hamiltonian++ = jump_of_h;
+    *hamiltonian++ = jump_of_h + phases->GridHamiltonian(*path, k + 1) - phases->GridHamiltonian(*path, k);
     if (!phases->IsSteered(k)) *gap++ = event.gap;
   }
   return true;

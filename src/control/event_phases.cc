@@ -112,7 +112,7 @@ std::vector<int> DistributeIntervals(const Scene& scene, const std::vector<Candi
   std::vector<int> intervals(phases, 1);
   int left = scene.steps - (phases - working) - kLeast * working;
   if (left < 0) return {};
-  double time_left = working == phases ? scene.duration : times[working];
+  double time_left = working == phases ? scene.duration : working > 0 ? times[working - 1] : 0.0;
   for (int j = 0; j < working; ++j) {
     const double length = (j + 1 < phases ? times[j] : scene.duration) - (j > 0 ? times[j - 1] : 0.0);
     const int share = j + 1 == working ? left : static_cast<int>(std::lround(left * length / time_left));

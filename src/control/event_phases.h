@@ -98,6 +98,10 @@ class EventPhases {
     return num_effort_residuals() + 2 * static_cast<int>(scene_.objective.terminal.size());
   }
 
+  // What intervals of finite length add to the mean Hamiltonian of phase j (costate.h).
+  template <typename T>
+  T GridHamiltonian(const Path<T>& path, int j) const;
+
   // The variables of a path that is at `before(time)` just before each of `times`, and at `end`.
   struct State {
     std::vector<Vec2d> p, v;  // of every disc
@@ -281,6 +285,21 @@ bool EventPhases::Unroll(const T* z, Path<T>* path) const {
     if (arc_from[i] >= 0) path->impacts[arc_from[i] / 2].arc_after[arc_from[i] % 2] = path->last_arc[i];
   }
   return true;
+}
+
+template <typename T>
+T EventPhases::GridHamiltonian(const Path<T>& path, int j) const {
+  T sum(0.0);
+  if (intervals_.empty()) return sum;
+  const T begin = j > 0 ? path.impacts[j - 1].time : T(0.0);
+  const T end = j < num_impacts() ? path.impacts[j].time : T(scene_.duration);
+  const T h = (end - begin) / (1.0 * intervals_[j]);
+  for (const Arc<T>& arc : path.arcs) {
+    if (j < arc.from.phase || j > arc.last_phase) continue;
+    const double mass = scene_.bodies[arc.body].mass;
+    sum += 0.25 * scene_.objective.effort * mass * mass * h * h * Dot(arc.slope, arc.slope);
+  }
+  return sum;
 }
 
 template <typename T>

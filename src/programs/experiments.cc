@@ -25,7 +25,7 @@ void RunSolver(Experiment* experiment, size_t which) {
   SolvedRun& run = experiment->runs[which];
   run.report = Solve(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
   if (!run.report.losses.empty()) {
-    run.exact = SimulateExactly(experiment->scene, run.report.initial_state, run.report.control);
+    run.exact = SimulateExactly(experiment->scene, run.report.initial_state, run.report.control, run.report.durations);
   }
 }
 

@@ -40,6 +40,59 @@ Json EventsToJson(const std::vector<Event>& events) {
   return list;
 }
 
+Json CertificateToJson(const Certificate& certificate) {
+  Json item = {{"verdict", VerdictToString(certificate.verdict)}};
+  if (!certificate.reason.empty()) item["reason"] = certificate.reason;
+  if (certificate.verdict == Certificate::Verdict::kNotApplicable) return item;
+  item["scope"] = ScopeToString(certificate.scope);
+  item["sequences_searched"] = certificate.sequences_searched;
+  item["stationarity"] = NumberToJson(certificate.stationarity);
+  item["costate_jump"] = NumberToJson(certificate.costate_jump);
+  item["hamiltonian"] = NumberToJson(certificate.hamiltonian);
+  item["transversality"] = NumberToJson(certificate.transversality);
+  Json impacts = Json::array();
+  for (const ImpactCertificate& impact : certificate.impacts) {
+    Json entry = {{"time", NumberToJson(impact.time)},
+                  {"a", impact.a},
+                  {"b", impact.b},
+                  {"speed", NumberToJson(impact.speed)},
+                  {"multiplier", NumberToJson(impact.multiplier)},
+                  {"costate_jump", NumberToJson(impact.jump)},
+                  {"hamiltonian", NumberToJson(impact.hamiltonian)},
+                  {"on_node", impact.on_node}};
+    if (impact.theta) entry["theta"] = NumberToJson(*impact.theta);
+    impacts.push_back(std::move(entry));
+  }
+  item["impacts"] = std::move(impacts);
+  if (certificate.gradient_combined) {
+    item["gradient_early"] = NumberToJson(*certificate.gradient_early);
+    item["gradient_late"] = NumberToJson(*certificate.gradient_late);
+    item["gradient_combined"] = NumberToJson(*certificate.gradient_combined);
+  }
+  return item;
+}
+
+Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
+  Json list = Json::array();
+  for (const LocalOptimum& optimum : optima) {
+    Json sequence = Json::array();
+    for (const Candidate& c : optimum.sequence) {
+      const std::string& b = c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name;
+      sequence.push_back({{"a", scene.bodies[c.a].name}, {"b", b}});
+    }
+    list.push_back({{"sequence", std::move(sequence)},
+                    {"loss", NumberToJson(optimum.loss)},
+                    {"times", NumbersToJson(optimum.times)}});
+  }
+  return list;
+}
+
+Json NumbersToJson(const std::vector<double>& values) {
+  Json list = Json::array();
+  for (double value : values) list.push_back(NumberToJson(value));
+  return list;
+}
+
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
   const ParameterGradient& p = gradient.parameters;
   Json mass = Json::array(), force = Json::array();

@@ -20,8 +20,14 @@ Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 Json EventsToJson(const std::vector<Event>& events);
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 
+// The conditions of the minimum principle, see saltus/control/certificate.h.
+Json CertificateToJson(const Certificate& certificate);
+// [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
+Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
+
 // A finite number, or null.
 Json NumberToJson(double value);
+Json NumbersToJson(const std::vector<double>& values);
 
 // Prints the document to stdout with 17 significant digits (9 in single precision).
 void PrintJson(const Json& document, Precision precision);

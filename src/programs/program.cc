@@ -24,6 +24,10 @@ DEFINE_double(friction, 0, "coefficient of friction (default: from the scene)");
 DEFINE_double(restitution, 0, "coefficient of restitution (default: from the scene)");
 DEFINE_double(learning_rate, 0, "gradient descent's rate (default: that of the published experiment)");
 DEFINE_int32(iterations, 0, "iterations of each solver at most (default: 1000)");
+DEFINE_string(sequence, "auto",
+              "collision sequence, for solvers along one: 'auto' (that of the initial guess; mode_search looks for "
+              "others), 'fixed' (that of the initial guess), 'none', or a comma-separated list of pairs with a hyphen, "
+              "as striker-target,target-ceiling");
 DEFINE_int32(threads, 0, "threads; 0 is one per core");
 DEFINE_string(output_dir, "", "directory for result files (default: none are written)");
 DEFINE_bool(json, false, "print one JSON document instead of tables");
@@ -158,6 +162,12 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   request->scene = LoadScene(path);
   ApplyFlags(&request->scene);
 
+  request->options.search = FLAGS_sequence == "auto";
+  if (FLAGS_sequence != "auto" && FLAGS_sequence != "fixed") {
+    const std::string wrong =
+        ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequence.emplace());
+    if (!wrong.empty()) throw InputError("--sequence=" + FLAGS_sequence + ": " + wrong);
+  }
   request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
   if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
   request->options.learning_rate = defaults.learning_rate;

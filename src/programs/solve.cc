@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "programs/parallel.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/io/npz.h"
 #include "saltus/io/table.h"
 
@@ -23,6 +24,7 @@ void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) 
     if (controlled > 0) {
       const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
       arrays["control"] = {{intervals, controlled, 2}, report.control};
+      if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
     }
     const std::string path =
         request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" + report.solver + ".npz";
@@ -31,23 +33,44 @@ void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) 
   }
 }
 
+SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std::string& contact, Precision precision,
+                        const SolverOptions& options) {
+  SolvedRun run;
+  run.report = Solve(solver, {scene, contact, precision}, options);
+  const SolveReport& report = run.report;
+  if (report.losses.empty()) return run;
+  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  run.certificate = report.certificate;
+  if (!run.certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
+    run.certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  }
+  return run;
+}
+
 }  // namespace
 
 std::vector<SolvedRun> SolveAll(const Request& request) {
-  const int solvers = static_cast<int>(request.solvers.size());
-  const int count = static_cast<int>(request.contacts.size()) * solvers;
+  struct Job {
+    std::string contact, solver;
+  };
+  std::vector<Job> jobs;
+  const auto is_exact = [](const std::string& contact) { return FindContactModel(contact)->event_driven; };
+  const bool any_exact = std::any_of(request.contacts.begin(), request.contacts.end(), is_exact);
+  for (const std::string& contact : request.contacts) {
+    for (const std::string& solver : request.solvers) {
+      if (FindSolver(solver)->exact_only && any_exact && !is_exact(contact)) continue;
+      jobs.push_back({contact, solver});
+    }
+  }
+  const int count = static_cast<int>(jobs.size());
   std::vector<SolvedRun> runs(count);
   const InterruptGuard guard;
   Progress progress(request.progress, stderr, "solve " + request.scene.name, count);
   RunJobs(count, request.threads, &progress, [&](int i) {
     SolverOptions options = request.options;
     options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
-    SolvedRun& run = runs[i];
-    run.report =
-        Solve(request.solvers[i % solvers], {request.scene, request.contacts[i / solvers], request.precision}, options);
-    if (!run.report.losses.empty()) {
-      run.exact = SimulateExactly(request.scene, run.report.initial_state, run.report.control);
-    }
+    options.status = [&](const std::string& note) { progress.Advance(0, note); };
+    runs[i] = SolveAndCheck(request.scene, jobs[i].solver, jobs[i].contact, request.precision, options);
   });
   std::erase_if(runs, [](const SolvedRun& run) { return run.report.solver.empty(); });
   return runs;
@@ -62,9 +85,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["initial_loss"] = NumberToJson(report.initial_loss);
       item["final_loss"] = NumberToJson(report.final_loss);
       if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
-      Json losses = Json::array();
-      for (double loss : report.losses) losses.push_back(NumberToJson(loss));
-      item["losses"] = std::move(losses);
+      item["losses"] = NumbersToJson(report.losses);
       item["iterations"] = report.iterations;
       item["evaluations"] = report.evaluations;
       item["seconds"] = report.seconds;
@@ -79,6 +100,9 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["events"] = EventsToJson(run.exact.events);
       item["velocity"] = VectorsToJson(report.initial_state, 2);
       item["control"] = ControlToJson(request.scene, report.control);
+      if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
+      if (run.certificate) item["certificate"] = CertificateToJson(*run.certificate);
+      if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
     }
     list.push_back(std::move(item));

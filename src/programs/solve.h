@@ -1,6 +1,7 @@
 // Optimise a scene with chosen contact models and solvers.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "programs/json_output.h"
@@ -8,14 +9,16 @@
 
 namespace saltus {
 
-// A solver's report with its solution re-simulated exactly.
+// A solver's report with its solution re-simulated exactly, and certified if it is a control.
 struct SolvedRun {
   SolveReport report;
   ExactRun exact;
+  std::optional<Certificate> certificate;
 };
 
 // Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
-// number. Interruption (SIGINT) leaves the runs that were not started out.
+// number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
+// Interruption (SIGINT) leaves the runs that were not started out.
 std::vector<SolvedRun> SolveAll(const Request& request);
 
 Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs);

@@ -137,7 +137,7 @@ std::vector<Cell> SolveRow(const Request& request, const Point& point) {
   if (report.losses.empty()) {
     row.insert(row.end(), 7, Cell());
   } else {
-    const ExactRun exact = SimulateExactly(request.scene, report.initial_state, report.control);
+    const ExactRun exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
     const size_t count = report.losses.size();
     row.insert(row.end(),
                {NumberOrEmpty(report.initial_loss),

@@ -25,12 +25,7 @@ Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const Ex
   y.insert(y.end(), root.multipliers.begin(), root.multipliers.end());
   Path<double> path;
   system.Evaluate(y.data(), &path, r.data());
-  double scale = LargestOf(root.multipliers.data(), static_cast<int>(root.multipliers.size()));
-  for (const Arc<double>& arc : path.arcs) {
-    const double mass = phases.scene().bodies[arc.body].mass;
-    const double weight = 2 * phases.scene().objective.effort * mass * mass;
-    scale = std::max({scale, weight * arc.slope.norm(), weight * arc.AccelerationAtStart().norm()});
-  }
+  const double scale = root.scale;
   Certificate certificate;
   const double* at = r.data();
   certificate.costate_jump = LargestOf(at, system.num_jumps()) / scale;
@@ -110,7 +105,7 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
     return run.Finish(trial, loss, Termination::kNoProgress, WhyNotRealized(scene, trial.exact, sequence));
   }
   run.report().certificate = CertifyRoot(phases, root, trial.exact);
-  if (root.residual > kResidualTolerance * std::max(1.0, std::abs(loss))) {
+  if (root.residual > kResidualTolerance * root.scale) {
     return run.Finish(trial, loss, Termination::kNoProgress, "the conditions are not met");
   }
   if (std::abs(loss - minimum.loss) > kSameLoss * std::abs(loss)) {

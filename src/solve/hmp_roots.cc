@@ -75,6 +75,14 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
   if (!system.Evaluate(y.data(), &path, r.data())) return root;
   root.valid = true;
   for (double x : r) root.residual = std::max(root.residual, std::abs(x));
+  for (int k = 0; k < system.num_impacts(); ++k) {
+    root.scale = std::max(root.scale, std::abs(y[phases.num_variables() + k]));
+  }
+  for (const Arc<double>& arc : path.arcs) {
+    const double mass = phases.scene().bodies[arc.body].mass;
+    const double weight = 2 * phases.scene().objective.effort * mass * mass;
+    root.scale = std::max({root.scale, weight * arc.slope.norm(), weight * arc.AccelerationAtStart().norm()});
+  }
   root.iterations = std::max(0, static_cast<int>(summary.iterations.size()) - 1);
   root.jacobians = summary.num_jacobian_evaluations;
   root.multipliers.assign(y.begin() + phases.num_variables(), y.end());

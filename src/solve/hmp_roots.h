@@ -12,7 +12,8 @@ struct HmpRoot {
   std::vector<double> z;            // variables of the path
   std::vector<double> multipliers;  // one an impact
   bool valid = false;               // there is a path; all else is filled
-  double residual = 0;              // the largest of all conditions, relative to the terms that it is the difference of
+  double residual = 0;              // the largest of all conditions
+  double scale = 0;                 // the largest costate
   int iterations = 0;
   int jacobians = 0;
 };

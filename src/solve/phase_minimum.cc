@@ -113,6 +113,11 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   Path<double> path;
   if (!phases.Unroll(z.data(), &path)) return result;
 
+  if (phases.num_variables() == 0) {  // nobody is pushed with effect
+    result.valid = result.converged = true;
+    result.loss = phases.Loss(path);
+    return result;
+  }
   Constraints constraints{.multipliers = result.multipliers, .approaching = {}};
   for (const auto& impact : path.impacts) constraints.approaching.push_back(impact.impact.speed < 0);
   // A gap of a tenth of the contact distance costs as much as the loss at the start.
@@ -125,7 +130,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   cost->AddParameterBlock(phases.num_variables());
   cost->SetNumResiduals(residuals.size());
   ceres::Problem problem;
-  if (phases.num_variables() > 0 && residuals.size() > 0) problem.AddResidualBlock(cost, nullptr, z.data());
+  problem.AddResidualBlock(cost, nullptr, z.data());
   Watch watch(phases, options, &z);
   double last_gap = LargestGap(phases, path);
   constexpr int kMostRounds = 30;

@@ -12,12 +12,17 @@ PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const S
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }
 
-std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
+std::optional<SolveReport> PhaseRun::WhyNotStart() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
   if (!guess_.exact.only_impacts) {
     return Refuse(Termination::kNotApplicable,
                   "from the initial guess discs rest on or graze each other or a plane; it knows impacts only");
   }
+  return std::nullopt;
+}
+
+std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
+  if (auto refused = WhyNotStart()) return refused;
   if (sequence.empty()) {
     return Refuse(Termination::kNotApplicable, "there is no contact in the sequence; give one with --sequence");
   }

@@ -18,7 +18,8 @@ class PhaseRun {
   const Scene& scene() const { return scene_; }
   const SolverOptions& options() const { return options_; }
   const Trial& guess() const { return guess_; }
-  // Why there is nothing to start from, as a report; otherwise nothing.
+  // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses an empty sequence.
+  std::optional<SolveReport> WhyNotStart();
   std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
 
   // Appends the loss after another iteration. False if the callback wants to stop.

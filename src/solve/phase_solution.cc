@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "hmp_roots.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -149,8 +150,30 @@ std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const Contac
   return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
 }
 
+bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum) {
+  constexpr int kMostIterations = 30;
+  constexpr double kResidual = 1e-9;  // of the largest costate
+  const HmpRoot root = FindHmpRoot(phases, minimum->z, kMostIterations);
+  Path<double> path;
+  if (!root.valid || !(root.residual <= kResidual * root.scale) || !phases.Unroll(root.z.data(), &path)) return false;
+  const double loss = phases.Loss(path);
+  if (!(std::abs(loss - minimum->loss) <= loss_change * std::abs(loss))) return false;
+  double gap = 0;
+  for (const PhaseImpact<double>& impact : path.impacts) {
+    if (!(impact.impact.speed < 0)) return false;
+    gap = std::max(gap, std::abs(impact.gap));
+  }
+  minimum->z = root.z;
+  minimum->multipliers = root.multipliers;
+  minimum->loss = loss;
+  minimum->gap = gap;
+  minimum->converged = true;
+  minimum->jacobians += root.jacobians;
+  return true;
+}
+
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
-                         const PhaseMinimumOptions& options) {
+                         const PhaseMinimumOptions& options, double loss_change) {
   PhaseSolution solution;
   solution.sequence = sequence;
   std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
@@ -158,7 +181,15 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
   const EventPhases phases(scene, sequence, std::move(intervals));
   solution.minimum = MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), options);
   Path<double> path;
-  if (!solution.minimum.valid || !phases.Unroll(solution.minimum.z.data(), &path)) return solution;
+  bool steered = true;
+  for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
+  PhaseMinimum& minimum = solution.minimum;
+  if (!minimum.valid) return solution;
+  if (!minimum.interrupted && !(steered && minimum.converged)) {
+    minimum.converged = false;
+    Polish(phases, loss_change, &minimum);
+  }
+  if (!phases.Unroll(solution.minimum.z.data(), &path)) return solution;
   solution.valid = true;
   phases.Control(path, &solution.trial.control, &solution.trial.durations);
   solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);

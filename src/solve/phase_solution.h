@@ -46,10 +46,15 @@ struct PhaseSolution {
   bool realized = false;  // its impacts are those of the sequence and no others
   bool optimal() const { return valid && minimum.converged && realized; }
 };
+// Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
+// (hmp_roots.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
+// `loss_change` of it.
+bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum);
+
 // With piecewise constant forces on Scene::steps intervals. Not valid if there are too few of them, or the guess is of
 // no use.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
-                         const PhaseMinimumOptions& options);
+                         const PhaseMinimumOptions& options, double loss_change = 1e-4);
 
 // Whether the exact run has these impacts, at these times, and no others.
 bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,

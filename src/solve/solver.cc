@@ -10,6 +10,7 @@
 #include "gradient_descent.h"
 #include "grid_solver.h"
 #include "hmp.h"
+#include "mode_search.h"
 #include "phase_solution.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
@@ -34,9 +35,10 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
-      {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum},
-      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent},
-      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp},
+      {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
+      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
+      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp, true},
+      {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
   };
   // clang-format on
   return solvers;

@@ -40,6 +40,8 @@ struct SolverOptions {
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
   std::function<bool(int iteration, double loss)> callback = nullptr;
+  // Called by solvers that take long with what they are at, for a person.
+  std::function<void(const std::string&)> status = nullptr;
 };
 
 // One optimum of a search over collision sequences.
@@ -79,6 +81,7 @@ struct SolverEntry {
   // Why it cannot take a request (not counting the contact model's own reasons); empty if it can.
   std::string (*why_not)(const SolveRequest&);
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
+  bool exact_only = false;  // takes the event-driven contact model and no other
 };
 
 const std::vector<SolverEntry>& AllSolvers();

@@ -1,0 +1,207 @@
+#include "mode_search.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "phase_run.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kMostImpacts = 6;
+constexpr int kStarts = 3;            // motions from which a sequence is tried
+constexpr double kBound = 3;          // times the best loss
+constexpr double kSameLoss = 1e-6;    // relative: the same optimum of a sequence
+constexpr int kMostIterations = 80;   // of Ceres in one solve
+constexpr double kLossChange = 0.02;  // relative, in the last steps of a solve
+
+// A sequence as something to be compared.
+using Key = std::vector<std::array<int, 3>>;
+Key KeyOf(const ContactSequence& sequence) {
+  Key key;
+  for (const Candidate& c : sequence) key.push_back({c.a, c.b, c.plane});
+  return key;
+}
+
+// All sequences that differ by one impact.
+std::vector<ContactSequence> Neighbours(const ContactSequence& sequence, const ContactSequence& pairs) {
+  std::vector<ContactSequence> neighbours;
+  for (size_t i = 0; i < sequence.size(); ++i) {
+    neighbours.push_back(sequence);
+    neighbours.back().erase(neighbours.back().begin() + i);
+  }
+  for (size_t i = 0; i <= sequence.size(); ++i) {
+    for (const Candidate& pair : pairs) {
+      neighbours.push_back(sequence);
+      neighbours.back().insert(neighbours.back().begin() + i, pair);
+    }
+  }
+  for (size_t i = 0; i < sequence.size(); ++i) {
+    for (const Candidate& pair : pairs) {
+      if (pair == sequence[i]) continue;
+      neighbours.push_back(sequence);
+      neighbours.back()[i] = pair;
+    }
+  }
+  return neighbours;
+}
+
+class ModeSearch {
+ public:
+  ModeSearch(PhaseRun* run) : run_(*run), scene_(run->scene()), pairs_(AllPairs(scene_)) {}
+
+  SolveReport Search(const ContactSequence& first) {
+    best_loss_ = run_.guess().exact.loss;
+    const Flight guess = FlightOf(scene_, run_.guess());
+    Queue(best_loss_, first, GuessFrom(scene_, guess, first));
+    if (run_.options().search) QueueNeighbours(run_.guess());
+    Termination end = Termination::kConverged;
+    while (!queue_.empty()) {
+      if (queue_.begin()->first.first > Bound()) break;
+      if (solves_ >= run_.options().iterations) {
+        end = Termination::kIterationLimit;
+        break;
+      }
+      const auto next = queue_.extract(queue_.begin());
+      SolveOne(next.key().first, next.mapped());
+      if (!run_.Record(best_loss_)) {
+        end = Termination::kInterrupted;
+        break;
+      }
+    }
+    return Report(end);
+  }
+
+ private:
+  struct Task {
+    ContactSequence sequence;
+    PhaseGuess guess;
+  };
+  struct Found {
+    LocalOptimum optimum;
+    Trial trial;
+  };
+
+  double Bound() const { return kBound * std::abs(best_loss_); }
+
+  void Queue(double priority, const ContactSequence& sequence, PhaseGuess guess) {
+    if (sequence.size() > kMostImpacts || starts_[KeyOf(sequence)] >= kStarts) return;
+    ++starts_[KeyOf(sequence)];
+    queue_.emplace(std::pair(priority, number_++), Task{sequence, std::move(guess)});
+  }
+
+  void QueueNeighbours(const Trial& trial) {
+    if (!trial.exact.only_impacts || trial.exact.loss > Bound()) return;
+    const Flight flight = FlightOf(scene_, trial);
+    for (const ContactSequence& neighbour : Neighbours(trial.exact.contacts, pairs_)) {
+      Queue(trial.exact.loss, neighbour, GuessFrom(scene_, flight, neighbour));
+    }
+  }
+
+  void SolveOne(double priority, const Task& task) {
+    ++solves_;
+    PhaseMinimumOptions options;
+    options.iterations = kMostIterations;
+    options.callback = [&](double) { return Continue(); };
+    const PhaseSolution solution = SolveAlong(scene_, task.sequence, task.guess, options, kLossChange);
+    Say(task.sequence);
+    if (!solution.valid || !solution.trial.exact.ok || !solution.trial.exact.only_impacts) return;
+    jacobians_ += solution.minimum.jacobians;
+    if (solution.optimal()) Keep(solution);
+    if (!run_.options().search) {
+      if (!solution.optimal()) failure_ = WhyNotRealized(scene_, solution.trial.exact, task.sequence);
+      return;
+    }
+    const ContactSequence& met = solution.trial.exact.contacts;
+    const double loss = solution.trial.exact.loss;
+    if (met != task.sequence) {  // impacts have appeared or vanished: next in turn
+      Queue(std::min(priority, loss), met, GuessFrom(scene_, FlightOf(scene_, solution.trial), met));
+    }
+    const double rounded = std::round(loss / (kSameLoss * best_loss_));
+    if (expanded_.emplace(KeyOf(met), rounded).second) QueueNeighbours(solution.trial);
+  }
+
+  // Asks without recording an iteration.
+  bool Continue() const {
+    const auto& callback = run_.options().callback;
+    return !callback || callback(static_cast<int>(run_.report().losses.size()) - 1, best_loss_);
+  }
+
+  void Keep(const PhaseSolution& solution) {
+    Found found{{solution.sequence, solution.trial.exact.loss, {}}, solution.trial};
+    for (const Event& event : solution.trial.exact.events) found.optimum.times.push_back(event.time);
+    for (const Found& known : found_) {
+      const double difference = std::abs(known.optimum.loss - found.optimum.loss);
+      if (known.optimum.sequence == solution.sequence && difference <= kSameLoss * std::abs(found.optimum.loss)) return;
+    }
+    best_loss_ = std::min(best_loss_, found.optimum.loss);
+    found_.push_back(std::move(found));
+  }
+
+  void Say(const ContactSequence& sequence) const {
+    if (!run_.options().status) return;
+    run_.options().status(std::to_string(solves_) + " sequences, best " + std::to_string(best_loss_) + ", now " +
+                          ContactSequenceToString(scene_, sequence));
+  }
+
+  SolveReport Report(Termination end) {
+    std::stable_sort(
+        found_.begin(), found_.end(), [](const Found& a, const Found& b) { return a.optimum.loss < b.optimum.loss; });
+    for (const Found& found : found_) run_.report().optima.push_back(found.optimum);
+    run_.report().evaluations = jacobians_;
+    if (found_.empty()) {
+      if (end == Termination::kConverged) end = Termination::kNoProgress;
+      return run_.Finish(run_.guess(),
+                         run_.guess().exact.loss,
+                         end,
+                         failure_.empty() ? "no sequence searched has an optimum" : failure_);
+    }
+    const Found& best = found_.front();
+    Certificate certificate = Certify(scene_, InitialState(scene_), best.trial.control, best.trial.durations);
+    certificate.sequences_searched = static_cast<int>(starts_.size() - queued_only());
+    if (run_.options().search && end != Termination::kInterrupted) {
+      certificate.scope = Certificate::Scope::kBestOfSearched;
+    }
+    run_.report().certificate = std::move(certificate);
+    return run_.Finish(best.trial,
+                       best.optimum.loss,
+                       end,
+                       "best of " + std::to_string(found_.size()) + " optima, along " +
+                           ContactSequenceToString(scene_, best.optimum.sequence));
+  }
+
+  // Sequences that were queued and never tried.
+  size_t queued_only() const {
+    std::map<Key, int> waiting;
+    for (const auto& [key, task] : queue_) ++waiting[KeyOf(task.sequence)];
+    size_t count = 0;
+    for (const auto& [key, number] : waiting) count += starts_.at(key) == number;
+    return count;
+  }
+
+  PhaseRun& run_;
+  const Scene& scene_;
+  ContactSequence pairs_;
+  std::map<std::pair<double, int>, Task> queue_;  // by exact loss of the motion it comes from, then in order
+  std::map<Key, int> starts_;
+  std::set<std::pair<Key, double>> expanded_;  // motions whose neighbours are queued: sequence and loss
+  std::vector<Found> found_;
+  double best_loss_ = 0;
+  int number_ = 0, solves_ = 0, jacobians_ = 0;
+  std::string failure_;
+};
+
+}  // namespace
+
+SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
+  PhaseRun run("mode_search", request, options);
+  if (auto refused = run.WhyNotStart()) return *refused;
+  return ModeSearch(&run).Search(SequenceFor(options, run.guess()));
+}
+
+}  // namespace saltus
