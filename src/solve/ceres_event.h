@@ -3,9 +3,14 @@
 //
 // The transcription (control/event_phases.h) leaves impact times, impact points and the pushed discs' velocities before
 // their impacts: for task 3 four variables, whatever the number of intervals. Levenberg-Marquardt with one dense block
-// takes 14 iterations of 3 us there, to the last digit. What was tried before: all controls and durations as variables
-// and gaps as penalties took 20 to 80 iterations to 1e-3 to 1e-6; with one multiplier and free flight eliminated, but
-// controls kept, 16 iterations, of 240 ms each with a dense Jacobian of all controls.
+// takes 14 iterations of a few microseconds there, to the last digit, and 41 for the single collision.
+//
+// What else was tried, and what it cost. All controls and durations as variables, gaps as penalties: 20 to 80
+// iterations to 1e-3 to 1e-6. Controls as variables, free flight and the multiplier eliminated: 16 iterations, but
+// 240 ms each with one dense Jacobian of all controls. Here, with an augmented Lagrangian alone for gaps that no pushed
+// disc closes: 64 iterations for two impacts, and 200 without an end for three. So Newton's method on the costate
+// conditions (hmp_roots.h) takes the last steps where there are such gaps, or steps have become small; about 10
+// iterations.
 #pragma once
 
 #include "saltus/solve/solver.h"

@@ -10,9 +10,9 @@
 namespace saltus {
 namespace {
 
-constexpr int kStride = 4;               // derivatives in one pass
-constexpr double kFlatGradient = 1e-5;   // with a smaller one, a loss that does not change any more is minimal
-constexpr double kLeastGradient = 1e-3;  // taken for the largest one if that is smaller: a start at the minimum
+constexpr int kStride = 4;           // derivatives in one pass
+constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
+constexpr double kFreeRadius = 100;  // ... if it was not cut short by a trust region smaller than this
 
 struct Constraints {
   double weight = 0;                // of the loss, 1/m^2
@@ -59,38 +59,39 @@ double LargestGap(const EventPhases& phases, const Path<double>& path) {
   return gap;
 }
 
-// Stops Ceres when told to, or when the gradient has become small compared with the largest one met.
+// Stops Ceres when told to, or when an undamped step gains nothing any more.
 class Watch final : public ceres::IterationCallback {
  public:
   Watch(const EventPhases& phases, const PhaseMinimumOptions& options, const std::vector<double>* z)
       : phases_(phases), options_(options), z_(z) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
-    if (summary.iteration == 0 && started_) return ceres::SOLVER_CONTINUE;
-    largest_ = std::max(largest_, summary.gradient_max_norm);
-    gradient_ = summary.gradient_max_norm / std::max(largest_, kLeastGradient);
-    small_ = gradient_ <= options_.gradient_tolerance;
+    if (summary.iteration == 0 && started_) return ceres::SOLVER_CONTINUE;  // another round
+    radius_ = summary.trust_region_radius;
+    flat_ =
+        summary.iteration > 0 && summary.step_is_successful && summary.cost_change <= kFlat * summary.cost && IsFree();
     Path<double> path;
     if (started_ && phases_.Unroll(z_->data(), &path)) {
       ++iterations_;
       if (options_.callback && !options_.callback(phases_.Loss(path))) interrupted_ = true;
     }
     started_ = true;
-    return interrupted_ || small_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+    return interrupted_ || flat_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
   int iterations() const { return iterations_; }
-  double gradient() const { return gradient_; }  // relative to the largest
-  bool small() const { return small_; }
+  // The last step was hardly damped.
+  bool IsFree() const { return radius_ >= kFreeRadius; }
+  bool flat() const { return flat_; }
   bool interrupted() const { return interrupted_; }
 
  private:
   const EventPhases& phases_;
   const PhaseMinimumOptions& options_;
   const std::vector<double>* z_;
-  double largest_ = 0, gradient_ = 1;
+  double radius_ = 0;
   int iterations_ = 0;
-  bool started_ = false, small_ = false, interrupted_ = false;
+  bool started_ = false, flat_ = false, interrupted_ = false;
 };
 
 ceres::Solver::Options CeresOptions(int iterations) {
@@ -142,8 +143,8 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     result.jacobians += summary.num_jacobian_evaluations;
     if (summary.termination_type == ceres::FAILURE || !phases.Unroll(z.data(), &path)) return result;
     result.gap = LargestGap(phases, path);
-    const bool flat = summary.termination_type == ceres::CONVERGENCE && watch.gradient() < kFlatGradient;
-    result.converged = (watch.small() || flat) && result.gap <= options.gap_tolerance;
+    const bool flat = summary.termination_type == ceres::CONVERGENCE && watch.IsFree();
+    result.converged = (watch.flat() || flat) && result.gap <= options.gap_tolerance;
     if (result.converged || watch.interrupted() || watch.iterations() >= options.iterations) break;
     if (residuals.size() == phases.num_loss_residuals()) break;  // nothing to be constrained
     for (int k = 0; k < phases.num_impacts(); ++k) {

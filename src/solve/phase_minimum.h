@@ -12,7 +12,7 @@ namespace saltus {
 struct PhaseMinimum {
   std::vector<double> z;
   bool valid = false;      // there is a path; all else is filled
-  bool converged = false;  // the gradient has vanished and the gaps are closed
+  bool converged = false;  // the loss does not fall any more and the gaps are closed
   bool interrupted = false;
   double loss = 0;
   double gap = 0;                   // m, the largest
@@ -24,7 +24,6 @@ struct PhaseMinimum {
 struct PhaseMinimumOptions {
   int iterations = 200;  // of Ceres, in all
   double gap_tolerance = 1e-11;
-  double gradient_tolerance = 1e-8;           // of the largest gradient met
   std::function<bool(double loss)> callback;  // after each iteration; false interrupts
 };
 

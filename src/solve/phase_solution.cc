@@ -172,29 +172,49 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
   return true;
 }
 
+namespace {
+
+// One solve on given intervals.
+PhaseMinimum SolveOnIntervals(const EventPhases& phases, std::vector<double> z, const PhaseMinimumOptions& options,
+                              double loss_change) {
+  PhaseMinimum minimum = MinimizeLoss(phases, std::move(z), options);
+  bool steered = true;
+  for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
+  if (minimum.valid && !minimum.interrupted && !(steered && minimum.converged)) {
+    minimum.converged = false;
+    Polish(phases, loss_change, &minimum);
+  }
+  return minimum;
+}
+
+}  // namespace
+
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change) {
   PhaseSolution solution;
   solution.sequence = sequence;
-  std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
-  if (intervals.empty()) return solution;
-  const EventPhases phases(scene, sequence, std::move(intervals));
-  solution.minimum = MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), options);
-  Path<double> path;
-  bool steered = true;
-  for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
   PhaseMinimum& minimum = solution.minimum;
-  if (!minimum.valid) return solution;
-  if (!minimum.interrupted && !(steered && minimum.converged)) {
-    minimum.converged = false;
-    Polish(phases, loss_change, &minimum);
+  std::vector<double> times = guess.times;
+  std::vector<int> intervals = DistributeIntervals(scene, sequence, times);
+  // Once more if the phases have become so much longer or shorter that the intervals are ill distributed.
+  for (int round = 0; round < 2; ++round) {
+    if (intervals.empty()) return solution;
+    const EventPhases phases(scene, sequence, intervals);
+    if (round == 0) minimum.z = phases.Variables(guess.times, guess.before, guess.end);
+    const PhaseMinimum before = minimum;
+    minimum = SolveOnIntervals(phases, before.z, options, loss_change);
+    minimum.iterations += before.iterations;
+    minimum.jacobians += before.jacobians;
+    Path<double> path;
+    if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return solution;
+    for (int k = 0; k < phases.num_impacts(); ++k) times[k] = path.impacts[k].time;
+    phases.Control(path, &solution.trial.control, &solution.trial.durations);
+    std::vector<int> better = DistributeIntervals(scene, sequence, times);
+    if (!minimum.converged || better == intervals) break;
+    intervals = std::move(better);
   }
-  if (!phases.Unroll(solution.minimum.z.data(), &path)) return solution;
   solution.valid = true;
-  phases.Control(path, &solution.trial.control, &solution.trial.durations);
   solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);
-  std::vector<double> times;
-  for (const auto& impact : path.impacts) times.push_back(impact.time);
   solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
   return solution;
 }

@@ -233,5 +233,46 @@ TEST(CommandLine, TheAuditWritesTablesAndFigures) {
   }
 }
 
+// Solvers that know exact contact only are one row, whatever other models are asked for.
+TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
+  const Outcome outcome =
+      RunProgram("saltus_solve" + Scene("two_balls") + "--solver=ceres_event,hmp --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json runs = json::parse(outcome.output)["runs"];
+  ASSERT_EQ(runs.size(), 2u);
+  for (const json& run : runs) {
+    EXPECT_EQ(run["contact"], "event");
+    EXPECT_EQ(run["termination"], "converged");
+    EXPECT_NEAR(run["exact_loss"], 1.396542160123197, 1e-6);
+    ASSERT_EQ(run["durations"].size(), 480u);
+    EXPECT_EQ(run["control"].size(), 480u);
+    double sum = 0;
+    for (const double duration : run["durations"]) sum += duration;
+    EXPECT_NEAR(sum, 1, 1e-12);
+    EXPECT_EQ(run["certificate"]["verdict"], "optimal");
+    EXPECT_EQ(run["certificate"]["scope"], "local");
+    EXPECT_EQ(run["certificate"]["impacts"].size(), 1u);
+  }
+}
+
+TEST(CommandLine, SequencesAreReadFromAFlag) {
+  const std::string solve = "saltus_solve" + Scene("multiple_collisions") + "--contact=event --json --progress=none ";
+  const Outcome given = RunProgram(solve + "--solver=mode_search --sequence=striker-target,target-ceiling");
+  ASSERT_EQ(given.exit_code, 0) << given.errors;
+  const json run = json::parse(given.output)["runs"][0];
+  EXPECT_NEAR(run["exact_loss"], 0.3736363502, 1e-6);
+  EXPECT_EQ(run["optima"].size(), 1u);
+  EXPECT_EQ(run["optima"][0]["sequence"][1]["b"], "ceiling");
+
+  const Outcome wrong = RunProgram(solve + "--solver=ceres_event --sequence=striker-floor");
+  EXPECT_EQ(wrong.exit_code, 2);
+  EXPECT_THAT(wrong.errors, HasSubstr("striker-floor"));
+  EXPECT_THAT(wrong.errors, HasSubstr("target-ceiling"));
+
+  const Outcome refused = RunProgram(solve + "--solver=hmp --sequence=none");
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.errors, HasSubstr("no contact in the sequence"));
+}
+
 }  // namespace
 }  // namespace saltus
