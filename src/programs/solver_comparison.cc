@@ -29,14 +29,15 @@ struct SolverStyle {
   Dash dash;
 };
 // Colours of Okabe and Ito, "Color Universal Design" (2008).
-constexpr std::array<SolverStyle, 8> kStyles = {{{"gd", "#999999", Dash::kSolid},
+constexpr std::array<SolverStyle, 9> kStyles = {{{"gd", "#999999", Dash::kSolid},
                                                  {"ceres_lbfgs", "#E69F00", Dash::kSolid},
                                                  {"ceres_lm", "#56B4E9", Dash::kSolid},
                                                  {"ceres_shooting", "#0072B2", Dash::kDashed},
                                                  {"ceres_lagrangian", "#D55E00", Dash::kDashDotted},
                                                  {"grid_optimum", "#009E73", Dash::kDotted},
                                                  {"ceres_event", "#CC79A7", Dash::kDashed},
-                                                 {"hmp", "#882255", Dash::kDotted}}};
+                                                 {"hmp", "#882255", Dash::kDotted},
+                                                 {"mode_search", "#117733", Dash::kDashDotted}}};
 
 Series SolverSeries(const std::string& solver, std::vector<double> x, std::vector<double> y) {
   Series series{.label = solver, .x = std::move(x), .y = std::move(y)};
@@ -75,7 +76,9 @@ void SolveOne(const Scene& scene, SolvedRun* run) {
   }
   options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
   run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
-  if (!run->report.losses.empty()) run->exact = SimulateExactly(scene, run->report.initial_state, run->report.control);
+  const SolveReport& report = run->report;
+  if (report.losses.empty()) return;
+  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
 }
 
 Tone ToneOfGap(double gap) {
@@ -267,10 +270,14 @@ PaperFigure SolverComparison::ControlProfiles() const {
   for (const SolvedRun& run : strike_.runs) {
     if (run.report.contact != exact_ || run.report.losses.empty()) continue;
     std::vector<double> x, y;
-    const double interval = strike_.scene.duration / static_cast<double>(run.report.control.size() / 2);
-    for (size_t k = 0; 2 * k < run.report.control.size(); ++k) {
-      x.push_back((static_cast<double>(k) + 0.5) * interval);
+    const size_t intervals = run.report.control.size() / 2;
+    double start = 0;
+    for (size_t k = 0; k < intervals; ++k) {
+      const double duration =
+          run.report.durations.empty() ? strike_.scene.duration / intervals : run.report.durations[k];
+      x.push_back(start + 0.5 * duration);
       y.push_back(run.report.control[2 * k]);
+      start += duration;
     }
     panel.series.push_back(SolverSeries(run.report.solver, x, y));
   }

@@ -53,7 +53,7 @@ std::vector<ContactSequence> Neighbours(const ContactSequence& sequence, const C
 
 class ModeSearch {
  public:
-  ModeSearch(PhaseRun* run) : run_(*run), scene_(run->scene()), pairs_(AllPairs(scene_)) {}
+  explicit ModeSearch(PhaseRun* run) : run_(*run), scene_(run->scene()), pairs_(AllPairs(scene_)) {}
 
   SolveReport Search(const ContactSequence& first) {
     best_loss_ = run_.guess().exact.loss;
@@ -105,6 +105,7 @@ class ModeSearch {
 
   void SolveOne(double priority, const Task& task) {
     ++solves_;
+    tried_.insert(KeyOf(task.sequence));
     PhaseMinimumOptions options;
     options.iterations = kMostIterations;
     options.callback = [&](double) { return Continue(); };
@@ -163,7 +164,7 @@ class ModeSearch {
     }
     const Found& best = found_.front();
     Certificate certificate = Certify(scene_, InitialState(scene_), best.trial.control, best.trial.durations);
-    certificate.sequences_searched = static_cast<int>(starts_.size() - queued_only());
+    certificate.sequences_searched = static_cast<int>(tried_.size());
     if (run_.options().search && end != Termination::kInterrupted) {
       certificate.scope = Certificate::Scope::kBestOfSearched;
     }
@@ -175,20 +176,12 @@ class ModeSearch {
                            ContactSequenceToString(scene_, best.optimum.sequence));
   }
 
-  // Sequences that were queued and never tried.
-  size_t queued_only() const {
-    std::map<Key, int> waiting;
-    for (const auto& [key, task] : queue_) ++waiting[KeyOf(task.sequence)];
-    size_t count = 0;
-    for (const auto& [key, number] : waiting) count += starts_.at(key) == number;
-    return count;
-  }
-
   PhaseRun& run_;
   const Scene& scene_;
   ContactSequence pairs_;
   std::map<std::pair<double, int>, Task> queue_;  // by exact loss of the motion it comes from, then in order
-  std::map<Key, int> starts_;
+  std::map<Key, int> starts_;                     // motions from which a sequence is, or is to be, tried
+  std::set<Key> tried_;
   std::set<std::pair<Key, double>> expanded_;  // motions whose neighbours are queued: sequence and loss
   std::vector<Found> found_;
   double best_loss_ = 0;
