@@ -8,135 +8,252 @@
 namespace saltus {
 namespace {
 
-// Rounding, single precision included, must never hide a pair.
+// Rounding must never hide a pair.
 constexpr double kMargin = 1e-6;
 
-// The largest t with speed * t + acceleration * t^2 <= gap.
-double TimeToCover(double gap, double speed, double acceleration) {
+constexpr double kMostSteps = 1e9;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// The first t with closing * t + acceleration * t^2 >= gap; never negative. `closing` may be negative.
+double TimeToCover(double gap, double closing, double acceleration) {
   if (gap <= 0) return 0;
-  const double root = std::sqrt(speed * speed + 4 * acceleration * gap);
-  const double denominator = speed + root;
-  return denominator > 0 ? 2 * gap / denominator : std::numeric_limits<double>::infinity();
+  const double root = std::sqrt(closing * closing + 4 * acceleration * gap);
+  if (closing < 0) return acceleration > 0 ? (root - closing) / (2 * acceleration) : kInfinity;
+  return closing + root > 0 ? 2 * gap / (closing + root) : kInfinity;
 }
 
-double Gap(const BroadPhase::Disc& a, const BroadPhase::Disc& b) {
-  const double distance = (a.p - b.p).norm();
-  return distance - a.radius - b.radius - kMargin * (1 + distance);
-}
-
-double Gap(const BroadPhase::Disc& disc, const HalfPlane<double>& plane) {
-  const double distance = Dot(plane.normal, disc.p) - plane.offset;
-  return distance - disc.radius - kMargin * (1 + std::abs(distance) + disc.p.cwiseAbs().maxCoeff());
-}
-
-int Root(std::vector<int>& parent, int i) {
-  while (parent[i] != i) i = parent[i] = parent[parent[i]];
-  return i;
+std::uint64_t HashOfCell(std::int64_t x, std::int64_t y) {
+  std::uint64_t hash = static_cast<std::uint64_t>(x) * 0x9e3779b97f4a7c15u + static_cast<std::uint64_t>(y);
+  hash ^= hash >> 32;
+  hash *= 0xd6e8feb86659fd93u;
+  return hash ^ (hash >> 32);
 }
 
 }  // namespace
 
-int BroadPhase::Find(std::span<const Disc> discs, std::vector<Candidate>* candidates) {
+BroadPhase::BroadPhase(std::vector<HalfPlane<double>> planes, std::vector<Disc> discs, const Options& options)
+    : planes_(std::move(planes)),
+      discs_(std::move(discs)),
+      options_(options),
+      acceleration_(discs_.size(), 0.0),
+      now_(discs_.size()),
+      speed_(discs_.size()),
+      reach_(discs_.size()),
+      margin_(discs_.size()) {
+  smallest_radius_ = kInfinity;
+  for (const Disc& disc : discs_) {
+    largest_radius_ = std::max(largest_radius_, disc.radius);
+    smallest_radius_ = std::min(smallest_radius_, disc.radius);
+  }
+}
+
+void BroadPhase::SetAccelerations(std::span<const double> accelerations) {
+  acceleration_.assign(accelerations.begin(), accelerations.end());
+  for (int i = 0; i < num_discs(); ++i) {
+    if (discs_[i].fixed) acceleration_[i] = 0;
+  }
+}
+
+template <typename S>
+int BroadPhase::Find(const S* x, int stride, std::vector<Candidate>* candidates) {
+  for (int i = 0; i < num_discs(); ++i, x += stride) {
+    now_[i].p = Vec2d(x[0], x[1]);
+    now_[i].v = Vec2d(x[2], x[3]);
+  }
+  return FindInMotion(candidates);
+}
+
+template int BroadPhase::Find(const double*, int, std::vector<Candidate>*);
+template int BroadPhase::Find(const float*, int, std::vector<Candidate>*);
+
+int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
+  for (int i = 0; i < num_discs(); ++i) speed_[i] = discs_[i].fixed ? 0.0 : std::sqrt(Dot(now_[i].v, now_[i].v));
   candidates->clear();
-  const int n = static_cast<int>(discs.size());
-  speed_.resize(n);
-  for (int i = 0; i < n; ++i) speed_[i] = discs[i].fixed ? 0.0 : discs[i].v.norm();
-
-  double quiet = std::numeric_limits<double>::infinity();
-  const auto consider = [&](double gap, double speed, double acceleration, const Candidate& candidate) {
-    const double time = TimeToCover(gap - push_gap_, speed, acceleration);
-    if (time < dt_) candidates->push_back(candidate);
-    quiet = std::min(quiet, time);
-  };
-  const auto find = [&] {
-    candidates->clear();
-    for (int i = 0; i < n; ++i) {
-      for (int j = i + 1; j < n; ++j) {
-        if (discs[i].fixed && discs[j].fixed) continue;
-        const double push = (discs[i].fixed ? 0 : discs[i].acceleration) + (discs[j].fixed ? 0 : discs[j].acceleration);
-        consider(Gap(discs[i], discs[j]), speed_[i] + speed_[j], push, {i, j, false});
+  // Impacts may speed discs up within the step, which may add candidates, until the islands no longer grow.
+  for (size_t before = 0;; before = candidates->size()) {
+    SetReaches();
+    if (!ListStands()) {
+      if (num_discs() <= options_.all_pairs) {
+        ListAllPairs();
+      } else {
+        ListNearPairs();
       }
     }
-    for (int i = 0; i < n; ++i) {
-      if (discs[i].fixed) continue;
-      for (int p = 0; p < static_cast<int>(planes_.size()); ++p) {
-        consider(Gap(discs[i], planes_[p]), speed_[i], discs[i].acceleration, {i, p, true});
-      }
-    }
-  };
-  find();
-  if (candidates->empty()) {
-    return static_cast<int>(std::min(quiet / dt_ * (1 - kMargin), 1e9));
+    Collect(candidates);
+    if (candidates->empty()) return QuietSteps();
+    if (!options_.chains || candidates->size() == before) return 1;
+    BoundSpeedsByEnergy(*candidates);
   }
-  if (chains_) {
-    // Impacts may speed discs up within the step, which may add candidates, until the islands no longer grow.
-    for (size_t before = 0; before != candidates->size();) {
-      before = candidates->size();
-      BoundSpeedsByEnergy(discs, *candidates);
-      find();
-    }
-  }
-  return 1;
 }
 
-void BroadPhase::BoundSpeedsByEnergy(std::span<const Disc> discs, std::span<const Candidate> candidates) {
-  const int n = static_cast<int>(discs.size());
-  std::vector<int> parent(n);
-  std::iota(parent.begin(), parent.end(), 0);
+void BroadPhase::SetReaches() {
+  const double dt = options_.dt;
+  for (int i = 0; i < num_discs(); ++i) {
+    margin_[i] = kMargin * (std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]) + discs_[i].radius);
+    reach_[i] = (discs_[i].fixed ? 0.0 : (speed_[i] + acceleration_[i] * dt) * dt) + margin_[i];
+  }
+}
+
+bool BroadPhase::ListStands() const {
+  if (!listed_ || skin_ == kInfinity) return listed_;
+  for (int i = 0; i < num_discs(); ++i) {
+    const double left = 0.5 * skin_ - reach_[i];
+    const Vec2d moved = now_[i].p - there_[i];
+    if (left < 0 || Dot(moved, moved) > left * left) return false;
+  }
+  return true;
+}
+
+void BroadPhase::ListAllPairs() {
+  list_.clear();
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int j = i + 1; j < num_discs(); ++j) {
+      if (!discs_[i].fixed || !discs_[j].fixed) list_.push_back({i, j, false});
+    }
+  }
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(planes_.size()); ++p) list_.push_back({i, p, true});
+  }
+  skin_ = kInfinity;
+  listed_ = true;
+}
+
+void BroadPhase::ListNearPairs() {
+  // With a wide skin the list stands for long, but is long where discs are small and close to each other.
+  const double reach = *std::max_element(reach_.begin(), reach_.end());
+  skin_ = std::max(4 * reach, std::min(18 * reach, smallest_radius_));
+  listed_ = true;
+  list_.clear();
+  there_.resize(num_discs());
+  for (int i = 0; i < num_discs(); ++i) there_[i] = now_[i].p;
+  // What is not finite meets nothing, and has no cell.
+  if (!std::isfinite(std::accumulate(reach_.begin(), reach_.end(), 0.0))) return;
+
+  const double near_gap = skin_ + options_.push_gap;
+  SortIntoGrid(2 * largest_radius_ + near_gap);
+  const std::uint64_t mask = bucket_start_.size() - 2;
+  for (int i = 0; i < num_discs(); ++i) {
+    const auto first = list_.size();
+    for (int neighbour = 0; neighbour < 9; ++neighbour) {
+      const std::int64_t x = cell_x_[i] + neighbour % 3 - 1;
+      const std::int64_t y = cell_y_[i] + neighbour / 3 - 1;
+      const std::uint64_t bucket = HashOfCell(x, y) & mask;
+      for (int at = bucket_start_[bucket]; at < bucket_start_[bucket + 1]; ++at) {
+        const int j = bucket_[at];
+        if (j <= i || cell_x_[j] != x || cell_y_[j] != y || (discs_[i].fixed && discs_[j].fixed)) continue;
+        const Vec2d d = there_[i] - there_[j];
+        const double near = discs_[i].radius + discs_[j].radius + near_gap;
+        if (Dot(d, d) <= near * near) list_.push_back({i, j, false});
+      }
+    }
+    std::sort(list_.begin() + first, list_.end(), [](const auto& l, const auto& r) { return l.b < r.b; });
+  }
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(planes_.size()); ++p) {
+      const double gap = Dot(planes_[p].normal, there_[i]) - planes_[p].offset - discs_[i].radius;
+      if (gap <= near_gap) list_.push_back({i, p, true});
+    }
+  }
+}
+
+void BroadPhase::SortIntoGrid(double cell) {
+  const int n = num_discs();
+  size_t num_buckets = 16;
+  while (num_buckets < 2 * static_cast<size_t>(n)) num_buckets *= 2;
+  const auto bucket_of = [&](int i) { return HashOfCell(cell_x_[i], cell_y_[i]) & (num_buckets - 1); };
+  cell_x_.resize(n);
+  cell_y_.resize(n);
+  bucket_.resize(n);
+  bucket_start_.assign(num_buckets + 1, 0);
+  constexpr double kFarthest = 1e15;  // further out, cells no longer matter
+  for (int i = 0; i < n; ++i) {
+    cell_x_[i] = static_cast<std::int64_t>(std::clamp(std::floor(there_[i][0] / cell), -kFarthest, kFarthest));
+    cell_y_[i] = static_cast<std::int64_t>(std::clamp(std::floor(there_[i][1] / cell), -kFarthest, kFarthest));
+    ++bucket_start_[bucket_of(i) + 1];
+  }
+  for (size_t b = 0; b < num_buckets; ++b) bucket_start_[b + 1] += bucket_start_[b];
+  // Filled from behind: the end of each bucket becomes its beginning.
+  for (int i = n - 1; i >= 0; --i) bucket_[--bucket_start_[bucket_of(i) + 1]] = i;
+  std::rotate(bucket_start_.begin(), bucket_start_.begin() + 1, bucket_start_.end());
+  bucket_start_.back() = n;
+}
+
+void BroadPhase::Collect(std::vector<Candidate>* candidates) const {
+  candidates->clear();
+  for (const Candidate& c : list_) {
+    if (c.plane) {
+      const double gap = Dot(planes_[c.b].normal, now_[c.a].p) - planes_[c.b].offset - discs_[c.a].radius;
+      if (gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(planes_[c.b].offset)) candidates->push_back(c);
+    } else {
+      const Vec2d d = now_[c.a].p - now_[c.b].p;
+      const double near = discs_[c.a].radius + discs_[c.b].radius + options_.push_gap + reach_[c.a] + reach_[c.b];
+      if (Dot(d, d) < near * near) candidates->push_back(c);
+    }
+  }
+}
+
+int BroadPhase::Root(int i) {
+  while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+  return i;
+}
+
+void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
+  const int n = num_discs();
+  parent_.resize(n);
+  std::iota(parent_.begin(), parent_.end(), 0);
   for (const Candidate& c : candidates) {
-    if (!c.plane && !discs[c.a].fixed && !discs[c.b].fixed) parent[Root(parent, c.a)] = Root(parent, c.b);
+    if (!c.plane && !discs_[c.a].fixed && !discs_[c.b].fixed) parent_[Root(c.a)] = Root(c.b);
   }
-  std::vector<double> energy(n, 0.0);  // twice the kinetic energy that a group can have during the step
-  std::vector<int> size(n, 0);
+  energy_.assign(n, 0.0);  // twice the kinetic energy that a group can have during the step
+  group_size_.assign(n, 0);
   for (int i = 0; i < n; ++i) {
-    if (discs[i].fixed) continue;
-    const double fastest = discs[i].v.norm() + discs[i].acceleration * dt_;
-    energy[Root(parent, i)] += discs[i].mass * fastest * fastest;
-    ++size[Root(parent, i)];
+    if (discs_[i].fixed) continue;
+    const double fastest = now_[i].v.norm() + acceleration_[i] * options_.dt;
+    energy_[Root(i)] += discs_[i].mass * fastest * fastest;
+    ++group_size_[Root(i)];
   }
   for (int i = 0; i < n; ++i) {
-    const int root = Root(parent, i);
+    const int root = Root(i);
     // A group gains speed from forces too: each disc at most its own acceleration, times the mass ratio after impacts.
-    if (size[root] > 1) speed_[i] = std::max(speed_[i], std::sqrt(energy[root] / discs[i].mass));
+    if (group_size_[root] > 1) speed_[i] = std::max(speed_[i], std::sqrt(energy_[root] / discs_[i].mass));
   }
 }
 
-std::vector<std::vector<int>> FindIslands(std::span<const Candidate> touches, std::span<const char> fixed) {
-  std::vector<int> parent(fixed.size());
-  std::iota(parent.begin(), parent.end(), 0);
-  std::vector<int> moving;
-  for (const Candidate& c : touches) {
-    if (!fixed[c.a]) moving.push_back(c.a);
-    if (!c.plane && !fixed[c.b]) moving.push_back(c.b);
-    if (!c.plane && !fixed[c.a] && !fixed[c.b]) {
-      const int a = Root(parent, c.a);
-      const int b = Root(parent, c.b);
-      parent[std::max(a, b)] = std::min(a, b);
-    }
+double BroadPhase::TimeToMeet(const Candidate& c) const {
+  // After n steps and the prediction of the next, a disc is off p + t v by at most a (t^2 + t dt) / 2, where `a` counts
+  // what each step's rounding adds to position and velocity.
+  const double dt = options_.dt;
+  const auto drift = [&](int i) {
+    const double size = std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]);
+    return discs_[i].fixed ? 0.0 : acceleration_[i] + 4 * options_.rounding * (size / dt + speed_[i]) / dt;
+  };
+  double gap, closing, acceleration;
+  if (c.plane) {
+    const HalfPlane<double>& plane = planes_[c.b];
+    gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
+    gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
+    closing = -Dot(plane.normal, now_[c.a].v);
+    acceleration = drift(c.a);
+  } else {
+    const Vec2d d = now_[c.a].p - now_[c.b].p;
+    const double distance = std::sqrt(Dot(d, d));
+    gap = distance - discs_[c.a].radius - discs_[c.b].radius - margin_[c.a] - margin_[c.b];
+    closing = -Dot(d, Vec2d(now_[c.a].v - now_[c.b].v)) / distance;
+    acceleration = drift(c.a) + drift(c.b);
   }
-  std::sort(moving.begin(), moving.end());
-  moving.erase(std::unique(moving.begin(), moving.end()), moving.end());
+  return TimeToCover(gap - options_.push_gap, closing + 0.5 * acceleration * dt, 0.5 * acceleration);
+}
 
-  std::vector<std::vector<int>> islands;
-  std::vector<int> island_of(fixed.size(), -1);
-  for (int i : moving) {
-    const int root = Root(parent, i);  // the smallest index of its island
-    if (island_of[root] < 0) {
-      island_of[root] = static_cast<int>(islands.size());
-      islands.emplace_back();
+int BroadPhase::QuietSteps() const {
+  double quiet = kInfinity;
+  for (const Candidate& c : list_) quiet = std::min(quiet, TimeToMeet(c));
+  if (skin_ < kInfinity) {
+    for (int i = 0; i < num_discs(); ++i) {
+      const double left = 0.5 * skin_ - (now_[i].p - there_[i]).norm() - margin_[i];
+      quiet = std::min(quiet, TimeToCover(left, speed_[i], acceleration_[i]));
     }
-    islands[island_of[root]].push_back(i);
   }
-  for (const Candidate& c : touches) {
-    if (c.plane || fixed[c.a] == fixed[c.b]) continue;
-    const int still = fixed[c.a] ? c.a : c.b;
-    islands[island_of[Root(parent, fixed[c.a] ? c.b : c.a)]].push_back(still);
-  }
-  for (std::vector<int>& island : islands) {
-    std::sort(island.begin(), island.end());
-    island.erase(std::unique(island.begin(), island.end()), island.end());
-  }
-  return islands;
+  return static_cast<int>(std::clamp(quiet / options_.dt * (1 - kMargin), 1.0, kMostSteps));
 }
 
 }  // namespace saltus

@@ -81,6 +81,14 @@ void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
   }
 }
 
+void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) {
+  sensitivity->initial.resize(4 * num_bodies());
+  sensitivity->control.resize(control_size());
+  if (!with_parameters) sensitivity->parameters = {};
+  AdjointInto(cotangent,
+              {sensitivity->initial, sensitivity->control, with_parameters ? &sensitivity->parameters : nullptr});
+}
+
 void Simulator::ExpandForce(std::span<const double> control, int k, std::span<double> force) const {
   std::fill(force.begin(), force.end(), 0.0);
   const double* u = control.data() + static_cast<size_t>(k) * num_controlled() * 2;

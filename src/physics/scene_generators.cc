@@ -49,7 +49,7 @@ void AimAt(const Vec2d& target, Scene* scene) {
 
 Scene GasInABox(const GasOptions& options, std::uint64_t seed) {
   ExpectInRange(options.discs >= 1 && options.discs <= 100000 && options.radius > 0);
-  ExpectInRange(options.fraction > 0 && options.fraction <= 0.5 && options.speed >= 0);
+  ExpectInRange(options.fraction > 0 && options.fraction <= 0.35 && options.speed >= 0);
   Random random(seed);
   Scene scene;
   scene.name = "gas_in_a_box";

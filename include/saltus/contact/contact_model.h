@@ -51,6 +51,7 @@ struct ModelTraits {
   bool sequential = false;       // takes the contacts of a step one after the other, so their order matters
   bool compared = false;         // one of those that the published comparisons (2022, 2023) report
   double reach = 0;              // m, gap from which on bodies push each other
+  bool relative = true;          // what discs do to each other depends on their relative motion only
 };
 
 // State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.

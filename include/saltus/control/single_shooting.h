@@ -23,6 +23,8 @@ class SingleShooting {
 
   const Scene& scene() const { return simulator_->scene(); }
   const Simulator& simulator() const { return *simulator_; }
+  // As Simulator::set_memory_limit.
+  void set_memory_limit(std::size_t bytes) { simulator_->set_memory_limit(bytes); }
   int num_variables() const { return static_cast<int>(guess_.size()); }
   const std::vector<double>& initial_guess() const { return guess_; }
 
@@ -52,15 +54,19 @@ class SingleShooting {
 
  private:
   bool Rollout(std::span<const double> z);
-  double LossOfLastRollout() const;
-  // Copies the entries of a sensitivity that belong to z.
-  void Select(const Sensitivity& sensitivity, double* gradient) const;
+  // `z` as in the last rollout.
+  double LossOfLastRollout(std::span<const double> z) const;
+  // The control that z stands for, without a copy.
+  std::span<const double> ControlIn(std::span<const double> z) const;
+  // The derivative by z of a function of the final state with derivative cotangent_.
+  void PullBack(double* gradient);
 
   std::unique_ptr<Simulator> simulator_;
   std::vector<double> guess_;
   std::vector<int> variables_;  // for velocity and position: index of each variable in the initial state
-  std::vector<double> initial_, control_, final_, cotangent_;
-  Sensitivity sensitivity_;
+  std::vector<double> initial_, final_, cotangent_;
+  std::vector<double> control_;           // if it is not what z stands for
+  std::vector<double> initial_gradient_;  // if z stands for some of it
   int num_rollouts_ = 0;
   int num_adjoints_ = 0;
 };

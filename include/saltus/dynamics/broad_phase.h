@@ -6,8 +6,13 @@
 // than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::reach). Where
 // impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is bounded by the kinetic
 // energy of all discs that it can meet, and candidates are extended until they no longer grow.
+//
+// Few discs are compared all with all. Of many, a list of near pairs is kept (Verlet 1967), found with a uniform grid:
+// all pairs whose gap is at most `skin` more than that. It stands as long as no disc can have moved by more than half
+// of that.
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -18,35 +23,72 @@ namespace saltus {
 class BroadPhase {
  public:
   struct Disc {
-    Vec2d p, v;
-    double acceleration;  // m/s^2, magnitude
     double radius;
     double mass;
     bool fixed;
   };
+  struct Options {
+    double dt;           // s
+    bool chains;         // as ModelTraits::chains
+    double push_gap;     // m, ModelTraits::reach
+    double rounding;     // relative error of one operation of the simulation
+    int all_pairs = 16;  // up to so many discs, all pairs are compared
+  };
 
-  // `push_gap`: ModelTraits::reach, m.
-  BroadPhase(std::vector<HalfPlane<double>> planes, double dt, bool chains, double push_gap)
-      : planes_(std::move(planes)), dt_(dt), chains_(chains), push_gap_(push_gap) {}
+  BroadPhase(std::vector<HalfPlane<double>> planes, std::vector<Disc> discs, const Options& options);
+
+  // Bounds on the accelerations of the discs in the steps to come, m/s^2.
+  void SetAccelerations(std::span<const double> accelerations);
 
   // Overwrites `candidates`: discs by index pairs, then discs against planes. Returns for how many steps, this one
-  // included, the list stands: one if there are candidates; otherwise as long as no disc can have met another, if the
-  // accelerations are bounds for that time (zero if the next step is already uncertain).
-  int Find(std::span<const Disc> discs, std::vector<Candidate>* candidates);
+  // included, the list stands, at least 1: one if there are candidates; otherwise as long as no disc can have met
+  // another while the accelerations stay within their bounds. `x` has [p_x p_y v_x v_y ...] of each disc, `stride`
+  // numbers from one disc to the next. Discs that are not finite meet nothing.
+  template <typename S>
+  int Find(const S* x, int stride, std::vector<Candidate>* candidates);
 
  private:
+  struct Motion {
+    Vec2d p, v;
+  };
+
+  int num_discs() const { return static_cast<int>(discs_.size()); }
+  int FindInMotion(std::vector<Candidate>* candidates);
+  // reach_ from the speeds, with a margin for rounding.
+  void SetReaches();
+  bool ListStands() const;
+  void ListAllPairs();
+  void ListNearPairs();
+  void SortIntoGrid(double cell);
+  void Collect(std::vector<Candidate>* candidates) const;
   // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
-  void BoundSpeedsByEnergy(std::span<const Disc> discs, std::span<const Candidate> candidates);
+  void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
+  int Root(int i);
+  // For how many steps nothing meets, if nothing can in this one.
+  int QuietSteps() const;
+  double TimeToMeet(const Candidate& pair) const;
 
   std::vector<HalfPlane<double>> planes_;
-  double dt_;
-  bool chains_;
-  double push_gap_;
-  std::vector<double> speed_;  // m/s, bound per disc
-};
+  std::vector<Disc> discs_;
+  Options options_;
+  std::vector<double> acceleration_;
 
-// Groups of discs connected by `touches`, each sorted, in order of their first moving disc. Fixed discs and planes
-// connect nothing; a fixed disc belongs to every island that touches it. `fixed[i]` says whether disc i is fixed.
-std::vector<std::vector<int>> FindIslands(std::span<const Candidate> touches, std::span<const char> fixed);
+  std::vector<Motion> now_;
+  std::vector<double> speed_, reach_, margin_;  // m/s, m, m, bounds for this step
+
+  std::vector<Candidate> list_;  // near pairs, discs by index pairs, then discs against planes
+  bool listed_ = false;
+  double skin_ = 0;             // m; infinite if the list has all pairs
+  std::vector<Vec2d> there_;    // positions when it was made
+  double largest_radius_ = 0;   // m
+  double smallest_radius_ = 0;  // m
+
+  std::vector<int> parent_, group_size_;
+  std::vector<double> energy_;
+
+  // The grid: discs sorted by the hash of their cell.
+  std::vector<std::int64_t> cell_x_, cell_y_;
+  std::vector<int> bucket_start_, bucket_;
+};
 
 }  // namespace saltus

@@ -1,8 +1,13 @@
-// The one place where contact models meet Jets.
+// A contact model bound to a scene.
 //
-// ModelSimulator steps a whole scene with plain scalars and records what touched. Derivatives follow from that record:
-// discs that fly have a constant Jacobian, found once by differentiating the model's free flight; discs that touch are
-// grouped into islands, and the model's own step is run on each island with Jets, kJetWidth directions a pass.
+// ModelSimulator steps a scene with plain scalars and records what touched. While no disc can have met another
+// (broad_phase.h), each flies by itself; otherwise discs that may touch are grouped into islands, and each island is
+// stepped by the model as a scene of its own. Derivatives follow from the record: discs that fly have a constant
+// Jacobian (free_flight.h), found once by differentiating the model's free flight; islands of discs that touched are
+// differentiated with Jets (island_derivative.h).
+//
+// Memory: one window of states and one state per further window (trajectory.h), the control, and two discs' states per
+// contact and step.
 #pragma once
 
 #include <glog/logging.h>
@@ -10,11 +15,18 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <memory_resource>
+#include <limits>
+#include <optional>
+#include <tuple>
 #include <utility>
 
 #include "saltus/dynamics/broad_phase.h"
+#include "saltus/dynamics/free_flight.h"
+#include "saltus/dynamics/island_derivative.h"
+#include "saltus/dynamics/islands.h"
+#include "saltus/dynamics/scratch_memory.h"
 #include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/trajectory.h"
 
 namespace saltus {
 
@@ -32,7 +44,8 @@ class ModelSimulator final : public Simulator {
         contact_{S(scene.contact.restitution),
                  S(scene.contact.friction),
                  S(scene.contact.stiffness),
-                 S(scene.contact.damping)} {
+                 S(scene.contact.damping)},
+        place_in_control_(scene.bodies.size(), -1) {
     for (const Body& body : scene.bodies) {
       const S mass = S(body.mass);
       bodies_.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
@@ -43,7 +56,9 @@ class ModelSimulator final : public Simulator {
       planes_.push_back({normal.cast<S>(), S(Dot(normal, plane.point))});
       wide_planes_.push_back({normal, Dot(normal, plane.point)});
     }
+    for (int c = 0; c < num_controlled(); ++c) place_in_control_[scene.control.bodies[c]] = c;
     free_ = DifferentiateFreeFlight();
+    work_.emplace(MakeBroadPhase());
   }
 
   const ModelTraits& traits() const override {
@@ -52,97 +67,72 @@ class ModelSimulator final : public Simulator {
   }
   int body_size() const override { return kSize; }
   const std::vector<StepTouch>& touches() const override { return touches_; }
+  std::size_t LeastMemory() const override {
+    const std::size_t state = num_bodies() * sizeof(State);
+    const int length = WindowLength(num_steps_, state, 0);
+    return (length + 1 + (num_steps_ + length - 1) / length) * state;
+  }
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
     CHECK_EQ(static_cast<int>(initial.size()), 4 * num_bodies());
     CHECK_EQ(static_cast<int>(control.size()), control_size());
     control_.assign(control.begin(), control.end());
-    trajectory_.resize(static_cast<size_t>(num_steps_ + 1) * num_bodies());
+    trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
+    Expand(initial, trajectory_.Checkpoint(0).data());
     touches_.clear();
-    Expand(initial, trajectory_.data());
-
-    Workspace& work = workspace_;
-    work.force.assign(num_bodies(), Vec2<S>::Zero());
-    const std::vector<double> push = LargestAccelerations();
-    BroadPhase broad_phase(wide_planes_, step(), M::kTraits.chains, M::kTraits.reach);
-    int quiet_until = 0;
-    for (int k = 0; k < num_steps_; ++k) {
-      const std::span<const State> x = StateAt(k);
-      SetForce(k, work.force);
-      work.candidates.clear();
-      if (k >= quiet_until) {
-        quiet_until = k + broad_phase.Find(Discs(x, push, &work), &work.candidates);
-      }
-      StepInput<S> in = Input(work);
-      if (work.candidates.empty()) {
-        FreeFlight(model_, in, x, MutableStateAt(k + 1));
-        continue;
-      }
-      work.touches.clear();
-      in.touches = &work.touches;
-      model_.Step(in, x, MutableStateAt(k + 1));
-      work.scratch.release();
-      for (const Touch& touch : work.touches) touches_.push_back({k, touch});
+    ForgetTouchedStates(0);
+    all_recorded_ = true;
+    for (int w = 0; w < trajectory_.num_windows(); ++w) {
+      if (RecordIsFull()) all_recorded_ = false;
+      if (!all_recorded_) ForgetTouchedStates(static_cast<int>(touches_.size()));
+      RunWindow(w, [&](int k) {
+        for (const Touch& touch : work_->touches) touches_.push_back({k, touch});
+        RecordTouchedStates(k);
+      });
     }
-    return AllFinite(StateAt(num_steps_));
+    return AllFinite(trajectory_.At(num_steps_));
   }
 
   void GetState(int k, std::span<double> x) const override {
-    const S* flat = Flat(StateAt(k).data());
+    const int w = trajectory_.WindowOf(k);
+    if (!trajectory_.Holds(w)) RunWindow(w, [](int) {});
+    const S* flat = Flat(trajectory_.At(k).data());
     std::copy(flat, flat + state_size(), x.begin());
   }
 
-  void Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) override {
+  void AdjointInto(std::span<const double> cotangent, const SensitivityView& out) override {
     CHECK_EQ(static_cast<int>(cotangent.size()), state_size());
-    Sensitivity& out = *sensitivity;
-    out.initial.assign(4 * num_bodies(), 0.0);
-    out.control.resize(control_size());
-    out.parameters = ParameterGradient();
-    out.parameters.mass.assign(num_bodies(), 0.0);
-    out.parameters.force.assign(num_bodies(), Vec2d::Zero());
-
-    std::vector<S>& lambda = lambda_;
-    lambda.assign(cotangent.begin(), cotangent.end());
-    push_.resize(num_bodies());
-    Workspace& work = workspace_;
-    work.force.assign(num_bodies(), Vec2<S>::Zero());
+    CHECK(out.initial.empty() || out.initial.size() == 4 * bodies_.size());
+    CHECK(out.control.empty() || static_cast<int>(out.control.size()) == control_size());
+    if (out.parameters != nullptr) ClearParameters(out.parameters);
+    lambda_.assign(cotangent.begin(), cotangent.end());
+    pulled_to_.assign(num_bodies(), num_steps_);
     int end = static_cast<int>(touches_.size());
-    for (int k = num_steps_ - 1; k >= 0; --k) {
-      int begin = end;
-      while (begin > 0 && touches_[begin - 1].step == k) --begin;
-      if (begin < end || with_parameters) SetForce(k, work.force);
-
-      work.flying.assign(num_bodies(), 1);
-      if (begin < end) {
-        work.touches.clear();
-        for (int i = begin; i < end; ++i) work.touches.push_back(touches_[i].touch);
-        AdjointOfIslands(k, with_parameters, &work, &out.parameters);
+    for (int w = trajectory_.num_windows() - 1; w >= 0; --w) {
+      const int begin = FirstTouch(trajectory_.begin(w), end);
+      Reload(w, begin, end);
+      while (end > begin) {
+        const int k = touches_[end - 1].step;
+        const int first = FirstTouch(k, end);
+        PullBackStep(k, first, end, out);
+        end = first;
       }
-      for (int i = 0; i < num_bodies(); ++i) {
-        if (!work.flying[i] || bodies_[i].fixed) continue;
-        const Vec2<S> acceleration = AdjointOfFlight(&lambda[i * kSize]);
-        push_[i] = Scale(bodies_[i].inverse_mass, acceleration);
-        if (with_parameters) {
-          out.parameters.mass[i] -= Dot(push_[i], work.force[i]) * bodies_[i].inverse_mass;
-        }
-        if constexpr (kRotation > 0) AdjointOfRotation(k, i, &lambda[i * kSize + 4]);
-      }
-      double* gradient = out.control.data() + static_cast<size_t>(k) * num_controlled() * 2;
-      for (int body : scene_.control.bodies) {
-        *gradient++ = push_[body][0];
-        *gradient++ = push_[body][1];
-      }
-      if (with_parameters) AddUniformForce(&out.parameters);
-      end = begin;
+      // Rotation needs the states on the way, which are at hand now.
+      for (int i = 0; kRotation > 0 && i < num_bodies(); ++i) PullBackTo(trajectory_.begin(w), i, out);
     }
-    for (int i = 0; i < num_bodies(); ++i) {
-      for (int j = 0; j < 4 && !bodies_[i].fixed; ++j) out.initial[4 * i + j] = lambda[i * kSize + j];
+    for (int i = 0; i < num_bodies(); ++i) PullBackTo(0, i, out);
+    // Gravity is a constant force on every disc.
+    for (int i = 0; out.parameters != nullptr && i < num_bodies(); ++i) {
+      out.parameters->gravity += double(bodies_[i].mass) * out.parameters->force[i];
+    }
+    for (size_t i = 0; i < out.initial.size(); ++i) {
+      out.initial[i] = bodies_[i / 4].fixed ? 0.0 : double(lambda_[i / 4 * kSize + i % 4]);
     }
   }
 
   void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
             std::vector<Touch>* touches) const override {
-    Workspace work;
+    Workspace work(MakeBroadPhase());
     std::vector<State> from(num_bodies()), to(num_bodies());
     StepOnce(x, force, &work, &from, &to);
     std::copy(Flat(to.data()), Flat(to.data()) + state_size(), next.begin());
@@ -151,7 +141,7 @@ class ModelSimulator final : public Simulator {
 
   void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
                  StepLinearization* linearization) const override {
-    Workspace work;
+    Workspace work(MakeBroadPhase());
     std::vector<State> from(num_bodies()), to(num_bodies());
     StepOnce(x, force, &work, &from, &to);
 
@@ -164,19 +154,24 @@ class ModelSimulator final : public Simulator {
     out.islands.clear();
     out.flying.clear();
     out.rotation.clear();
-    work.flying.assign(num_bodies(), 1);
-    for (const std::vector<int>& island : IslandsOf(work)) {
-      for (int i : island) work.flying[i] = 0;
-      DifferentiateIsland(from, island, with_parameters, &work);
+    std::vector<char> flying(num_bodies(), 1);
+    FindTouchedIslands(&work);
+    for (int q = 0; q < work.islands.size(); ++q) {
+      const std::span<const int> island = work.islands.bodies(q);
+      for (int i : island) flying[i] = 0;
+      Gather(q, from, &work);
+      typename IslandDerivative<M, S>::Matrix jacobian;
+      work.derivative.Evaluate(model_, LocalInput(work), work.local.x, with_parameters, &jacobian);
+      work.scratch.Release();
       const int n = static_cast<int>(island.size());
-      const Eigen::MatrixXd jacobian = work.Jacobian(n, with_parameters).template cast<double>();
-      out.islands.push_back({island,
-                             jacobian.leftCols(n * kSize),
-                             jacobian.middleCols(n * kSize, 2 * n),
-                             jacobian.rightCols(jacobian.cols() - n * (kSize + 2))});
+      const Eigen::MatrixXd wide = jacobian.template cast<double>();
+      out.islands.push_back({{island.begin(), island.end()},
+                             wide.leftCols(n * kSize),
+                             wide.middleCols(n * kSize, 2 * n),
+                             wide.rightCols(wide.cols() - n * (kSize + 2))});
     }
     for (int i = 0; i < num_bodies(); ++i) {
-      if (!work.flying[i]) continue;
+      if (!flying[i]) continue;
       out.flying.push_back(i);
       if constexpr (kRotation > 0) out.rotation.push_back(RotationJacobian(i, from[i]).template cast<double>());
     }
@@ -191,43 +186,33 @@ class ModelSimulator final : public Simulator {
  private:
   using Jet = StepJet<S>;
   using JetState = BodyState<Jet, kRotation>;
-  using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
 
-  struct FreeCoefficients {
-    S pp, pv, pa, vp, vv, va;
+  // The discs of one island as a scene of their own.
+  struct LocalScene {
+    std::vector<State> x, next;
+    std::vector<Vec2<S>> force;
+    std::vector<BodyConstants<S>> bodies;
+    std::vector<Candidate> candidates;
+    std::vector<Touch> touches;
+    std::vector<S> after, before;  // cotangents
   };
 
   // Everything a step or a sweep needs besides the trajectory; reused, so that neither allocates.
   struct Workspace {
-    std::array<std::byte, 1 << 14> buffer;
-    std::pmr::monotonic_buffer_resource scratch{buffer.data(), buffer.size()};
-    std::vector<BroadPhase::Disc> discs;
+    explicit Workspace(BroadPhase phase) : broad_phase(std::move(phase)) {}
+
+    BroadPhase broad_phase;
+    ScratchMemory scratch;
     std::vector<Candidate> candidates;
     std::vector<Touch> touches;
     std::vector<Vec2<S>> force;
-    std::vector<char> flying;
-    std::vector<int> local;  // scene index to island index
-    // One island with Jets.
-    std::vector<JetState> x, next;
-    std::vector<BodyConstants<Jet>> bodies;
-    std::vector<Vec2<Jet>> jet_force;
-    std::vector<Candidate> island_candidates;
-    std::vector<S> jacobian;  // (n * kSize) x columns, row by row
-    std::vector<S> cotangent;
-
-    static int Columns(int n, bool with_parameters) { return n * (kSize + 2) + (with_parameters ? 4 + n : 0); }
-    Eigen::Map<Matrix> Jacobian(int n, bool with_parameters) {
-      return {jacobian.data(), n * kSize, Columns(n, with_parameters)};
-    }
+    std::vector<double> push;
+    Islands islands;
+    LocalScene local;
+    IslandDerivative<M, S> derivative;
   };
 
-  std::span<const State> StateAt(int k) const {
-    return {trajectory_.data() + static_cast<size_t>(k) * num_bodies(), static_cast<size_t>(num_bodies())};
-  }
-  std::span<State> MutableStateAt(int k) {
-    return {trajectory_.data() + static_cast<size_t>(k) * num_bodies(), static_cast<size_t>(num_bodies())};
-  }
   static const S* Flat(const State* x) { return reinterpret_cast<const S*>(x); }
   static S* Flat(State* x) { return reinterpret_cast<S*>(x); }
 
@@ -235,55 +220,170 @@ class ModelSimulator final : public Simulator {
     return std::all_of(Flat(x.data()), Flat(x.data()) + state_size(), [](S value) { return std::isfinite(value); });
   }
 
+  BroadPhase MakeBroadPhase() const {
+    std::vector<BroadPhase::Disc> discs;
+    for (const BodyConstants<S>& body : bodies_) discs.push_back({double(body.radius), double(body.mass), body.fixed});
+    return {wide_planes_,
+            std::move(discs),
+            {.dt = step(),
+             .chains = M::kTraits.chains,
+             .push_gap = M::kTraits.reach,
+             .rounding = std::numeric_limits<S>::epsilon()}};
+  }
+
   void Expand(std::span<const double> initial, State* x) const {
     for (int i = 0; i < num_bodies(); ++i) {
       const double* from = &initial[4 * i];
+      x[i] = AtRest();
       x[i].p = Vec2<S>(S(from[0]), S(from[1]));
       x[i].v = bodies_[i].fixed ? Vec2<S>::Zero() : Vec2<S>(S(from[2]), S(from[3]));
-      if constexpr (kRotation > 0) {
-        double rotation[kRotation] = {};
-        if constexpr (requires { M::InitialRotation(rotation); }) M::InitialRotation(rotation);
-        std::copy(rotation, rotation + kRotation, x[i].rotation);
-      }
     }
   }
 
-  void SetForce(int k, std::span<Vec2<S>> force) const {
-    const S* u = control_.data() + static_cast<size_t>(k) * num_controlled() * 2;
+  // At the origin, with the rotation that every disc starts with.
+  static State AtRest() {
+    State x;
+    std::fill_n(Flat(&x), kSize, S(0));
+    if constexpr (requires(double* rotation) { M::InitialRotation(rotation); }) {
+      double rotation[kRotation] = {};
+      M::InitialRotation(rotation);
+      std::copy(rotation, rotation + kRotation, x.rotation);
+    }
+    return x;
+  }
+
+  // -------------------------------------------------------------------------------------------------------------------
+  // Steps.
+
+  // Where the forces on disc i from step k on begin in the control, or null. From one step to the next it is
+  // ControlStride() numbers.
+  const S* ControlOf(int i, int k) const {
+    return place_in_control_[i] < 0 ? nullptr : control_.data() + k * ControlStride() + 2 * place_in_control_[i];
+  }
+  std::ptrdiff_t ControlStride() const { return 2 * static_cast<std::ptrdiff_t>(num_controlled()); }
+
+  void SetForce(int k, std::vector<Vec2<S>>* force) const {
     for (int body : scene_.control.bodies) {
-      force[body] = Vec2<S>(u[0], u[1]);
-      u += 2;
+      const S* u = ControlOf(body, k);
+      (*force)[body] = Vec2<S>(u[0], u[1]);
     }
   }
 
-  // Bound on each disc's acceleration over the whole rollout, m/s^2.
-  std::vector<double> LargestAccelerations() const {
-    const double gravity = scene_.gravity.norm();
-    std::vector<double> push(num_bodies(), gravity);
-    for (int c = 0; c < num_controlled(); ++c) {
-      double largest = 0;
-      for (int k = 0; k < num_steps_; ++k) {
-        const S* u = control_.data() + 2 * (static_cast<size_t>(k) * num_controlled() + c);
-        largest = std::max(largest, double(u[0] * u[0] + u[1] * u[1]));
+  // Bounds on the discs' accelerations in steps begin..end-1, m/s^2.
+  void FindLargestAccelerations(int begin, int end, std::vector<double>* push) const {
+    push->assign(num_bodies(), scene_.gravity.norm());
+    const std::ptrdiff_t stride = ControlStride();
+    for (int body : scene_.control.bodies) {
+      // Several maxima, so that they need not wait for each other.
+      constexpr int kLanes = 4;
+      S largest[kLanes] = {};
+      const S* u = ControlOf(body, begin);
+      int k = begin;
+      for (; k + kLanes <= end; k += kLanes, u += kLanes * stride) {
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const S* at = u + lane * stride;
+          const S square = at[0] * at[0] + at[1] * at[1];
+          largest[lane] = square > largest[lane] ? square : largest[lane];
+        }
       }
-      const int body = scene_.control.bodies[c];
-      push[body] += std::sqrt(largest) * double(bodies_[body].inverse_mass);
+      for (; k < end; ++k, u += stride) largest[0] = std::max(largest[0], u[0] * u[0] + u[1] * u[1]);
+      const double square = *std::max_element(largest, largest + kLanes);
+      (*push)[body] += std::sqrt(square) * double(bodies_[body].inverse_mass);
     }
-    return push;
   }
 
-  std::span<const BroadPhase::Disc> Discs(std::span<const State> x, std::span<const double> push,
-                                          Workspace* work) const {
-    work->discs.resize(num_bodies());
-    for (int i = 0; i < num_bodies(); ++i) {
-      work->discs[i] = {x[i].p.template cast<double>(),
-                        x[i].v.template cast<double>(),
-                        push[i],
-                        double(bodies_[i].radius),
-                        double(bodies_[i].mass),
-                        bodies_[i].fixed};
+  // Runs the steps of window w from its checkpoint and calls record(k) for each step in which something touched, with
+  // its touches in work_->touches.
+  template <typename Record>
+  void RunWindow(int w, const Record& record) const {
+    Workspace& work = *work_;
+    const int begin = trajectory_.begin(w), end = trajectory_.end(w);
+    trajectory_.Open(w);
+    FindLargestAccelerations(begin, end, &work.push);
+    work.broad_phase.SetAccelerations(work.push);
+    work.force.assign(num_bodies(), Vec2<S>::Zero());
+    for (int k = begin; k < end;) {
+      const int quiet = work.broad_phase.Find(Flat(trajectory_.At(k).data()), kSize, &work.candidates);
+      if (work.candidates.empty()) {
+        const int steps = std::min(quiet, end - k);
+        Fly(k, steps);
+        k += steps;
+        continue;
+      }
+      SetForce(k, &work.force);
+      StepScene(trajectory_.At(k), trajectory_.At(k + 1), &work);
+      if (!work.touches.empty()) record(k);
+      ++k;
     }
-    return work->discs;
+    trajectory_.Close();
+  }
+
+  // Free flight of all discs for some steps from step k on: disc by disc, so that a state stays in registers.
+  void Fly(int k, int steps) const {
+    State* first = trajectory_.At(k).data();
+    for (int i = 0; i < num_bodies(); ++i) FlyAlone(i, ControlOf(i, k), steps, first + i);
+  }
+
+  void FlyAlone(int i, const S* u, int steps, State* at) const {
+    const BodyConstants<S> body = bodies_[i];
+    Vec2<S> force = Vec2<S>::Zero();
+    StepInput<S> in{};
+    in.h = S(step());
+    in.gravity = scene_.gravity.template cast<S>();
+    in.bodies = {&body, 1};
+    in.force = {&force, 1};
+    State x = *at;
+    for (int j = 0; j < steps; ++j) {
+      if (u != nullptr) {
+        force = Vec2<S>(u[0], u[1]);
+        u += ControlStride();
+      }
+      x = model_.Free(in, 0, x);
+      at += num_bodies();
+      *at = x;
+    }
+  }
+
+  // One step of all discs under work->force; leaves what touched in work->touches.
+  void StepScene(std::span<const State> x, std::span<State> next, Workspace* work) const {
+    FreeFlight(model_, Input(*work), x, next);
+    work->touches.clear();
+    work->islands.Find(work->candidates, fixed_);
+    for (int q = 0; q < work->islands.size(); ++q) StepIsland(q, x, next, work);
+    if (work->islands.size() > 1) SortTouches(&work->touches);
+  }
+
+  void StepIsland(int q, std::span<const State> x, std::span<State> next, Workspace* work) const {
+    const std::span<const int> island = work->islands.bodies(q);
+    Gather(q, x, work);
+    LocalScene& local = work->local;
+    local.next.resize(island.size());
+    local.touches.clear();
+    StepInput<S> in = LocalInput(*work);
+    in.touches = &local.touches;
+    model_.Step(in, std::span<const State>(local.x), std::span<State>(local.next));
+    work->scratch.Release();
+    for (size_t i = 0; i < island.size(); ++i) {
+      if (!fixed_[island[i]]) next[island[i]] = local.next[i];
+    }
+    for (Touch touch : local.touches) {
+      touch.candidate.a = island[touch.candidate.a];
+      if (!touch.candidate.plane) touch.candidate.b = island[touch.candidate.b];
+      work->touches.push_back(touch);
+    }
+  }
+
+  // In order of time if the model resolves it, else as candidates are.
+  static void SortTouches(std::vector<Touch>* touches) {
+    const auto before = [](const Touch& l, const Touch& r) {
+      if constexpr (M::kTraits.event_driven) return l.time < r.time;
+      const Candidate &a = l.candidate, &b = r.candidate;
+      return std::tie(a.plane, a.a, a.b) < std::tie(b.plane, b.a, b.b);
+    };
+    // By insertion: stable, and without memory.
+    for (auto at = touches->begin(); at != touches->end(); ++at) {
+      std::rotate(std::upper_bound(touches->begin(), at, *at, before), at, at + 1);
+    }
   }
 
   StepInput<S> Input(Workspace& work) const {
@@ -296,28 +396,275 @@ class ModelSimulator final : public Simulator {
             .candidates = work.candidates,
             .scratch = &work.scratch};
   }
+  StepInput<S> LocalInput(Workspace& work) const {
+    StepInput<S> in = Input(work);
+    in.bodies = work.local.bodies;
+    in.force = work.local.force;
+    in.candidates = work.local.candidates;
+    return in;
+  }
 
-  // One step from a state in doubles; leaves force and touches in `work`.
+  // Makes island q of work->islands the local scene, with the discs at x.
+  void Gather(int q, std::span<const State> x, Workspace* work) const {
+    work->local.x.clear();
+    for (int i : work->islands.bodies(q)) work->local.x.push_back(x[i]);
+    GatherAllButStates(q, work);
+  }
+  void GatherAllButStates(int q, Workspace* work) const {
+    LocalScene& local = work->local;
+    local.force.clear();
+    local.bodies.clear();
+    for (int i : work->islands.bodies(q)) {
+      local.force.push_back(work->force[i]);
+      local.bodies.push_back(bodies_[i]);
+    }
+    LocalPairs(work->islands.pairs(q), work->islands.bodies(q), &local.candidates);
+  }
+
+  // The islands that work->touches connect.
+  void FindTouchedIslands(Workspace* work) const {
+    work->candidates.clear();
+    for (const Touch& touch : work->touches) work->candidates.push_back(touch.candidate);
+    work->islands.Find(work->candidates, fixed_);
+  }
+
+  // One step of the whole scene from a state in doubles; leaves force and touches in `work`.
   void StepOnce(std::span<const double> x, std::span<const double> force, Workspace* work, std::vector<State>* from,
                 std::vector<State>* to) const {
     CHECK_EQ(static_cast<int>(x.size()), state_size());
     CHECK_EQ(static_cast<int>(force.size()), 2 * num_bodies());
     std::copy(x.begin(), x.end(), Flat(from->data()));
     work->force.resize(num_bodies());
-    std::vector<double> push(num_bodies());
+    work->push.resize(num_bodies());
     for (int i = 0; i < num_bodies(); ++i) {
       work->force[i] = Vec2<S>(S(force[2 * i]), S(force[2 * i + 1]));
-      push[i] = scene_.gravity.norm() + std::hypot(force[2 * i], force[2 * i + 1]) * double(bodies_[i].inverse_mass);
+      work->push[i] =
+          scene_.gravity.norm() + std::hypot(force[2 * i], force[2 * i + 1]) * double(bodies_[i].inverse_mass);
     }
-    BroadPhase(wide_planes_, step(), M::kTraits.chains, M::kTraits.reach)
-        .Find(Discs(*from, push, work), &work->candidates);
+    work->broad_phase.SetAccelerations(work->push);
+    work->broad_phase.Find(Flat(from->data()), kSize, &work->candidates);
     StepInput<S> in = Input(*work);
     in.touches = &work->touches;
     model_.Step(in, std::span<const State>(*from), std::span<State>(*to));
-    work->scratch.release();
+    work->scratch.Release();
   }
 
-  FreeCoefficients DifferentiateFreeFlight() const {
+  // -------------------------------------------------------------------------------------------------------------------
+  // The record of a rollout.
+
+  bool RecordIsFull() const {
+    return trajectory_.bytes() + touched_states_.size() * sizeof(touched_states_[0]) > memory_limit_;
+  }
+  // From here on, states are kept from touch `first` on.
+  void ForgetTouchedStates(int first) {
+    touched_states_.clear();
+    first_touch_with_states_ = first;
+  }
+  void RecordTouchedStates(int k) {
+    const std::span<const State> x = trajectory_.At(k);
+    for (const Touch& touch : work_->touches) {
+      const Candidate& c = touch.candidate;
+      touched_states_.push_back({x[c.a], c.plane ? x[c.a] : x[c.b]});
+    }
+  }
+  // The first of the touches before `end` in step k or later.
+  int FirstTouch(int k, int end) const {
+    while (end > 0 && touches_[end - 1].step >= k) --end;
+    return end;
+  }
+
+  // Makes sure that what the adjoint through window w needs is in memory. Its touches are begin..end-1.
+  void Reload(int w, int begin, int end) {
+    const bool forgotten = !all_recorded_ && begin < end && first_touch_with_states_ != begin;
+    const bool turns = kRotation > 0 && !trajectory_.Holds(w) && (begin < end || AnyRotation());
+    if (!forgotten && !turns) return;
+    if (forgotten) ForgetTouchedStates(begin);
+    RunWindow(w, [&](int k) {
+      if (forgotten) RecordTouchedStates(k);
+    });
+  }
+
+  // -------------------------------------------------------------------------------------------------------------------
+  // Derivatives. lambda_ has the cotangent of disc i's state at step pulled_to_[i]; discs are pulled back through their
+  // flights only when they touch something.
+
+  void ClearParameters(ParameterGradient* parameters) const {
+    parameters->restitution = parameters->friction = parameters->stiffness = parameters->damping = 0;
+    parameters->gravity.setZero();
+    parameters->mass.assign(num_bodies(), 0.0);
+    parameters->force.assign(num_bodies(), Vec2d::Zero());
+  }
+
+  // Pulls the discs that touched in step k, by touches first..end-1, back to its beginning.
+  void PullBackStep(int k, int first, int end, const SensitivityView& out) {
+    Workspace& work = *work_;
+    SetForce(k, &work.force);
+    work.touches.clear();
+    for (int t = first; t < end; ++t) work.touches.push_back(touches_[t].touch);
+    FindTouchedIslands(&work);
+    for (int q = 0; q < work.islands.size(); ++q) {
+      for (int i : work.islands.bodies(q)) PullBackTo(k + 1, i, out);
+      GatherTouchedStates(q, first, end);
+      PullBackIsland(k, work.islands.bodies(q), out);
+    }
+  }
+
+  // Makes island q the local scene, with the states that were recorded.
+  void GatherTouchedStates(int q, int first, int end) {
+    const std::span<const int> island = work_->islands.bodies(q);
+    std::vector<State>& x = work_->local.x;
+    x.resize(island.size());
+    const auto put = [&](int body, const State& state) {
+      const auto at = std::lower_bound(island.begin(), island.end(), body);
+      if (at != island.end() && *at == body) x[at - island.begin()] = state;
+    };
+    for (int t = first; t < end; ++t) {
+      const Candidate& c = touches_[t].touch.candidate;
+      const std::array<State, 2>& states = touched_states_[t - first_touch_with_states_];
+      put(c.a, states[0]);
+      if (!c.plane) put(c.b, states[1]);
+    }
+    GatherAllButStates(q, &*work_);
+  }
+
+  void PullBackIsland(int k, std::span<const int> island, const SensitivityView& out) {
+    LocalScene& local = work_->local;
+    const int n = static_cast<int>(island.size());
+    const bool with_parameters = out.parameters != nullptr;
+    local.after.resize(n * kSize);
+    local.before.resize(IslandDerivative<M, S>::NumColumns(n, with_parameters));
+    for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &local.after[i * kSize]);
+    work_->derivative.ApplyTranspose(
+        model_, LocalInput(*work_), local.x, free_, with_parameters, local.after, local.before);
+    work_->scratch.Release();
+    for (int i = 0; i < n; ++i) {
+      const int body = island[i];
+      if (fixed_[body]) continue;
+      std::copy_n(&local.before[i * kSize], kSize, &lambda_[body * kSize]);
+      pulled_to_[body] = k;
+      const Vec2<S> push(local.before[n * kSize + 2 * i], local.before[n * kSize + 2 * i + 1]);
+      if (IsControlWanted(body, out)) {
+        double* gradient = GradientOf(body, k, out);
+        gradient[0] = push[0];
+        gradient[1] = push[1];
+      }
+      if (with_parameters) AddConstantForce(body, push, out.parameters);
+    }
+    if (with_parameters) AddContactParameters(island, &local.before[n * (kSize + 2)], out.parameters);
+  }
+
+  bool IsControlWanted(int body, const SensitivityView& out) const {
+    return place_in_control_[body] >= 0 && !out.control.empty();
+  }
+  double* GradientOf(int body, int k, const SensitivityView& out) const {
+    return out.control.data() + k * ControlStride() + 2 * place_in_control_[body];
+  }
+
+  void AddContactParameters(std::span<const int> island, const S* gradient, ParameterGradient* parameters) const {
+    parameters->restitution += gradient[0];
+    parameters->friction += gradient[1];
+    parameters->stiffness += gradient[2];
+    parameters->damping += gradient[3];
+    for (size_t i = 0; i < island.size(); ++i) {
+      if (!fixed_[island[i]]) parameters->mass[island[i]] += gradient[4 + i];
+    }
+  }
+
+  // A constant force acts in every step as the step's own force does.
+  void AddConstantForce(int body, const Vec2<S>& push, ParameterGradient* parameters) const {
+    parameters->force[body] += push.template cast<double>();
+  }
+
+  // Pulls disc i back through its flight, to the state in which step k begins.
+  void PullBackTo(int k, int i, const SensitivityView& out) {
+    const int steps = pulled_to_[i] - k;
+    if (steps <= 0 || fixed_[i]) return;
+    pulled_to_[i] = k;
+    S* lambda = &lambda_[i * kSize];
+    if constexpr (kRotation > 0) PullBackRotation(k, steps, i, lambda + 4);
+    if (out.parameters != nullptr) {
+      PullBackWithParameters(k, steps, i, lambda, out);
+    } else if (IsControlWanted(i, out)) {
+      double* gradient = GradientOf(i, k, out);
+      const S inverse_mass = bodies_[i].inverse_mass;
+      const std::ptrdiff_t stride = ControlStride();
+      PullBackFlight(free_, steps, lambda, [=](int j, S x, S y) {
+        gradient[j * stride] = inverse_mass * x;
+        gradient[j * stride + 1] = inverse_mass * y;
+      });
+    } else if constexpr (kRotation > 0) {
+      // Step by step: windows may cut a flight, which must not change a bit.
+      PullBackFlight(free_, steps, lambda, [](int, S, S) {});
+    } else {
+      const FreeFlightJacobian<S> flight = free_.Power(steps);
+      for (int j = 0; j < 2; ++j) flight.PullBack(&lambda[j], &lambda[2 + j]);
+    }
+  }
+
+  void PullBackWithParameters(int k, int steps, int i, S* lambda, const SensitivityView& out) const {
+    const S inverse_mass = bodies_[i].inverse_mass;
+    PullBackFlight(free_, steps, lambda, [&](int j, S x, S y) {
+      const Vec2<S> push = Scale(inverse_mass, Vec2<S>(x, y));
+      AddConstantForce(i, push, out.parameters);
+      if (IsControlWanted(i, out)) {
+        double* gradient = GradientOf(i, k + j, out);
+        gradient[0] = push[0];
+        gradient[1] = push[1];
+      }
+      if (const S* u = ControlOf(i, k + j)) {
+        out.parameters->mass[i] -= Dot(push, Vec2<S>(u[0], u[1])) * inverse_mass;
+      }
+    });
+  }
+
+  bool AnyRotation() const {
+    for (int i = 0; i < num_bodies(); ++i) {
+      for (int j = 4; j < kSize; ++j) {
+        if (lambda_[i * kSize + j] != S(0)) return true;
+      }
+    }
+    return false;
+  }
+
+  // The same for the rotation, which a flight changes by itself.
+  void PullBackRotation(int k, int steps, int i, S* lambda) {
+    Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
+    if (cotangent.isZero(S(0))) return;
+    RotationMatrix jacobian;
+    const State* at = nullptr;  // where `jacobian` is; a disc that does not spin keeps it
+    for (int j = k + steps - 1; j >= k; --j) {
+      const State& x = trajectory_.At(j)[i];
+      if (at == nullptr || !std::equal(x.rotation, x.rotation + kRotation, at->rotation)) {
+        jacobian = RotationJacobian(i, x);
+        at = &x;
+      }
+      cotangent = (jacobian.transpose() * cotangent).eval();
+    }
+  }
+
+  RotationMatrix RotationJacobian(int i, const State& x) const {
+    static_assert(kRotation <= kJetWidth);
+    JetState jets{};
+    for (int j = 0; j < 2; ++j) {
+      jets.p[j] = Jet(x.p[j]);
+      jets.v[j] = Jet(x.v[j]);
+    }
+    for (int j = 0; j < kRotation; ++j) jets.rotation[j] = Jet(x.rotation[j], j);
+    const std::array<Vec2<Jet>, 1> force{Vec2<Jet>(Jet(S(0)), Jet(S(0)))};
+    const std::array<BodyConstants<Jet>, 1> body{
+        {{Jet(bodies_[i].mass), Jet(bodies_[i].inverse_mass), bodies_[i].radius, bodies_[i].fixed}}};
+    StepInput<Jet> in{};
+    in.h = S(step());
+    in.gravity = Vec2<S>::Zero();
+    in.bodies = body;
+    in.force = force;
+    const JetState next = model_.Free(in, 0, jets);
+    RotationMatrix jacobian;
+    for (int r = 0; r < kRotation; ++r) jacobian.row(r) = next.rotation[r].v.template head<kRotation>();
+    return jacobian;
+  }
+
+  FreeFlightJacobian<S> DifferentiateFreeFlight() const {
     JetState x{};
     std::array<Vec2<Jet>, 1> force;
     for (int j = 0; j < 2; ++j) {
@@ -325,7 +672,10 @@ class ModelSimulator final : public Simulator {
       x.v[j] = Jet(S(0), 2 + j);
       force[0][j] = Jet(S(0), 4 + j);
     }
-    if constexpr (kRotation > 0) SetRotation(Expanded(), &x);
+    if constexpr (kRotation > 0) {
+      const State start = AtRest();
+      for (int j = 0; j < kRotation; ++j) x.rotation[j] = Jet(start.rotation[j]);
+    }
     const std::array<BodyConstants<Jet>, 1> body{{{Jet(S(1)), Jet(S(1)), S(1), false}}};
     StepInput<Jet> in{};
     in.h = S(step());
@@ -336,228 +686,27 @@ class ModelSimulator final : public Simulator {
     return {next.p[0].v[0], next.p[0].v[2], next.p[0].v[4], next.v[0].v[0], next.v[0].v[2], next.v[0].v[4]};
   }
 
-  State Expanded() const {
-    State x{};
-    if constexpr (kRotation > 0) {
-      double rotation[kRotation] = {};
-      if constexpr (requires { M::InitialRotation(rotation); }) M::InitialRotation(rotation);
-      std::copy(rotation, rotation + kRotation, x.rotation);
-    }
-    return x;
-  }
-
-  static void SetRotation(const State& from, JetState* to) {
-    for (int j = 0; j < kRotation; ++j) to->rotation[j] = Jet(from.rotation[j]);
-  }
-
-  // Transforms (lambda_p, lambda_v) in place; returns the cotangent of the acceleration.
-  Vec2<S> AdjointOfFlight(S* lambda) const {
-    Vec2<S> acceleration;
-    for (int j = 0; j < 2; ++j) {
-      const S p = lambda[j];
-      const S v = lambda[2 + j];
-      lambda[j] = free_.pp * p + free_.vp * v;
-      lambda[2 + j] = free_.pv * p + free_.vv * v;
-      acceleration[j] = free_.pa * p + free_.va * v;
-    }
-    return acceleration;
-  }
-
-  RotationMatrix RotationJacobian(int i, const State& x) const {
-    JetState jet{};
-    for (int j = 0; j < 2; ++j) {
-      jet.p[j] = Jet(x.p[j]);
-      jet.v[j] = Jet(x.v[j]);
-    }
-    for (int j = 0; j < kRotation; ++j) jet.rotation[j] = Jet(x.rotation[j], j);
-    const std::array<Vec2<Jet>, 1> force{Vec2<Jet>(Jet(S(0)), Jet(S(0)))};
-    const std::array<BodyConstants<Jet>, 1> body{
-        {{Jet(bodies_[i].mass), Jet(bodies_[i].inverse_mass), bodies_[i].radius, bodies_[i].fixed}}};
-    StepInput<Jet> in{};
-    in.h = S(step());
-    in.gravity = Vec2<S>::Zero();
-    in.bodies = body;
-    in.force = force;
-    const JetState next = model_.Free(in, 0, jet);
-    RotationMatrix jacobian;
-    for (int r = 0; r < kRotation; ++r) jacobian.row(r) = next.rotation[r].v.template head<kRotation>();
-    return jacobian;
-  }
-
-  void AdjointOfRotation(int k, int i, S* lambda) const {
-    Eigen::Map<Eigen::Matrix<S, kRotation, 1>> map(lambda);
-    if (map.isZero(S(0))) return;
-    map = (RotationJacobian(i, StateAt(k)[i]).transpose() * map).eval();
-  }
-
-  std::vector<std::vector<int>> IslandsOf(Workspace& work) const {
-    work.candidates.clear();
-    for (const Touch& touch : work.touches) work.candidates.push_back(touch.candidate);
-    return FindIslands(work.candidates, fixed_);
-  }
-
-  void AdjointOfIslands(int k, bool with_parameters, Workspace* work, ParameterGradient* parameters) {
-    for (const std::vector<int>& island : IslandsOf(*work)) {
-      const int n = static_cast<int>(island.size());
-      DifferentiateIsland(StateAt(k), island, with_parameters, work);
-      const Eigen::Map<Matrix> jacobian = work->Jacobian(n, with_parameters);
-      // Gather, transform, scatter. A fixed disc may be in several islands; what it receives is dropped in the end.
-      work->cotangent.resize(n * kSize + jacobian.cols());
-      Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>> after(work->cotangent.data(), n * kSize);
-      Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>> before(work->cotangent.data() + n * kSize, jacobian.cols());
-      for (int i = 0; i < n; ++i) {
-        std::copy_n(&lambda_[island[i] * kSize], kSize, after.data() + i * kSize);
-      }
-      before.noalias() = jacobian.transpose() * after;
-      for (int i = 0; i < n; ++i) {
-        const int body = island[i];
-        std::copy_n(before.data() + i * kSize, kSize, &lambda_[body * kSize]);
-        push_[body] = before.template segment<2>(n * kSize + 2 * i);
-        work->flying[body] = 0;
-      }
-      if (!with_parameters) continue;
-      const auto p = before.tail(4 + n);
-      parameters->restitution += p[0];
-      parameters->friction += p[1];
-      parameters->stiffness += p[2];
-      parameters->damping += p[3];
-      for (int i = 0; i < n; ++i) {
-        if (!bodies_[island[i]].fixed) parameters->mass[island[i]] += p[4 + i];
-      }
-    }
-  }
-
-  // Gravity and a constant force act in every step as the step's own force does.
-  void AddUniformForce(ParameterGradient* parameters) const {
-    for (int i = 0; i < num_bodies(); ++i) {
-      if (bodies_[i].fixed) continue;
-      const Vec2d push = push_[i].template cast<double>();
-      parameters->force[i] += push;
-      parameters->gravity += double(bodies_[i].mass) * push;
-    }
-  }
-
-  // The Jacobian of one island's step, into work->jacobian. Columns: states, forces, parameters.
-  void DifferentiateIsland(std::span<const State> x, const std::vector<int>& island, bool with_parameters,
-                           Workspace* work) const {
-    const int n = static_cast<int>(island.size());
-    work->jacobian.assign(static_cast<size_t>(n) * kSize * Workspace::Columns(n, with_parameters), S(0));
-    work->local.assign(num_bodies(), -1);
-    for (int i = 0; i < n; ++i) work->local[island[i]] = i;
-    CollectCandidates(work);
-
-    const int num_columns = Workspace::Columns(n, with_parameters);
-    int first = 0;
-    if constexpr (requires { &M::Linearize; }) {
-      UsePublishedJacobian(x, island, with_parameters, work);
-      first = n * (kSize + 2);
-    }
-    for (; first < num_columns; first += kJetWidth) DifferentiatePass(x, island, with_parameters, first, work);
-  }
-
-  // The touches inside the island, each pair once, in the order of candidates, in island indices.
-  void CollectCandidates(Workspace* work) const {
-    auto& local = work->island_candidates;
-    local.clear();
-    for (const Touch& touch : work->touches) {
-      const Candidate& c = touch.candidate;
-      const bool inside = c.plane ? work->local[c.a] >= 0 : work->local[c.a] >= 0 && work->local[c.b] >= 0;
-      if (inside) local.push_back({work->local[c.a], c.plane ? c.b : work->local[c.b], c.plane});
-    }
-    const auto key = [](const Candidate& c) { return std::tuple(c.plane, c.a, c.b); };
-    std::sort(local.begin(), local.end(), [&](const auto& l, const auto& r) { return key(l) < key(r); });
-    local.erase(std::unique(local.begin(), local.end()), local.end());
-  }
-
-  void DifferentiatePass(std::span<const State> x, const std::vector<int>& island, bool with_parameters, int first,
-                         Workspace* work) const {
-    const int n = static_cast<int>(island.size());
-    const auto seed = [first](S value, int column) {
-      Jet jet(value);
-      if (column >= first && column < first + kJetWidth) jet.v[column - first] = S(1);
-      return jet;
-    };
-    work->x.resize(n);
-    work->next.resize(n);
-    work->bodies.resize(n);
-    work->jet_force.resize(n);
-    const int forces = n * kSize;
-    const int parameters = n * (kSize + 2);
-    for (int i = 0; i < n; ++i) {
-      const int body = island[i];
-      for (int j = 0; j < 2; ++j) {
-        work->x[i].p[j] = seed(x[body].p[j], i * kSize + j);
-        work->x[i].v[j] = seed(x[body].v[j], i * kSize + 2 + j);
-        work->jet_force[i][j] = seed(work->force[body][j], forces + 2 * i + j);
-      }
-      if constexpr (kRotation > 0) {
-        for (int j = 0; j < kRotation; ++j) {
-          work->x[i].rotation[j] = seed(x[body].rotation[j], i * kSize + 4 + j);
-        }
-      }
-      const BodyConstants<S>& constants = bodies_[body];
-      const Jet mass = seed(constants.mass, parameters + 4 + i);
-      work->bodies[i] = {mass, constants.fixed ? Jet(S(0)) : Divide(S(1), mass), constants.radius, constants.fixed};
-    }
-    const StepInput<Jet> in{.h = S(step()),
-                            .gravity = scene_.gravity.template cast<S>(),
-                            .contact = {seed(contact_.restitution, parameters),
-                                        seed(contact_.friction, parameters + 1),
-                                        seed(contact_.stiffness, parameters + 2),
-                                        seed(contact_.damping, parameters + 3)},
-                            .bodies = work->bodies,
-                            .planes = planes_,
-                            .force = work->jet_force,
-                            .candidates = work->island_candidates,
-                            .scratch = &work->scratch};
-    model_.Step(in, std::span<const JetState>(work->x), std::span<JetState>(work->next));
-    work->scratch.release();
-
-    Eigen::Map<Matrix> jacobian = work->Jacobian(n, with_parameters);
-    const int width = std::min<int>(kJetWidth, jacobian.cols() - first);
-    const Jet* flat = reinterpret_cast<const Jet*>(work->next.data());
-    for (int row = 0; row < n * kSize; ++row) {
-      jacobian.row(row).segment(first, width) = flat[row].v.head(width).transpose();
-    }
-  }
-
-  void UsePublishedJacobian(std::span<const State> x, const std::vector<int>& island, bool with_parameters,
-                            Workspace* work) const {
-    const int n = static_cast<int>(island.size());
-    std::vector<State> local(n);
-    std::vector<BodyConstants<S>> bodies(n);
-    std::vector<Vec2<S>> force(n);
-    for (int i = 0; i < n; ++i) {
-      local[i] = x[island[i]];
-      bodies[i] = bodies_[island[i]];
-      force[i] = work->force[island[i]];
-    }
-    StepInput<S> in = Input(*work);
-    in.bodies = bodies;
-    in.force = force;
-    in.candidates = work->island_candidates;
-    Eigen::MatrixXd A, B;
-    model_.Linearize(in, std::span<const State>(local), &A, &B);
-    Eigen::Map<Matrix> jacobian = work->Jacobian(n, with_parameters);
-    jacobian.leftCols(n * kSize) = A.cast<S>();
-    jacobian.middleCols(n * kSize, 2 * n) = B.cast<S>();
-    work->scratch.release();
-  }
-
   M model_;
   ContactConstants<S> contact_;
   std::vector<BodyConstants<S>> bodies_;
   std::vector<char> fixed_;
+  std::vector<int> place_in_control_;  // of each disc; -1 if it is not controlled
   std::vector<HalfPlane<S>> planes_;
   std::vector<HalfPlane<double>> wide_planes_;
-  FreeCoefficients free_{};
+  FreeFlightJacobian<S> free_{};
 
-  std::vector<State> trajectory_;  // (K + 1) x B
-  std::vector<S> control_;         // K x C x 2
+  // The last rollout.
+  std::vector<S> control_;  // K x C x 2
   std::vector<StepTouch> touches_;
+  std::vector<std::array<State, 2>> touched_states_;  // of discs a and b before the step, from the touch below on
+  int first_touch_with_states_ = 0;
+  bool all_recorded_ = true;  // false if the states of some touches were let go for the sake of memory_limit()
   std::vector<S> lambda_;
-  std::vector<Vec2<S>> push_;  // cotangent of the force on each disc in the current step
-  Workspace workspace_;
+  std::vector<int> pulled_to_;
+
+  // Asking for a state may run its window again.
+  mutable Trajectory<State> trajectory_;
+  mutable std::optional<Workspace> work_;
 };
 
 }  // namespace saltus

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <memory>
 #include <span>
 #include <string>
@@ -43,6 +44,13 @@ struct Sensitivity {
   std::vector<double> initial;   // B x 4; 0 for fixed discs
   std::vector<double> control;   // K x C x 2
   ParameterGradient parameters;  // if asked for
+};
+
+// Where to write a sensitivity. What is empty or null is not wanted, and costs nothing.
+struct SensitivityView {
+  std::span<double> initial;                // B x 4
+  std::span<double> control;                // K x C x 2
+  ParameterGradient* parameters = nullptr;  // its vectors are resized
 };
 
 // x' = f(x, u) to first order at one point: dx' = A dx + B du + P dparameters. Dense over the discs that touch
@@ -91,8 +99,8 @@ class Simulator {
   int state_size() const { return num_bodies() * body_size(); }
   int control_size() const { return num_steps_ * num_controlled() * 2; }
 
-  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2) and keeps the trajectory. False if a state is
-  // not finite; then neither Adjoint nor the states after the last finite one may be asked for.
+  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite; then neither
+  // Adjoint nor the states after the last finite one may be asked for.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
 
   // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
@@ -100,9 +108,20 @@ class Simulator {
   virtual const std::vector<StepTouch>& touches() const = 0;
 
   // The gradient of a function of the final state of the last rollout, by the adjoint: `cotangent` is its derivative
-  // with respect to state K (state_size() numbers). Cost: about one more rollout, linear in steps and discs.
-  // Precondition: Rollout returned true.
-  virtual void Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) = 0;
+  // with respect to state K (state_size() numbers). Cost: less than a rollout, linear in steps and discs; discs that
+  // are not controlled cost only where they touch, unless parameters are asked for. Precondition: Rollout returned
+  // true.
+  virtual void AdjointInto(std::span<const double> cotangent, const SensitivityView& out) = 0;
+  void Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity);
+
+  // Bounds what a rollout keeps besides its control: states and, per contact and step, those of the two discs. What
+  // does not fit is simulated again when the adjoint needs it, at the cost of one more rollout and with the same bits.
+  // Kept in any case: touches(), 48 bytes each, the control, 16 bytes per step and controlled disc, and
+  // LeastMemory(), about 2 sqrt(K) states. Takes effect with the next rollout.
+  void set_memory_limit(std::size_t bytes) { memory_limit_ = bytes; }
+  std::size_t memory_limit() const { return memory_limit_; }
+  // The smallest limit that can be kept, in bytes.
+  virtual std::size_t LeastMemory() const = 0;
 
   // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization.
   // Thread-safe among themselves.
@@ -124,6 +143,7 @@ class Simulator {
   Scene scene_;
   Precision precision_;
   int num_steps_;
+  std::size_t memory_limit_ = std::size_t{1} << 30;
 };
 
 // The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).

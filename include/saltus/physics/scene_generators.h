@@ -10,7 +10,7 @@ namespace saltus {
 struct GasOptions {
   int discs = 100;         // 1 to 100 000
   double radius = 0.05;    // m
-  double fraction = 0.2;   // of the box that discs cover; at most 0.5
+  double fraction = 0.2;   // of the box that discs cover; at most 0.35
   double speed = 1;        // m/s, root mean square
   double restitution = 1;  // of discs and walls
   double duration = 1;     // s

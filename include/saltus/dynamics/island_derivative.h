@@ -1,0 +1,224 @@
+// The one place where contact models meet Jets: derivatives of the step of one island.
+//
+// The model's own step is run with Jets, kJetWidth directions a pass: first position, velocity and force of each disc
+// in turn, then what else there is. Discs that touch nothing but each other are moved on alike by a common shift of
+// their positions, velocities or accelerations, as in free flight; that saves the pass of the last one.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <type_traits>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+#include "saltus/dynamics/free_flight.h"
+
+namespace saltus {
+
+template <ContactModel M, typename S>
+class IslandDerivative {
+ public:
+  static constexpr int kRotation = M::kRotation;
+  static constexpr int kSize = 4 + kRotation;
+  using State = BodyState<S, kRotation>;
+  using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+  // Columns of the Jacobian for n discs: their states, the forces on them and, if asked for, restitution, friction,
+  // stiffness, damping and their masses. Rows: their next states.
+  static int NumColumns(int n, bool with_parameters) { return n * (kSize + 2) + (with_parameters ? 4 + n : 0); }
+
+  // before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
+  void ApplyTranspose(const M& model, const StepInput<S>& in, std::span<const State> x,
+                      const FreeFlightJacobian<S>& free, bool with_parameters, std::span<const S> after,
+                      std::span<S> before) {
+    const int n = static_cast<int>(x.size());
+    int first = 0;
+    if constexpr (requires { &M::Linearize; }) {
+      jacobian_.resize(n * kSize, n * (kSize + 2));
+      LinearizeAsPublished(model, in, x, &jacobian_);
+      Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>>(before.data(), jacobian_.cols()).noalias() =
+          jacobian_.transpose() * Eigen::Map<const Eigen::Matrix<S, Eigen::Dynamic, 1>>(after.data(), n * kSize);
+      first = NumColumns(n, false);
+    }
+    const bool shares_motion = first == 0 && OnlyRelativeMotionMatters(in);
+    ForEachPass(model, in, x, with_parameters, first, shares_motion ? n - 1 : -1, [&](const auto& columns) {
+      Eigen::Matrix<S, kJetWidth, 1> sum = Eigen::Matrix<S, kJetWidth, 1>::Zero();
+      const auto* next = reinterpret_cast<const StepJet<S>*>(next_.data());
+      for (int row = 0; row < n * kSize; ++row) sum += after[row] * next[row].v;
+      for (int i = 0; i < columns.count; ++i) before[columns.index[i]] = sum[i];
+    });
+    if (shares_motion) CompleteByCommonMotion(in, free, after, before);
+  }
+
+  // The Jacobian itself.
+  void Evaluate(const M& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
+                Matrix* jacobian) {
+    const int n = static_cast<int>(x.size());
+    jacobian->setZero(n * kSize, NumColumns(n, with_parameters));
+    int first = 0;
+    if constexpr (requires { &M::Linearize; }) {
+      LinearizeAsPublished(model, in, x, jacobian);
+      first = NumColumns(n, false);
+    }
+    ForEachPass(model, in, x, with_parameters, first, -1, [&](const auto& columns) {
+      const auto* next = reinterpret_cast<const StepJet<S>*>(next_.data());
+      for (int row = 0; row < n * kSize; ++row) {
+        for (int i = 0; i < columns.count; ++i) (*jacobian)(row, columns.index[i]) = next[row].v[i];
+      }
+    });
+  }
+
+ private:
+  using Jet = StepJet<S>;
+  using JetState = BodyState<Jet, kRotation>;
+
+  // The columns that a pass computes.
+  struct Columns {
+    int count = 0;
+    int index[kJetWidth];
+    void Add(int column) { index[count++] = column; }
+  };
+
+  // In single precision the derivatives are those of the published programs to the last digits, so nothing is
+  // rearranged.
+  static bool OnlyRelativeMotionMatters(const StepInput<S>& in) {
+    if (!M::kTraits.relative || std::is_same_v<S, float> || in.bodies.size() < 2) return false;
+    for (const BodyConstants<S>& body : in.bodies) {
+      if (body.fixed) return false;
+    }
+    for (const Candidate& c : in.candidates) {
+      if (c.plane) return false;
+    }
+    return true;
+  }
+
+  // Fills in the columns of the last disc from those of the others.
+  static void CompleteByCommonMotion(const StepInput<S>& in, const FreeFlightJacobian<S>& free,
+                                     std::span<const S> after, std::span<S> before) {
+    const int n = static_cast<int>(in.bodies.size());
+    const int last = n - 1;
+    for (int j = 0; j < 2; ++j) {
+      S p = S(0), v = S(0), a = S(0);
+      for (int i = 0; i < n; ++i) {
+        const S after_p = after[i * kSize + j], after_v = after[i * kSize + 2 + j];
+        p += free.pp * after_p + free.vp * after_v;
+        v += free.pv * after_p + free.vv * after_v;
+        a += free.pa * after_p + free.va * after_v;
+        if (i == last) break;
+        p -= before[i * kSize + j];
+        v -= before[i * kSize + 2 + j];
+        a -= in.bodies[i].mass * before[n * kSize + 2 * i + j];
+      }
+      before[last * kSize + j] = p;
+      before[last * kSize + 2 + j] = v;
+      before[n * kSize + 2 * last + j] = in.bodies[last].inverse_mass * a;
+    }
+  }
+
+  // Runs the step once for every kJetWidth columns from `first` on, leaving it in next_, and calls use(columns). The
+  // position, velocity and force of disc `without` are left out.
+  template <typename Use>
+  void ForEachPass(const M& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters, int first,
+                   int without, const Use& use) {
+    const int n = static_cast<int>(x.size());
+    SetValues(in, x);
+    if (first == 0) {
+      for (int i = 0; i < n; ++i) {
+        if (i == without) continue;
+        Columns columns;
+        for (int j = 0; j < 4; ++j) columns.Add(i * kSize + j);
+        for (int j = 0; j < 2; ++j) columns.Add(n * kSize + 2 * i + j);
+        RunPass(model, in, columns, use);
+      }
+    }
+    Columns columns;
+    const auto add = [&](int column) {
+      columns.Add(column);
+      if (columns.count < kJetWidth) return;
+      RunPass(model, in, columns, use);
+      columns.count = 0;
+    };
+    if (first == 0) {
+      for (int i = 0; i < n; ++i) {
+        for (int j = 4; j < kSize; ++j) add(i * kSize + j);
+      }
+    }
+    for (int column = n * (kSize + 2); column < NumColumns(n, with_parameters); ++column) add(column);
+    if (columns.count > 0) RunPass(model, in, columns, use);
+  }
+
+  template <typename Use>
+  void RunPass(const M& model, const StepInput<S>& in, const Columns& columns, const Use& use) {
+    Seed(in, columns, S(1));
+    const StepInput<Jet> jets{.h = in.h,
+                              .gravity = in.gravity,
+                              .contact = contact_,
+                              .bodies = bodies_,
+                              .planes = in.planes,
+                              .force = force_,
+                              .candidates = in.candidates,
+                              .scratch = in.scratch};
+    model.Step(jets, std::span<const JetState>(x_), std::span<JetState>(next_));
+    Seed(in, columns, S(0));
+    use(columns);
+  }
+
+  void SetValues(const StepInput<S>& in, std::span<const State> x) {
+    const size_t n = x.size();
+    x_.resize(n);
+    next_.resize(n);
+    force_.resize(n);
+    bodies_.resize(n);
+    for (size_t i = 0; i < n; ++i) {
+      const S* values = reinterpret_cast<const S*>(&x[i]);
+      for (int j = 0; j < kSize; ++j) Entry(i, j) = Jet(values[j]);
+      for (int j = 0; j < 2; ++j) force_[i][j] = Jet(in.force[i][j]);
+      const BodyConstants<S>& body = in.bodies[i];
+      bodies_[i] = {Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed};
+    }
+    contact_ = {
+        Jet(in.contact.restitution), Jet(in.contact.friction), Jet(in.contact.stiffness), Jet(in.contact.damping)};
+  }
+
+  // Number j of the state of disc i.
+  Jet& Entry(size_t i, int j) { return reinterpret_cast<Jet*>(&x_[i])[j]; }
+
+  // Sets the derivatives of the variables of a pass to `one` in their directions.
+  void Seed(const StepInput<S>& in, const Columns& columns, S one) {
+    const int n = static_cast<int>(x_.size());
+    const int forces = n * kSize;
+    const int parameters = n * (kSize + 2);
+    for (int direction = 0; direction < columns.count; ++direction) {
+      const int column = columns.index[direction];
+      if (column < forces) {
+        Entry(column / kSize, column % kSize).v[direction] = one;
+      } else if (column < parameters) {
+        force_[(column - forces) / 2][(column - forces) % 2].v[direction] = one;
+      } else if (column < parameters + 4) {
+        Jet* const contact[] = {&contact_.restitution, &contact_.friction, &contact_.stiffness, &contact_.damping};
+        contact[column - parameters]->v[direction] = one;
+      } else {
+        const int i = column - parameters - 4;
+        bodies_[i].mass.v[direction] = one;
+        if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
+      }
+    }
+  }
+
+  // The columns of states and forces as the model's source has them.
+  static void LinearizeAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x, Matrix* jacobian) {
+    const int n = static_cast<int>(x.size());
+    Eigen::MatrixXd A, B;
+    model.Linearize(in, x, &A, &B);
+    jacobian->leftCols(n * kSize) = A.cast<S>();
+    jacobian->middleCols(n * kSize, 2 * n) = B.cast<S>();
+  }
+
+  std::vector<JetState> x_, next_;
+  std::vector<Vec2<Jet>> force_;
+  std::vector<BodyConstants<Jet>> bodies_;
+  ContactConstants<Jet> contact_;
+  Matrix jacobian_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,32 @@
+// Memory for the temporaries of a step: handed out in a row, released all at once, and kept for the next step.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <memory_resource>
+#include <vector>
+
+namespace saltus {
+
+// After the largest step has been seen once, no allocation reaches the heap.
+class ScratchMemory final : public std::pmr::memory_resource {
+ public:
+  // Takes back everything that was handed out.
+  void Release();
+
+ private:
+  struct Block {
+    std::unique_ptr<std::byte[]> data;
+    std::size_t size;
+  };
+
+  void* do_allocate(std::size_t bytes, std::size_t alignment) override;
+  void do_deallocate(void*, std::size_t, std::size_t) override {}
+  bool do_is_equal(const std::pmr::memory_resource& other) const noexcept override { return this == &other; }
+  void AddBlock(std::size_t size);
+
+  std::vector<Block> blocks_;  // one, unless a step has needed more; the last is in use
+  std::size_t used_ = 0;       // of the last block
+};
+
+}  // namespace saltus
