@@ -1,0 +1,38 @@
+// Many points of one problem at once: multi-start, sampling, studies of initial conditions or controls.
+//
+// Points are shared among threads. Each thread has a simulator of its own and each result a place of its own, so that
+// results have the same bits for any number of threads.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <span>
+#include <string_view>
+#include <vector>
+
+#include "saltus/control/single_shooting.h"
+
+namespace saltus {
+
+class Batch {
+ public:
+  // Points are decision variables of `scene` (single_shooting.h). `threads` at most; 0 is one per core. Preconditions
+  // as those of MakeSimulator.
+  Batch(std::string_view contact, const Scene& scene, Precision precision, int threads = 0);
+
+  int num_variables() const { return shootings_.front()->num_variables(); }
+  int num_threads() const { return static_cast<int>(shootings_.size()); }
+
+  // The losses at P points (P x num_variables(), row by row) and, unless empty, the gradients there (the same shape).
+  // Where rollout or loss are not finite, the loss is NaN, and the gradient too.
+  void Evaluate(std::span<const double> points, std::span<double> losses, std::span<double> gradients = {});
+
+  // Calls job(shooting, i) for i = 0 .. count - 1, each once, from several threads; no two jobs that run at the same
+  // time get the same `shooting`. Results must neither depend on what it has been used for nor share a place.
+  void ForEach(int count, const std::function<void(SingleShooting* shooting, int i)>& job);
+
+ private:
+  std::vector<std::unique_ptr<SingleShooting>> shootings_;  // one per thread
+};
+
+}  // namespace saltus

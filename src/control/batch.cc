@@ -1,0 +1,54 @@
+#include "saltus/control/batch.h"
+
+#include <glog/logging.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <limits>
+#include <thread>
+
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+
+Batch::Batch(std::string_view contact, const Scene& scene, Precision precision, int threads) {
+  CHECK_GE(threads, 0);
+  if (threads == 0) threads = std::max(1u, std::thread::hardware_concurrency());
+  for (int i = 0; i < threads; ++i) {
+    shootings_.push_back(std::make_unique<SingleShooting>(MakeSimulator(contact, scene, precision)));
+  }
+}
+
+void Batch::Evaluate(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
+  const size_t size = num_variables();
+  CHECK_EQ(points.size(), losses.size() * size);
+  CHECK(gradients.empty() || gradients.size() == points.size());
+  ForEach(static_cast<int>(losses.size()), [&](SingleShooting* shooting, int i) {
+    const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * size, size);
+    const bool ok =
+        shooting->Evaluate(points.subspan(i * size, size), &losses[i], gradient.empty() ? nullptr : gradient.data());
+    if (ok) return;
+    losses[i] = std::numeric_limits<double>::quiet_NaN();
+    std::fill(gradient.begin(), gradient.end(), losses[i]);
+  });
+}
+
+void Batch::ForEach(int count, const std::function<void(SingleShooting* shooting, int i)>& job) {
+  if (num_threads() == 1) {
+    for (int i = 0; i < count; ++i) job(shootings_.front().get(), i);
+    return;
+  }
+  tbb::task_arena arena(num_threads());
+  arena.execute([&] {
+    tbb::parallel_for(tbb::blocked_range<int>(0, count), [&](const tbb::blocked_range<int>& range) {
+      SingleShooting* shooting = shootings_[tbb::this_task_arena::current_thread_index()].get();
+      // A job that waits for tasks of its own must not start another job in between.
+      tbb::this_task_arena::isolate([&] {
+        for (int i = range.begin(); i < range.end(); ++i) job(shooting, i);
+      });
+    });
+  });
+}
+
+}  // namespace saltus
