@@ -29,6 +29,8 @@ DEFINE_string(sequence, "auto",
               "others), 'fixed' (that of the initial guess), 'none', or a comma-separated list of pairs with a hyphen, "
               "as striker-target,target-ceiling");
 DEFINE_int32(threads, 0, "threads; 0 is one per core");
+DEFINE_int32(memory_limit, 1024,
+             "MiB for the states of one rollout; what does not fit is simulated again for the gradient");
 DEFINE_string(output_dir, "", "directory for result files (default: none are written)");
 DEFINE_bool(json, false, "print one JSON document instead of tables");
 DEFINE_string(progress, "auto", "auto (a bar on a terminal, else lines), plain or none");
@@ -177,6 +179,8 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   } else if (defaults.learning_rate == 0) {
     request->options.learning_rate = DefaultLearningRate(request->scene);
   }
+  if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
+  request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
   request->threads = ThreadsFromFlags();
   request->output_dir = OutputDirFromFlags();
   if (!request->output_dir.empty()) MakeDirectory(request->output_dir);

@@ -8,6 +8,7 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
     : start_(std::chrono::steady_clock::now()),
       options_(options),
       shooting_(MakeSimulator(request.contact, request.scene, request.precision)) {
+  shooting_.set_memory_limit(options.memory_limit);
   report_.contact = request.contact;
   report_.solver = solver;
 }

@@ -3,6 +3,7 @@
 // A solver knows no contact model: it gets a name and asks the registry of dynamics/ for a simulator.
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <optional>
 #include <string>
@@ -36,6 +37,8 @@ struct SolverOptions {
   // mode_search leave it for others.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
+
+  std::size_t memory_limit = std::size_t{1} << 30;  // bytes, as Simulator::set_memory_limit
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.

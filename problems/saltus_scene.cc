@@ -1,0 +1,3 @@
+#include "programs/make_scene.h"
+
+int main(int argc, char** argv) { return saltus::SceneMain(argc, argv); }
