@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# usage: scripts/bench.sh [output folder] [flags of google-benchmark...]
+# Runs all benchmarks and writes bench.md, bench.svg and bench.png, and the raw results. The folder is results/bench/
+# unless given. Times are of the thread, but a busy machine still blurs them: compare numbers of one run only.
+set -euo pipefail
+
+output=
+if (($# > 0)) && [[ $1 != -* ]]; then
+  output=$(realpath -m -- "$1")
+  shift
+fi
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+output=${output:-$PWD/results/bench}
+mkdir -p "$output"
+
+cmake --preset bench
+cmake --build --preset bench -j "$(nproc)" --target simulation_benchmark solver_benchmark bench_report
+for benchmark in simulation solver; do
+  "build/bench/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
+    --benchmark_out_format=json "$@"
+done
+build/bench/bench/bench_report "$output" "$output/simulation.json" "$output/solver.json"
+echo "Written to $output"
