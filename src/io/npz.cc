@@ -15,6 +15,8 @@
 #include <string_view>
 #include <type_traits>
 
+#include "npy_text.h"
+
 namespace saltus {
 namespace {
 
@@ -85,6 +87,22 @@ StatusOr<NpyArray> DecodeData(std::vector<int64_t> shape, std::string_view bytes
   return NpyArray{std::move(shape), std::move(data)};
 }
 
+StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& descriptor, std::string_view bytes) {
+  const std::string digits = descriptor.substr(std::string(internal::kNpyTextType).size());
+  int width = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), width);
+  if (error != std::errc() || end != digits.data() + digits.size() || width <= 0) {
+    return Status::Error("NPY type '" + descriptor + "' not understood");
+  }
+  std::optional<std::vector<std::string>> texts = internal::DecodeNpyText({width, std::string(bytes)});
+  const std::optional<int64_t> count = Count(shape);
+  if (!texts || !count || texts->size() != static_cast<uint64_t>(*count)) {
+    return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
+                         " bytes of text");
+  }
+  return NpyArray{std::move(shape), std::move(*texts)};
+}
+
 struct ZipDiscard {
   void operator()(zip_t* archive) const { zip_discard(archive); }
 };
@@ -138,9 +156,14 @@ std::string EncodeNpy(const NpyArray& array) {
         const std::optional<int64_t> count = Count(array.shape);
         CHECK(count && static_cast<uint64_t>(*count) == data.size())
             << "shape " << ShapeTuple(array.shape) << " with " << data.size() << " entries";
-        std::string bytes = Header(Descriptor<T>(), array.shape);
-        bytes.append(reinterpret_cast<const char*>(data.data()), data.size() * sizeof(T));
-        return bytes;
+        if constexpr (std::is_same_v<T, std::string>) {
+          const internal::NpyText text = internal::EncodeNpyText(data);
+          return Header(internal::kNpyTextType + std::to_string(text.width), array.shape) + text.bytes;
+        } else {
+          std::string bytes = Header(Descriptor<T>(), array.shape);
+          bytes.append(reinterpret_cast<const char*>(data.data()), data.size() * sizeof(T));
+          return bytes;
+        }
       },
       array.data);
 }
@@ -164,7 +187,8 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
   if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(*shape), data);
   if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(*shape), data);
   if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(*shape), data);
-  return Status::Error("NPY type '" + descriptor + "'; expected <f8, <f4 or <i8");
+  if (descriptor.starts_with(internal::kNpyTextType)) return DecodeText(std::move(*shape), descriptor, data);
+  return Status::Error("NPY type '" + descriptor + "'; expected <f8, <f4, <i8 or <U");
 }
 
 Status WriteNpz(const std::string& path, const NpzArrays& arrays) {

@@ -35,6 +35,13 @@ const char kNumpyIntegers[] =
     "617065273a2028322c292c207d2020202020202020202020202020202020202020202020202020202020202020202020202020202020"
     "202020202020202020202020202020202020200a0700000000000000ffffffffffffffff";
 
+// The same for numpy.array(["event", "ü≤😀", ""]).
+const char kNumpyText[] =
+    "934e554d5059010076007b276465736372273a20273c5535272c2027666f727472616e5f6f72646572273a2046616c73652c20277368"
+    "617065273a2028332c292c207d2020202020202020202020202020202020202020202020202020202020202020202020202020202020"
+    "202020202020202020202020202020202020200a6500000076000000650000006e00000074000000fc0000006422000000f601000000"
+    "0000000000000000000000000000000000000000000000000000";
+
 // numpy.savez_compressed(loss=numpy.array([0.25], dtype=numpy.float32), s=numpy.float64(3)).
 const char kNumpyArchive[] =
     "504b030414000000080000002100c70650044800000084000000080014006c6f73732e6e707901001000840000000000000048000000"
@@ -59,6 +66,21 @@ TEST(NpyTest, ReadsWhatNumpyWrites) {
   const StatusOr<NpyArray> integers = DecodeNpy(FromHex(kNumpyIntegers));
   ASSERT_TRUE(integers.ok()) << integers.status().message();
   EXPECT_THAT(std::get<std::vector<int64_t>>(integers->data), ElementsAre(7, -1));
+}
+
+TEST(NpyTest, TextIsAsNumpyHasIt) {
+  const NpyArray array{{3}, std::vector<std::string>{"event", "ü≤😀", ""}};
+  EXPECT_EQ(EncodeNpy(array), FromHex(kNumpyText));
+  const StatusOr<NpyArray> read = DecodeNpy(FromHex(kNumpyText));
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  EXPECT_EQ(*read, array);
+}
+
+TEST(NpyTest, TextThatIsNotUtf8BecomesReplacementCharacters) {
+  const std::string cut_off = "a\xe2\x89", lone = "\x80z", no_lead = "\xff";
+  const StatusOr<NpyArray> read = DecodeNpy(EncodeNpy({{3}, std::vector<std::string>{cut_off, lone, no_lead}}));
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  EXPECT_THAT(std::get<std::vector<std::string>>(read->data), ElementsAre("a\ufffd", "\ufffdz", "\ufffd"));
 }
 
 TEST(NpyTest, DataStartAtAMultipleOf64AfterALineFeed) {

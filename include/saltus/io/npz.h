@@ -19,7 +19,8 @@ namespace saltus {
 struct NpyArray {
   std::vector<int64_t> shape;
   // Entries in C order (last index fastest), as many as the product of the shape.
-  std::variant<std::vector<double>, std::vector<float>, std::vector<int64_t>> data;
+  // Text is UTF-8 without zeros (in files UTF-32, as NumPy's str_).
+  std::variant<std::vector<double>, std::vector<float>, std::vector<int64_t>, std::vector<std::string>> data;
 
   bool operator==(const NpyArray&) const = default;
 };
@@ -30,7 +31,7 @@ using NpzArrays = std::map<std::string, NpyArray>;
 // The bytes of one .npy file. Precondition: data and shape agree, no dimension is negative.
 std::string EncodeNpy(const NpyArray& array);
 
-// Reads version 1.0 files of little-endian float64, float32 or int64 in C order; anything else is an error.
+// Reads version 1.0 files of little-endian float64, float32, int64 or str_ in C order; anything else is an error.
 StatusOr<NpyArray> DecodeNpy(const std::string& bytes);
 
 // Writes the archive, replacing what stood at `path` only once it is complete. Equal arrays give equal bytes (no time
