@@ -329,6 +329,12 @@ class ScriptWriter {
 
   void Shapes(const Panel& panel, const Range& x, const Range& y) {
     for (const SolidHalfPlane& half_plane : panel.half_planes) Ground(half_plane, x, y);
+    for (const Rectangle& rectangle : panel.rectangles) {
+      // The border closes the gaps that antialiasing leaves between neighbours.
+      Line("set object rectangle from " + Number(rectangle.from[0]) + "," + Number(rectangle.from[1]) + " to " +
+           Number(rectangle.to[0]) + "," + Number(rectangle.to[1]) + " behind fc rgb " + Quote(rectangle.colour) +
+           " fs solid border rgb " + Quote(rectangle.colour) + " lw 0.5");
+    }
     for (const Circle& circle : panel.circles) {
       Line("set object circle at " + Number(circle.centre[0]) + "," + Number(circle.centre[1]) + " size " +
            Number(circle.radius) + " front fc rgb " + Quote(circle.colour) + " fs transparent solid " +

@@ -137,6 +137,12 @@ std::pair<Range, Range> AxisRanges(const Panel& panel, const Box& box) {
     for (const double value : series.y) y.Add(value);
   }
   for (const ReferenceLine& line : panel.reference_lines) (line.vertical ? x : y).Add(line.value);
+  for (const Rectangle& rectangle : panel.rectangles) {
+    for (const auto& corner : {rectangle.from, rectangle.to}) {
+      x.Add(corner[0]);
+      y.Add(corner[1]);
+    }
+  }
   for (const Circle& circle : panel.circles) {
     for (const double side : {-1.0, 1.0}) {
       x.Add(circle.centre[0] + side * circle.radius);

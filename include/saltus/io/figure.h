@@ -52,6 +52,13 @@ struct Circle {
   double opacity = 0.15;  // of the inside
 };
 
+// Filled, without a border: a cell of a heat map.
+struct Rectangle {
+  std::array<double, 2> from = {0, 0};
+  std::array<double, 2> to = {0, 0};
+  std::string colour = "#000000";
+};
+
 struct Segment {
   std::array<double, 2> from = {0, 0};
   std::array<double, 2> to = {0, 0};
@@ -73,6 +80,7 @@ struct Panel {
   bool equal_aspect = false;  // one unit is as long in x as in y; widens a range
   std::vector<Series> series;
   std::vector<ReferenceLine> reference_lines;
+  std::vector<Rectangle> rectangles;
   std::vector<Circle> circles;
   std::vector<Segment> segments;
   std::vector<SolidHalfPlane> half_planes;
