@@ -1,14 +1,13 @@
 // The programs as a user runs them: exit codes, JSON keys, CSV.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
 #include <array>
-#include <cstdio>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "programs/run_program.h"
 #include "saltus/io/table.h"
 
 namespace saltus {
@@ -16,29 +15,6 @@ namespace {
 
 using nlohmann::json;
 using testing::HasSubstr;
-
-struct Outcome {
-  int exit_code = -1;
-  std::string output;  // stdout
-  std::string errors;  // stderr
-};
-
-Outcome RunProgram(const std::string& command) {
-  const std::string errors = testing::TempDir() + "/errors_" + std::to_string(getpid());
-  Outcome outcome;
-  FILE* pipe = popen((SALTUS_BINARY_DIR "/problems/" + command + " 2>" + errors).c_str(), "r");
-  std::array<char, 4096> buffer;
-  for (size_t count; (count = fread(buffer.data(), 1, buffer.size(), pipe)) > 0;) {
-    outcome.output.append(buffer.data(), count);
-  }
-  const int status = pclose(pipe);
-  outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  std::ifstream file(errors);
-  outcome.errors.assign(std::istreambuf_iterator<char>(file), {});
-  return outcome;
-}
-
-std::string Scene(const std::string& name) { return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml "; }
 
 TEST(CommandLine, TwoBallsByGradientDescent) {
   const Outcome outcome = RunProgram("two_balls --contact=direct_toi --solver=gd --json --progress=none");
