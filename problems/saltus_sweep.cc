@@ -1,3 +1,3 @@
-#include "programs/sweep.h"
+#include "programs/sweep/sweep.h"
 
 int main(int argc, char** argv) { return saltus::SweepMain(argc, argv); }

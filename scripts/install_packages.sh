@@ -6,7 +6,8 @@ set -euo pipefail
 packages=(
   g++ cmake ninja-build pkg-config
   libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
-  libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev
+  libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev libsqlite3-dev
+  libopenmpi-dev openmpi-bin # sweeps on many machines
   gnuplot-nox fonts-dejavu-core # figures, and a font for them
   libgtest-dev libgmock-dev libbenchmark-dev
   "$@"

@@ -1,0 +1,35 @@
+// The results of a sweep for people and programs: table, arrays, JSON, and a word on what failed.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "programs/json_output.h"
+#include "programs/sweep/store.h"
+#include "saltus/io/npz.h"
+#include "saltus/io/table.h"
+
+namespace saltus {
+
+struct StoredPoint {
+  int64_t point = 0;
+  PointResult result;
+};
+
+// In ascending order.
+std::vector<StoredPoint> AllPoints(const SweepStore& store);
+
+Table SweepTable(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// One array a column, under the column's name, and "point". Numbers are float64, what is missing is NaN; text is str_.
+NpzArrays SweepArrays(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// {"scene": ..., "points": [{"point": 0, "stiffness": 100, ..., "status": "done"}, ...]}
+Json SweepJson(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// "10 points: 7 done, 1 not applicable, 2 failed", then a line for every reason with how often it occurs and where
+// first; of many reasons the most frequent ones.
+std::string Summary(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+}  // namespace saltus

@@ -1,0 +1,136 @@
+#include "programs/sweep/point.h"
+
+#include <chrono>
+#include <cmath>
+
+#include "saltus/audit/audit.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/io/table.h"
+
+namespace saltus {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+PointResult StartRow(const SweepStudy& study, int64_t point) { return {PointStatus::kComputed, study.Values(point)}; }
+
+void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
+  row->insert(row->end(), values.begin(), values.end());
+}
+
+PointStatus StatusOf(Termination termination) {
+  if (termination == Termination::kNotApplicable) return PointStatus::kNotApplicable;
+  // Only the time limit interrupts a solver here.
+  const bool failed = termination == Termination::kFailed || termination == Termination::kInterrupted;
+  return failed ? PointStatus::kFailed : PointStatus::kComputed;
+}
+
+SweepValue ExactLoss(const Request& request, const SolveReport& report) {
+  const ExactRun exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
+  return exact.ok ? FiniteOrNothing(exact.loss) : SweepValue();
+}
+
+PointResult SolvePoint(const Request& request, double seconds, PointResult result) {
+  const Clock::time_point deadline =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
+  SolverOptions options = request.options;
+  if (seconds > 0) options.callback = [&](int, double) { return Clock::now() < deadline; };
+  const SolveReport report =
+      Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  result.status = StatusOf(report.termination);
+  const std::vector<double>& losses = report.losses;
+  if (losses.empty()) {
+    result.row.resize(result.row.size() + 7);
+  } else {
+    Append({FiniteOrNothing(report.initial_loss),
+            FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+            FiniteOrNothing(report.final_loss),
+            ExactLoss(request, report),
+            int64_t{report.iterations},
+            int64_t{report.evaluations},
+            report.seconds},
+           &result.row);
+  }
+  const bool stopped = report.termination == Termination::kInterrupted;
+  const Termination termination = stopped ? Termination::kFailed : report.termination;
+  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : report.reason},
+         &result.row);
+  return result;
+}
+
+double Norm(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) sum += value * value;
+  return std::sqrt(sum);
+}
+
+// x and y of every body, from B x 4 numbers; offset 0 for positions, 2 for velocities.
+std::vector<double> Pairs(const std::vector<double>& initial, size_t offset) {
+  std::vector<double> pairs;
+  for (size_t i = 0; i < initial.size(); i += 4) {
+    pairs.insert(pairs.end(), {initial[i + offset], initial[i + offset + 1]});
+  }
+  return pairs;
+}
+
+PointResult GradientPoint(const Request& request, PointResult result) {
+  const ModelGradient gradient = ComputeGradient(request.contacts[0], request.scene, request.precision);
+  if (!gradient.ok()) {
+    const bool can = WhyNotApplicable(request.contacts[0], request.scene).empty();
+    result.status = can ? PointStatus::kFailed : PointStatus::kNotApplicable;
+    Append({{}, {}, {}, {}, {}, gradient.reason}, &result.row);
+    return result;
+  }
+  SweepValue error;
+  if (const std::optional<ModelGradient> exact = ExactGradientOf(request.scene)) {
+    error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+  }
+  Append({FiniteOrNothing(gradient.loss),
+          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
+          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 2))),
+          FiniteOrNothing(Norm(gradient.gradient.control)),
+          error,
+          std::string()},
+         &result.row);
+  return result;
+}
+
+}  // namespace
+
+std::vector<std::string> ResultColumns(bool solving) {
+  if (!solving) return {"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error", "reason"};
+  return {"initial_loss",
+          "loss_before_last",
+          "final_loss",
+          "exact_loss",
+          "iterations",
+          "evaluations",
+          "seconds",
+          "termination",
+          "reason"};
+}
+
+std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
+
+PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds) {
+  try {
+    const Request request = study.At(point);
+    PointResult result = StartRow(study, point);
+    return study.solving() ? SolvePoint(request, seconds, std::move(result))
+                           : GradientPoint(request, std::move(result));
+  } catch (const InputError& error) {
+    return FailedPoint(study, point, error.what());
+  }
+}
+
+PointResult FailedPoint(const SweepStudy& study, int64_t point, const std::string& reason) {
+  PointResult result = StartRow(study, point);
+  result.status = PointStatus::kFailed;
+  result.row.resize(study.columns().size());
+  if (study.solving()) result.row[result.row.size() - 2] = std::string(TerminationToString(Termination::kFailed));
+  result.row.back() = reason;
+  return result;
+}
+
+}  // namespace saltus

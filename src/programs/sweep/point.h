@@ -1,0 +1,28 @@
+// One point of a sweep: a row of results, or of the reason why there are none.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "programs/sweep/study.h"
+
+namespace saltus {
+
+// The columns after those of the options. A solve is
+//   initial_loss, loss_before_last, final_loss, exact_loss, iterations, evaluations, seconds, termination, reason,
+// a gradient (at the initial guess)
+//   loss, norm_dposition, norm_dvelocity, norm_dcontrol (of its parts), relative_error (to the exact one), reason.
+std::vector<std::string> ResultColumns(bool solving);
+
+// Computes a point. A solver is stopped after `seconds` (0: never), and then the row holds what it had reached. All but
+// the column "seconds" of a point that is not stopped is the same on every call.
+PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds);
+
+// Why a point was stopped after so many seconds.
+std::string TimeLimitReason(double seconds);
+
+// The row of a point of which nothing is known but why it failed.
+PointResult FailedPoint(const SweepStudy& study, int64_t point, const std::string& reason);
+
+}  // namespace saltus

@@ -1,0 +1,26 @@
+// The loop of a sweep: hands points to an executor and stores what comes back.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "programs/sweep/executor.h"
+#include "programs/sweep/store.h"
+#include "saltus/io/progress.h"
+
+namespace saltus {
+
+// One of several parts of a study: the points whose number leaves the remainder index - 1 when divided by count.
+struct Shard {
+  int index = 1;
+  int count = 1;
+};
+
+// The points of a part that are not stored yet, in ascending order.
+std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store);
+
+// Computes and stores `points` until all are stored or the program is interrupted. Returns the store's error, if it
+// takes no more.
+Status RunPoints(const std::vector<int64_t>& points, SweepExecutor* executor, SweepStore* store, Progress* progress);
+
+}  // namespace saltus
