@@ -19,6 +19,7 @@ constexpr double kLogLossFrom = 100;
 constexpr size_t kMostMarks = 40;
 constexpr size_t kMostPanels = 9;
 constexpr int kLevels = 7;  // in the legend of a map
+constexpr double kLevelWidth = 14;
 
 struct Unit {
   const char* option;
@@ -226,6 +227,25 @@ SweepFigure LossFigure(const Results& results, const std::string& option) {
   return {"loss_against_" + option, figure};
 }
 
+// The order in which an error goes to zero, of the finer half of the steps: coarse ones are not there yet.
+std::string OrderLabel(const Series& series) {
+  std::vector<double> x, y;
+  for (size_t i = 0; i < series.x.size(); ++i) {
+    if (!(series.y[i] > 0)) continue;
+    x.push_back(series.x[i]);
+    y.push_back(series.y[i]);
+  }
+  if (x.empty()) return "exact";
+  const size_t finer = std::max<size_t>(3, (x.size() + 1) / 2);
+  x.resize(std::min(finer, x.size()));
+  y.resize(x.size());
+  const double order = Order(x, y);
+  if (!std::isfinite(order)) return "too few steps";
+  std::array<char, 32> text;
+  std::snprintf(text.data(), text.size(), "order %s%.2f", order <= -0.005 ? "−" : "", std::abs(order));
+  return text.data();
+}
+
 SweepFigure GradientErrorFigure(const Results& results) {
   const Scene& scene = results.study().request().scene;
   const auto dt = [&](size_t row) {
@@ -236,15 +256,7 @@ SweepFigure GradientErrorFigure(const Results& results) {
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
   for (Series& series : panel.series) {
-    if (!series.line) continue;
-    const double order = Order(series.x, series.y);
-    if (std::isfinite(order)) {
-      std::array<char, 32> text;
-      std::snprintf(text.data(), text.size(), ": order %.2f", order);
-      series.label += text.data();
-    } else {
-      series.label += ": exact";
-    }
+    if (series.line) series.label += ": " + OrderLabel(series);
   }
   Figure figure;
   figure.title = scene.name + ": error of the gradient" + results.Over("largest", {"steps", "duration"});
@@ -291,8 +303,7 @@ class ColourScale {
                         .x = {},
                         .y = {},
                         .colour = Colour(std::clamp(value, extent_.least, extent_.most)),
-                        .marker = Marker::kSquare,
-                        .line = false});
+                        .width = kLevelWidth});
     }
     return levels;
   }
