@@ -9,6 +9,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <thread>
 
 namespace saltus {
@@ -17,11 +18,23 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using std::chrono::microseconds;
 
-// A rank says something at least every kHeartbeat: its one thread only passes messages on, its workers compute.
+// Everyone says something at least every kHeartbeat: the one thread of a rank only passes messages on, its workers
+// compute. Rank 0 may be silent for longer, while it looks for the points that are missing.
 constexpr std::chrono::milliseconds kHeartbeat(500);
 constexpr std::chrono::seconds kSilence(5);
+constexpr std::chrono::minutes kSilenceOfRank0(5);
 
-enum Tag { kHello, kDecline, kPoint, kResult, kAlive, kStop };
+enum Tag {
+  kHello,     // a rank joins: how many points at a time, and of which study
+  kDecline,   // or does not: why
+  kPoint,     // rank 0 wants a point
+  kResult,    // and gets it
+  kAlive,     // nothing new
+  kStop,      // rank 0 wants no more
+  kBye,       // a rank has stopped
+  kFinalize,  // all have: leave together
+  kLeave,     // some are gone: leave without waiting for them, which MPI_Finalize would do for ever
+};
 
 // MPI's own waiting keeps a core busy, so messages are looked for, less and less often while there are none.
 class Patience {
@@ -78,8 +91,12 @@ std::string Hello(const SweepStudy& study, int workers) {
 
 class ClusterExecutor : public SweepExecutor {
  public:
-  ClusterExecutor(const SweepStudy& study, int ranks, LocalExecutor* local)
-      : expected_hello_(Hello(study, 0).substr(sizeof(int64_t))), local_(*local), ranks_(static_cast<size_t>(ranks)) {}
+  ClusterExecutor(const SweepStudy& study, MpiCluster* cluster, LocalExecutor* local)
+      : cluster_(*cluster),
+        expected_hello_(Hello(study, 0).substr(sizeof(int64_t))),
+        local_(*local),
+        ranks_(static_cast<size_t>(cluster->size())) {}
+  ~ClusterExecutor() override { cluster_.Dismiss(Lost()); }
 
   bool HasRoom() const override { return orphans_.empty() && HasFreeWorker(); }
 
@@ -104,6 +121,7 @@ class ClusterExecutor : public SweepExecutor {
       const bool hello = ReceiveAll(&points);
       GiveUpSilentRanks();
       RestartOrphans();
+      SayAlive();
       // A new rank has room, whom the caller should know of.
       if (hello) return points;
       for (FinishedPoint& point : local_.Wait(points.empty() ? patience_.Next() : microseconds(0))) {
@@ -120,6 +138,14 @@ class ClusterExecutor : public SweepExecutor {
     bool lost = false;
     Clock::time_point heard;
   };
+
+  std::set<int> Lost() const {
+    std::set<int> lost;
+    for (size_t rank = 1; rank < ranks_.size(); ++rank) {
+      if (ranks_[rank].lost) lost.insert(static_cast<int>(rank));
+    }
+    return lost;
+  }
 
   int FreeRank() const {
     for (size_t rank = 1; rank < ranks_.size(); ++rank) {
@@ -159,7 +185,8 @@ class ClusterExecutor : public SweepExecutor {
   }
 
   void LeaveOut(int rank, const std::string& why) {
-    ranks_[rank].lost = true;
+    // Nothing is asked of it or expected from it.
+    ranks_[rank] = Rank();
     LOG(ERROR) << "rank " << rank << " is left out: " << why;
   }
 
@@ -191,6 +218,14 @@ class ClusterExecutor : public SweepExecutor {
     }
   }
 
+  void SayAlive() {
+    if (Clock::now() - said_alive_ < kHeartbeat) return;
+    said_alive_ = Clock::now();
+    for (size_t rank = 1; rank < ranks_.size(); ++rank) {
+      if (!ranks_[rank].lost) Send(static_cast<int>(rank), kAlive, "");
+    }
+  }
+
   void RestartOrphans() {
     while (!orphans_.empty() && HasFreeWorker()) {
       const int64_t point = orphans_.front();
@@ -199,11 +234,13 @@ class ClusterExecutor : public SweepExecutor {
     }
   }
 
+  MpiCluster& cluster_;
   std::string expected_hello_;
   LocalExecutor& local_;
   std::vector<Rank> ranks_;
   std::map<int64_t, int> away_;  // points that are being computed by other ranks
   std::deque<int64_t> orphans_;  // points of ranks that were given up
+  Clock::time_point said_alive_;
   Patience patience_;
 };
 
@@ -222,24 +259,69 @@ MpiCluster::MpiCluster() {
 }
 
 MpiCluster::~MpiCluster() {
-  for (int rank = 1; rank_ == 0 && rank < size_; ++rank) Send(rank, kStop, "");
-  MPI_Finalize();
+  if (rank_ == 0) {
+    Dismiss({});
+  } else {
+    AwaitDismissal();
+  }
+  if (complete_) MPI_Finalize();
+}
+
+void MpiCluster::Dismiss(const std::set<int>& lost) {
+  if (dismissed_) return;
+  dismissed_ = true;
+  std::set<int> missing;
+  for (int rank = 1; rank < size_; ++rank) {
+    Send(rank, kStop, "");
+    if (!lost.contains(rank)) missing.insert(rank);
+  }
+  const Clock::time_point end = Clock::now() + kSilence;
+  for (Patience patience; !missing.empty() && Clock::now() < end;) {
+    if (const std::optional<Message> message = Receive()) {
+      if (message->tag == kBye) missing.erase(message->source);
+    } else {
+      std::this_thread::sleep_for(patience.Next());
+    }
+  }
+  complete_ = missing.empty() && lost.empty();
+  for (int rank = 1; rank < size_; ++rank) {
+    Send(rank, complete_ ? kFinalize : kLeave, "");
+  }
+}
+
+void MpiCluster::AwaitDismissal() {
+  Clock::time_point heard = Clock::now();
+  for (Patience patience; Clock::now() - heard < kSilenceOfRank0;) {
+    const std::optional<Message> message = Receive();
+    if (!message) {
+      std::this_thread::sleep_for(patience.Next());
+      continue;
+    }
+    heard = Clock::now();
+    if (message->tag == kStop) Send(0, kBye, "");
+    complete_ = message->tag == kFinalize;
+    if (message->tag == kFinalize || message->tag == kLeave) return;
+  }
 }
 
 std::unique_ptr<SweepExecutor> MpiCluster::Share(const SweepStudy& study, LocalExecutor* local) {
   CHECK_EQ(rank_, 0);
-  return std::make_unique<ClusterExecutor>(study, size_, local);
+  return std::make_unique<ClusterExecutor>(study, this, local);
 }
 
 void MpiCluster::Serve(const SweepStudy& study, LocalExecutor* local) {
   Send(0, kHello, Hello(study, local->size()));
-  Clock::time_point said = Clock::now();
+  Clock::time_point said = Clock::now(), heard = said;
   Patience patience;
   std::deque<int64_t> waiting;
-  while (true) {
+  while (Clock::now() - heard < kSilenceOfRank0) {
     while (const std::optional<Message> message = Receive()) {
-      if (message->tag == kStop) return;
-      waiting.push_back(UnpackPoint(message->bytes));
+      heard = Clock::now();
+      if (message->tag == kStop) {
+        Send(0, kBye, "");
+        return;
+      }
+      if (message->tag == kPoint) waiting.push_back(UnpackPoint(message->bytes));
       patience.Reset();
     }
     for (; !waiting.empty() && local->HasRoom(); waiting.pop_front()) local->Start(waiting.front());

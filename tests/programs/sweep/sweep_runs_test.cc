@@ -316,7 +316,7 @@ TEST_F(SweepOnRanksTest, ARankThatDiesLosesOnlyItsCurrentPoint) {
   const pid_t rank = ReadProcessId(ids + ".2");
   std::this_thread::sleep_for(200ms);
   EXPECT_EQ(kill(rank, SIGKILL), 0) << "it was over too soon";
-  EXPECT_EQ(program.Wait(), 0);
+  EXPECT_EQ(program.Wait(), 0);  // and does end
   EXPECT_EQ(StoredPoints(Store()).size(), 300u);
   const StatusOr<CsvDocument> csv = ReadCsv(directory_ + "/sweep.csv");
   ASSERT_TRUE(csv.ok());
