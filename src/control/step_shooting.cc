@@ -9,10 +9,8 @@
 
 namespace saltus {
 
-StepShooting::StepShooting(const SingleShooting* shooting)
-    : shooting_(shooting),
-      states_(StatesOf(shooting->simulator())),
-      control_(shooting->ControlAt(shooting->initial_guess())) {
+StepShooting::StepShooting(const SingleShooting* shooting, std::span<const double> z)
+    : shooting_(shooting), states_(StatesOf(shooting->simulator())), control_(shooting->ControlAt(z)) {
   const Scene& scene = shooting->scene();
   if (scene.optimize != Optimize::kVelocity && scene.optimize != Optimize::kPosition) return;
   const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;

@@ -38,7 +38,7 @@ ceres::CallbackReturnType RecordIteration::operator()(const ceres::IterationSumm
   return Record(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
 }
 
-SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
+Termination RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
   const Termination termination = Judge(outcome);
   if (termination != Termination::kInterrupted) {
     for (size_t i = run->num_recorded(); i < outcome.iterations.size(); ++i) record->Record(outcome.iterations[i]);
@@ -46,6 +46,11 @@ SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const dou
   // Where the gradient vanishes at the initial guess, the line search solver reports no iteration at all.
   double loss = 0;
   if (run->num_recorded() == 0 && run->shooting().Evaluate(z, &loss, nullptr)) run->Record(loss, z);
+  return termination;
+}
+
+SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
+  const Termination termination = RecordEnd(run, record, z, outcome);
   return run->Finish(z, termination, outcome.message);
 }
 

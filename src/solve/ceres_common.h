@@ -56,9 +56,12 @@ struct CeresOutcome {
 // The effort of a control that is not optimized: a constant that Ceres does not see.
 double GivenEffort(const SingleShooting& shooting);
 
-// Of a run that ends at z: records what the callback was not shown and writes the report. Converged means that the
-// gradient has vanished. A tolerance on steps or losses
-// says no such thing: where the loss has a kink, steps shrink until it is met.
+// Records what the callback was not shown of a run that ends at z, and says how it ended. Converged means that the
+// gradient has vanished. A tolerance on steps or losses says no such thing: where the loss has a kink, steps shrink
+// until it is met.
+Termination RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
+
+// Does so, and writes the report.
 SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
 }  // namespace saltus

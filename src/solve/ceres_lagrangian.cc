@@ -89,7 +89,7 @@ class Rounds {
   Rounds(SolveRun* run, const std::vector<double>& guess)
       : run_(run),
         z_(guess),
-        variables_(&run->shooting()),
+        variables_(&run->shooting(), guess),
         step_cost_(MakeStepCost(run->shooting().simulator())),
         mu_(1 / run->shooting().simulator().step()),
         read_(&variables_, &z_),

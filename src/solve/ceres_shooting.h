@@ -1,16 +1,12 @@
-// Step shooting along a feasible path, by ceres::Solver with sparse linear algebra: Levenberg-Marquardt with states and
-// forces as variables, whose costs are evaluated not where Ceres believes the states to be, but where a rollout of the
-// forces brings them.
+// Step shooting along a feasible path, by ceres::Solver with sparse linear algebra: see path_problem.h. Iterates are
+// those of Gauss-Newton in the forces alone; what differs from ceres_lm is the linear algebra, whose cost grows with
+// the steps and not with the terminal residuals, and the damping, which is of states and forces alike.
 //
-// All defects c_k = x_{k+1} - f(x_k, u_k) are then zero at every iterate, and what a step promises is compared with
-// what its rollout keeps. A step minimizes the linearized terminal and effort terms plus those of the Lagrangian,
-//
-//   sum_k |w c_k + y_k / w|^2,   y_{K-1} = -r_x^T r(x_K),   y_{k-1} = (df_k/dx)^T y_k,
-//
-// with the costates y of the path, so that it vanishes exactly where the gradient of the loss does, and the gradient
-// that Ceres computes is that of the loss by the forces. Iterates are those of Gauss-Newton in the forces alone, to
-// about 1 / w^2; what differs from ceres_lm is the linear algebra, whose cost grows with the steps and not with the
-// terminal residuals, and the damping, which is of states and forces alike.
+// With exact impact times, forces that are constant on a grid make the loss kink wherever an impact crosses a node, and
+// each of many nodes is a local minimum at which this must stall. It then holds the impacts on their nodes, where the
+// loss is smooth, and moves them from node to node while that helps. Such an end has converged if it is stationary in
+// the sense of Clarke: the gradients g_e and g_l as if the impact were just before and just after the node balance,
+// theta g_e + (1 - theta) g_l = 0 for a theta in [0, 1].
 #pragma once
 
 #include "saltus/solve/solver.h"

@@ -27,7 +27,7 @@ double ExactLoss(const Scene& scene, const SolveReport& report) {
 
 class FeasiblePath : public testing::TestWithParam<std::tuple<const char*, int>> {};
 
-// 1.3991 is what 1000 exact gradient steps reach, 1.39654 the optimum. It sits on a kink: nothing converges there.
+// 1.3991 is what 1000 exact gradient steps reach, 1.39654 the optimum.
 TEST_P(FeasiblePath, BeatsGradientDescentOnTwoBalls) {
   const auto [contact, steps] = GetParam();
   Scene scene = ProblemScene("two_balls");
@@ -38,15 +38,48 @@ TEST_P(FeasiblePath, BeatsGradientDescentOnTwoBalls) {
   EXPECT_GE(exact, 1.396542160123);
   EXPECT_EQ(report.defects.back().size(), static_cast<size_t>(steps));
   EXPECT_LT(LargestDefect(report), 1e-9);
-  if (contact == std::string("event")) {
-    EXPECT_NEAR(report.final_loss, exact, 1e-12);
-  }
-  EXPECT_EQ(report.termination, Termination::kNoProgress);
-  EXPECT_LE(report.iterations, 100);
+  EXPECT_LE(report.iterations, 400);
+  EXPECT_EQ(report.losses.size(), report.iterations + 1u);
 }
 
 INSTANTIATE_TEST_SUITE_P(Grids, FeasiblePath,
                          testing::Combine(testing::Values("event", "toi_velocity"), testing::Values(480, 1000)));
+
+// The best control on a grid, with the impact on the right node; values from 50-digit arithmetic. Other solvers, and
+// this one without moving impacts, stall at another node.
+TEST(CeresShooting, MovesTheImpactToTheBestNode) {
+  const struct {
+    const char* problem;
+    int steps;
+    double loss, tolerance;
+    const char* node;
+  } cases[] = {{"two_balls", 480, 1.39654310059879899, 1e-9, "node 328"},
+               {"two_balls", 1000, 1.39654323006339811, 1e-9, "node 683"},
+               {"single_collision", 480, 0.311418376820024856, 1e-5, "node 221"}};
+  for (const auto& [problem, steps, loss, tolerance, node] : cases) {
+    Scene scene = ProblemScene(problem);
+    scene.steps = steps;
+    const SolveReport report = Solve("ceres_shooting", {scene, "event"}, {});
+    EXPECT_NEAR(report.final_loss, loss, tolerance) << problem << steps;
+    EXPECT_GE(report.final_loss, loss - 1e-12) << problem << steps;
+    EXPECT_NEAR(ExactLoss(scene, report), report.final_loss, 1e-12);
+    EXPECT_THAT(report.reason, HasSubstr(node));
+    EXPECT_THAT(report.reason, testing::AnyOf(HasSubstr("theta 0.5"), HasSubstr("theta 0.48"))) << problem << steps;
+    for (size_t k = 1; k < report.losses.size(); ++k) EXPECT_LE(report.losses[k], report.losses[k - 1] + 1e-9);
+  }
+}
+
+TEST(CeresShooting, IsToldToStopWhileItMovesImpacts) {
+  const Scene scene = ProblemScene("two_balls");
+  SolverOptions options;
+  options.callback = [](int iteration, double) { return iteration < 90; };
+  const SolveReport stopped = Solve("ceres_shooting", {scene, "event"}, options);
+  EXPECT_EQ(stopped.termination, Termination::kInterrupted);
+  EXPECT_EQ(stopped.iterations, 90);
+  const SolveReport limited = Solve("ceres_shooting", {scene, "event"}, {.iterations = 90});
+  EXPECT_EQ(limited.termination, Termination::kIterationLimit);
+  EXPECT_LE(limited.iterations, 90);
+}
 
 // Without damping to speak of, a step is that of Gauss-Newton in the forces, J the Jacobian of all residuals by them.
 TEST(CeresShooting, TakesTheGaussNewtonStepThroughACollision) {

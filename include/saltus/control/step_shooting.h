@@ -19,9 +19,9 @@ namespace saltus {
 
 class StepShooting {
  public:
-  // States and forces are those of the last rollout of `shooting`, which was at its initial guess and must outlive the
-  // object. The objective must be a sum of squares.
-  explicit StepShooting(const SingleShooting* shooting);
+  // States and forces are those of the last rollout of `shooting`, which was at the decision variables z and must
+  // outlive the object. The objective must be a sum of squares.
+  StepShooting(const SingleShooting* shooting, std::span<const double> z);
 
   const SingleShooting& shooting() const { return *shooting_; }
   const Simulator& simulator() const { return shooting_->simulator(); }
