@@ -185,6 +185,21 @@ TEST_P(General, TwoMethodsAgree) {
   }
 }
 
+// The certificate knows nothing of phases: it reads the costates off the control and the exact motion.
+TEST_P(General, BothAreCertified) {
+  const Scene& scene = GetParam().scene;
+  EXPECT_EQ(SolveCase(GetParam(), "hmp").certificate->verdict, Certificate::Verdict::kOptimal);
+  const SolveReport report = SolveCase(GetParam(), "ceres_event");
+  const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  EXPECT_EQ(certificate.verdict, Certificate::Verdict::kOptimal) << certificate.reason;
+  EXPECT_LT(certificate.costate_jump, 1e-6);
+  EXPECT_LT(certificate.hamiltonian, 1e-6);
+  SolveReport changed = report;
+  changed.control[report.control.size() / 8 * 2] *= 1.01;
+  EXPECT_EQ(Certify(scene, changed.initial_state, changed.control, changed.durations).verdict,
+            Certificate::Verdict::kNotOptimal);
+}
+
 // The control found is better than its neighbours, judged by exact simulation alone.
 TEST_P(General, NoPerturbationIsBetter) {
   const Scene& scene = GetParam().scene;
