@@ -257,17 +257,15 @@ TEST_P(ByPhases, StopsWhenTold) {
   EXPECT_EQ(report.iterations, 3);
 }
 
-// Along "striker-target" alone the target would be shot through the ceiling.
+// Along "striker-target" alone the target would be shot through a wall.
 TEST_P(ByPhases, DoesNotCallAnImpossibleMotionConverged) {
-  const Scene scene = ProblemScene("multiple_collisions");
+  Scene scene = ProblemScene("two_balls");
+  scene.planes = {{"wall", {-0.5, 0}, {-1, 0}}};
   SolverOptions options;
-  options.sequence = Sequence(scene, "striker-target,target-ceiling,striker-target");
+  options.sequence = Sequence(scene, "striker-target");
   const SolveReport report = Solve(GetParam(), {scene, "event"}, options);
-  if (report.termination == Termination::kConverged) {
-    EXPECT_EQ(Resimulate(scene, report).contacts, *options.sequence);
-  } else {
-    EXPECT_FALSE(report.reason.empty());
-  }
+  EXPECT_EQ(report.termination, Termination::kNoProgress);
+  EXPECT_THAT(report.reason, HasSubstr("target-wall"));
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, ByPhases, testing::Values("hmp", "ceres_event"));
