@@ -266,10 +266,7 @@ double Damping(const Simulator& simulator) {
 
 struct PathProblem::Parts {
   Parts(SingleShooting* single, const std::vector<double>& z, std::vector<Arrival> held)
-      : variables(single, z),
-        path(single, &variables),
-        problem(Options()),
-        arrivals(std::move(held)) {
+      : variables(single, z), path(single, &variables), problem(Options()), arrivals(std::move(held)) {
     const int num_steps = variables.num_steps();
     for (int k = 0; k < num_steps; ++k) {
       problem.AddResidualBlock(new DefectOnPath(&path, k), nullptr, variables.StepBlocks(k));
