@@ -17,27 +17,28 @@ Vec2d RelativeAcceleration(const PressingContact& c, std::span<const Vec2d> acce
   return acceleration[c.a] - acceleration[c.b];
 }
 
-void Push(const PressingContact& c, const Vec2d& force, std::span<const double> inverse_mass,
-          std::span<Vec2d> acceleration) {
-  acceleration[c.a] += inverse_mass[c.a] * force;
-  if (c.b >= 0) acceleration[c.b] -= inverse_mass[c.b] * force;
-}
-
-// One contact with all others held. Returns the change of force over the effective mass, m/s^2.
+// One contact with all others held. Returns the change of force over the effective mass, m/s^2. In plain numbers: this
+// is where the time goes.
 double Relax(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration, PressingContact* c) {
-  const Vec2d tangent = Perpendicular(c->normal);
-  const double closing = Dot(c->normal, RelativeAcceleration(*c, acceleration)) + c->turning;
-  const double normal_force = std::max(0.0, c->normal_force - c->mass * closing);
-  double tangential_force = -c->sliding * friction * normal_force;
-  if (c->sliding == 0) {
-    const double slipping = Dot(tangent, RelativeAcceleration(*c, acceleration));
-    const double bound = friction * normal_force;
-    tangential_force = std::clamp(c->tangential_force - c->mass * slipping, -bound, bound);
-  }
+  const double nx = c->normal[0], ny = c->normal[1];
+  double* a = acceleration[c->a].data();
+  double* b = c->b < 0 ? nullptr : acceleration[c->b].data();
+  const double x = b ? a[0] - b[0] : a[0], y = b ? a[1] - b[1] : a[1];
+  const double normal_force = std::max(0.0, c->normal_force - c->mass * (nx * x + ny * y + c->turning));
+  const double bound = friction * normal_force;
+  const double tangential_force = c->sliding == 0
+                                      ? std::clamp(c->tangential_force - c->mass * (nx * y - ny * x), -bound, bound)
+                                      : -c->sliding * bound;
   const double dn = normal_force - c->normal_force, dt = tangential_force - c->tangential_force;
-  Push(*c, dn * c->normal + dt * tangent, inverse_mass, acceleration);
   c->normal_force = normal_force;
   c->tangential_force = tangential_force;
+  const double fx = dn * nx - dt * ny, fy = dn * ny + dt * nx;
+  a[0] += inverse_mass[c->a] * fx;
+  a[1] += inverse_mass[c->a] * fy;
+  if (b) {
+    b[0] -= inverse_mass[c->b] * fx;
+    b[1] -= inverse_mass[c->b] * fy;
+  }
   return (std::abs(dn) + std::abs(dt)) / c->mass;
 }
 
@@ -60,6 +61,10 @@ bool SolvePressingForces(double friction, std::span<const double> inverse_mass, 
 }
 
 void PseudoInvert(int n, std::span<double> matrix) {
+  if (n == 1) {
+    if (matrix[0] != 0) matrix[0] = 1 / matrix[0];
+    return;
+  }
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   Eigen::Map<Matrix> map(matrix.data(), n, n);
   Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;

@@ -19,8 +19,8 @@ constexpr double kOverlap = 1e-9;  // m
 // Discs in a closed box.
 Scene RandomBox(RandomScenes* random) {
   Scene scene;
-  scene.duration = 1.5;
-  scene.steps = 10;
+  scene.duration = 1.4;
+  scene.steps = 8;
   if (random->Chance(0.5)) scene.gravity = random->InSquare(7);
   random->AddDiscs(random->Integer(2, 6), 0.3, &scene);
   const Vec2d up = random->Direction();

@@ -86,8 +86,8 @@ class PressedGroup {
   }
 
   // Makes the gaps and the velocities across closed contacts zero, by impulses along them. An overlap beyond the
-  // tolerance stays, unless it comes from drift. Twice: the first solution leaves nothing but derivatives to the
-  // second, so that the derivatives of its matrix do not matter.
+  // tolerance stays, unless it comes from drift. Where there is something to change, twice: the first solution leaves
+  // nothing but derivatives to the second, so that the derivatives of its matrix do not matter.
   void ProjectPositions() {
     const auto push = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
     rows_.clear();
@@ -107,8 +107,11 @@ class PressedGroup {
       for (const Contact& contact : contacts_) {
         if (contact.closed) AddVelocityRows(contact);
       }
+      bool negligible = true;
+      for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
       SolveRows();
       ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v += change; });
+      if (negligible) return;
     }
   }
 
@@ -217,7 +220,8 @@ class PressedGroup {
     const Candidate& c = in_.candidates[contact.pair];
     const Separation<T> at = SeparationOf(c);
     const double gap = Value(at.distance) - in_.ContactDistance(c);
-    if (!MayMove(gap, contact) || (!contact.closed && gap > -0.1 * kContactGap)) return;
+    if (!MayMove(gap, contact) || std::abs(gap) <= kRoundingGap || (!contact.closed && gap > -0.1 * kContactGap))
+      return;
     rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
   }
 
