@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "contact/event_run.h"
+#include "saltus/dynamics/events.h"
 
 namespace saltus {
 namespace {
@@ -37,6 +38,13 @@ TEST(EventRest, ADroppedBallComesToRestAndStays) {
     EXPECT_EQ(impacts, 23) << "from 4.2 m/s down by halves to 1e-6 m/s";
     EXPECT_GT(sustained, 0);
     for (double derivative : run.GradientOf(1).initial) EXPECT_NEAR(derivative, 0, 1e-12);
+  }
+}
+
+TEST(EventRest, RestIsOneEventHoweverManySteps) {
+  for (int steps : {1, 9, 1000}) {
+    EventRun run(Dropped(0.5, 0, 0, 10, steps));
+    EXPECT_EQ(EventsOf(run.simulator).size(), 24u) << "23 impacts, and then rest";
   }
 }
 
