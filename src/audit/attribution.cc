@@ -27,8 +27,10 @@ constexpr int kMargin = 2;           // steps by which an interval may grow to f
 constexpr int kFiner = 32, kLeastFiner = 4;
 constexpr int kMostFineSteps = 8192;
 constexpr double kSmallError = 1e-3;
-// An error stays if so many times the steps leave this part of it; one of first order would fall to an eighth.
-constexpr int kRefinement = 8;
+// An error stays if more steps leave this part of it: at least eight times as many, so that one of first order would
+// fall to an eighth, and about as many as make causes clear.
+constexpr int kRefinement = 8, kMostRefinement = 256;
+constexpr int kClearSteps = 2000;
 constexpr double kStays = 0.25;
 
 // A pair, and the first and last step in which the model lets it touch.
@@ -493,18 +495,22 @@ Attribution AttributeError(std::string_view contact, const Scene& scene) {
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   Scene refined = scene;
-  refined.steps = kRefinement * scene.steps + CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+  refined.steps = std::clamp(kClearSteps / scene.steps, kRefinement, kMostRefinement) * scene.steps +
+                  CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
   const Attribution fine = Attributor(contact, refined).Run();
   for (size_t i = 0; i < own.contacts.size(); ++i) {
     ContactError& error = own.contacts[i];
     const ContactError* same = i < fine.contacts.size() ? &fine.contacts[i] : nullptr;
     if (same != nullptr && (same->a != error.a || same->b != error.b)) same = nullptr;
     error.stays = error.error > kSmallError && (same == nullptr || same->error > kStays * error.error);
-    const bool unresolved = error.last_step > error.first_step;
-    // The closed forms are of single impacts, which small steps show best.
-    if (!unresolved && same != nullptr && !same->why.empty()) error.why = same->why;
-    if (!error.stays && !unresolved) error.why.clear();
-    if (own.first_wrong < 0 && error.error > kSmallError && (error.stays || unresolved)) {
+    // An impulse, whose closed form is that of a point in time, is judged by the smallest steps; a force that acts for
+    // a while by the scene's own.
+    const ContactError& finest = same != nullptr ? *same : error;
+    const bool impulse = finest.first_step == finest.last_step;
+    if (impulse && !finest.why.empty()) error.why = finest.why;
+    if (!impulse && error.first_step == error.last_step) error.why = "contact force not resolved by its single step";
+    if (!error.stays && impulse) error.why.clear();
+    if (own.first_wrong < 0 && error.error > kSmallError && (error.stays || !impulse)) {
       own.first_wrong = static_cast<int>(i);
     }
   }

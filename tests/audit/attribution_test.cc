@@ -65,6 +65,15 @@ TEST(Attribution, ASpringIsNotResolvedByItsSteps) {
   EXPECT_THAT(error.why, HasSubstr("not resolved by its 11 steps"));
 }
 
+TEST(Attribution, CausesAreSeenOnCoarseGridsToo) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 6;
+  const ContactError direct = FirstWrong(AttributeError("direct_toi", scene));
+  EXPECT_EQ(direct.first_step, 3);
+  EXPECT_EQ(direct.why, "acceleration at the impact ignored");
+  EXPECT_THAT(FirstWrong(AttributeError("compliant_warp", scene)).why, HasSubstr("not resolved by its single step"));
+}
+
 TEST(Attribution, ASoftSpringStaysWrongHoweverSmallItsSteps) {
   Scene scene = ProblemScene("two_balls");
   scene.contact.stiffness = 300;

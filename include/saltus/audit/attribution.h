@@ -14,7 +14,7 @@
 // not, the model itself is run over the interval with far smaller steps: an error that falls was a force that the steps
 // do not resolve.
 //
-// What is due to finite steps only is told apart by doing all of this once more with eight times the steps.
+// What is due to finite steps only is told apart by doing all of this once more with at least eight times the steps.
 #pragma once
 
 #include <string>
@@ -34,7 +34,7 @@ struct ContactError {
   std::string a, b;                            // a disc, and a disc or plane; the first pair if there are several
   int exact_impacts = 0;                       // that the exact flow has in the interval
   double error = 0;                            // as above
-  bool stays = false;                          // with eight times the steps it is more than a quarter of this
+  bool stays = false;                          // with far smaller steps it is more than a quarter of this
   Block block = Block::kPositionFromPosition;  // that contributes most to it
   std::string why;                             // in words; empty if the error is small or does not stay
 };
