@@ -5,17 +5,45 @@
 
 #include <cstdlib>
 #include <iostream>
+#include <optional>
 
 #include "programs/audit_files.h"
 #include "programs/audit_tables.h"
+#include "programs/given_gradient.h"
 #include "programs/parallel.h"
 #include "saltus/dynamics/registry.h"
 
 DEFINE_bool(width_sweep, false,
             "audit gradients by differences of every width too (always done where there is no exact gradient)");
+DEFINE_string(given, "",
+              "JSON file with a gradient computed elsewhere, keys as in the gradients of --json, to be audited too");
 
 namespace saltus {
 namespace {
+
+// The gradient in --given beside the reference.
+struct GivenAudit {
+  std::string name;
+  std::vector<GivenEntry> entries;
+};
+
+std::optional<GivenAudit> AuditGiven(const Request& request, const AuditReport& report) {
+  if (FLAGS_given.empty()) return std::nullopt;
+  if (!report.reference) throw InputError("--given: the scene has no exact gradient to compare with");
+  const GivenGradient given = ReadGivenGradient(FLAGS_given, request.scene);
+  return GivenAudit{given.name, JudgeGiven(request.scene, given, *report.reference)};
+}
+
+Json GivenToJson(const GivenAudit& audit) {
+  Json entries = Json::array();
+  for (const GivenEntry& entry : audit.entries) {
+    entries.push_back({{"entry", entry.entry},
+                       {"given", NumberToJson(entry.given)},
+                       {"exact", NumberToJson(entry.exact)},
+                       {"verdict", VerdictToString(entry.verdict)}});
+  }
+  return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
+}
 
 // Colour is for people only: not in files and pipes, nor where NO_COLOR asks for none.
 bool WantsColour() { return isatty(STDOUT_FILENO) != 0 && std::getenv("NO_COLOR") == nullptr; }
@@ -69,22 +97,30 @@ int AuditExitCode(const Request& request, const AuditReport& report) {
 }
 
 int AuditMain(int argc, char** argv) {
-  return RunMain(argc,
-                 argv,
-                 "Gradients of contact models: which are right, which are wrong, where and why. "
-                 "saltus_audit --scene=FILE [--contact=LIST] [--width_sweep] [--json] [--output_dir=DIR]",
-                 [] {
-                   Request request;
-                   if (!ReadRequest({}, &request)) return kDone;
-                   const AuditReport report = RunAudit(request);
-                   if (request.json) {
-                     PrintJson(AuditToJson(request, report), request.precision);
-                   } else {
-                     PrintAuditTable(request, report);
-                   }
-                   if (!request.output_dir.empty()) WriteAuditFiles(request, report);
-                   return AuditExitCode(request, report);
-                 });
+  return RunMain(
+      argc,
+      argv,
+      "Gradients of contact models: which are right, which are wrong, where and why. "
+      "saltus_audit --scene=FILE [--contact=LIST] [--width_sweep] [--given=FILE] [--json] [--output_dir=DIR]",
+      [] {
+        Request request;
+        if (!ReadRequest({}, &request)) return kDone;
+        const AuditReport report = RunAudit(request);
+        const std::optional<GivenAudit> given = AuditGiven(request, report);
+        if (request.json) {
+          Json document = AuditToJson(request, report);
+          if (given) document["given"] = GivenToJson(*given);
+          PrintJson(document, request.precision);
+        } else {
+          PrintAuditTable(request, report);
+          if (given) {
+            std::cout << given->name << ": " << VerdictToString(WorstOf(given->entries)) << "\n\n"
+                      << GivenTable(given->entries).ToText(WantsColour()) << std::endl;
+          }
+        }
+        if (!request.output_dir.empty()) WriteAuditFiles(request, report);
+        return AuditExitCode(request, report);
+      });
 }
 
 }  // namespace saltus

@@ -12,12 +12,16 @@ namespace {
 
 constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl};
 
+// Errors of right gradients are rounding; below this line of the figure they would squeeze all others.
+constexpr double kLowestError = 1e-7;
+
 Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity quantity) {
   Panel panel;
   panel.title = std::string("by ") + QuantityToString(quantity);
   panel.x.label = "time step (s)";
   panel.y.label = "relative error of the gradient";
   panel.x.log = panel.y.log = true;
+  double highest = 1;
   for (const ModelAudit& audit : report.models) {
     const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
     if (study == nullptr) continue;
@@ -25,6 +29,7 @@ Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity qu
     for (const RefinementLevel& level : study->levels) {
       x.push_back(scene.duration / level.steps);
       y.push_back(level.error);
+      highest = std::max(highest, level.error);
     }
     Series series = Series::ForModel(audit.gradient.contact, x, y);
     // One label a model, whatever the panel.
@@ -34,6 +39,9 @@ Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity qu
     series.label += named->verdict == Verdict::kRight ? " (right)" : order;
     panel.series.push_back(std::move(series));
   }
+  panel.y.min = kLowestError;
+  panel.y.max = 2 * highest;
+  panel.reference_lines.push_back({.value = RefinementOptions().tolerance, .label = "right"});
   return panel;
 }
 
@@ -88,7 +96,7 @@ Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
     if (!panel.series.empty()) figure.panels.push_back(std::move(panel));
   }
   figure.columns = static_cast<int>(figure.panels.size());
-  figure.width = 400 * figure.columns + 200;
+  figure.width = 460 * figure.columns + 200;
   return figure;
 }
 
@@ -126,7 +134,7 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
     figure.panels.push_back(std::move(panel));
   }
   figure.columns = std::max<int>(1, figure.panels.size());
-  figure.width = 400 * figure.columns + 200;
+  figure.width = 460 * figure.columns + 200;
   return figure;
 }
 

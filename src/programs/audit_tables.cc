@@ -209,6 +209,15 @@ Table PlateauTable(const AuditReport& report) {
   return table;
 }
 
+Table GivenTable(const std::vector<GivenEntry>& entries) {
+  Table table({{"entry"}, {"given", 5}, {"exact", 9}, {"verdict"}});
+  for (const GivenEntry& entry : entries) {
+    table.AddRow(
+        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
+  }
+  return table;
+}
+
 Table SlopeTable(const AuditReport& report) {
   Table table({{"contact"}, {"quantity"}, {"entry"}, {"grid width"}, {"width"}, {"slope"}, {"gradient"}});
   for (const ModelAudit& audit : report.models) {

@@ -3,6 +3,7 @@
 
 #include "programs/program.h"
 #include "saltus/audit/audit.h"
+#include "saltus/audit/given.h"
 #include "saltus/io/table.h"
 
 namespace saltus {
@@ -24,6 +25,9 @@ Table ContactTable(const AuditReport& report);
 
 // Plateaus of the width sweep, one row an entry and model.
 Table PlateauTable(const AuditReport& report);
+
+// A given gradient, entry by entry.
+Table GivenTable(const std::vector<GivenEntry>& entries);
 
 // All slopes of the width sweep.
 Table SlopeTable(const AuditReport& report);

@@ -250,5 +250,31 @@ TEST(CommandLine, SequencesAreReadFromAFlag) {
   EXPECT_THAT(refused.errors, HasSubstr("no contact in the sequence"));
 }
 
+// The published table of task 3 has four decimals of a gradient by hand. Its last column is of another loss.
+TEST(CommandLine, TheAuditFindsTheErrorInThePublishedAnalyticGradient) {
+  const std::string file = testing::TempDir() + "/published_" + std::to_string(getpid()) + ".json";
+  std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
+                             "position": [[-0.3987, -0.3987], [-0.3213, null]], "control": [[[-0.0009, -0.0009]]]})";
+  const std::string command = "saltus_audit --contact=event --progress=none" + Scene("two_balls") + "--given=" + file;
+  Outcome outcome = RunProgram(command + " --json");
+  EXPECT_EQ(outcome.exit_code, 2) << "a vector is [x, y] or null";
+  EXPECT_THAT(outcome.errors, HasSubstr("position[1]"));
+
+  std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
+                             "position": [[-0.3987, -0.3987], [-0.3213, -0.3213]],
+                             "velocity": [null, [-0.2221, -0.2221]], "control": [[[-0.0009, -0.0009]]]})";
+  outcome = RunProgram(command + " --json");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json given = json::parse(outcome.output)["given"];
+  EXPECT_EQ(given["verdict"], "wrong sign");
+  ASSERT_EQ(given["entries"].size(), 8u);
+  for (const json& entry : given["entries"]) {
+    const bool is_control = entry["entry"].get<std::string>()[0] == 'u';
+    EXPECT_EQ(entry["verdict"], is_control ? "wrong sign" : "right") << entry;
+  }
+  EXPECT_NEAR(given["entries"][6]["exact"], 0.00021380129632184102, 1e-14);
+  EXPECT_THAT(RunProgram(command).output, HasSubstr("published: wrong sign"));
+}
+
 }  // namespace
 }  // namespace saltus

@@ -1,0 +1,34 @@
+// A gradient that was computed elsewhere, by another simulator or on paper, entry by entry beside the exact one.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/audit/refinement.h"
+
+namespace saltus {
+
+// Entries that are not known are left out, as are lists at their ends.
+struct GivenGradient {
+  std::string name;
+  double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
+  std::vector<std::optional<Vec2d>> position, velocity;    // per disc of the scene
+  std::vector<std::vector<std::optional<Vec2d>>> control;  // per step and controlled disc
+};
+
+struct GivenEntry {
+  std::string entry;  // as of EntryNames, controls by step
+  double given = 0, exact = 0;
+  // kRight within the tolerance, or 1e-6 of the quantity's largest entry; else kWrongSign or kWrong. One gradient
+  // cannot show whether its error falls with the step: none is merely consistent.
+  Verdict verdict = Verdict::kUnknown;
+};
+
+// Precondition: `exact` is ok and of the scene; lists are no longer than its.
+std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact);
+
+// The worst verdict of all; kUnknown if there are no entries.
+Verdict WorstOf(const std::vector<GivenEntry>& entries);
+
+}  // namespace saltus

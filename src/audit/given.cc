@@ -1,0 +1,73 @@
+#include "saltus/audit/given.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace saltus {
+namespace {
+
+constexpr double kTolerance = 1e-6;   // of a right entry, relative to the largest of its quantity
+constexpr double kNegligible = 1e-3;  // likewise; smaller ones may have any sign
+
+Verdict Judge(double given, double exact, double largest, double tolerance) {
+  if (std::abs(given - exact) <= std::max(tolerance, kTolerance * largest)) return Verdict::kRight;
+  const double least = std::min(std::abs(given), std::abs(exact));
+  return given * exact < 0 && least > kNegligible * largest ? Verdict::kWrongSign : Verdict::kWrong;
+}
+
+}  // namespace
+
+std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact) {
+  CHECK(exact.ok());
+  std::vector<GivenEntry> entries;
+  // `values` and `at` name the exact entries of one vector.
+  const auto add = [&](const std::optional<Vec2d>& value,
+                       const std::string& name,
+                       const std::string& of,
+                       const double* at,
+                       double largest) {
+    for (int j = 0; value && j < 2; ++j) {
+      entries.push_back(
+          {name + (j == 0 ? "x" : "y") + of, (*value)[j], at[j], Judge((*value)[j], at[j], largest, given.tolerance)});
+    }
+  };
+  for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
+    const bool position = quantity == Quantity::kPosition;
+    const auto& values = position ? given.position : given.velocity;
+    CHECK_LE(static_cast<int>(values.size()), scene.num_bodies());
+    double largest = 0;
+    for (double entry : EntriesOf(scene, exact, quantity, 1)) largest = std::max(largest, std::abs(entry));
+    for (size_t i = 0; i < values.size(); ++i) {
+      if (scene.bodies[i].fixed) continue;
+      add(values[i],
+          position ? "p" : "v",
+          " " + scene.bodies[i].name,
+          &exact.gradient.initial[4 * i + (position ? 0 : 2)],
+          largest);
+    }
+  }
+  CHECK_LE(static_cast<int>(given.control.size()), exact.num_steps);
+  double largest = 0;
+  for (double entry : exact.gradient.control) largest = std::max(largest, std::abs(entry));
+  for (size_t k = 0; k < given.control.size(); ++k) {
+    CHECK_LE(static_cast<int>(given.control[k].size()), scene.num_controlled());
+    for (size_t c = 0; c < given.control[k].size(); ++c) {
+      add(given.control[k][c],
+          "u",
+          "[" + std::to_string(k) + "] " + scene.bodies[scene.control.bodies[c]].name,
+          &exact.gradient.control[2 * (k * scene.num_controlled() + c)],
+          largest);
+    }
+  }
+  return entries;
+}
+
+Verdict WorstOf(const std::vector<GivenEntry>& entries) {
+  Verdict worst = entries.empty() ? Verdict::kUnknown : Verdict::kRight;
+  for (const GivenEntry& entry : entries) worst = std::max(worst, entry.verdict);
+  return worst;
+}
+
+}  // namespace saltus
