@@ -121,7 +121,7 @@ void BroadPhase::ListAllPairs() {
 void BroadPhase::ListNearPairs() {
   // With a wide skin the list stands for long, but is long where discs are small and close to each other.
   const double reach = *std::max_element(reach_.begin(), reach_.end());
-  skin_ = std::max(4 * reach, std::min(18 * reach, smallest_radius_));
+  skin_ = std::max(4 * reach, std::min(18 * reach, 3 * smallest_radius_));
   listed_ = true;
   list_.clear();
   there_.resize(num_discs());
