@@ -1,3 +1,4 @@
+// Task 1: the gradient of the height after one bounce.
 #include "programs/problem.h"
 
 int main(int argc, char** argv) {

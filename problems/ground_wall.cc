@@ -1,3 +1,4 @@
+// Task 2: the launch velocity that hits a target off ground and wall.
 #include "programs/problem.h"
 
 int main(int argc, char** argv) {

@@ -1,3 +1,4 @@
+// The follow-up paper's control of two balls and a ceiling, with several collisions.
 #include "programs/problem.h"
 
 int main(int argc, char** argv) {

@@ -1,3 +1,4 @@
+// The follow-up paper's control of one collision of two balls.
 #include "programs/problem.h"
 
 int main(int argc, char** argv) {

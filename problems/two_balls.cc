@@ -1,3 +1,4 @@
+// Task 3: the force that makes one ball strike another towards the origin.
 #include "programs/problem.h"
 
 int main(int argc, char** argv) {

@@ -30,8 +30,10 @@ bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::ve
   for (const Event& event : EventsOf(*simulator)) {
     run->events.push_back(event);
     run->events.back().time += start;
-    run->contacts.push_back(event.contact);
-    if (event.kind != ContactKind::kImpact) run->only_impacts = false;
+  }
+  for (const StepTouch& at : EventTouches(*simulator)) {
+    run->contacts.push_back(at.touch.candidate);
+    if (at.touch.kind != ContactKind::kImpact) run->only_impacts = false;
   }
   run->loss += EffortLoss(scene.objective, control, simulator->step());
   return true;

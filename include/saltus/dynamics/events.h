@@ -13,12 +13,13 @@ struct Event {
   std::string a;    // a disc
   std::string b;    // a disc or a plane
   ContactMode mode = ContactMode::kFrictionless;
-  ContactKind kind = ContactKind::kImpact;
-  Candidate contact = {};  // a and b by indices of the scene
 };
 
-// The impacts of the simulator's last rollout in order of time, and the beginnings of contacts that press for a while
-// (in each of their modes). Empty for models that resolve no impact times.
+// The touches of the simulator's last rollout that are events, in order of time: impacts, and the beginnings of
+// contacts that press for a while (in each of their modes). Empty for models that resolve no impact times.
+std::vector<StepTouch> EventTouches(const Simulator& simulator);
+
+// The same, by name.
 std::vector<Event> EventsOf(const Simulator& simulator);
 
 }  // namespace saltus
