@@ -1,0 +1,20 @@
+// Powers with constant exponents, with the same bits for scalars and Jets.
+#pragma once
+
+#include <cmath>
+
+#include "saltus/physics/scalar.h"
+
+namespace saltus {
+
+// x^n for x > 0.
+template <typename S>
+S Power(const S& x, const S& n) {
+  return std::pow(x, n);
+}
+template <typename S, int W>
+ceres::Jet<S, W> Power(const ceres::Jet<S, W>& x, const S& n) {
+  return ceres::Jet<S, W>(std::pow(x.a, n), (n * std::pow(x.a, n - S(1))) * x.v);
+}
+
+}  // namespace saltus
