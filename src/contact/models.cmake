@@ -10,4 +10,14 @@ set(saltus_models
   "saltus/contact/pbd_warp.h PbdWarp"
   "saltus/contact/pbd_brax.h PbdBrax"
   "saltus/contact/toi_velocity.h ToiVelocity"
-  "saltus/contact/event.h EventDriven")
+  "saltus/contact/event.h EventDriven"
+  "saltus/contact/lcp_kkt.h LcpKkt"
+  "saltus/contact/lcp_pgs.h LcpPgs<false>"
+  "saltus/contact/lcp_pgs.h LcpPgs<true>"
+  "saltus/contact/ncp.h Ncp<false>"
+  "saltus/contact/ncp.h Ncp<true>"
+  "saltus/contact/soft_convex.h SoftConvex"
+  "saltus/contact/qcqp.h Qcqp"
+  "saltus/contact/smooth_compliant.h SmoothCompliant"
+  "saltus/contact/ipc_barrier.h IpcBarrier"
+  "saltus/contact/xpbd.h Xpbd")
