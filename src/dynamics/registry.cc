@@ -2,7 +2,12 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <sstream>
 #include <utility>
+#include <variant>
 
 #include "dynamics/registry_entry.h"
 
@@ -20,11 +25,71 @@ const std::vector<RegistryEntry>& Entries() {
   return entries;
 }
 
-const RegistryEntry& Entry(std::string_view name) {
+std::string_view ModelIn(std::string_view name) { return name.substr(0, name.find(':')); }
+
+const RegistryEntry* FindEntry(std::string_view name) {
   for (const RegistryEntry& entry : Entries()) {
-    if (entry.traits.name == name) return entry;
+    if (entry.traits.name == ModelIn(name)) return &entry;
   }
-  LOG(FATAL) << "unknown contact model " << name;
+  return nullptr;
+}
+
+const RegistryEntry& Entry(std::string_view name) {
+  const RegistryEntry* entry = FindEntry(name);
+  CHECK(entry != nullptr) << "unknown contact model " << name;
+  return *entry;
+}
+
+std::string Names(const auto& all) {
+  std::string names;
+  for (const auto& one : all) names += (names.empty() ? "" : ", ") + std::string(one.name);
+  return names;
+}
+
+std::string Number(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+
+// "option=value" of a model; or what is wrong with it.
+std::variant<OptionValue, std::string> ReadOption(const RegistryEntry& entry, std::string_view text) {
+  const std::string_view name = text.substr(0, text.find('='));
+  const auto option = std::find_if(
+      entry.options.begin(), entry.options.end(), [&](const ListedOption& known) { return known.name == name; });
+  if (option == entry.options.end()) {
+    return "found '" + std::string(name) + "', expected " +
+           (entry.options.empty() ? "no options of " : "one of the options " + Names(entry.options) + " of ") +
+           std::string(entry.traits.name);
+  }
+  const std::string_view digits = text.substr(std::min(text.size(), name.size() + 1));
+  double value = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+  const bool number = error == std::errc() && end == digits.data() + digits.size();
+  if (!number || !(value >= option->low && value <= option->high) || (option->whole && value != std::floor(value))) {
+    return "found '" + std::string(text) + "', expected " + std::string(name) + "= and a " +
+           (option->whole ? "whole number" : "number") + " in " + Number(option->low) + ".." + Number(option->high);
+  }
+  return OptionValue{option->name, value};
+}
+
+// The options behind the name of a model; or what is wrong with them.
+std::variant<std::vector<OptionValue>, std::string> ReadOptions(const RegistryEntry& entry, std::string_view name) {
+  std::vector<OptionValue> options;
+  for (size_t end = name.find(':'); end != std::string_view::npos;) {
+    const size_t start = end + 1;
+    end = name.find(':', start);
+    const auto option = ReadOption(entry, name.substr(start, end == std::string_view::npos ? end : end - start));
+    if (const auto* wrong = std::get_if<std::string>(&option)) return *wrong;
+    options.push_back(std::get<OptionValue>(option));
+  }
+  return options;
+}
+
+std::vector<OptionValue> OptionsIn(std::string_view name) {
+  auto options = ReadOptions(Entry(name), name);
+  if (const auto* wrong = std::get_if<std::string>(&options)) LOG(FATAL) << name << ": " << *wrong;
+  return std::get<std::vector<OptionValue>>(std::move(options));
 }
 
 std::vector<ModelTraits> CollectTraits() {
@@ -41,10 +106,30 @@ const std::vector<ModelTraits>& AllContactModels() {
 }
 
 const ModelTraits* FindContactModel(std::string_view name) {
-  for (const ModelTraits& traits : AllContactModels()) {
-    if (traits.name == name) return &traits;
+  const RegistryEntry* entry = FindEntry(name);
+  return entry == nullptr ? nullptr : &entry->traits;
+}
+
+const std::vector<ListedOption>& OptionsOf(std::string_view model) { return Entry(model).options; }
+
+std::string WhatIsWrongWith(std::string_view model) {
+  const RegistryEntry* entry = FindEntry(model);
+  if (entry == nullptr) {
+    return "found '" + std::string(ModelIn(model)) + "', expected a contact model: " + Names(AllContactModels());
   }
-  return nullptr;
+  const auto options = ReadOptions(*entry, model);
+  const auto* wrong = std::get_if<std::string>(&options);
+  return wrong == nullptr ? "" : *wrong;
+}
+
+bool HasBiasedDerivative(std::string_view model) {
+  const std::vector<ListedOption>& known = OptionsOf(model);
+  for (const OptionValue& set : OptionsIn(model)) {
+    const auto option =
+        std::find_if(known.begin(), known.end(), [&](const ListedOption& one) { return one.name == set.name; });
+    if (option->biases && set.value != option->initial) return true;
+  }
+  return false;
 }
 
 std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
@@ -54,7 +139,7 @@ std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision) {
   const RegistryEntry& entry = Entry(model);
   CHECK(entry.why_not_applicable(scene).empty()) << entry.why_not_applicable(scene);
-  return entry.make(scene, precision);
+  return entry.make(scene, precision, OptionsIn(model));
 }
 
 }  // namespace saltus

@@ -14,7 +14,9 @@
 #include "saltus/io/scene_file.h"
 
 DEFINE_string(scene, "", "scene file (YAML)");
-DEFINE_string(contact, "all", "contact models: a comma-separated list, 'all', or 'list' to print them");
+DEFINE_string(contact, "all",
+              "contact models: a comma-separated list, 'all', or 'list' to print them; each may be followed by options "
+              "of its own, as in ncp:kappa=1e-6:kappa_grad=1e-4");
 DEFINE_string(solver, "", "solvers: a comma-separated list, 'all', 'none', or 'list' to print them");
 DEFINE_int32(steps, 0, "number of time steps (default: from the scene)");
 DEFINE_string(precision, "double", "double or float");
@@ -63,6 +65,32 @@ void PrintList(const Entries& entries) {
   for (const auto& entry : entries) {
     std::printf("%-16s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
   }
+}
+
+void PrintModels() {
+  for (const ModelTraits& model : AllContactModels()) {
+    std::printf("%-16s %s\n", std::string(model.name).c_str(), std::string(model.summary).c_str());
+    for (const ListedOption& option : OptionsOf(model.name)) {
+      std::printf(
+          "  :%s=%g  %s\n", std::string(option.name).c_str(), option.initial, std::string(option.meaning).c_str());
+    }
+  }
+}
+
+// A comma-separated list of contact models with their options.
+std::vector<std::string> ReadContacts(const std::string& value) {
+  std::vector<std::string> contacts;
+  if (value == "all") {
+    for (const ModelTraits& model : AllContactModels()) contacts.emplace_back(model.name);
+    return contacts;
+  }
+  for (const std::string& contact : Split(value)) {
+    const std::string wrong = WhatIsWrongWith(contact);
+    if (!wrong.empty()) throw InputError("--contact=" + value + ": " + wrong);
+    if (std::find(contacts.begin(), contacts.end(), contact) == contacts.end()) contacts.push_back(contact);
+  }
+  if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
+  return contacts;
 }
 
 // A comma-separated list of names of `entries`.
@@ -145,7 +173,7 @@ std::string OutputDirFromFlags() { return FLAGS_output_dir; }
 
 bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (FLAGS_contact == "list") {
-    PrintList(AllContactModels());
+    PrintModels();
     return false;
   }
   if (FLAGS_solver == "list") {
@@ -154,7 +182,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   }
   const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
   if (path.empty()) throw InputError("--scene=FILE is needed");
-  request->contacts = ReadNames("contact", FLAGS_contact, AllContactModels());
+  request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
   if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());
   if (FLAGS_precision != "double" && FLAGS_precision != "float") {

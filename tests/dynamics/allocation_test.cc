@@ -69,16 +69,15 @@ TEST_P(AllocationOf, RolloutAndGradient) {
   }
 }
 
-// The solver of the linear complementarity problem has matrices of its own.
-std::vector<std::string> ModelsThatOwnNoMatrices() {
+std::vector<std::string> ModelsThatAllocateNothing() {
   std::vector<std::string> names;
   for (const ModelTraits& model : AllContactModels()) {
-    if (!model.published_jacobian) names.emplace_back(model.name);
+    if (!model.allocates) names.emplace_back(model.name);
   }
   return names;
 }
 
-INSTANTIATE_TEST_SUITE_P(AllModels, AllocationOf, testing::ValuesIn(ModelsThatOwnNoMatrices()),
+INSTANTIATE_TEST_SUITE_P(AllModels, AllocationOf, testing::ValuesIn(ModelsThatAllocateNothing()),
                          [](const auto& test) { return test.param; });
 
 }  // namespace

@@ -115,7 +115,9 @@ TEST_P(ManyBodies, IslandsHaveTheBitsOfTheWholeScene) {
 
 std::vector<std::string> AllNames() {
   std::vector<std::string> names;
-  for (const ModelTraits& model : AllContactModels()) names.emplace_back(model.name);
+  for (const ModelTraits& model : AllContactModels()) {
+    if (std::isfinite(model.reach)) names.emplace_back(model.name);  // else there are no islands
+  }
   return names;
 }
 

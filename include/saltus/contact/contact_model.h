@@ -51,7 +51,16 @@ struct ModelTraits {
   bool sequential = false;       // takes the contacts of a step one after the other, so their order matters
   bool compared = false;         // one of those that the published comparisons (2022, 2023) report
   double reach = 0;              // m, gap from which on bodies push each other
+  bool allocates = false;        // solves with matrices of its own on the heap in steps with contact
   bool relative = true;          // what discs do to each other depends on their relative motion only
+};
+
+// A number of a model's own that users may set, as in --contact=ncp:kappa=1e-6.
+struct ModelOption {
+  std::string_view name;
+  std::string_view meaning;  // with its unit
+  double low, high;          // least and largest value
+  bool biases = false;       // if set to another than its default, the derivative is not meant to be that of the step
 };
 
 // State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.
@@ -173,6 +182,8 @@ void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& imp
 // and may have
 //   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
+//   template <typename Visit> void VisitOptions(const Visit& visit)
+//       calls visit(ModelOption, member) for each of its options; members are double, int or bool
 //   void Linearize(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                  Eigen::MatrixXd* A, Eigen::MatrixXd* B) const
 //       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island

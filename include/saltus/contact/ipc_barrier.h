@@ -155,7 +155,8 @@ struct IpcBarrier {
                                           .double_engine = true,
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
-                                          .reach = kRange};
+                                          .reach = kRange,
+                                          .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -167,6 +168,17 @@ struct IpcBarrier {
   double slip_speed = 1e-3;  // m/s
   int substeps = 10;
   Integrator integrator = Integrator::kImplicitEuler;
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"range", "gap below which the barrier pushes, m", 1e-6, kRange}, range);
+    visit(ModelOption{"kappa", "stiffness of the barrier, N/m", 1e-3, 1e12}, kappa);
+    visit(ModelOption{"slip_speed", "below which friction is less than mu times the normal force, m/s", 1e-6, 1},
+          slip_speed);
+    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    bool trapezoidal = integrator == Integrator::kTrapezoidal;
+    visit(ModelOption{"trapezoidal", "1: the trapezoidal rule instead of implicit Euler", 0, 1}, trapezoidal);
+    integrator = trapezoidal ? Integrator::kTrapezoidal : Integrator::kImplicitEuler;
+  }
 
   // Bodies that touch from the start have no gap to keep.
   static std::string WhyNot(const Scene& scene);

@@ -35,7 +35,8 @@ struct Lcp {
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
                                           .double_engine = true,
                                           .published_jacobian = true,
-                                          .compared = true};
+                                          .compared = true,
+                                          .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -123,7 +123,8 @@ struct LcpKkt {
                                           .summary = "complementarity by an interior point, impacts by halved steps",
                                           .source = "lcp-physics (de Avila Belbute-Peres et al. 2018)",
                                           .double_engine = true,
-                                          .chains = true};
+                                          .chains = true,
+                                          .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -133,6 +134,14 @@ struct LcpKkt {
   double final_kappa = 1e-13;
   bool force_once = false;
   bool released_backward = false;
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"eps", "gap from which on a pair is a contact, m", 2e-6, 1e-3}, eps);
+    visit(ModelOption{"tolerance", "overlap that a step may leave, m", 1e-9, 1e-6}, tolerance);
+    visit(ModelOption{"force_once", "1: no new solve with a halved step, as the source", 0, 1}, force_once);
+    visit(ModelOption{"released_backward", "1: the source's backward pass, wrong with friction", 0, 1, true},
+          released_backward);
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {

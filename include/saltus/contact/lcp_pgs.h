@@ -65,7 +65,8 @@ struct LcpPgs {
                           : "projected Gauss-Seidel, differentiated through its sweeps",
       .source = kAdjoint ? "after Qiao et al. 2021" : "Tiny Differentiable Simulator (Heiden et al. 2021)",
       .double_engine = true,
-      .rebound = Rebound::kEmergent};
+      .rebound = Rebound::kEmergent,
+      .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -73,6 +74,12 @@ struct LcpPgs {
   int sweeps = 50;
   double erp = 0.1;  // part of the overlap that a step corrects
   double cfm = 0;    // 1/kg
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"sweeps", "of Gauss-Seidel", 1, 1e5}, sweeps);
+    visit(ModelOption{"erp", "part of the overlap that a step corrects", 0, 1}, erp);
+    visit(ModelOption{"cfm", "softness of the constraints, 1/kg", 0, 1e3}, cfm);
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {

@@ -151,13 +151,20 @@ struct Ncp {
       .source = kRestitution ? "extension of Dojo (Howell et al. 2022); Moreau 1988" : "Dojo (Howell et al. 2022)",
       .double_engine = true,
       .rebound = kRestitution ? Rebound::kRestitution : Rebound::kPlastic,
-      .reach = kRestitution ? 0.0 : std::numeric_limits<double>::infinity()};
+      .reach = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
+      .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
   double kappa = 1e-8;
   double kappa_grad = 0;  // no less than kappa; 0: kappa
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"kappa", "where the central path is left, N s m", 1e-12, 1}, kappa);
+    visit(ModelOption{"kappa_grad", "where derivatives leave it; those of kappa if it is less", 0, 1, true},
+          kappa_grad);
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {

@@ -42,13 +42,19 @@ struct Qcqp {
   static constexpr ModelTraits kTraits = {.name = "qcqp",
                                           .summary = "staggered programs for normal and friction impulses",
                                           .source = "Le Lidec et al. 2021",
-                                          .double_engine = true};
+                                          .double_engine = true,
+                                          .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
   int passes = 1000;
   double tolerance = 1e-13;  // of the impulses, relative to the largest
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"passes", "of the two programs in turn", 1, 1e6}, passes);
+    visit(ModelOption{"tolerance", "of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {

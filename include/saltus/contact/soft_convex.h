@@ -22,7 +22,6 @@
 #include <Eigen/Dense>
 #include <array>
 #include <memory_resource>
-#include <optional>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -37,7 +36,8 @@ struct SoftConvex {
                                           .source = "MuJoCo (Todorov 2014)",
                                           .compliant = true,
                                           .double_engine = true,
-                                          .rebound = Rebound::kEmergent};
+                                          .rebound = Rebound::kEmergent,
+                                          .allocates = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -51,7 +51,18 @@ struct SoftConvex {
 
   Impedance impedance;
   double impratio = 1;
-  std::optional<double> damping = std::nullopt;  // 1/s
+  double damping = -1;             // 1/s; that of the restitution if negative
+  double tangential_damping = -1;  // 1/s; 2 sqrt(stiffness) if negative
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"damping", "of closing, 1/s; that of the restitution if negative", -1, 1e6}, damping);
+    visit(ModelOption{"tangential_damping", "of sliding, 1/s; 2 sqrt(stiffness) if negative", -1, 1e6},
+          tangential_damping);
+    visit(ModelOption{"impratio", "of normal to tangential softness", 1e-6, 1e6}, impratio);
+    bool smooth_onset = impedance.width == SmoothOnset().width;
+    visit(ModelOption{"smooth_onset", "1: the impedance begins at 1e-4, over 1 cm", 0, 1}, smooth_onset);
+    impedance = smooth_onset ? SmoothOnset() : Impedance();
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
@@ -94,8 +105,9 @@ struct SoftConvex {
     using S = Base<T>;
     const int n = group.num_contacts();
     const S at_width = S(impedance.at_width);
-    const T normal_damping = damping ? T(S(*damping)) : DampingOf(in);
-    const T tangential_damping = S(2) * SafeSqrt(in.contact.stiffness);
+    const T normal_damping = damping >= 0 ? T(S(damping)) : DampingOf(in);
+    const T sliding_damping =
+        tangential_damping >= 0 ? T(S(tangential_damping)) : T(S(2) * SafeSqrt(in.contact.stiffness));
     Program<T> program{std::pmr::vector<T>(group.size(), T(S(0)), in.scratch),
                        std::pmr::vector<T>(group.size(), T(S(0)), in.scratch)};
     for (int row = 0; row < group.size(); ++row) {
@@ -104,7 +116,7 @@ struct SoftConvex {
       const T regularization = Divide(T(S(1) - d), d) * group.Coupling(group.NormalOf(row), group.NormalOf(row));
       program.regularization[row] = row < n ? regularization : Divide(regularization, S(impratio));
       const T speed = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
-      T reference = -Divide(T((row < n ? normal_damping : tangential_damping) * speed), at_width);
+      T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
       program.c[row] = group.Along(row, [&](int i) -> Vec2<T> { return in.Acceleration(i); }) - reference;
     }

@@ -43,6 +43,14 @@ struct Xpbd {
   double compliance = 0;  // m/N
   int substeps = 10;
   FrictionBound friction_bound = FrictionBound::kTotalImpulse;
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"compliance", "of contacts, m/N", 0, 1}, compliance);
+    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    bool published = friction_bound == FrictionBound::kPublished;
+    visit(ModelOption{"published_bound", "1: friction is bounded by the position pass alone", 0, 1}, published);
+    friction_bound = published ? FrictionBound::kPublished : FrictionBound::kTotalImpulse;
+  }
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {

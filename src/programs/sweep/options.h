@@ -22,7 +22,7 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
 // The options that do not depend on the scene.
 std::vector<std::string> SweepOptionNames();
 
-// The words that an option of words accepts. Precondition: `name` is one.
+// The words that solver or precision accept. A contact model may have options: see registry.h.
 std::vector<std::string> SweepWords(const std::string& name);
 
 // Sets one option of a request; the scene that results is not validated. Precondition: the option exists, the value is

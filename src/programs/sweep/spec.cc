@@ -37,19 +37,22 @@ double Rounded(double value) {
   return std::strtod(text.data(), nullptr);
 }
 
-// Why a text is no value of an option ("a number, ..."), or nothing after filling in `value`.
+// Why a text is no value of an option, as "found 'x', expected y", or nothing after filling in `value`.
 std::string ReadValue(const std::string& option, const std::string& text, const Scene& scene, SweepValue* value) {
   const SweepOptionKind kind = *FindSweepOption(option, scene);
+  const std::string found = "found '" + text + "', expected ";
   if (kind == SweepOptionKind::kWord) {
-    const std::vector<std::string> words = SweepWords(option);
     *value = text;
-    return std::find(words.begin(), words.end(), text) != words.end() ? "" : "one of " + Join(words);
+    if (option == "contact") return WhatIsWrongWith(text);
+    const std::vector<std::string> words = SweepWords(option);
+    return std::find(words.begin(), words.end(), text) != words.end() ? "" : found + "one of " + Join(words);
   }
   const std::optional<double> number = ReadNumber(text);
-  if (!number) return "a number";
+  if (!number) return found + "a number";
   *value = *number;
   if (kind != SweepOptionKind::kInteger) return "";
-  return std::round(*number) == *number && std::abs(*number) <= kLargestInteger ? "" : "a whole number up to 1e9";
+  const bool whole = std::round(*number) == *number && std::abs(*number) <= kLargestInteger;
+  return whole ? "" : found + "a whole number up to 1e9";
 }
 
 // One pass over the text. What it takes next decides what it expects.
@@ -75,9 +78,11 @@ class SpecParser {
     return std::string(" after '") + (from > 0 ? "..." : "") + text_.substr(from, place - from) + "'";
   }
 
+  [[noreturn]] void FailAt(size_t place, const std::string& what) const {
+    throw InputError("--sweep, character " + std::to_string(place + 1) + Before(place) + ": " + what);
+  }
   [[noreturn]] void FailAt(size_t place, const std::string& found, const std::string& expected) const {
-    throw InputError("--sweep, character " + std::to_string(place + 1) + Before(place) + ": found " +
-                     (found.empty() ? "nothing" : "'" + found + "'") + ", expected " + expected);
+    FailAt(place, "found " + (found.empty() ? "nothing" : "'" + found + "'") + ", expected " + expected);
   }
 
   [[noreturn]] void Fail(const std::string& expected) {
@@ -119,6 +124,9 @@ class SpecParser {
     token.text.erase(token.text.find_last_not_of(" \t\n") + 1);
     return token;
   }
+
+  // The name of a contact model may have options with the marks of a range.
+  Token TakeValue(const std::string& option) { return option == "contact" ? Take(",;&()") : Take(); }
 
   SweepBlock ParseBlock() {
     if (Peek() == '@') return ParseFile();
@@ -169,14 +177,14 @@ class SpecParser {
 
   SweepValue ParseValue(const std::string& option, const Token& token) {
     SweepValue value;
-    const std::string expected = ReadValue(option, token.text, scene_, &value);
-    if (!expected.empty()) FailAt(token.place, token.text, expected);
+    const std::string wrong = ReadValue(option, token.text, scene_, &value);
+    if (!wrong.empty()) FailAt(token.place, wrong);
     return value;
   }
 
   void ParseItem(SweepBlock* block) {
     const std::string& option = block->options[0];
-    const Token token = Take();
+    const Token token = TakeValue(option);
     if (Peek() != ':') {
       block->rows.push_back({ParseValue(option, token)});
       return;
@@ -241,7 +249,7 @@ class SpecParser {
       SweepRow row;
       for (const std::string& option : block.options) {
         if (!row.empty()) Expect(',');
-        row.push_back(ParseValue(option, Take()));
+        row.push_back(ParseValue(option, TakeValue(option)));
       }
       Expect(')');
       block.rows.push_back(std::move(row));
@@ -254,20 +262,20 @@ class SpecParser {
     const Token path = Take(";");
     const StatusOr<CsvDocument> csv = ReadCsv(path.text);
     if (!csv.ok()) throw InputError("--sweep, character " + std::to_string(path.place) + ": " + csv.status().message());
-    const auto fail = [&](const std::string& place, const std::string& found, const std::string& expected) {
-      throw InputError(path.text + ", " + place + ": found '" + found + "', expected " + expected);
+    const auto fail = [&](const std::string& place, const std::string& what) {
+      throw InputError(path.text + ", " + place + ": " + what);
     };
     SweepBlock block;
     for (const std::string& name : csv->header) {
-      CheckName(name, [&](const std::string& expected) { fail("header", name, expected); });
+      CheckName(name,
+                [&](const std::string& expected) { fail("header", "found '" + name + "', expected " + expected); });
       block.options.push_back(name);
     }
     for (size_t i = 0; i < csv->rows.size(); ++i) {
       SweepRow row(block.options.size());
       for (size_t j = 0; j < row.size(); ++j) {
-        const std::string& text = csv->rows[i][j];
-        const std::string expected = ReadValue(block.options[j], text, scene_, &row[j]);
-        if (!expected.empty()) fail("row " + std::to_string(i + 1) + ", " + block.options[j], text, expected);
+        const std::string wrong = ReadValue(block.options[j], csv->rows[i][j], scene_, &row[j]);
+        if (!wrong.empty()) fail("row " + std::to_string(i + 1) + ", " + block.options[j], wrong);
       }
       block.rows.push_back(std::move(row));
     }

@@ -54,6 +54,13 @@ TEST(SweepSpec, ExplicitPointsInline) {
   EXPECT_THAT(blocks[0].rows, ElementsAre(SweepRow{"direct_toi", 10.0}, SweepRow{"event", 5.0}));
 }
 
+TEST(SweepSpec, ContactModelsHaveOptions) {
+  const std::vector<SweepBlock> blocks =
+      ParseSweep("contact=ncp:kappa=1e-6:kappa_grad=1e-4, xpbd:substeps=1; friction=0", TwoBalls());
+  ASSERT_EQ(blocks.size(), 2u);
+  EXPECT_THAT(blocks[0].rows, ElementsAre(SweepRow{"ncp:kappa=1e-6:kappa_grad=1e-4"}, SweepRow{"xpbd:substeps=1"}));
+}
+
 TEST(SweepSpec, ExplicitPointsFromAFile) {
   const std::string path = testing::TempDir() + "/sweep_points.csv";
   std::ofstream(path) << "stiffness,precision\n100,float\n200,double\n";
@@ -88,7 +95,10 @@ TEST(SweepSpec, ErrorsNamePlaceAndExpectation) {
       {"stiffness=1:2:lin:0", "found '0'", "1..1000000"},
       {"stiffness=-1:1:log:3", "found '-1'", "> 0, as the range is logarithmic"},
       {"contact=direct_tio", "found 'direct_tio'", "direct_toi"},
-      {"contact=lcp:convex:lin:2", "found 'lcp'", "no range"},
+      {"contact=lcp:convex:lin:2", "found 'convex'", "expected no options of lcp"},
+      {"contact=xpbd:substeps=0", "found 'substeps=0'", "a whole number in 1..10000"},
+      {"contact=xpbd:kappa=1", "character 9", "options compliance, substeps, published_bound of xpbd"},
+      {"solver=gd:hmp:lin:2", "found 'gd'", "no range"},
       {"stiffness=1;stiffness=2", "character 13", "each option once"},
       {"stiffness=1,2&damping=1,2,3", "found 'damping=1,2,3'", "2 values, as 'stiffness' has"},
       {"(stiffness,damping)=(1,2),(3)", "character 29", "expected ','"},
