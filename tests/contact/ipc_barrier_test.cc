@@ -52,15 +52,6 @@ TEST(IpcBarrierTest, StiffImplicitEulerIsPlastic) {
   EXPECT_NEAR((LossDerivative<Stiff>(TwoBalls(), "dloss/dp1_x")), -0.6067, 1e-3);
 }
 
-// As the step goes to zero at fixed stiffness: elastic, with the exact gradient up to the range of the barrier.
-TEST(IpcBarrierTest, BecomesElasticWithTheStep) {
-  Scene scene = BounceOnce();
-  scene.steps = 4800;
-  EXPECT_NEAR(LossOf<IpcBarrier>(scene), 1.184, 1e-3);
-  EXPECT_NEAR((LossDerivative<IpcBarrier>(scene, "dloss/dp_y")), -0.982, 1e-3);
-  EXPECT_NEAR((LossDerivative<IpcBarrier>(scene, "dloss/dv_y")), -0.971, 1e-3);
-}
-
 // In the range of the barrier, not overlapping.
 Scene Near(Scene scene) {
   for (Body& body : scene.bodies) body.velocity *= 0.3;

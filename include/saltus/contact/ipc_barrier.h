@@ -241,8 +241,9 @@ struct IpcBarrier {
     for (const auto& disc : values.discs) {
       if (disc.unknown >= 0) x.segment<2>(disc.unknown) = disc.q;
     }
+    const Eigen::VectorXd start = x;
     const bool converged = internal::MinimizeBarrierEnergy(values, &x);
-    Report(in, group, values, x, reported);
+    Report(in, group, values, start, x, reported);
     Eigen::MatrixXd hessian;
     if constexpr (!std::is_same_v<T, double>) hessian = LinearizeByUnknowns(values, x).jacobian;
     const std::vector<T> solution = CorrectInT(energy, x, hessian);
@@ -295,11 +296,14 @@ struct IpcBarrier {
 
   template <typename T>
   void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::BarrierEnergy<double>& energy,
-              const Eigen::VectorXd& x, std::span<char> reported) const {
-    const std::span<const double> at(x.data(), x.size());
+              const Eigen::VectorXd& start, const Eigen::VectorXd& x, std::span<char> reported) const {
+    const std::span<const double> from(start.data(), start.size()), at(x.data(), x.size());
     for (int i = 0; i < group.num_contacts(); ++i) {
       const auto& side = energy.contacts[i];
-      const bool acts = energy.SeparationAt(at, side).distance - side.touching < range;
+      const auto in_range = [&](std::span<const double> unknowns) {
+        return energy.SeparationAt(unknowns, side).distance - side.touching < range;
+      };
+      const bool acts = in_range(at) || (integrator == Integrator::kTrapezoidal && in_range(from));
       if (reported[i] || !(acts || side.friction > 0)) continue;
       reported[i] = 1;
       const bool slips = std::abs(energy.Slid(at, side)) > energy.slip;
