@@ -7,7 +7,10 @@ namespace saltus::testing {
 namespace {
 
 struct Smooth : SoftConvex {
-  Smooth() { impedance = SmoothOnset(); }
+  Smooth() {
+    impedance.at_contact = 1e-4;
+    impedance.width = 0.01;
+  }
 };
 // MuJoCo's own default: critically damped.
 struct Critical : SoftConvex {

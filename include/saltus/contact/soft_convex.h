@@ -16,7 +16,7 @@
 //
 // Values by block Gauss-Seidel over contacts, each solved in closed form; derivatives by one Newton correction in the
 // active edges of the cones. Everything is differentiated. With d_0 > 0 the force jumps where a contact begins, and the
-// error of the gradient does not vanish with the step; smooth_onset makes it small at small steps.
+// error of the gradient does not vanish with the step; with d_0 = 1e-4 over 1 cm it does.
 #pragma once
 
 #include <Eigen/Dense>
@@ -47,7 +47,6 @@ struct SoftConvex {
     double width = 1e-3;                       // m
     double middle = 0.5, power = 2;            // of the sigmoid between them
   };
-  static constexpr Impedance SmoothOnset() { return {.at_contact = 1e-4, .width = 0.01}; }
 
   Impedance impedance;
   double impratio = 1;
@@ -59,9 +58,9 @@ struct SoftConvex {
     visit(ModelOption{"tangential_damping", "of sliding, 1/s; 2 sqrt(stiffness) if negative", -1, 1e6},
           tangential_damping);
     visit(ModelOption{"impratio", "of normal to tangential softness", 1e-6, 1e6}, impratio);
-    bool smooth_onset = impedance.width == SmoothOnset().width;
-    visit(ModelOption{"smooth_onset", "1: the impedance begins at 1e-4, over 1 cm", 0, 1}, smooth_onset);
-    impedance = smooth_onset ? SmoothOnset() : Impedance();
+    visit(ModelOption{"dmin", "impedance where discs touch", 1e-4, 0.9999}, impedance.at_contact);
+    visit(ModelOption{"dmax", "impedance from `width` on", 1e-4, 0.9999}, impedance.at_width);
+    visit(ModelOption{"width", "overlap over which the impedance rises, m", 1e-9, 1}, impedance.width);
   }
 
   template <typename T>

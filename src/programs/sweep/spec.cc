@@ -9,6 +9,7 @@
 #include <set>
 
 #include "programs/sweep/options.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
 namespace {
