@@ -29,14 +29,15 @@ inline Scene TwoContacts(std::mt19937_64& random, double friction, double restit
   return scene;
 }
 
-// Velocities after one step, and their derivatives by positions and velocities, of both models in those of 600
-// states in which both contacts close.
+// Velocities after one step, and their derivatives by positions and velocities, of both models, in 200 random states in
+// which both contacts push.
 template <typename M, typename N>
 void ExpectAgreement(double value_tolerance, double derivative_tolerance) {
   using J = StepJet<double>;
   std::mt19937_64 random(7);
   int both = 0;
-  for (int i = 0; i < 600; ++i) {
+  for (int i = 0; both < 200; ++i) {
+    ASSERT_LT(i, 10000);
     const Scene scene = TwoContacts(random, i % 2 == 0 ? 0.0 : 0.3, i % 4 < 2 ? 0.0 : 0.5);
     if (scene.bodies[1].position[1] < 0.31) continue;  // it would touch the ground as well
     // Models differ in whether restitution keeps up the parting of a contact that opens, so both must close.
@@ -61,7 +62,6 @@ void ExpectAgreement(double value_tolerance, double derivative_tolerance) {
       }
     }
   }
-  EXPECT_GT(both, 40);
 }
 
 }  // namespace saltus::testing
