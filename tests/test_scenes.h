@@ -26,6 +26,13 @@ inline Scene BounceOffTheGrid() {
   return scene;
 }
 
+// Task 2 off its tie: the impact on the wall no longer falls on the end of a tenth of a step.
+inline Scene LaunchOffTheGrid() {
+  Scene scene = ProblemScene("ground_wall");
+  scene.bodies[0].position[0] += 1e-3;
+  return scene;
+}
+
 // Three moving discs of unequal masses and a fixed one, two planes, gravity; discs meet discs, the fixed one and the
 // planes. Two discs are pushed.
 inline Scene FourDiscs(double friction) {

@@ -69,7 +69,7 @@ class MemoryLimitOf : public testing::TestWithParam<std::string> {};
 TEST_P(MemoryLimitOf, ChangesNoBit) {
   Scene scene = FourDiscs(FindContactModel(GetParam())->friction ? 0.3 : 0);
   // Models that act at a distance solve a system of equations in every step.
-  scene.steps = FindContactModel(GetParam())->reach > 0 ? 300 : 3000;
+  scene.steps = FindContactModel(GetParam())->reach > 0 ? 60 : 3000;
   const Evaluation whole = Evaluate(GetParam(), scene, 0);
   ASSERT_TRUE(whole.ok);
   ASSERT_GT(whole.touches, 2u);

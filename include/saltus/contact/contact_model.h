@@ -52,6 +52,7 @@ struct ModelTraits {
   bool compared = false;         // one of those that the published comparisons (2022, 2023) report
   double reach = 0;              // m, gap from which on bodies push each other
   bool allocates = false;        // solves with matrices of its own on the heap in steps with contact
+  double accuracy = 0;           // relative error that the iterations of a step leave; 0: rounding
   bool relative = true;          // what discs do to each other depends on their relative motion only
 };
 

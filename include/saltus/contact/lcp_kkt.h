@@ -124,7 +124,8 @@ struct LcpKkt {
                                           .source = "lcp-physics (de Avila Belbute-Peres et al. 2018)",
                                           .double_engine = true,
                                           .chains = true,
-                                          .allocates = true};
+                                          .allocates = true,
+                                          .accuracy = 1e-10};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -152,7 +152,8 @@ struct Ncp {
       .double_engine = true,
       .rebound = kRestitution ? Rebound::kRestitution : Rebound::kPlastic,
       .reach = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
-      .allocates = true};
+      .allocates = true,
+      .accuracy = 1e-12};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
