@@ -49,7 +49,7 @@ TEST(Registry, BiasIsThatOfTheValuesSet) {
 TEST(Registry, OptionsChangeTheRollout) {
   Scene scene = ProblemScene("ground_wall");
   scene.contact.friction = 0.1;
-  scene.steps = 2880;
+  scene.steps = 9600;
   scene.bodies[0].velocity = {0.5, -5};  // slides slowly enough for smoothed friction to matter
   for (const ModelTraits& model : AllContactModels()) {
     for (const ListedOption& option : OptionsOf(model.name)) {
@@ -81,7 +81,7 @@ TEST(Registry, OptionsChangeTheRollout) {
                               "smooth_compliant:exponent=2",
                               "smooth_compliant:reference_depth=0.02",
                               "smooth_compliant:reference_speed=1",
-                              
+
                               "smooth_compliant:substeps=2",
                               "ipc_barrier:range=0.005",
                               "ipc_barrier:kappa=1e4",

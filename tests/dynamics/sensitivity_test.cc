@@ -306,7 +306,9 @@ int CompareWithDifferences(const std::string& model, const Point& at, const std:
       ++ties;
       continue;
     }
-    const double blur = FindContactModel(model)->accuracy > 0 ? numeric.error : 0;
+    // What iterations leave blurs differences, and derivatives by linear systems near the edge of a cone even more.
+    const double accuracy = FindContactModel(model)->accuracy;
+    const double blur = accuracy > 0 ? numeric.error + 1e3 * accuracy * largest : 0;
     EXPECT_NEAR(group.derivatives[i], numeric.value, 1e-6 * largest + 1e-9 + blur) << group.name << " " << i;
   }
   return ties;

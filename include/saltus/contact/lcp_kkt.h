@@ -125,7 +125,7 @@ struct LcpKkt {
                                           .double_engine = true,
                                           .chains = true,
                                           .allocates = true,
-                                          .accuracy = 1e-10};
+                                          .accuracy = 1e-9};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
