@@ -26,6 +26,16 @@ TEST(ExtraModel, IsRightWhereNothingAccelerates) {
   EXPECT_EQ(audit.widths->verdict, Verdict::kUnknown);
 }
 
+// The class of a model that nobody has told the audit of.
+TEST(ExtraModel, ItsClassIsRecognised) {
+  for (const char* problem : {"bounce_once", "ground_wall", "two_balls"}) {
+    const Scene scene = ProblemScene(problem);
+    const ContactRecognition found = RecogniseContact("mirror", scene);
+    EXPECT_EQ(found.contact_class, ContactClass::kImpactTimeResolved) << problem << found.words;
+    EXPECT_NEAR(found.position_from_position.value_or(0), -scene.contact.restitution, 1e-3) << problem;
+  }
+}
+
 TEST(ExtraModel, IsWrongUnderForceForAKnownReason) {
   const ModelAudit audit = Audit("two_balls");
   EXPECT_TRUE(IsWrong(audit.verdict));

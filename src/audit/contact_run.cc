@@ -1,0 +1,225 @@
+#include "audit/contact_run.h"
+
+#include <glog/logging.h>
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <numeric>
+
+#include "audit/step_map.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/physics/geometry.h"
+
+namespace saltus {
+namespace {
+
+// Changes of velocity, relative to the closing speed.
+constexpr double kRounding = 1e-13;
+constexpr double kFelt = 1e-6;    // a contact may have begun; less is a force from afar
+constexpr double kMet = 1e-2;     // the sum at which it has
+constexpr double kOver = 1e-3;    // less than this, while the pair parts, ends it
+constexpr double kAtRest = 1e-2;  // slower than this for long enough, it has come to rest
+// "Long enough", in steps since the contact began; a spring turns round within far fewer.
+constexpr int kRestAtLeast = 4, kRestTimes = 4;
+constexpr int kMostSteps = 4096;
+constexpr int kLead = 2;  // steps before a contact from which it is run again
+// A closing speed that acceleration makes in this many steps is that of a contact at rest.
+constexpr double kRestingSteps = 4;
+
+Scene OneStep(std::string_view contact, Scene scene, double h) {
+  scene.duration = h;
+  scene.steps = CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+  return scene;
+}
+
+double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body.mass; }
+
+StepLinearization::FreeFlight FreeFlightOf(const Simulator& simulator) {
+  StepLinearization step;
+  std::vector<double> x(simulator.state_size());
+  simulator.ExpandInitial(InitialState(simulator.scene()), x);
+  simulator.Linearize(x, std::vector<double>(2 * simulator.num_bodies()), /*with_parameters=*/false, &step);
+  return step.free;
+}
+
+// Steps in which a pair has touched without a break, and what each changed, m/s.
+struct Touching {
+  Candidate pair;
+  int begin = 0;
+  std::vector<double> changes;
+
+  int end() const { return begin + static_cast<int>(changes.size()); }
+  double sum() const { return std::accumulate(changes.begin(), changes.end(), 0.0); }
+  // How many of the last steps have changed more than that.
+  int NumFelt(double change) const {
+    const auto less = [change](double other) { return std::abs(other) <= change; };
+    return static_cast<int>(std::find_if(changes.rbegin(), changes.rend(), less) - changes.rbegin());
+  }
+};
+
+// That of a pair, begun anew if it has not touched in the step before.
+Touching& FindTouching(const StepTouch& at, std::vector<Touching>* all) {
+  const Candidate& pair = at.touch.candidate;
+  const auto known = std::find_if(all->begin(), all->end(), [&](const Touching& t) { return t.pair == pair; });
+  Touching& touching = known == all->end() ? all->emplace_back() : *known;
+  if (touching.changes.empty() || at.step > touching.end()) touching = {pair, at.step, {}};
+  return touching;
+}
+
+}  // namespace
+
+PairMotion::PairMotion(const Simulator& simulator, const StepLinearization::FreeFlight& free, const Candidate& pair,
+                       std::span<const double> force)
+    : simulator_(simulator), free_(free), pair_(pair) {
+  const Scene& scene = simulator.scene();
+  const auto acceleration = [&](int body) -> Vec2d {
+    if (scene.bodies[body].fixed) return Vec2d::Zero();
+    return Vec2d(force[2 * body], force[2 * body + 1]) * InverseMass(scene.bodies[body]) + scene.gravity;
+  };
+  acceleration_ = pair.plane ? acceleration(pair.a) : Vec2d(acceleration(pair.a) - acceleration(pair.b));
+}
+
+Vec2d PairMotion::Relative(std::span<const double> x, int offset) const {
+  const auto of = [&](int body) {
+    const int at = body * simulator_.body_size() + offset;
+    return Vec2d(x[at], x[at + 1]);
+  };
+  return pair_.plane ? of(pair_.a) : Vec2d(of(pair_.a) - of(pair_.b));
+}
+
+Vec2d PairMotion::NormalAt(std::span<const double> x) const {
+  if (pair_.plane) return simulator_.scene().planes[pair_.b].normal.normalized();
+  return Relative(x, 0).normalized();
+}
+
+double PairMotion::Speed(std::span<const double> x) const { return Dot(NormalAt(x), Relative(x, 2)); }
+
+double PairMotion::Change(std::span<const double> from, std::span<const double> to) const {
+  const Vec2d flown = free_.vp * Relative(from, 0) + free_.vv * Relative(from, 2) + free_.va * acceleration_;
+  return Dot(NormalAt(from), Vec2d(Relative(to, 2) - flown));
+}
+
+bool PairMotion::Rests(std::span<const double> x) const {
+  return -Speed(x) <= kRestingSteps * simulator_.step() * std::abs(Dot(NormalAt(x), acceleration_));
+}
+
+std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene) {
+  const std::unique_ptr<Simulator> model = MakeSimulator(contact, scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, model->num_steps());
+  if (!model->Rollout(InitialState(scene), control)) return std::nullopt;
+  const auto state = [&](int k) {
+    std::vector<double> x(model->state_size());
+    model->GetState(k, x);
+    return x;
+  };
+  const StepLinearization::FreeFlight free = FreeFlightOf(*model);
+  std::vector<Touching> pairs;
+  for (const StepTouch& at : model->touches()) {
+    Touching& touching = FindTouching(at, &pairs);
+    if (at.step < touching.end()) continue;
+    Encounter encounter{at.step, touching.pair, {}, std::vector<double>(2 * model->num_bodies())};
+    model->ExpandForce(control, at.step, encounter.force);
+    const PairMotion motion(*model, free, touching.pair, encounter.force);
+    const std::vector<double> x = state(at.step);
+    touching.changes.push_back(motion.Change(x, state(at.step + 1)));
+    const double closing = -motion.Speed(x);
+    if (motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
+    // A force that sets in smoothly has begun before it is felt.
+    const int earlier = 2 * (touching.NumFelt(kFelt * closing) - 1);
+    encounter.step = std::max(touching.begin, at.step - earlier);
+    encounter.before = state(std::max(0, encounter.step - kLead));
+    return encounter;
+  }
+  return std::nullopt;
+}
+
+ContactRunner::ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h)
+    : scene_(scene),
+      encounter_(encounter),
+      simulator_(MakeSimulator(contact, OneStep(contact, scene, h), Precision::kDouble)),
+      motion_(*simulator_, FreeFlightOf(*simulator_), encounter.pair, encounter.force) {}
+
+ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) const {
+  ContactRun run;
+  std::deque<std::vector<double>> past;  // at most kLead + 1 states, the last one current
+  past.emplace_back(from.begin(), from.end());
+  std::vector<double> next(from.size());
+  std::vector<Touch> touches;
+  double closing = 0, largest = 0, sum = 0;
+  int felt = 0, at_rest = 0;
+  for (; run.steps < kMostSteps && !run.ends; ++run.steps) {
+    const std::vector<double>& x = past.back();
+    touches.clear();
+    simulator_->Step(x, encounter_.force, next, &touches);
+    if (!run.begins) closing = -motion_.Speed(x);
+    const double change = motion_.Change(x, next) / closing;
+    const double speed = motion_.Speed(next) / closing;
+    if (!std::isfinite(change) || !(closing > 0)) return {};
+    const bool touched = std::any_of(
+        touches.begin(), touches.end(), [&](const Touch& touch) { return touch.candidate == encounter_.pair; });
+    if (touched && std::abs(change) > kRounding) {
+      ++run.touched;
+      if (run.touched == 2) run.first_full = std::abs(change);
+      if (!run.begins) run.before = past.front();
+      run.begins = true;
+      sum += std::abs(change);
+      if (std::abs(change) > largest) {
+        largest = std::abs(change);
+        run.before_largest = past.front();
+      }
+    }
+    if (std::abs(change) > kFelt || felt > 0) ++felt;
+    at_rest = std::abs(speed) < kAtRest ? at_rest + 1 : 0;
+    const bool parts = run.begins && speed > 0 && std::abs(change) < kOver * largest;
+    const bool rests = felt > 0 && at_rest >= kRestAtLeast + kRestTimes * (felt - at_rest);
+    run.ends = parts || rests || (onset_only && run.touched >= 2);
+    if (run.ends) run.rebound = parts ? speed : 0.0;
+    past.push_back(next);
+    if (past.size() > kLead + 1) past.pop_front();
+  }
+  run.concentration = sum > 0 ? largest / sum : 0.0;
+  return run;
+}
+
+NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const {
+  const Candidate& pair = encounter_.pair;
+  struct Moving {
+    int body;
+    double side, share;  // in the relative motion
+  };
+  const double mass_a = InverseMass(scene_.bodies[pair.a]);
+  const double mass_b = pair.plane ? 0.0 : InverseMass(scene_.bodies[pair.b]);
+  std::vector<Moving> moving;
+  if (mass_a > 0) moving.push_back({pair.a, 1, mass_a / (mass_a + mass_b)});
+  if (mass_b > 0) moving.push_back({pair.b, -1, mass_b / (mass_a + mass_b)});
+  std::vector<int> bodies;
+  for (const Moving& disc : moving) bodies.push_back(disc.body);
+  const auto force = [this](int, std::span<double> out) {
+    std::copy_n(encounter_.force.begin(), out.size(), out.begin());
+  };
+  const Eigen::MatrixXd A = ComposeSteps(*simulator_, before_largest, force, kLead + 1 + kLead, bodies).A;
+
+  // To relative normal motion, the discs displaced so that their centre of mass stays.
+  const Vec2d n = motion_.NormalAt(before_largest);
+  Eigen::Matrix2d map = Eigen::Matrix2d::Zero(), flight;
+  for (size_t i = 0; i < moving.size(); ++i) {
+    for (size_t j = 0; j < moving.size(); ++j) {
+      for (int r = 0; r < 2; ++r) {
+        for (int c = 0; c < 2; ++c) {
+          const Eigen::Matrix2d block = A.block<2, 2>(4 * i + 2 * r, 4 * j + 2 * c);
+          map(r, c) += moving[i].side * moving[j].side * moving[j].share * n.dot(block * n);
+        }
+      }
+    }
+  }
+  const StepLinearization::FreeFlight& free = motion_.free();
+  flight << free.pp, free.pv, free.vp, free.vv;
+  const Eigen::Matrix2d back = flight.inverse();
+  for (int i = 0; i < kLead; ++i) map = back * map * back;
+  return {map(0, 0), map(1, 0)};
+}
+
+}  // namespace saltus

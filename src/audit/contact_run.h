@@ -1,0 +1,85 @@
+// One contact of a model, run at one length of step.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <string_view>
+#include <vector>
+
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus {
+
+// The relative motion of two discs, or of a disc and a plane, along their normal.
+class PairMotion {
+ public:
+  // `free` is that of the simulator, which outlives this; `force` is that on every disc, B x 2.
+  PairMotion(const Simulator& simulator, const StepLinearization::FreeFlight& free, const Candidate& pair,
+             std::span<const double> force);
+
+  Vec2d NormalAt(std::span<const double> x) const;
+  double Speed(std::span<const double> x) const;  // of separation, m/s
+  // By the step from one state to the other, less that of free flight, m/s.
+  double Change(std::span<const double> from, std::span<const double> to) const;
+  // Whether the pair closes in no faster than its acceleration makes it within a few steps.
+  bool Rests(std::span<const double> x) const;
+  const StepLinearization::FreeFlight& free() const { return free_; }
+
+ private:
+  Vec2d Relative(std::span<const double> x, int offset) const;
+
+  const Simulator& simulator_;
+  StepLinearization::FreeFlight free_;
+  Candidate pair_;
+  Vec2d acceleration_;
+};
+
+// A pair about to meet, and the state of the scene before it does.
+struct Encounter {
+  int step = 0;  // of the model's rollout, in which the contact begins
+  Candidate pair;
+  std::vector<double> before;  // state_size() numbers, up to two steps earlier
+  std::vector<double> force;   // on every disc, B x 2
+};
+
+// The first contact of the model's rollout that takes a part of a pair's closing speed; nothing if there is none, or if
+// the rollout is not finite.
+std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene);
+
+// What a contact does to the velocity along the pair's normal.
+struct ContactRun {
+  bool begins = false;                 // the pair met within the steps allowed
+  bool ends = false;                   // and parted, or came to rest
+  double concentration = 0;            // largest change of a step / sum of their magnitudes
+  double rebound = 0;                  // speed of separation / closing speed; 0 if it rests
+  double first_full = 0;               // change in the second step of the contact / closing speed
+  int steps = 0;                       // that were run
+  int touched = 0;                     // of these, in contact
+  std::vector<double> before;          // two steps before the contact
+  std::vector<double> before_largest;  // two steps before that of the largest change
+};
+
+// d(relative normal position, velocity) after / before an impulse.
+struct NormalMap {
+  double position_from_position = 0, velocity_from_position = 0;  // 1, 1/s
+};
+
+// Steps of length `h` of a model, around one encounter.
+class ContactRunner {
+ public:
+  ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h);
+
+  // From a state before the contact until it is over; if `onset_only`, just its first two steps.
+  ContactRun Run(std::span<const double> from, bool onset_only) const;
+  // Over the step that follows `before_largest` by two, with free flight undone.
+  NormalMap Linearize(std::span<const double> before_largest) const;
+
+ private:
+  const Scene& scene_;
+  const Encounter& encounter_;
+  std::unique_ptr<Simulator> simulator_;
+  PairMotion motion_;
+};
+
+}  // namespace saltus
