@@ -17,6 +17,7 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
     return result;
   }
   result.events = EventsOf(shooting.simulator());
+  result.num_touches = static_cast<int>(shooting.simulator().touches().size());
   return result;
 }
 

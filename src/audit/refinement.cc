@@ -80,6 +80,9 @@ std::vector<std::string> FindWrongSigns(const std::vector<std::string>& names, c
   return wrong;
 }
 
+// Beside a step of one disc in free flight.
+constexpr double kWorkOfATouch = 24;
+
 // Before that no floor can be told from slow convergence.
 constexpr double kSettled = 0.01;
 // Orders are fitted over this many of the finest levels.
@@ -163,9 +166,10 @@ class Study {
     }
   }
 
-  // Steps times discs.
+  // As of RefinementOptions::budget.
   double CostOf(int level) const {
-    return std::ldexp(double(scene_.steps), level) * options_.samples * scene_.num_bodies();
+    const double work = std::max(double(scene_.steps) * scene_.num_bodies(), kWorkOfATouch * touches_);
+    return std::ldexp(work, level) * options_.samples;
   }
 
   bool Undecided() const {
@@ -188,6 +192,7 @@ class Study {
         out_.reason = "with " + std::to_string(refined.steps) + " steps, " + gradient.reason;
         return false;
       }
+      if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
       for (size_t q = 0; q < entries.size(); ++q) {
         entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
       }
@@ -220,6 +225,7 @@ class Study {
   const RefinementOptions& options_;
   RefinementStudy& out_;
   int unit_ = 1;
+  int touches_ = 0;  // at the first level
   std::vector<double> scales_;
   std::vector<std::vector<double>> coarsest_;
 };

@@ -17,6 +17,7 @@ struct ModelGradient {
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
+  int num_touches = 0;        // pairs that touch, summed over all steps
 
   bool ok() const { return reason.empty(); }
 };
