@@ -86,6 +86,11 @@ const ContactError* ModelAudit::FirstWrong() const {
 
 std::string ModelAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
+  // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
+  if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
+                      recognition->contact_class == ContactClass::kDepthFeedback)) {
+    return recognition->words;
+  }
   if (const ContactError* first = FirstWrong()) return first->why;
   if (attribution && !attribution->sequence.empty()) return attribution->sequence;
   if (attribution && !attribution->ok()) return attribution->reason;
@@ -100,11 +105,12 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
   ModelAudit audit;
   audit.gradient = ComputeGradient(contact, scene, precision);
   if (!audit.gradient.ok()) return audit;
+  audit.recognition = RecogniseContact(contact, scene);
   if (reference) {
     audit.error = CompareGradients(audit.gradient, *reference);
     audit.refinement = StudyRefinement(contact, scene, options.refinement);
     audit.verdict = audit.refinement->verdict;
-    if (IsWrong(audit.verdict)) audit.attribution = AttributeError(contact, scene);
+    if (options.attribution && IsWrong(audit.verdict)) audit.attribution = AttributeError(contact, scene);
   }
   if (options.width_sweep || !reference) {
     audit.widths = SweepWidths(contact, scene, options.widths);

@@ -143,6 +143,7 @@ void WriteAuditFiles(const Request& request, const AuditReport& report) {
   WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
   WriteTextFile(path + "_refinement.csv", RefinementTable(report).ToCsv());
   WriteTextFile(path + "_contacts.csv", ContactTable(report).ToCsv());
+  WriteTextFile(path + "_classes.csv", ClassTable(report).ToCsv());
   WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
   const Figure refinement = RefinementFigure(request.scene, report);
   if (!refinement.panels.empty()) WriteFigureFiles(refinement, path + "_refinement");

@@ -48,6 +48,25 @@ Json ContactsToJson(const Attribution& attribution) {
   return contacts;
 }
 
+Json RecognitionToJson(const ContactRecognition& found) {
+  Json evidence = {{"restitution", NumberToJson(found.restitution)}, {"words", found.words}};
+  if (found.step >= 0) {
+    evidence["step"] = found.step;
+    evidence["bodies"] = {found.a, found.b};
+  }
+  const auto add = [&](const char* key, const std::optional<double>& value) {
+    if (value) evidence[key] = NumberToJson(*value);
+  };
+  add("rebound", found.rebound);
+  add("finer_rebound", found.finer_rebound);
+  add("concentration", found.concentration);
+  add("finer_concentration", found.finer_concentration);
+  add("onset_order", found.onset_order);
+  add("position_from_position", found.position_from_position);
+  add("velocity_from_position", found.velocity_from_position);
+  return evidence;
+}
+
 Json WidthsToJson(const WidthSweepStudy& study) {
   Json sweeps = Json::array();
   for (const WidthSweep& sweep : study.sweeps) {
@@ -78,6 +97,10 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     item["angle"] = NumberToJson(audit.error->angle);
   }
   item["verdict"] = VerdictToString(audit.verdict);
+  if (audit.recognition) {
+    item["class"] = ContactClassToString(audit.recognition->contact_class);
+    item["class_evidence"] = RecognitionToJson(*audit.recognition);
+  }
   if (const ContactError* first = audit.FirstWrong()) {
     item["first_wrong_step"] = first->first_step;
     item["first_wrong_contact"] = {first->a, first->b};

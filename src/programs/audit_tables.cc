@@ -5,20 +5,6 @@
 namespace saltus {
 namespace {
 
-Tone ToneOf(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-    case Verdict::kConsistent:
-      return Tone::kGood;
-    case Verdict::kWrong:
-    case Verdict::kWrongSign:
-      return Tone::kBad;
-    case Verdict::kUnknown:
-      break;
-  }
-  return Tone::kMuted;
-}
-
 // One column a component, named as a derivative of the loss: position and velocity of every disc that moves, and the
 // first force on every controlled disc.
 std::vector<Column> GradientColumns(const Scene& scene) {
@@ -68,6 +54,20 @@ Cell VerdictCell(const QuantityStudy* study) {
 
 }  // namespace
 
+Tone ToneOf(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+    case Verdict::kConsistent:
+      return Tone::kGood;
+    case Verdict::kWrong:
+    case Verdict::kWrongSign:
+      return Tone::kBad;
+    case Verdict::kUnknown:
+      break;
+  }
+  return Tone::kMuted;
+}
+
 Table GradientTable(const Request& request, const AuditReport& report) {
   Table table(GradientColumns(request.scene));
   const auto add = [&](std::vector<Cell> row, const std::optional<GradientError>& error) {
@@ -89,6 +89,7 @@ Table GradientTable(const Request& request, const AuditReport& report) {
 Table VerdictTable(const AuditReport& report) {
   Table table({{"contact"},
                {"verdict"},
+               {"class"},
                {"by position"},
                {"by velocity"},
                {"by control"},
@@ -98,7 +99,9 @@ Table VerdictTable(const AuditReport& report) {
                {"why"}});
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
-    std::vector<Cell> row = {audit.gradient.contact, Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))};
+    std::vector<Cell> row = {audit.gradient.contact,
+                             Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
+                             audit.recognition ? Cell(ContactClassToString(audit.recognition->contact_class)) : Cell()};
     for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
       row.push_back(VerdictCell(audit.refinement ? audit.refinement->Find(quantity) : nullptr));
     }
@@ -186,6 +189,42 @@ Table ContactTable(const AuditReport& report) {
                     BlockToString(error.block),
                     error.why});
     }
+  }
+  return table;
+}
+
+Table ClassTable(const AuditReport& report) {
+  Table table({{"contact"},
+               {"class"},
+               {"step"},
+               {"a"},
+               {"b"},
+               {"restitution"},
+               {"rebound"},
+               {"rebound, finer"},
+               {"concentration"},
+               {"concentration, finer"},
+               {"onset order"},
+               {"position from position"},
+               {"velocity from position, times step"},
+               {"evidence"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.recognition) continue;
+    const ContactRecognition& found = *audit.recognition;
+    table.AddRow({audit.gradient.contact,
+                  ContactClassToString(found.contact_class),
+                  found.step < 0 ? Cell() : Cell(found.step),
+                  found.a,
+                  found.b,
+                  found.restitution,
+                  found.rebound,
+                  found.finer_rebound,
+                  found.concentration,
+                  found.finer_concentration,
+                  found.onset_order,
+                  found.position_from_position,
+                  found.velocity_from_position,
+                  found.words});
   }
   return table;
 }

@@ -8,6 +8,9 @@
 
 namespace saltus {
 
+// Right and consistent verdicts are good, wrong ones bad.
+Tone ToneOf(Verdict verdict);
+
 // Loss and gradient at the scene's own steps, one row a model, the exact one last.
 Table GradientTable(const Request& request, const AuditReport& report);
 
@@ -22,6 +25,9 @@ Table RefinementTable(const AuditReport& report);
 
 // Every contact of the models that are wrong.
 Table ContactTable(const AuditReport& report);
+
+// How every model makes contact, and the numbers that tell.
+Table ClassTable(const AuditReport& report);
 
 // Plateaus of the width sweep, one row an entry and model.
 Table PlateauTable(const AuditReport& report);

@@ -173,6 +173,8 @@ TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
   const json& direct_toi = AuditOf(document, "direct_toi");
   EXPECT_EQ(direct_toi["verdict"], "wrong");
   EXPECT_EQ(direct_toi["first_wrong_step"], 331);
+  EXPECT_EQ(direct_toi["class"], "impact time resolved");
+  EXPECT_NEAR(direct_toi["class_evidence"]["position_from_position"], -1, 1e-3);
   EXPECT_EQ(direct_toi["first_wrong_contact"], json({"striker", "target"}));
   EXPECT_EQ(direct_toi["block"], "velocity from position");
   EXPECT_EQ(direct_toi["why"], "acceleration at the impact ignored");
@@ -204,6 +206,7 @@ TEST(CommandLine, TheAuditWritesTablesAndFigures) {
   EXPECT_NEAR(std::stod(first[*entries->Find("exact")]), -0.39866841646141652, 1e-12);
   EXPECT_NEAR(std::stod(first[*entries->Find("own steps")]), -0.719080, 1e-6);
   EXPECT_TRUE(ReadCsv(dir + "/two_balls_contacts.csv").ok());
+  EXPECT_TRUE(ReadCsv(dir + "/two_balls_classes.csv").ok());
   for (const char* name : {"refinement.svg", "refinement.png", "widths.svg", "widths.csv", "verdicts.md"}) {
     EXPECT_TRUE(std::ifstream(dir + "/two_balls_" + name).good()) << name;
   }

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "saltus/audit/attribution.h"
+#include "saltus/audit/contact_class.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/audit/width_sweep.h"
@@ -35,6 +36,7 @@ std::vector<double> CoarsenControl(const std::vector<double>& control, int steps
 
 struct AuditOptions {
   RefinementOptions refinement = {};
+  bool attribution = true;   // of wrong gradients to contacts
   bool width_sweep = false;  // also where there is an exact gradient
   WidthSweepOptions widths = {};
 };
@@ -44,9 +46,10 @@ struct ModelAudit {
   std::optional<GradientError> error;  // if there is a gradient and a reference
   // That of the refinement; without a reference that of the width sweep.
   Verdict verdict = Verdict::kUnknown;
-  std::optional<RefinementStudy> refinement;  // if there are a gradient and a reference
-  std::optional<Attribution> attribution;     // if the refinement calls it wrong
-  std::optional<WidthSweepStudy> widths;      // if asked for, or if there is no reference
+  std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
+  std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for
+  std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
+  std::optional<ContactRecognition> recognition;  // if there is a gradient
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;
