@@ -26,7 +26,7 @@ const std::vector<ModelStyle>& ModelStyles() {
       {"lcp_pgs", "#266F55", Dash::kDotted, Marker::kSquare},
       {"lcp_pgs_adjoint", "#E705B9", Dash::kDotted, Marker::kTriangle},
       {"ncp", "#0F1BF0", Dash::kDashed, Marker::kCross},
-      {"ncp_restitution", "#6D0055", Dash::kDashed, Marker::kDiamond},
+      {"ncp_restitution", "#6D0055", Dash::kDashed, Marker::kOpenSquare},
       {"soft_convex", "#2181B6", Dash::kDashDotted, Marker::kSquare},
       {"qcqp", "#A61F05", Dash::kDashed, Marker::kCircle},
       {"smooth_compliant", "#8B3A94", Dash::kDotted, Marker::kTriangleDown},
