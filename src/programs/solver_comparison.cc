@@ -9,6 +9,7 @@
 #include <set>
 
 #include "programs/parallel.h"
+#include "programs/thread_time.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/exact/two_disc_optimum.h"
 
@@ -18,6 +19,10 @@ namespace {
 constexpr int kShootingIterations = 500;    // by then it has ended
 constexpr int kLagrangianIterations = 200;  // by then it has stalled or gone astray
 constexpr int kFineSteps = 1000;
+// A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
+constexpr double kSlow = 2e-3;
+constexpr int kSlowIterations = 40;
+constexpr double kNearOptimum = 0.01;
 
 // Solvers that run under every contact model; the others know exact dynamics only, or are shown by one example.
 const std::set<std::string>& GeneralSolvers() {
@@ -69,8 +74,16 @@ SolvedRun Planned(const std::string& contact, const std::string& solver) {
   return run;
 }
 
-void SolveOne(const Scene& scene, SolvedRun* run) {
+// CPU time of the thread for a gradient of a scene, s.
+double GradientTime(const std::string& contact, const Scene& scene) {
+  const double start = ThreadTime();
+  ComputeGradient(contact, scene, Precision::kDouble);
+  return ThreadTime() - start;
+}
+
+void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   SolverOptions options;
+  options.iterations = iterations;
   options.learning_rate = DefaultLearningRate(scene);
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
@@ -106,7 +119,7 @@ double SolverComparison::Task::SmallestGap(const std::string& contact) const {
   return smallest;
 }
 
-SolverComparison::SolverComparison(const Experiments& experiments) {
+SolverComparison::SolverComparison(const Experiments& experiments, Others others) {
   for (const ModelTraits& traits : AllContactModels()) {
     if (traits.event_driven) exact_ = traits.name;
   }
@@ -146,18 +159,42 @@ SolverComparison::SolverComparison(const Experiments& experiments) {
       if (!traits.event_driven) strike_.runs.push_back(Planned(contact, "ceres_lagrangian"));
     }
   }
+  if (others != Others::kNone) PlanOthers(others);
+}
+
+void SolverComparison::PlanOthers(Others others) {
+  const bool every_solver = others == Others::kEverySolver;
+  others_.name = "comparison_formulations";
+  others_.title = "Task 3 under the models that the published comparisons do not report";
+  others_.scene = strike_.scene;
+  others_.optimum = strike_.optimum;
+  std::vector<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
+  if (every_solver) solvers.push_back("ceres_shooting");
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string contact(traits.name);
+    if (traits.compared || traits.event_driven || !WhyNotApplicable(contact, others_.scene).empty()) continue;
+    const bool slow = !every_solver && GradientTime(contact, others_.scene) > kSlow;
+    if (slow) slow_.insert(contact);
+    for (const std::string& solver : solvers) {
+      if (!slow || solver != "gd") others_.runs.push_back(Planned(contact, solver));
+    }
+  }
 }
 
 bool SolverComparison::Run(int threads, ProgressMode mode) {
   std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
-  for (Task* task : {&strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
+  for (Task* task : {&others_, &strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
     for (SolvedRun& run : task->runs) {
       if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
     }
   }
   const InterruptGuard guard;
   Progress progress(mode, stderr, "comparison of solvers", jobs.size());
-  const int done = RunJobs(jobs.size(), threads, &progress, [&](int i) { SolveOne(*jobs[i].first, jobs[i].second); });
+  const int done = RunJobs(jobs.size(), threads, &progress, [&](int i) {
+    const auto& [scene, run] = jobs[i];
+    const bool slow = slow_.count(run->report.contact) > 0;
+    SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
+  });
   return done == static_cast<int>(jobs.size());
 }
 
@@ -168,6 +205,14 @@ std::vector<CaptionedTable> SolverComparison::Tables() const {
         {task->name,
          task->title + ": every contact model with every solver. `gap` is the exact loss less the optimum.",
          TaskTable(*task)});
+  }
+  if (!others_.runs.empty()) {
+    tables.push_back({others_.name,
+                      others_.title + ". Models whose gradient takes more than " + Format("%g", 1e3 * kSlow) +
+                          " ms run " + std::to_string(kSlowIterations) +
+                          " iterations of Ceres and no gradient descent, and none step shooting, unless "
+                          "`--every_solver` is given.",
+                      TaskTable(others_)});
   }
   tables.push_back({strike_on_fine_grid_.name,
                     "Task 3 by step shooting, on 480 and 1000 steps: along a feasible path, and by an augmented "
@@ -339,6 +384,30 @@ PaperFigure SolverComparison::Defects() const {
       figure};
 }
 
+std::string SolverComparison::FindingOnOthers() const {
+  std::vector<std::pair<double, std::string>> gaps;
+  for (const SolvedRun& run : others_.runs) {
+    const std::string& contact = run.report.contact;
+    const bool known = std::any_of(gaps.begin(), gaps.end(), [&](const auto& gap) { return gap.second == contact; });
+    if (known) continue;
+    double smallest = std::numeric_limits<double>::infinity();
+    for (const std::string solver : {"ceres_lbfgs", "ceres_lm"}) {
+      const SolvedRun* found = others_.Find(contact, solver);
+      if (found != nullptr && found->exact.ok) smallest = std::min(smallest, found->exact.loss - others_.optimum);
+    }
+    gaps.emplace_back(smallest, contact);
+  }
+  std::sort(gaps.begin(), gaps.end());
+  std::string near, far;
+  for (const auto& [gap, contact] : gaps) {
+    std::string& list = gap < kNearOptimum ? near : far;
+    list += (list.empty() ? "`" : ", `") + contact + "` (" + Format("%.2g", gap) + ")";
+  }
+  return "Of the formulations that the paper does not compare, Ceres comes within " + Format("%g", kNearOptimum) +
+         " of the optimum of task 3 with " + (near.empty() ? "none" : near) + (far.empty() ? "" : "; not with " + far) +
+         ". In brackets: the gap of the exact loss.";
+}
+
 std::vector<std::string> SolverComparison::Findings() const {
   std::vector<std::string> findings;
   const auto gap = [&](const Task& task, const std::string& solver) -> std::optional<double> {
@@ -392,6 +461,7 @@ std::vector<std::string> SolverComparison::Findings() const {
         Format("%.1g", LargestDefect(lagrangian->report)) +
         ". A feasible path (`ceres_shooting`: every iterate is a rollout) has no such trouble.");
   }
+  if (!others_.runs.empty()) findings.push_back(FindingOnOthers());
   return findings;
 }
 
