@@ -1,19 +1,23 @@
 // report.html: all tables and figures, with what they mean.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "programs/experiments.h"
+#include "programs/formulation_audit.h"
 #include "programs/paper_figures.h"
 #include "programs/published.h"
 #include "programs/solver_comparison.h"
 
 namespace saltus {
 
-// Writes report.html into `output_dir`. Throws InputError if it cannot. `seconds` is what the experiments took.
+// Writes report.html into `output_dir`. Throws InputError if it cannot. `formulations` may be
+// left out; `seconds` is what the experiments took.
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
-                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison, double seconds,
+                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
+                      const std::optional<FormulationAudit>& formulations, double seconds,
                       const std::string& output_dir);
 
 }  // namespace saltus

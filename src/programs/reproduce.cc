@@ -4,19 +4,47 @@
 
 #include <chrono>
 #include <iostream>
+#include <optional>
 
 #include "programs/experiments.h"
+#include "programs/formulation_audit.h"
 #include "programs/notebook_files.h"
 #include "programs/paper_figures.h"
 #include "programs/paper_report.h"
+#include "programs/parallel.h"
 #include "programs/published.h"
 #include "programs/solver_comparison.h"
+#include "saltus/dynamics/registry.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
 DEFINE_string(data_dir, SALTUS_DATA_DIR, "directory of published.csv");
+DEFINE_bool(all_formulations, true, "audit every contact model on the three tasks, and solve task 3 under each");
+DEFINE_bool(every_solver, false, "with every general solver under the models that the paper does not compare, too");
 
 namespace saltus {
 namespace {
+
+FormulationAudit AuditFormulations(const Experiments& experiments) {
+  std::vector<std::string> contacts;
+  for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
+  return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
+                           {"Task 2: ground and wall", experiments.scene("ground_wall")},
+                           {"Task 3: two balls", experiments.scene("two_balls")}},
+                          std::move(contacts));
+}
+
+void WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const std::string& output_dir) {
+  std::vector<const PaperFigure*> all;
+  for (const std::vector<PaperFigure>& some : figures) {
+    for (const PaperFigure& figure : some) all.push_back(&figure);
+  }
+  Progress progress(ProgressFromFlags(), stderr, "figures", all.size());
+  RunJobs(static_cast<int>(all.size()), ThreadsFromFlags(), &progress, [&](int i) {
+    const std::string path = output_dir + "/" + all[i]->name;
+    const Status status = WriteFigure(all[i]->figure, path + ".svg", path + ".png");
+    if (!status.ok()) throw InputError(status.message());
+  });
+}
 
 int Reproduce() {
   const auto start = std::chrono::steady_clock::now();
@@ -30,22 +58,29 @@ int Reproduce() {
   }
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
   const double experiment_seconds = elapsed();
-  SolverComparison comparison(experiments);
+  using Others = SolverComparison::Others;
+  const Others others = FLAGS_every_solver       ? Others::kEverySolver
+                        : FLAGS_all_formulations ? Others::kQuick
+                                                 : Others::kNone;
+  SolverComparison comparison(experiments, others);
   if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) {
     std::cerr << "interrupted" << std::endl;
     return kAnswerFailed;
   }
-  CompareWithPublished(experiments, &rows);
-  WriteNotebookFiles(experiments, output_dir);
-  const std::vector<PaperFigure> figures = MakePaperFigures(experiments);
-  for (const auto& written : {figures, comparison.Figures()}) {
-    for (const PaperFigure& figure : written) {
-      const std::string path = output_dir + "/" + figure.name;
-      const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
-      if (!status.ok()) throw InputError(status.message());
+  std::optional<FormulationAudit> formulations;
+  if (FLAGS_all_formulations) {
+    formulations = AuditFormulations(experiments);
+    if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) {
+      std::cerr << "interrupted" << std::endl;
+      return kAnswerFailed;
     }
   }
-  WritePaperReport(experiments, rows, figures, comparison, experiment_seconds, output_dir);
+  CompareWithPublished(experiments, &rows);
+  WriteNotebookFiles(experiments, output_dir);
+  std::vector<PaperFigure> figures = MakePaperFigures(experiments);
+  if (formulations) figures.push_back(formulations->ToFigure());
+  WriteFigures({figures, comparison.Figures()}, output_dir);
+  WritePaperReport(experiments, rows, figures, comparison, formulations, experiment_seconds, output_dir);
 
   const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
@@ -53,6 +88,11 @@ int Reproduce() {
   };
   for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
   for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
+
+  if (formulations) {
+    const CaptionedTable table = formulations->ToTable();
+    write_table(table.name, table.caption, table.table);
+  }
 
   int failed = 0;
   for (const PublishedRow& row : rows) {
