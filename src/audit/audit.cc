@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <numeric>
 
 #include "saltus/dynamics/registry.h"
@@ -42,6 +43,66 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
   return gradient;
 }
 
+// Adds (value - exact)^2 in units of the standard error.
+struct SquaredDeviation {
+  double sum = 0;
+  int count = 0;
+  void Add(double difference, double standard_error) {
+    if (difference == 0 && standard_error == 0) return;
+    sum += std::pow(difference / standard_error, 2);
+    ++count;
+  }
+  double RootMean() const { return count > 0 ? std::sqrt(sum / count) : 0.0; }
+};
+
+// The control of an estimate is compared by segments, within which its entries are one number; if its grid is finer
+// than the exact one's, not at all.
+double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradient& exact) {
+  SquaredDeviation deviation;
+  for (size_t i = 0; i < estimate.initial_error.size(); ++i) {
+    deviation.Add(estimate.gradient.initial[i] - exact.gradient.initial[i], estimate.initial_error[i]);
+  }
+  if (estimate.control_error.empty() || exact.num_steps < estimate.num_steps) return deviation.RootMean();
+  const std::vector<double> control = CoarsenControl(exact.gradient.control, exact.num_steps, estimate.num_steps);
+  const std::int64_t steps = estimate.num_steps, width = static_cast<std::int64_t>(control.size()) / steps;
+  const bool in_segments =
+      estimate.surrogate->kind == SurrogateKind::kSmoothedZeroth && estimate.surrogate->segments > 0;
+  const std::int64_t segments = in_segments ? estimate.surrogate->segments : steps;
+  for (std::int64_t j = 0; j < width; ++j) {
+    double difference = 0, error = 0;
+    for (std::int64_t k = 0; k < steps; ++k) {
+      const std::int64_t i = k * width + j;
+      difference += estimate.gradient.control[i] - control[i];
+      error += estimate.control_error[i];
+      if (k + 1 < steps && (k + 1) * segments / steps == k * segments / steps) continue;
+      deviation.Add(difference, error);
+      difference = error = 0;
+    }
+  }
+  return deviation.RootMean();
+}
+
+// What a surrogate is, and how far from the exact gradient.
+std::string DescribeSurrogate(const ModelAudit& audit) {
+  const Surrogate& surrogate = *audit.gradient.surrogate;
+  char text[160] = "";
+  if (surrogate.smooths()) {
+    std::snprintf(text,
+                  sizeof text,
+                  "mean of %d samples with sigma %g, seed %llu",
+                  surrogate.samples,
+                  surrogate.sigma,
+                  static_cast<unsigned long long>(surrogate.seed));
+  }
+  std::string why = surrogate.smooths() ? text : "contact modes that the loss would rather have";
+  if (audit.error && audit.error->in_standard_errors) {
+    std::snprintf(
+        text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
+    why += text;
+  }
+  return why;
+}
+
 }  // namespace
 
 std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals) {
@@ -65,6 +126,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   error.relative = scale > 0 ? (g - reference).norm() / scale : (g - reference).norm();
   const double cosine = g.dot(reference) / (g.norm() * scale);
   error.angle = std::isfinite(cosine) ? std::acos(std::clamp(cosine, -1.0, 1.0)) : 0.0;
+  if (!gradient.initial_error.empty()) error.in_standard_errors = DeviationInStandardErrors(gradient, exact);
   return error;
 }
 
@@ -86,6 +148,7 @@ const ContactError* ModelAudit::FirstWrong() const {
 
 std::string ModelAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
+  if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
   // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
   if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
                       recognition->contact_class == ContactClass::kDepthFeedback)) {
@@ -103,8 +166,14 @@ std::string ModelAudit::Why() const {
 ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options) {
   ModelAudit audit;
-  audit.gradient = ComputeGradient(contact, scene, precision);
+  audit.gradient = options.surrogate ? ComputeSurrogate(contact, scene, precision, *options.surrogate, options.threads)
+                                     : ComputeGradient(contact, scene, precision);
   if (!audit.gradient.ok()) return audit;
+  if (options.surrogate) {
+    if (reference) audit.error = CompareGradients(audit.gradient, *reference);
+    audit.verdict = Verdict::kBiased;
+    return audit;
+  }
   audit.recognition = RecogniseContact(contact, scene);
   if (reference) {
     audit.error = CompareGradients(audit.gradient, *reference);

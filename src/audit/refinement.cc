@@ -120,10 +120,12 @@ int Badness(Verdict verdict) {
       return 1;
     case Verdict::kUnknown:
       return 2;
-    case Verdict::kWrong:
+    case Verdict::kBiased:
       return 3;
-    case Verdict::kWrongSign:
+    case Verdict::kWrong:
       return 4;
+    case Verdict::kWrongSign:
+      return 5;
   }
   LOG(FATAL) << "no such verdict";
 }
@@ -244,6 +246,8 @@ const char* VerdictToString(Verdict verdict) {
       return "wrong sign";
     case Verdict::kUnknown:
       return "unknown";
+    case Verdict::kBiased:
+      return "biased";
   }
   LOG(FATAL) << "no such verdict";
 }

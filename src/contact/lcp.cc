@@ -2,6 +2,7 @@
 
 #include <Eigen/QR>
 #include <algorithm>
+#include <cmath>
 
 namespace saltus {
 namespace {
@@ -25,6 +26,16 @@ class Dofs {
   const StepInput<double>& in_;
   std::vector<int> index_, discs_;
 };
+
+template <typename Rows>
+Dofs DofsOf(const StepInput<double>& in, int num_discs, const Rows& rows) {
+  Dofs dofs(in, num_discs);
+  for (const auto& row : rows) {
+    dofs.Add(row.candidate.a);
+    if (!row.candidate.plane) dofs.Add(row.candidate.b);
+  }
+  return dofs;
+}
 
 Eigen::VectorXd ImpulseDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction) {
   Eigen::VectorXd a = Eigen::VectorXd::Zero(dofs.size());
@@ -59,11 +70,8 @@ Eigen::MatrixXd BounceMatrix(const Eigen::MatrixXd& bounces, double restitution)
   return X;
 }
 
-}  // namespace
-
-void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
-                    Eigen::MatrixXd* B) const {
-  const int n = static_cast<int>(x.size());
+// Of n discs that touch nothing.
+void SetFreeFlight(const StepInput<double>& in, int n, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
   *A = Eigen::MatrixXd::Identity(4 * n, 4 * n);
   *B = Eigen::MatrixXd::Zero(4 * n, 2 * n);
   for (int i = 0; i < n; ++i) {
@@ -71,19 +79,78 @@ void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> 
     A->block<2, 2>(4 * i, 4 * i + 2).diagonal().setConstant(in.h);
     B->block<2, 2>(4 * i + 2, 2 * i).diagonal().setConstant(in.h * in.bodies[i].inverse_mass);
   }
+}
+
+// |l_v| + |l_u| / h over some discs, from the cotangents of all states and forces.
+double SizeOfGradient(const StepInput<double>& in, const std::vector<int>& discs, const Eigen::VectorXd& state,
+                      const Eigen::VectorXd& force) {
+  double velocity_squared = 0, force_squared = 0;
+  for (int disc : discs) {
+    velocity_squared += state.segment<2>(4 * disc + 2).squaredNorm();
+    force_squared += force.segment<2>(2 * disc).squaredNorm();
+  }
+  return std::sqrt(velocity_squared) + std::sqrt(force_squared) / in.h;
+}
+
+// An elastic bounce off a plane leaves the size as it is; rounding must not decide between opposite directions.
+constexpr double kLarger = 1 + 1e-9;
+
+}  // namespace
+
+void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
+                    Eigen::MatrixXd* B) const {
+  SetFreeFlight(in, static_cast<int>(x.size()), A, B);
+  std::vector<State<double>> flying(x.size());
+  FreeFlight(*this, in, x, std::span(flying));
+  for (const Group<double>& group : FindGroups<double>(in, x, flying)) {
+    LinearizeGroup(in, flying, group, SolveBoxedLcp(Problem(in, group)), /*with_bounces=*/true, A, B);
+  }
+}
+
+void Lcp::PullBack(const StepInput<double>& in, std::span<const State<double>> x, std::span<const double> after,
+                   std::span<double> before) const {
+  const int n = static_cast<int>(x.size());
+  Eigen::MatrixXd A, B;
+  SetFreeFlight(in, n, &A, &B);
   std::vector<State<double>> flying(n);
   FreeFlight(*this, in, x, std::span(flying));
-  for (const Group<double>& group : FindGroups<double>(in, x, flying)) LinearizeGroup(in, flying, group, A, B);
+  const Eigen::Map<const Eigen::VectorXd> cotangent(after.data(), 4 * n);
+  for (const Group<double>& group : FindGroups<double>(in, x, flying)) {
+    const BoxedLcp problem = Problem(in, group);
+    const LcpSolution solution = SolveBoxedLcp(problem);
+    const LcpSolution preferred = SolveBoxedLcpInClasses(problem, PreferredClasses(in, group, cotangent), solution);
+    Eigen::MatrixXd A_preferred = A, B_preferred = B;
+    LinearizeGroup(in, flying, group, solution, /*with_bounces=*/true, &A, &B);
+    LinearizeGroup(in, flying, group, preferred, /*with_bounces=*/false, &A_preferred, &B_preferred);
+    const std::vector<int> discs = DofsOf(in, n, group).discs();
+    const auto size = [&](const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
+      return SizeOfGradient(in, discs, a.transpose() * cotangent, b.transpose() * cotangent);
+    };
+    if (size(A_preferred, B_preferred) <= kLarger * size(A, B)) continue;
+    A = A_preferred;
+    B = B_preferred;
+  }
+  Eigen::Map<Eigen::VectorXd> pulled(before.data(), 6 * n);
+  pulled << A.transpose() * cotangent, B.transpose() * cotangent;
+}
+
+std::vector<LcpClass> Lcp::PreferredClasses(const StepInput<double>& in, const Group<double>& group,
+                                            const Eigen::VectorXd& cotangent) {
+  std::vector<LcpClass> classes(group.size(), LcpClass::kFree);
+  for (size_t i = 0; i < group.size(); ++i) {
+    if (group[i].normal != static_cast<int>(i)) continue;
+    const Candidate& c = group[i].candidate;
+    const auto along = [&](int disc) {
+      return in.bodies[disc].fixed ? 0.0 : Dot(group[i].direction, Vec2d(cotangent.segment<2>(4 * disc + 2)));
+    };
+    if (along(c.a) - (c.plane ? 0.0 : along(c.b)) >= 0) classes[i] = LcpClass::kClamping;
+  }
+  return classes;
 }
 
 void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying, const Group<double>& group,
-                         Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
-  const LcpSolution solution = SolveBoxedLcp(Problem(in, group));
-  Dofs dofs(in, static_cast<int>(flying.size()));
-  for (const Row<double>& row : group) {
-    dofs.Add(row.candidate.a);
-    if (!row.candidate.plane) dofs.Add(row.candidate.b);
-  }
+                         const LcpSolution& solution, bool with_bounces, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
+  const Dofs dofs = DofsOf(in, static_cast<int>(flying.size()), group);
   const int size = dofs.size();
   const int num_clamping = static_cast<int>(solution.clamping.size());
   Eigen::VectorXd inverse_mass(size), free_velocity(size);
@@ -116,7 +183,7 @@ void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<doub
     beta[k] = group[i].bounced ? 1 + in.contact.restitution : 1;
     rhs[k] = group[i].rhs;
     impulse[k] = solution.x[i];
-    if (!group[i].bounced) continue;
+    if (!group[i].bounced || !with_bounces) continue;
     bounces.conservativeResize(Eigen::NoChange, bounces.cols() + 1);
     bounces.rightCols<1>() = direction.col(k);
   }

@@ -213,6 +213,22 @@ double LcpViolation(const BoxedLcp& problem, const Eigen::VectorXd& x, double at
   return violation;
 }
 
+LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
+                                   const LcpSolution& solution) {
+  BoxedLcp regular = problem;
+  regular.matrix.diagonal().array() += solution.regularization;
+  LcpSolution result;
+  result.classes = classes;
+  result.clamping = ClampingRows(classes);
+  result.inverse = InverseInClasses(regular, classes, result.clamping, 1e-11);
+  result.regularization = solution.regularization;
+  result.x = SolveInClasses(regular, classes, result.clamping, result.inverse);
+  if (Fits(regular, result.x)) return result;
+  result.x.setZero();
+  for (int i : result.clamping) result.x[i] = solution.x[i];
+  return result;
+}
+
 LcpSolution SolveBoxedLcp(const BoxedLcp& problem) {
   if (problem.size() == 0) return {};
   for (const double regularization : kPivotRegularizations) {

@@ -12,12 +12,17 @@
 
 namespace saltus {
 
-Batch::Batch(std::string_view contact, const Scene& scene, Precision precision, int threads) {
+Batch::Batch(std::string_view contact, const Scene& scene, Precision precision, int threads,
+             SingleShooting::Variables variables) {
   CHECK_GE(threads, 0);
   if (threads == 0) threads = std::max(1u, std::thread::hardware_concurrency());
   for (int i = 0; i < threads; ++i) {
-    shootings_.push_back(std::make_unique<SingleShooting>(MakeSimulator(contact, scene, precision)));
+    shootings_.push_back(std::make_unique<SingleShooting>(MakeSimulator(contact, scene, precision), variables));
   }
+}
+
+void Batch::set_memory_limit(std::size_t bytes) {
+  for (const std::unique_ptr<SingleShooting>& shooting : shootings_) shooting->set_memory_limit(bytes);
 }
 
 void Batch::Evaluate(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {

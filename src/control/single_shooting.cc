@@ -5,25 +5,48 @@
 #include <cmath>
 
 namespace saltus {
+namespace {
 
-SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator)
+// Indices into the initial state (B x 4): of the first of two entries of each body, and the next.
+void AddPairs(const std::vector<int>& bodies, int offset, std::vector<int>* indices) {
+  for (int body : bodies) {
+    for (int j = 0; j < 2; ++j) indices->push_back(4 * body + offset + j);
+  }
+}
+
+std::vector<int> IndicesOfFree(const Scene& scene) {
+  std::vector<int> indices;
+  if (scene.optimize == Optimize::kPosition) AddPairs(scene.free, 0, &indices);
+  if (scene.optimize == Optimize::kVelocity) AddPairs(scene.free, 2, &indices);
+  return indices;
+}
+
+std::vector<int> IndicesOfInitialState(const Scene& scene) {
+  std::vector<int> moving, indices;
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    if (!scene.bodies[i].fixed) moving.push_back(i);
+  }
+  AddPairs(moving, 0, &indices);
+  AddPairs(moving, 2, &indices);
+  return indices;
+}
+
+}  // namespace
+
+SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables)
     : simulator_(std::move(simulator)),
+      controls_(variables == Variables::kOfScene && scene().optimize == Optimize::kControl),
       initial_(InitialState(simulator_->scene())),
       final_(simulator_->state_size()),
       cotangent_(simulator_->state_size()) {
-  if (scene().optimize == Optimize::kControl) {
+  if (controls_) {
     guess_ = InitialControl(scene(), simulator_->num_steps());
     return;
   }
   control_ = InitialControl(scene(), simulator_->num_steps());
-  if (scene().optimize != Optimize::kNone) {
-    const int offset = scene().optimize == Optimize::kVelocity ? 2 : 0;
-    for (int body : scene().free) {
-      for (int j = 0; j < 2; ++j) variables_.push_back(4 * body + offset + j);
-    }
-    for (int index : variables_) guess_.push_back(initial_[index]);
-    initial_gradient_.resize(initial_.size());
-  }
+  variables_ = variables == Variables::kInitialState ? IndicesOfInitialState(scene()) : IndicesOfFree(scene());
+  for (int index : variables_) guess_.push_back(initial_[index]);
+  if (!variables_.empty()) initial_gradient_.resize(initial_.size());
 }
 
 std::vector<double> SingleShooting::InitialStateAt(std::span<const double> z) const {
@@ -33,7 +56,7 @@ std::vector<double> SingleShooting::InitialStateAt(std::span<const double> z) co
 }
 
 std::span<const double> SingleShooting::ControlIn(std::span<const double> z) const {
-  if (scene().optimize == Optimize::kControl) return z;
+  if (controls_) return z;
   return control_;
 }
 
@@ -60,7 +83,7 @@ void SingleShooting::PullBack(double* gradient) {
   ++num_adjoints_;
   SensitivityView out;
   out.initial = initial_gradient_;
-  if (scene().optimize == Optimize::kControl) out.control = {gradient, guess_.size()};
+  if (controls_) out.control = {gradient, guess_.size()};
   simulator_->AdjointInto(cotangent_, out);
   for (int index : variables_) *gradient++ = initial_gradient_[index];
 }
@@ -72,7 +95,7 @@ bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* g
   if (gradient == nullptr) return true;
   TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
   PullBack(gradient);
-  if (scene().optimize == Optimize::kControl) {
+  if (controls_) {
     AddEffortGradient(scene().objective, z, simulator_->step(), {gradient, guess_.size()});
   }
   if (simulator_->precision() == Precision::kFloat) {

@@ -62,6 +62,8 @@ Tone ToneOf(Verdict verdict) {
     case Verdict::kWrong:
     case Verdict::kWrongSign:
       return Tone::kBad;
+    case Verdict::kBiased:
+      return Tone::kWarning;
     case Verdict::kUnknown:
       break;
   }

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
+#include "saltus/control/smoothed_gradient.h"
 #include "solve_run.h"
 
 namespace saltus {
@@ -24,21 +26,35 @@ SolveReport Fail(SolveRun* run, const char* what, int iteration, const std::vect
       z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
 }
 
+// What estimates the gradient in the place of the model's adjoint, if asked for.
+std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request, const SolverOptions& options) {
+  if (!options.surrogate || !options.surrogate->smooths()) return std::nullopt;
+  std::optional<SmoothedGradient> smoothed;
+  smoothed.emplace(request.contact, request.scene, request.precision, *options.surrogate, options.threads);
+  smoothed->set_memory_limit(options.memory_limit);
+  return smoothed;
+}
+
 }  // namespace
 
 SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("gd", request, options);
+  std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
   const auto update = request.precision == Precision::kFloat ? Update<float> : Update<double>;
   std::vector<double> z = run.shooting().initial_guess();
-  std::vector<double> last = z, gradient(z.size());
+  std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
   for (int k = 0;; ++k) {
     const bool more = k < options.iterations;
     double loss = 0;
-    if (!run.shooting().Evaluate(z, &loss, more ? gradient.data() : nullptr)) {
+    if (!run.shooting().Evaluate(z, &loss, more && !smoothed ? gradient.data() : nullptr)) {
       return Fail(&run, "loss", k, last);
     }
     if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);
     if (!more) break;
+    if (smoothed) {
+      if (!smoothed->Evaluate(z, k, gradient, standard_error)) return Fail(&run, "loss of a sample", k, z);
+      run.RecordEstimate(standard_error);
+    }
     if (!AllFinite(gradient)) return Fail(&run, "gradient", k, z);
     last = z;
     update(options.learning_rate, gradient, &z);

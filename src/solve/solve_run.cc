@@ -7,10 +7,16 @@ namespace saltus {
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : start_(std::chrono::steady_clock::now()),
       options_(options),
-      shooting_(MakeSimulator(request.contact, request.scene, request.precision)) {
+      shooting_(MakeSimulator(ContactWith(options.surrogate, request.contact), request.scene, request.precision)) {
   shooting_.set_memory_limit(options.memory_limit);
   report_.contact = request.contact;
   report_.solver = solver;
+  report_.surrogate = options.surrogate;
+}
+
+void SolveRun::RecordEstimate(std::vector<double> standard_error) {
+  ++num_estimates_;
+  report_.standard_error = std::move(standard_error);
 }
 
 bool SolveRun::Record(double loss, std::span<const double> z) {
@@ -28,7 +34,7 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
     report_.final_loss = final_loss.value_or(report_.losses.back());
     report_.iterations = num_recorded() - 1;
   }
-  report_.evaluations = shooting_.num_adjoints();
+  report_.evaluations = shooting_.num_adjoints() + num_estimates_;
   report_.initial_state = shooting_.InitialStateAt(z);
   report_.control = shooting_.ControlAt(z);
   report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();

@@ -25,6 +25,9 @@ class SolveRun {
   // Appends the loss of the next iterate z, the initial guess first. False if the callback wants to stop.
   bool Record(double loss, std::span<const double> z);
 
+  // Counts an estimate of the gradient, with the standard error of each component.
+  void RecordEstimate(std::vector<double> standard_error);
+
   // The report of a run that ends at z. The final loss is the last one recorded unless given.
   SolveReport Finish(std::span<const double> z, Termination termination, std::string reason = {},
                      std::optional<double> final_loss = {});
@@ -33,6 +36,7 @@ class SolveRun {
   std::chrono::steady_clock::time_point start_;
   const SolverOptions& options_;
   SolveReport report_;
+  int num_estimates_ = 0;
   SingleShooting shooting_;
 };
 

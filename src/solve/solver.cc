@@ -25,12 +25,17 @@ std::string WhyNotLeastSquares(const SolveRequest& request) {
   return WhyNothingToOptimize(request.scene);
 }
 
+std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
+  if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
+  return WhyNotApplicable(surrogate, request.contact, request.scene);
+}
+
 }  // namespace
 
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
-      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent},
+      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent, false, true},
       {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotSingleShooting, SolveByCeresLbfgs},
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
@@ -56,10 +61,12 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   CHECK(entry != nullptr) << "unknown solver " << solver;
   std::string reason = WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = entry->why_not(request);
+  if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
   if (reason.empty()) return entry->solve(request, options);
   SolveReport report;
   report.contact = request.contact;
   report.solver = solver;
+  report.surrogate = options.surrogate;
   report.termination = Termination::kNotApplicable;
   report.reason = std::move(reason);
   return report;

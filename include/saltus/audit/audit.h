@@ -26,6 +26,9 @@ namespace saltus {
 struct GradientError {
   double relative = 0;  // |g - g_exact| / |g_exact|
   double angle = 0;     // between the two, rad
+  // Of an estimate: root mean square of the entries' differences, each in its standard error (those of a control in
+  // segments by segment). Chance alone gives 1. Infinite if an entry without a standard error differs.
+  std::optional<double> in_standard_errors;
 };
 // Precondition: both are ok and of the same scene; the control grid of one is a refinement of the other's.
 GradientError CompareGradients(const ModelGradient& gradient, const ModelGradient& exact);
@@ -39,12 +42,15 @@ struct AuditOptions {
   bool attribution = true;   // of wrong gradients to contacts
   bool width_sweep = false;  // also where there is an exact gradient
   WidthSweepOptions widths = {};
+  // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
+  std::optional<Surrogate> surrogate = std::nullopt;
+  int threads = 1;  // for its samples
 };
 
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
-  // That of the refinement; without a reference that of the width sweep.
+  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for

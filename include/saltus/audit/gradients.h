@@ -1,10 +1,12 @@
 // The gradient of a scene's loss at its initial guess, as a contact model sees it.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "saltus/control/surrogate.h"
 #include "saltus/dynamics/events.h"
 #include "saltus/dynamics/simulator.h"
 
@@ -19,10 +21,20 @@ struct ModelGradient {
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
 
+  // If set, `gradient` is biased: this surrogate of the loss's derivative, not the derivative itself.
+  std::optional<Surrogate> surrogate;
+  // Of every entry of a smoothed gradient, which has none by parameters; else empty.
+  std::vector<double> initial_error, control_error;
+
   bool ok() const { return reason.empty(); }
 };
 
 // Precondition: `contact` is the name of a model, `scene` is valid.
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision);
+
+// A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
+// each as a whole. Preconditions: as above, and `surrogate` is valid.
+ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
+                               const Surrogate& surrogate, int threads = 1);
 
 }  // namespace saltus

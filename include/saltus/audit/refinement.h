@@ -10,6 +10,7 @@
 //   wrong        it does not
 //   wrong sign   wrong, and an entry that is not negligible has the wrong sign
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
+//   biased       a surrogate, which is not meant to be the gradient; there is no study of it
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
@@ -26,8 +27,8 @@
 
 namespace saltus {
 
-enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown };
-const char* VerdictToString(Verdict verdict);  // "right", "consistent", "wrong", "wrong sign", "unknown"
+enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased };
+const char* VerdictToString(Verdict verdict);  // "right", "consistent", "wrong", "wrong sign", "unknown", "biased"
 // kWrong or kWrongSign.
 bool IsWrong(Verdict verdict);
 

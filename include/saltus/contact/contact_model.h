@@ -188,6 +188,12 @@ void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& imp
 //   void Linearize(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                  Eigen::MatrixXd* A, Eigen::MatrixXd* B) const
 //       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island
+//   bool complementarity_aware, an option, and
+//   void PullBack(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
+//                 std::span<const double> after, std::span<double> before) const
+//       with Linearize: if the option is set, PullBack takes the place of the transposed A and B in reverse sweeps, and
+//       every contact that it looks at is reported as a touch (control/surrogate.h). From `after`, the cotangents of
+//       the discs' next states, to `before`, those of their states and then of the forces on them.
 template <typename M>
 concept ContactModel = requires(const M& m, const StepInput<double>& in,
                                 std::span<const BodyState<double, M::kRotation>> x,

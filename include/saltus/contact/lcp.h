@@ -17,6 +17,16 @@
 // v', but dp'/dp = X and dp'/dv = h X, where the bounce matrix X is the one closest to the identity with
 // a^T X a = -e for every bouncing contact. X is I without a bounce; it knows neither masses nor friction.
 // Without friction momentum and restitution hold exactly for a single contact that bounces.
+//
+// The option complementarity_aware makes reverse sweeps take a search direction that is no gradient. With l' the
+// cotangent after the step and l = (l_p, l_v, l_u) that before it, per group:
+//
+//   c_i = a_i . l_v'           normals: clamping if c_i >= 0, else free, whatever their forces; tangents: free
+//   l~                         as l, from the Jacobian in these classes, with X = I
+//   size s = |l_v| + |l_u| / h; l~ is taken if its size is larger
+//
+// so that a contact that hides the loss from the force behind it is opened where the loss wants it open. In the source
+// a contact that has bounced and is set to clamping reads from an empty matrix; here X = I holds for it too.
 #pragma once
 
 #include <Eigen/Core>
@@ -41,6 +51,16 @@ struct Lcp {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
+  bool complementarity_aware = false;
+
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(
+        ModelOption{
+            "complementarity_aware", "1: reverse sweeps in the classes that the loss would rather have", 0, 1, true},
+        complementarity_aware);
+  }
+
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
     State<T> next;
@@ -63,6 +83,10 @@ struct Lcp {
   // the forces. Fixed discs have the identity in A and nothing else.
   void Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
                  Eigen::MatrixXd* B) const;
+
+  // The complementarity-aware reverse of the step: from l' to l, shapes as in contact_model.h.
+  void PullBack(const StepInput<double>& in, std::span<const State<double>> x, std::span<const double> after,
+                std::span<double> before) const;
 
  private:
   // One direction in which a contact can push.
@@ -206,9 +230,10 @@ struct Lcp {
   }
 
   template <typename T>
-  static void ReportTouches(const StepInput<T>& in, const Group<T>& group, const LcpSolution& solution) {
+  void ReportTouches(const StepInput<T>& in, const Group<T>& group, const LcpSolution& solution) const {
     for (int i = 0; i < static_cast<int>(group.size()); ++i) {
-      if (group[i].normal != i || solution.x[i] == 0) continue;
+      const bool idle = solution.x[i] == 0 && !complementarity_aware;
+      if (group[i].normal != i || idle) continue;
       ContactMode mode = ContactMode::kFrictionless;
       if (HasFriction(in) && solution.classes[i + 1] != LcpClass::kFree) {
         mode = solution.classes[i + 1] == LcpClass::kClamping ? ContactMode::kStick : ContactMode::kSlip;
@@ -229,9 +254,14 @@ struct Lcp {
     for (size_t i = 0; i < next.size(); ++i) next[i].v += Scale(in.bodies[i].inverse_mass, momentum[i]);
   }
 
-  // The blocks of one group's published Jacobian, written over those of free flight.
+  // The blocks of one group's published Jacobian, written over those of free flight. Without bounces, X = I.
   static void LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying,
-                             const Group<double>& group, Eigen::MatrixXd* A, Eigen::MatrixXd* B);
+                             const Group<double>& group, const LcpSolution& solution, bool with_bounces,
+                             Eigen::MatrixXd* A, Eigen::MatrixXd* B);
+
+  // The classes that the loss would rather have.
+  static std::vector<LcpClass> PreferredClasses(const StepInput<double>& in, const Group<double>& group,
+                                                const Eigen::VectorXd& cotangent);
 };
 
 }  // namespace saltus

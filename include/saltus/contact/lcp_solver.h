@@ -47,6 +47,11 @@ struct LcpSolution {
 // exists.
 LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
 
+// The same with classes that are given, whatever they say of forces: impulses Q^+ b if they fit to 1e-5, else those of
+// `solution` in the clamping rows. Regularized where `solution` is.
+LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
+                                   const LcpSolution& solution);
+
 // By how much x violates the conditions above, the largest over all rows; bounds count as reached within `at_bound`.
 double LcpViolation(const BoxedLcp& problem, const Eigen::VectorXd& x, double at_bound);
 

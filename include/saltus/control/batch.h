@@ -4,6 +4,7 @@
 // results have the same bits for any number of threads.
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <span>
@@ -18,9 +19,14 @@ class Batch {
  public:
   // Points are decision variables of `scene` (single_shooting.h). `threads` at most; 0 is one per core. Preconditions
   // as those of MakeSimulator.
-  Batch(std::string_view contact, const Scene& scene, Precision precision, int threads = 0);
+  Batch(std::string_view contact, const Scene& scene, Precision precision, int threads = 0,
+        SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
+
+  // As Simulator::set_memory_limit, for each thread.
+  void set_memory_limit(std::size_t bytes);
 
   int num_variables() const { return shootings_.front()->num_variables(); }
+  const std::vector<double>& initial_guess() const { return shootings_.front()->initial_guess(); }
   int num_threads() const { return static_cast<int>(shootings_.size()); }
 
   // The losses at P points (P x num_variables(), row by row) and, unless empty, the gradients there (the same shape).

@@ -5,6 +5,8 @@
 //   velocity   the initial velocities of Scene::free, in that order, 2 each
 //   position   the initial positions of Scene::free, likewise
 //   none       empty
+// or, whatever the scene optimizes, the whole initial state: the positions of all discs that move, then their
+// velocities.
 #pragma once
 
 #include <Eigen/Core>
@@ -19,7 +21,9 @@ namespace saltus {
 
 class SingleShooting {
  public:
-  explicit SingleShooting(std::unique_ptr<Simulator> simulator);
+  enum class Variables { kOfScene, kInitialState };
+
+  explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene);
 
   const Scene& scene() const { return simulator_->scene(); }
   const Simulator& simulator() const { return *simulator_; }
@@ -62,8 +66,9 @@ class SingleShooting {
   void PullBack(double* gradient);
 
   std::unique_ptr<Simulator> simulator_;
+  bool controls_;  // z is the control
   std::vector<double> guess_;
-  std::vector<int> variables_;  // for velocity and position: index of each variable in the initial state
+  std::vector<int> variables_;  // if it is not: index of each variable in the initial state
   std::vector<double> initial_, final_, cotangent_;
   std::vector<double> control_;           // if it is not what z stands for
   std::vector<double> initial_gradient_;  // if z stands for some of it

@@ -34,11 +34,8 @@ class IslandDerivative {
     const int n = static_cast<int>(x.size());
     int first = 0;
     if constexpr (requires { &M::Linearize; }) {
-      jacobian_.resize(n * kSize, n * (kSize + 2));
-      LinearizeAsPublished(model, in, x, &jacobian_);
-      Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>>(before.data(), jacobian_.cols()).noalias() =
-          jacobian_.transpose() * Eigen::Map<const Eigen::Matrix<S, Eigen::Dynamic, 1>>(after.data(), n * kSize);
       first = NumColumns(n, false);
+      PullBackAsPublished(model, in, x, after, before.first(first));
     }
     const bool shares_motion = first == 0 && OnlyRelativeMotionMatters(in);
     ForEachPass(model, in, x, with_parameters, first, shares_motion ? n - 1 : -1, [&](const auto& columns) {
@@ -203,6 +200,18 @@ class IslandDerivative {
         if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
       }
     }
+  }
+
+  // The cotangents of states and forces as the model's source has them.
+  void PullBackAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
+                           std::span<S> before) {
+    if constexpr (requires { model.complementarity_aware; }) {
+      if (model.complementarity_aware) return model.PullBack(in, x, after, before);
+    }
+    jacobian_.resize(after.size(), before.size());
+    LinearizeAsPublished(model, in, x, &jacobian_);
+    Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>>(before.data(), before.size()).noalias() =
+        jacobian_.transpose() * Eigen::Map<const Eigen::Matrix<S, Eigen::Dynamic, 1>>(after.data(), after.size());
   }
 
   // The columns of states and forces as the model's source has them.

@@ -12,6 +12,7 @@
 
 #include "saltus/control/certificate.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/control/surrogate.h"
 #include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 
@@ -38,6 +39,10 @@ struct SolverOptions {
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
 
+  // What stands in for the gradient, of the solvers that take such a thing; samples are evaluated on `threads` threads.
+  std::optional<Surrogate> surrogate = std::nullopt;
+  int threads = 1;
+
   std::size_t memory_limit = std::size_t{1} << 30;  // bytes, as Simulator::set_memory_limit
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
@@ -59,6 +64,7 @@ struct LocalOptimum {
 struct SolveReport {
   std::string contact;
   std::string solver;
+  std::optional<Surrogate> surrogate;  // the run is biased: its direction was this, not the derivative of its loss
   Termination termination = Termination::kFailed;
   std::string reason;  // for kFailed and kNotApplicable; otherwise may hold a remark
   double initial_loss = 0;
@@ -68,6 +74,7 @@ struct SolveReport {
   int iterations = 0;
   int evaluations = 0;  // gradients (or Jacobians) computed
   double seconds = 0;
+  std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
   // Step shooting: of each step, the largest component of its defect (m or m/s); one vector each time that defects were
   // looked at, the last one at the solution. The loss is that of a rollout, whatever they are.
   std::vector<std::vector<double>> defects;
@@ -84,14 +91,16 @@ struct SolverEntry {
   // Why it cannot take a request (not counting the contact model's own reasons); empty if it can.
   std::string (*why_not)(const SolveRequest&);
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
-  bool exact_only = false;  // takes the event-driven contact model and no other
+  bool exact_only = false;       // takes the event-driven contact model and no other
+  bool takes_surrogate = false;  // needs no more of a gradient than a direction
 };
 
 const std::vector<SolverEntry>& AllSolvers();
 const SolverEntry* FindSolver(std::string_view name);
 
-// Runs the solver of that name, after asking the model and the solver whether they can: if not, the report is
-// kNotApplicable with the reason. Precondition: both names are known, the scene is valid.
+// Runs the solver of that name, after asking the model and the solver whether they can, and with the surrogate, if one
+// is given: if not, the report is kNotApplicable with the reason. Precondition: both names are known, scene and
+// surrogate are valid.
 SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

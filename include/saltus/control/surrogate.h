@@ -1,0 +1,53 @@
+// Surrogates of a gradient: directions that stand in for the derivative of the loss where that one misleads. None of
+// them is that derivative, so whoever reports what was computed with one calls it biased.
+//
+//   complementarity_aware   the reverse sweep through each contact group takes, instead of the derivative, that for the
+//                           contact modes which the loss would rather have, if it is larger (Werling et al. 2021, as in
+//                           NimblePhysics 0.7.2; contact/lcp.h). Of models that have it as an option.
+//   smoothed_zeroth         an estimate of the gradient of the smoothed loss, from losses alone
+//   smoothed_first          the same from the model's own gradients (smoothed_gradient.h)
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+enum class SurrogateKind { kComplementarityAware, kSmoothedZeroth, kSmoothedFirst };
+
+struct Surrogate {
+  SurrogateKind kind = SurrogateKind::kSmoothedZeroth;
+
+  // Of smoothing only.
+  double sigma = 0.01;     // standard deviation of samples about the point, in the variables' units: m, m/s, N; > 0
+  int samples = 2000;      // even, at least 4
+  std::uint64_t seed = 1;  // of the first estimate of a run; the k-th after it takes seed + k
+  int segments = 0;        // a control is perturbed alike within each of so many parts of the horizon; 0: in each step
+
+  bool smooths() const { return kind != SurrogateKind::kComplementarityAware; }
+};
+
+struct SurrogateEntry {
+  SurrogateKind kind;
+  std::string_view name;     // the value of --surrogate
+  std::string_view summary;  // one line
+};
+
+const std::vector<SurrogateEntry>& AllSurrogates();
+std::string_view SurrogateToString(SurrogateKind kind);
+
+// Which numbers of `surrogate` are impossible, and what was expected; empty if none are.
+std::string WhyNotValid(const Surrogate& surrogate);
+
+// Why there is no such surrogate of the model's gradient; empty if there is. Precondition: the name is known.
+std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contact, const Scene& scene);
+
+// The name of the contact model whose adjoint is the surrogate, or is what is smoothed.
+std::string ContactWith(const std::optional<Surrogate>& surrogate, std::string_view contact);
+
+}  // namespace saltus
