@@ -11,6 +11,7 @@
 #include "programs/audit_tables.h"
 #include "programs/given_gradient.h"
 #include "programs/parallel.h"
+#include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
 
 DEFINE_bool(width_sweep, false,
@@ -50,12 +51,22 @@ bool WantsColour() { return isatty(STDOUT_FILENO) != 0 && std::getenv("NO_COLOR"
 
 }  // namespace
 
+bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
+  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
+  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
+}
+
 AuditReport RunAudit(const Request& request) {
   AuditReport report;
   report.reference = ExactGradientOf(request.scene);
   report.models.resize(request.contacts.size());
   AuditOptions options;
   options.width_sweep = FLAGS_width_sweep;
+  options.surrogate = request.options.surrogate;
+  if (options.surrogate && FLAGS_width_sweep) {
+    throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
+  }
+  if (request.contacts.size() == 1) options.threads = request.threads;
   Progress progress(request.progress, stderr, "audit " + request.scene.name, request.contacts.size());
   RunJobs(request.contacts.size(), request.threads, &progress, [&](int i) {
     report.models[i] = AuditModel(request.contacts[i], request.scene, request.precision, report.reference, options);
@@ -65,7 +76,10 @@ AuditReport RunAudit(const Request& request) {
 
 void PrintAuditTable(const Request& request, const AuditReport& report) {
   const bool colour = WantsColour();
-  std::cout << request.scene.name << ": gradient of the loss at the initial guess\n\n"
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  std::cout << request.scene.name << ": "
+            << (surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : "gradient")
+            << " of the loss at the initial guess\n\n"
             << GradientTable(request, report).ToText(colour) << "\n\n"
             << request.scene.name << ": verdicts\n\n"
             << VerdictTable(report).ToText(colour) << "\n";
@@ -86,7 +100,7 @@ int AuditExitCode(const Request& request, const AuditReport& report) {
   bool failed = false;
   for (const ModelAudit& audit : report.models) {
     if (audit.gradient.ok()) continue;
-    const bool not_applicable = !WhyNotApplicable(audit.gradient.contact, request.scene).empty();
+    const bool not_applicable = IsNotApplicable(audit.gradient, request.scene);
     if (not_applicable && report.models.size() == 1) {
       std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
       return kWrongInput;

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "programs/audit_tables.h"
+#include "programs/surrogate_flags.h"
 
 namespace saltus {
 namespace {
@@ -139,7 +140,13 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
 }
 
 void WriteAuditFiles(const Request& request, const AuditReport& report) {
-  const std::string path = request.output_dir + "/" + request.scene.name;
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  const std::string path = request.output_dir + "/" + request.scene.name + FileSuffix(surrogate);
+  if (surrogate) {
+    WriteTextFile(path + "_gradients.csv", SurrogateTable(request.scene, report).ToCsv());
+    WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
+    return;
+  }
   WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
   WriteTextFile(path + "_refinement.csv", RefinementTable(report).ToCsv());
   WriteTextFile(path + "_contacts.csv", ContactTable(report).ToCsv());

@@ -18,7 +18,8 @@ Figure RefinementFigure(const Scene& scene, const AuditReport& report);
 Figure WidthFigure(const Scene& scene, const AuditReport& report);
 
 // Writes <scene>_{gradients,refinement,contacts}.csv and <scene>_refinement.{svg,png}, and with a width sweep
-// <scene>_widths.{csv,svg,png}. Throws InputError if it cannot.
+// <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
+// InputError if it cannot.
 void WriteAuditFiles(const Request& request, const AuditReport& report);
 
 }  // namespace saltus

@@ -1,6 +1,6 @@
 // The audit as JSON, under the keys that the README promises.
 #include "programs/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "programs/surrogate_flags.h"
 
 namespace saltus {
 namespace {
@@ -85,16 +85,25 @@ Json WidthsToJson(const WidthSweepStudy& study) {
 
 Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
+  AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
-    item["termination"] = WhyNotApplicable(audit.gradient.contact, scene).empty() ? "failed" : "not_applicable";
+    item["termination"] = IsNotApplicable(audit.gradient, scene) ? "not_applicable" : "failed";
     item["reason"] = audit.gradient.reason;
     return item;
   }
   item["loss"] = NumberToJson(audit.gradient.loss);
   item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
+  if (!audit.gradient.initial_error.empty()) {
+    item["standard_error"] = {{"position", VectorsToJson(audit.gradient.initial_error, 0)},
+                              {"velocity", VectorsToJson(audit.gradient.initial_error, 2)},
+                              {"control", ControlToJson(scene, audit.gradient.control_error)}};
+  }
   if (audit.error) {
     item["relative_error"] = NumberToJson(audit.error->relative);
     item["angle"] = NumberToJson(audit.error->angle);
+    if (audit.error->in_standard_errors) {
+      item["error_in_standard_errors"] = NumberToJson(*audit.error->in_standard_errors);
+    }
   }
   item["verdict"] = VerdictToString(audit.verdict);
   if (audit.recognition) {

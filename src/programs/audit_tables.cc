@@ -2,6 +2,8 @@
 
 #include <cstdio>
 
+#include "programs/surrogate_flags.h"
+
 namespace saltus {
 namespace {
 
@@ -25,16 +27,22 @@ std::vector<Column> GradientColumns(const Scene& scene) {
   return columns;
 }
 
-std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const ModelGradient& gradient) {
-  std::vector<Cell> row = {name, gradient.loss};
+// The cells of those columns, from derivatives by the initial state (B x 4) and the control.
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell loss,
+                              const std::vector<double>& initial, const std::vector<double>& control) {
+  std::vector<Cell> row = {name, std::move(loss)};
   for (int offset : {0, 2}) {
     for (int i = 0; i < scene.num_bodies(); ++i) {
       if (scene.bodies[i].fixed) continue;
-      for (int j = 0; j < 2; ++j) row.emplace_back(gradient.gradient.initial[4 * i + offset + j]);
+      for (int j = 0; j < 2; ++j) row.emplace_back(initial[4 * i + offset + j]);
     }
   }
-  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(gradient.gradient.control[i]);
+  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
   return row;
+}
+
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const ModelGradient& gradient) {
+  return GradientRow(scene, name, gradient.loss, gradient.gradient.initial, gradient.gradient.control);
 }
 
 // "consistent, order 0.98" or "wrong, error 0.89": the number that the verdict rests on.
@@ -79,7 +87,11 @@ Table GradientTable(const Request& request, const AuditReport& report) {
   };
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
-    add(GradientRow(request.scene, audit.gradient.contact, audit.gradient), audit.error);
+    const ModelGradient& gradient = audit.gradient;
+    add(GradientRow(request.scene, LabelOf(gradient.contact, gradient.surrogate), gradient), audit.error);
+    if (gradient.initial_error.empty()) continue;
+    add(GradientRow(request.scene, "  standard error", {}, gradient.initial_error, gradient.control_error),
+        std::nullopt);
   }
   if (report.reference) {
     const std::string name = "exact (" + report.reference->contact + ")";
@@ -101,7 +113,7 @@ Table VerdictTable(const AuditReport& report) {
                {"why"}});
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
-    std::vector<Cell> row = {audit.gradient.contact,
+    std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
                              Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
                              audit.recognition ? Cell(ContactClassToString(audit.recognition->contact_class)) : Cell()};
     for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
@@ -140,6 +152,40 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
                       own.empty() ? Cell() : Cell(own[i]),
                       study.finest[i],
                       flips ? "yes" : "no"});
+      }
+    }
+  }
+  return table;
+}
+
+Table SurrogateTable(const Scene& scene, const AuditReport& report) {
+  Table table(
+      {{"contact"}, {"surrogate"}, {"biased"}, {"quantity"}, {"entry"}, {"value"}, {"standard error"}, {"exact"}});
+  for (const ModelAudit& audit : report.models) {
+    const ModelGradient& gradient = audit.gradient;
+    if (!gradient.ok() || !gradient.surrogate) continue;
+    ModelGradient error = gradient;
+    error.gradient.initial = gradient.initial_error;
+    error.gradient.control = gradient.control_error;
+    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+      if (quantity == Quantity::kControl && scene.num_controlled() == 0) continue;
+      const int intervals = gradient.num_steps;
+      const std::vector<std::string> names = EntryNames(scene, quantity, intervals);
+      const std::vector<double> values = EntriesOf(scene, gradient, quantity, intervals);
+      std::vector<double> errors, exact;
+      if (!gradient.initial_error.empty()) errors = EntriesOf(scene, error, quantity, intervals);
+      if (report.reference && report.reference->num_steps % intervals == 0) {
+        exact = EntriesOf(scene, *report.reference, quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        table.AddRow({gradient.contact,
+                      SurrogateToString(gradient.surrogate->kind),
+                      "yes",
+                      QuantityToString(quantity),
+                      names[i],
+                      values[i],
+                      errors.empty() ? Cell() : Cell(errors[i]),
+                      exact.empty() ? Cell() : Cell(exact[i])});
       }
     }
   }

@@ -11,7 +11,7 @@ namespace saltus {
 // Right and consistent verdicts are good, wrong ones bad.
 Tone ToneOf(Verdict verdict);
 
-// Loss and gradient at the scene's own steps, one row a model, the exact one last.
+// Loss and gradient at the scene's own steps, one row a model (a second one for standard errors), the exact one last.
 Table GradientTable(const Request& request, const AuditReport& report);
 
 // Verdicts, and for wrong models the first wrong step and why. Toned.
@@ -19,6 +19,9 @@ Table VerdictTable(const AuditReport& report);
 
 // Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
 Table EntryTable(const Scene& scene, const AuditReport& report);
+
+// Every entry of the surrogates beside the exact gradient, one row an entry and model.
+Table SurrogateTable(const Scene& scene, const AuditReport& report);
 
 // Error by level of refinement.
 Table RefinementTable(const AuditReport& report);

@@ -8,6 +8,23 @@
 #include "saltus/io/json_number.h"
 
 namespace saltus {
+namespace {
+
+Json ParametersToJson(const ParameterGradient& p) {
+  if (p.mass.empty()) return nullptr;
+  Json mass = Json::array(), force = Json::array();
+  for (double value : p.mass) mass.push_back(NumberToJson(value));
+  for (const Vec2d& value : p.force) force.push_back({NumberToJson(value[0]), NumberToJson(value[1])});
+  return {{"restitution", NumberToJson(p.restitution)},
+          {"friction", NumberToJson(p.friction)},
+          {"stiffness", NumberToJson(p.stiffness)},
+          {"damping", NumberToJson(p.damping)},
+          {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
+          {"mass", mass},
+          {"force", force}};
+}
+
+}  // namespace
 
 Json NumberToJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 
@@ -94,21 +111,10 @@ Json NumbersToJson(const std::vector<double>& values) {
 }
 
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
-  const ParameterGradient& p = gradient.parameters;
-  Json mass = Json::array(), force = Json::array();
-  for (double value : p.mass) mass.push_back(NumberToJson(value));
-  for (const Vec2d& value : p.force) force.push_back({NumberToJson(value[0]), NumberToJson(value[1])});
   return {{"position", VectorsToJson(gradient.initial, 0)},
           {"velocity", VectorsToJson(gradient.initial, 2)},
           {"control", ControlToJson(scene, gradient.control)},
-          {"parameters",
-           {{"restitution", NumberToJson(p.restitution)},
-            {"friction", NumberToJson(p.friction)},
-            {"stiffness", NumberToJson(p.stiffness)},
-            {"damping", NumberToJson(p.damping)},
-            {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
-            {"mass", mass},
-            {"force", force}}}};
+          {"parameters", ParametersToJson(gradient.parameters)}};
 }
 
 void PrintJson(const Json& document, Precision precision) {

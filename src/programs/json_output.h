@@ -18,6 +18,7 @@ Json VectorsToJson(const std::vector<double>& initial, int offset);
 // [[ [x, y] per controlled disc ] per control interval], from K x C x 2 numbers; [] without control.
 Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 Json EventsToJson(const std::vector<Event>& events);
+// Without masses there are no derivatives by parameters: null.
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 
 // The conditions of the minimum principle, see saltus/control/certificate.h.

@@ -9,6 +9,7 @@
 #include <sstream>
 #include <thread>
 
+#include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/file.h"
 #include "saltus/io/scene_file.h"
@@ -63,7 +64,7 @@ std::string Names(const Entries& entries) {
 template <typename Entries>
 void PrintList(const Entries& entries) {
   for (const auto& entry : entries) {
-    std::printf("%-16s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
   }
 }
 
@@ -180,6 +181,10 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
     PrintList(AllSolvers());
     return false;
   }
+  if (WantsListOfSurrogates()) {
+    PrintList(AllSurrogates());
+    return false;
+  }
   const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
   if (path.empty()) throw InputError("--scene=FILE is needed");
   request->contacts = ReadContacts(FLAGS_contact);
@@ -207,6 +212,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   } else if (defaults.learning_rate == 0) {
     request->options.learning_rate = DefaultLearningRate(request->scene);
   }
+  request->options.surrogate = SurrogateFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
   request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
   request->threads = ThreadsFromFlags();

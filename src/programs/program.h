@@ -47,8 +47,8 @@ struct Request {
 // Parses flags, runs `body` and turns what it throws into exit codes. `usage` is shown by --help.
 int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body);
 
-// Reads the common flags. Throws InputError. If --contact=list or --solver=list is given, prints the list and returns
-// false: the program is done.
+// Reads the common flags. Throws InputError. If --contact=list, --solver=list or --surrogate=list is given, prints the
+// list and returns false: the program is done.
 bool ReadRequest(const ProgramDefaults& defaults, Request* request);
 
 // The parts of ReadRequest, for programs without a scene.

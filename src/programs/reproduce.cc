@@ -14,6 +14,7 @@
 #include "programs/parallel.h"
 #include "programs/published.h"
 #include "programs/solver_comparison.h"
+#include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
@@ -48,6 +49,7 @@ void WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const st
 
 int Reproduce() {
   const auto start = std::chrono::steady_clock::now();
+  RefuseSurrogate("the published experiments have the models' own gradients");
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
   std::vector<PublishedRow> rows = ReadPublished(FLAGS_data_dir + "/published.csv");

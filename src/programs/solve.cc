@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "programs/parallel.h"
+#include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/npz.h"
 #include "saltus/io/table.h"
@@ -26,8 +27,12 @@ void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) 
       arrays["control"] = {{intervals, controlled, 2}, report.control};
       if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
     }
-    const std::string path =
-        request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" + report.solver + ".npz";
+    if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
+    if (!report.standard_error.empty()) {
+      arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+    }
+    const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
+                             report.solver + FileSuffix(report.surrogate) + ".npz";
     const Status status = WriteNpz(path, arrays);
     if (!status.ok()) throw InputError(status.message());
   }
@@ -68,6 +73,7 @@ std::vector<SolvedRun> SolveAll(const Request& request) {
   Progress progress(request.progress, stderr, "solve " + request.scene.name, count);
   RunJobs(count, request.threads, &progress, [&](int i) {
     SolverOptions options = request.options;
+    if (count == 1) options.threads = request.threads;
     options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
     options.status = [&](const std::string& note) { progress.Advance(0, note); };
     runs[i] = SolveAndCheck(request.scene, jobs[i].solver, jobs[i].contact, request.precision, options);
@@ -81,6 +87,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
   for (const SolvedRun& run : runs) {
     const SolveReport& report = run.report;
     Json item = {{"contact", report.contact}, {"solver", report.solver}};
+    AddBias(report.contact, report.surrogate, &item);
     if (!report.losses.empty()) {
       item["initial_loss"] = NumberToJson(report.initial_loss);
       item["final_loss"] = NumberToJson(report.final_loss);
@@ -100,6 +107,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["events"] = EventsToJson(run.exact.events);
       item["velocity"] = VectorsToJson(report.initial_state, 2);
       item["control"] = ControlToJson(request.scene, report.control);
+      if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
       if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
       if (run.certificate) item["certificate"] = CertificateToJson(*run.certificate);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
@@ -124,7 +132,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
   for (const SolvedRun& run : runs) {
     const SolveReport& report = run.report;
     if (report.losses.empty()) {
-      table.AddRow({report.contact,
+      table.AddRow({LabelOf(report.contact, report.surrogate),
                     report.solver,
                     "",
                     "",
@@ -136,7 +144,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                     report.reason});
       continue;
     }
-    table.AddRow({report.contact,
+    table.AddRow({LabelOf(report.contact, report.surrogate),
                   report.solver,
                   report.initial_loss,
                   report.final_loss,

@@ -125,6 +125,16 @@ TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
       {"saltus_audit stray" + Scene("two_balls"), "stray"},
       {"saltus_solve --solver=ceres_lm --contact=direct" + Scene("bounce_once"), "ceres_lm"},
       {"saltus_solve --solver=newton" + Scene("two_balls"), "newton"},
+      {"saltus_audit --surrogate=smooth" + Scene("two_balls"),
+       "complementarity_aware, smoothed_zeroth, smoothed_first"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_sigma=0" + Scene("two_balls"), "--surrogate_sigma"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_samples=7" + Scene("two_balls"), "--surrogate_samples"},
+      {"saltus_solve --surrogate=smoothed_zeroth --surrogate_samples=0" + Scene("two_balls"), "--surrogate_samples"},
+      {"saltus_solve --surrogate_segments=24" + Scene("two_balls"), "--surrogate_segments"},
+      {"saltus_audit --surrogate=smoothed_first --width_sweep" + Scene("two_balls"), "width_sweep"},
+      {"saltus_audit --surrogate=complementarity_aware --contact=direct" + Scene("two_balls"), "complementarity"},
+      {"saltus_solve --surrogate=smoothed_zeroth --contact=event --solver=hmp" + Scene("two_balls"), "surrogate"},
+      {"saltus_reproduce --surrogate=smoothed_zeroth", "--surrogate"},
       {"saltus_sweep --sweep=stiffness" + Scene("two_balls"), "stiffness"},
       {"saltus_sweep --sweep=colour=1,2" + Scene("two_balls"), "colour"},
       {"saltus_sweep --sweep=stiffness=-1:1:log:3" + Scene("two_balls"), "logarithmic"},
@@ -140,6 +150,7 @@ TEST(CommandLine, ListsAndHelpAreNoErrors) {
   EXPECT_THAT(RunProgram("saltus_solve --contact=list").output, HasSubstr("direct_toi"));
   EXPECT_EQ(RunProgram("saltus_solve --contact=list").exit_code, 0);
   EXPECT_THAT(RunProgram("saltus_solve --solver=list").output, HasSubstr("gd"));
+  EXPECT_THAT(RunProgram("saltus_solve --surrogate=list").output, HasSubstr("smoothed_first"));
   EXPECT_EQ(RunProgram("saltus_solve --help").exit_code, 0);
 }
 
@@ -151,6 +162,63 @@ TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
   ASSERT_EQ(audits.size(), 2u);
   for (const json& audit : audits) {
     EXPECT_EQ(audit.contains("reason"), audit["contact"] == "direct");
+  }
+}
+
+TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
+  const std::string dir = testing::TempDir() + "/surrogate_" + std::to_string(getpid());
+  const std::string flags =
+      " --surrogate=smoothed_zeroth --surrogate_samples=200 --surrogate_segments=24 "
+      "--surrogate_sigma=0.1 --progress=none --contact=direct" +
+      Scene("two_balls") + "--output_dir=" + dir;
+  const Outcome both = RunProgram("two_balls --json --solver=gd --iterations=3" + flags);
+  ASSERT_EQ(both.exit_code, 0) << both.errors;
+  const json document = json::parse(both.output);
+  const json &audit = document["audit"]["audits"][0], &run = document["solve"]["runs"][0];
+  for (const json& item : {audit, run}) {
+    EXPECT_EQ(item["surrogate"], "smoothed_zeroth");
+    EXPECT_EQ(item["biased"], true);
+    EXPECT_EQ(item["smoothing"], json({{"sigma", 0.1}, {"samples", 200}, {"seed", 1}, {"segments", 24}}));
+  }
+  EXPECT_EQ(audit["verdict"], "biased");
+  EXPECT_TRUE(audit["gradient"]["parameters"].is_null());
+  EXPECT_GT(audit["standard_error"]["velocity"][1][0], 0);
+  EXPECT_EQ(audit["standard_error"]["control"].size(), 480u);
+  EXPECT_LT(audit["error_in_standard_errors"], 2);
+  EXPECT_EQ(run["standard_error"].size(), 960u);
+  EXPECT_EQ(run["evaluations"], 3);
+
+  const Outcome tables = RunProgram("saltus_audit" + flags);
+  EXPECT_THAT(tables.output, HasSubstr("surrogate of the gradient (smoothed_zeroth, biased)"));
+  EXPECT_THAT(tables.output, HasSubstr("direct (smoothed_zeroth, biased)"));
+  EXPECT_THAT(tables.output, HasSubstr("standard errors from the exact gradient"));
+  const StatusOr<CsvDocument> csv = ReadCsv(dir + "/two_balls_smoothed_zeroth_biased_gradients.csv");
+  ASSERT_TRUE(csv.ok()) << csv.status().message();
+  ASSERT_EQ(csv->rows.size(), 4 + 4 + 960u);
+  for (const std::vector<std::string>& row : csv->rows) EXPECT_EQ(row[*csv->Find("biased")], "yes");
+  EXPECT_NEAR(std::stod(csv->rows[0][*csv->Find("exact")]), -0.39866841646141652, 1e-12);
+  EXPECT_GT(std::stod(csv->rows[0][*csv->Find("standard error")]), 0);
+
+  EXPECT_THAT(RunProgram("saltus_solve --iterations=1" + flags).output, HasSubstr("direct (smoothed_zeroth, biased)"));
+  EXPECT_TRUE(std::ifstream(dir + "/two_balls_direct_gd_smoothed_zeroth_biased.npz").good());
+
+  const Outcome option = RunProgram(
+      "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + Scene("two_balls"));
+  EXPECT_THAT(option.output, HasSubstr("lcp:complementarity_aware=1 (biased)"));
+
+  const Outcome sweep = RunProgram(
+      "saltus_sweep --solver=none --sweep='surrogate_samples=4,400' --surrogate=smoothed_first "
+      "--progress=none --contact=event" +
+      Scene("two_balls"));
+  ASSERT_EQ(sweep.exit_code, 0) << sweep.errors;
+  const StatusOr<CsvDocument> points = ParseCsv(sweep.output);
+  ASSERT_TRUE(points.ok()) << points.status().message();
+  ASSERT_EQ(points->rows.size(), 2u);
+  for (const std::vector<std::string>& row : points->rows) {
+    EXPECT_EQ(row[*points->Find("surrogate")], "smoothed_first");
+    EXPECT_EQ(row[*points->Find("biased")], "yes");
+    EXPECT_LT(std::stod(row[*points->Find("relative_error")]), 0.1);
+    EXPECT_GT(std::stod(row[*points->Find("norm_standard_error")]), 0);
   }
 }
 

@@ -18,6 +18,11 @@ struct NumberOption {
 constexpr SweepOptionKind kReal = SweepOptionKind::kReal;
 constexpr SweepOptionKind kInteger = SweepOptionKind::kInteger;
 
+Surrogate& SurrogateOf(Request* request) {
+  if (!request->options.surrogate) throw InputError("the numbers of a surrogate need --surrogate");
+  return *request->options.surrogate;
+}
+
 constexpr NumberOption kNumbers[] = {
     {"stiffness", kReal, [](double value, Request* r) { r->scene.contact.stiffness = value; }},
     {"damping", kReal, [](double value, Request* r) { r->scene.contact.damping = value; }},
@@ -30,6 +35,12 @@ constexpr NumberOption kNumbers[] = {
     {"effort", kReal, [](double value, Request* r) { r->scene.objective.effort = value; }},
     {"learning_rate", kReal, [](double value, Request* r) { r->options.learning_rate = value; }},
     {"iterations", kInteger, [](double value, Request* r) { r->options.iterations = static_cast<int>(value); }},
+    {"surrogate_sigma", kReal, [](double value, Request* r) { SurrogateOf(r).sigma = value; }},
+    {"surrogate_samples", kInteger, [](double value, Request* r) { SurrogateOf(r).samples = static_cast<int>(value); }},
+    {"surrogate_seed", kInteger, [](double value, Request* r) { SurrogateOf(r).seed = static_cast<int>(value); }},
+    {"surrogate_segments",
+     kInteger,
+     [](double value, Request* r) { SurrogateOf(r).segments = static_cast<int>(value); }},
 };
 
 struct BodyOption {
@@ -147,6 +158,10 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
   }
   if (request->options.iterations < 0) throw InputError("iterations must not be negative");
   if (!(request->options.learning_rate > 0)) throw InputError("learning_rate must be positive");
+  if (!request->options.surrogate) return;
+  if (const std::string why = WhyNotValid(*request->options.surrogate); !why.empty()) {
+    throw InputError("surrogate_" + why);
+  }
 }
 
 }  // namespace saltus

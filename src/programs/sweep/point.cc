@@ -3,7 +3,7 @@
 #include <chrono>
 #include <cmath>
 
-#include "saltus/audit/audit.h"
+#include "programs/audit.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/table.h"
@@ -13,11 +13,19 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-PointResult StartRow(const SweepStudy& study, int64_t point) { return {PointStatus::kComputed, study.Values(point)}; }
-
 void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
   row->insert(row->end(), values.begin(), values.end());
 }
+
+PointResult StartRow(const SweepStudy& study, int64_t point) {
+  PointResult result{PointStatus::kComputed, study.Values(point)};
+  if (const std::optional<Surrogate>& surrogate = study.request().options.surrogate) {
+    Append({std::string(SurrogateToString(surrogate->kind)), std::string("yes")}, &result.row);
+  }
+  return result;
+}
+
+bool HasStandardError(const std::optional<Surrogate>& surrogate) { return surrogate && surrogate->smooths(); }
 
 PointStatus StatusOf(Termination termination) {
   if (termination == Termination::kNotApplicable) return PointStatus::kNotApplicable;
@@ -75,11 +83,14 @@ std::vector<double> Pairs(const std::vector<double>& initial, size_t offset) {
 }
 
 PointResult GradientPoint(const Request& request, PointResult result) {
-  const ModelGradient gradient = ComputeGradient(request.contacts[0], request.scene, request.precision);
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  const ModelGradient gradient =
+      surrogate ? ComputeSurrogate(request.contacts[0], request.scene, request.precision, *surrogate)
+                : ComputeGradient(request.contacts[0], request.scene, request.precision);
   if (!gradient.ok()) {
-    const bool can = WhyNotApplicable(request.contacts[0], request.scene).empty();
-    result.status = can ? PointStatus::kFailed : PointStatus::kNotApplicable;
-    Append({{}, {}, {}, {}, {}, gradient.reason}, &result.row);
+    result.status = IsNotApplicable(gradient, request.scene) ? PointStatus::kNotApplicable : PointStatus::kFailed;
+    result.row.resize(result.row.size() + (HasStandardError(surrogate) ? 6 : 5));
+    Append({gradient.reason}, &result.row);
     return result;
   }
   SweepValue error;
@@ -90,25 +101,40 @@ PointResult GradientPoint(const Request& request, PointResult result) {
           FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
           FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 2))),
           FiniteOrNothing(Norm(gradient.gradient.control)),
-          error,
-          std::string()},
+          error},
          &result.row);
+  if (HasStandardError(surrogate)) {
+    const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
+    Append({FiniteOrNothing(norm)}, &result.row);
+  }
+  Append({std::string()}, &result.row);
   return result;
 }
 
 }  // namespace
 
-std::vector<std::string> ResultColumns(bool solving) {
-  if (!solving) return {"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error", "reason"};
-  return {"initial_loss",
-          "loss_before_last",
-          "final_loss",
-          "exact_loss",
-          "iterations",
-          "evaluations",
-          "seconds",
-          "termination",
-          "reason"};
+std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate) {
+  std::vector<std::string> columns;
+  if (surrogate) columns = {"surrogate", "biased"};
+  const auto add = [&](std::initializer_list<const char*> names) {
+    columns.insert(columns.end(), names.begin(), names.end());
+  };
+  if (solving) {
+    add({"initial_loss",
+         "loss_before_last",
+         "final_loss",
+         "exact_loss",
+         "iterations",
+         "evaluations",
+         "seconds",
+         "termination",
+         "reason"});
+    return columns;
+  }
+  add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
+  if (HasStandardError(surrogate)) add({"norm_standard_error"});
+  add({"reason"});
+  return columns;
 }
 
 std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }

@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "programs/json_output.h"
+#include "programs/surrogate_flags.h"
 #include "programs/sweep/options.h"
 #include "programs/sweep/point.h"
 #include "saltus/control/contact_sequence.h"
@@ -74,7 +75,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   add(/*names=*/false);
   add(/*names=*/true);
   columns_ = options_;
-  for (const std::string& result : ResultColumns(solving_)) {
+  for (const std::string& result : ResultColumns(solving_, request_.options.surrogate)) {
     // An option may bear the name of a result.
     const bool taken = std::find(options_.begin(), options_.end(), result) != options_.end();
     columns_.push_back(taken ? result + "_done" : result);
@@ -115,13 +116,14 @@ std::string SweepStudy::Description() const {
     }
     blocks.push_back({{"options", block.options}, {"rows", std::move(rows)}});
   }
-  const Json description = {{"version", SALTUS_VERSION},
-                            {"scene", Lines(WriteScene(request_.scene))},
-                            {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
-                            {"iterations", request_.options.iterations},
-                            {"learning_rate", request_.options.learning_rate},
-                            {"sequence", SequenceText(request_)},
-                            {"sweep", std::move(blocks)}};
+  Json description = {{"version", SALTUS_VERSION},
+                      {"scene", Lines(WriteScene(request_.scene))},
+                      {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
+                      {"iterations", request_.options.iterations},
+                      {"learning_rate", request_.options.learning_rate},
+                      {"sequence", SequenceText(request_)},
+                      {"sweep", std::move(blocks)}};
+  AddSurrogate(request_.options.surrogate, &description);
   return description.dump();
 }
 
