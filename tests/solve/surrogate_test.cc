@@ -184,20 +184,37 @@ TEST(Smoothed, ASampleWithoutALossIsAnError) {
   EXPECT_THAT(report.reason, HasSubstr("sample not finite at iteration 0"));
 }
 
-// The model's own gradient leads to the other trajectory, on which the ball falls short of the wall: v_x < 0.
+// The model's own gradient leads to the other trajectory, on which the ball does not come to the wall. Values of the
+// independent implementation.
 TEST(Smoothed, DescentOfGroundWallFindsTheWall) {
-  Surrogate surrogate{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.05, .samples = 32, .seed = 1000};
-  const SolverOptions options{.learning_rate = 0.01, .surrogate = surrogate};
-  const SolveReport report = Solve("gd", {GroundWall(0), "direct"}, options);
+  const Surrogate surrogate{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.05, .samples = 32, .seed = 1000};
+  SolverOptions options{.learning_rate = 0.01, .surrogate = surrogate};
+  const SolveReport report = Solve("gd", {GroundWall(0), "qcqp"}, options);
   EXPECT_EQ(report.evaluations, 1000);
   EXPECT_EQ(report.surrogate->kind, SurrogateKind::kSmoothedZeroth);
   ASSERT_EQ(report.standard_error.size(), 2u);
   EXPECT_GT(report.standard_error[0], 0);
-  EXPECT_LT(report.final_loss, 0.02);
-  EXPECT_NEAR(report.initial_state[2], 10.2, 0.1);
-  EXPECT_LT(SimulateExactly(GroundWall(0), report.initial_state, report.control, report.durations).loss, 0.03);
-  const SolveReport own = Solve("gd", {GroundWall(0), "direct"}, {.learning_rate = 0.01});
-  EXPECT_LT(own.initial_state[2], 0);
+  EXPECT_NEAR(report.final_loss, 1.02e-3, 6e-6);
+  EXPECT_NEAR(report.initial_state[2], 10.2189, 6e-5);
+  EXPECT_NEAR(report.initial_state[3], -4.1938, 6e-5);
+  EXPECT_LT(SimulateExactly(GroundWall(0), report.initial_state, report.control, report.durations).loss, 2e-3);
+
+  const SolveReport slipping = Solve("gd", {GroundWall(0.1), "qcqp"}, options);
+  EXPECT_NEAR(slipping.initial_state[2], 11.1804, 6e-5);
+  EXPECT_NEAR(slipping.initial_state[3], -5.8892, 6e-5);
+
+  options.surrogate->kind = SurrogateKind::kSmoothedFirst;
+  EXPECT_NEAR(Solve("gd", {GroundWall(0), "qcqp"}, options).initial_state[2], -2.4934, 6e-5);
+}
+
+TEST(Smoothed, DescentOfTwoBallsInSegments) {
+  const Surrogate surrogate{
+      .kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.1, .samples = 32, .seed = 1000, .segments = 24};
+  const SolveReport report =
+      Solve("gd", {ProblemScene("two_balls"), "qcqp"}, {.learning_rate = 10, .surrogate = surrogate});
+  EXPECT_NEAR(report.final_loss, 1.410933, 6e-7);
+  EXPECT_LT(SimulateExactly(ProblemScene("two_balls"), report.initial_state, report.control, report.durations).loss,
+            1.411);
 }
 
 // A disc pressed against a ceiling: whatever the force, it stays, so that the height has no gradient. Opened, the
