@@ -134,7 +134,7 @@ TEST(Smoothed, SegmentsShareOnePerturbation) {
   EXPECT_NE(uneven[2 * 69], uneven[0]);
 }
 
-// Values of an independent implementation, seed 1: three decimals as printed, and its gradient descents.
+// Values of an independent implementation with the same seed, to the digits that it printed.
 TEST(Smoothed, HasThePrintedValues) {
   const struct {
     const char* problem;
@@ -270,6 +270,25 @@ TEST(ComplementarityAware, ClosesAContactWithoutForce) {
   for (int i = 0; i < 8; ++i) EXPECT_NEAR(out.initial[i], expected[i], 1e-13) << i;
   EXPECT_NEAR(out.control[0], 0.01 * (alpha - change), 1e-13);
   EXPECT_NEAR(out.control[2], 0.001 * (beta + change), 1e-13);
+}
+
+// An elastic bounce on the ground that the loss wants closed, with cotangents mu of the position and lambda of the
+// velocity that point apart. By hand, with X = I: (mu, h mu - lambda), which is larger than the published -h mu -
+// lambda.
+TEST(ComplementarityAware, HasNoBounceMatrixOfItsOwn) {
+  Scene scene;
+  scene.name = "bounce";
+  scene.duration = 0.1;
+  scene.steps = 1;
+  scene.bodies = {{.name = "ball", .radius = 0.5, .mass = 2, .position = {0, 0.5}, .velocity = {0, -1}}};
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.contact.restitution = 1;
+  const auto simulator = MakeSimulator("lcp:complementarity_aware=1", scene, Precision::kDouble);
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), {}));
+  Sensitivity out;
+  simulator->Adjoint(std::vector<double>{0, -3, 0, 1}, /*with_parameters=*/false, &out);
+  EXPECT_NEAR(out.initial[1], -3, 1e-13);
+  EXPECT_NEAR(out.initial[3], -0.3 - 1, 1e-13);
 }
 
 // An impact that the loss wants open is none in the reverse sweep, others are as published (data/published.csv). By
