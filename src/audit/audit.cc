@@ -154,7 +154,8 @@ std::string ModelAudit::Why() const {
                       recognition->contact_class == ContactClass::kDepthFeedback)) {
     return recognition->words;
   }
-  if (const ContactError* first = FirstWrong()) return first->why;
+  const bool jumps = recognition && recognition->contact_class == ContactClass::kForceWithJump;
+  if (const ContactError* first = FirstWrong()) return first->why + (jumps ? "; its force jumps at the onset" : "");
   if (attribution && !attribution->sequence.empty()) return attribution->sequence;
   if (attribution && !attribution->ok()) return attribution->reason;
   if (attribution) return "no single contact is wrong";

@@ -26,6 +26,8 @@ constexpr int kMostSteps = 20'000;  // of all runs until a contact is over
 constexpr double kImpulse = 0.4, kForce = 0.1, kResolved = 0.02;
 // With less than this part of the restitution asked for, there is none. A critically damped spring keeps 0.135.
 constexpr double kNoRebound = 0.15;
+// Of more than this, restitution or not, something else takes part.
+constexpr double kMostRebound = 1.25;
 // Orders in h on either side of which a force jumps or is continuous at its onset.
 constexpr double kJumps = 1.35, kContinuous = 1.65;
 constexpr double kOnsetSteps = 3000;  // of the whole contact, at the finest length at which its onset is seen
@@ -186,7 +188,7 @@ ContactRecognition Recogniser::Run() {
   out_.restitution = scene_.contact.restitution;
   encounter_ = FindEncounter(contact_, scene_);
   if (!encounter_) {
-    out_.words = "nothing meets";
+    out_.words = "no two bodies meet by themselves";
     return out_;
   }
   out_.step = encounter_->step;
@@ -204,6 +206,8 @@ ContactRecognition Recogniser::Run() {
                   *out_.rebound,
                   *out_.finer_rebound,
                   out_.restitution));
+  } else if (*out_.finer_rebound > kMostRebound) {
+    out_.words = Format("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
   } else if (*out_.finer_concentration < kForce) {
     JudgeForce();
   } else if (*out_.finer_concentration > kImpulse) {

@@ -25,6 +25,8 @@ constexpr double kAtRest = 1e-2;  // slower than this for long enough, it has co
 // "Long enough", in steps since the contact began; a spring turns round within far fewer.
 constexpr int kRestAtLeast = 4, kRestTimes = 4;
 constexpr int kMostSteps = 4096;
+// Steps of the closing speed within which nothing else may be: with several contacts at once, none shows its law.
+constexpr double kApart = 16;
 constexpr int kLead = 2;  // steps before a contact from which it is run again
 // A closing speed that acceleration makes in this many steps is that of a contact at rest.
 constexpr double kRestingSteps = 4;
@@ -50,6 +52,7 @@ struct Touching {
   Candidate pair;
   int begin = 0;
   std::vector<double> changes;
+  bool crowded = false;  // something else was close when it began
 
   int end() const { return begin + static_cast<int>(changes.size()); }
   double sum() const { return std::accumulate(changes.begin(), changes.end(), 0.0); }
@@ -59,6 +62,31 @@ struct Touching {
     return static_cast<int>(std::find_if(changes.rbegin(), changes.rend(), less) - changes.rbegin());
   }
 };
+
+// Whether something else is within `margin` of a disc of the pair that moves.
+bool Crowded(const Scene& scene, const Candidate& pair, std::span<const double> x, int body_size, double margin) {
+  const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
+  const auto near = [&](int disc, int other, bool plane) {
+    const double radius = scene.bodies[disc].radius;
+    if (plane) {
+      const Plane& at = scene.planes[other];
+      return Dot(Vec2d(at.normal.normalized()), Vec2d(position(disc) - at.point)) < radius + margin;
+    }
+    return (position(disc) - position(other)).norm() < radius + scene.bodies[other].radius + margin;
+  };
+  const auto crowded = [&](int disc) {
+    if (scene.bodies[disc].fixed) return false;
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      const bool in_pair = i == pair.a || (!pair.plane && i == pair.b);
+      if (!in_pair && near(disc, i, /*plane=*/false)) return true;
+    }
+    for (int i = 0; i < static_cast<int>(scene.planes.size()); ++i) {
+      if (!(pair.plane && i == pair.b) && near(disc, i, /*plane=*/true)) return true;
+    }
+    return false;
+  };
+  return crowded(pair.a) || (!pair.plane && crowded(pair.b));
+}
 
 // That of a pair, begun anew if it has not touched in the step before.
 Touching& FindTouching(const StepTouch& at, std::vector<Touching>* all) {
@@ -126,7 +154,9 @@ std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& sc
     const std::vector<double> x = state(at.step);
     touching.changes.push_back(motion.Change(x, state(at.step + 1)));
     const double closing = -motion.Speed(x);
-    if (motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
+    if (touching.crowded || motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
+    touching.crowded = Crowded(scene, touching.pair, x, model->body_size(), kApart * closing * model->step());
+    if (touching.crowded) continue;
     // A force that sets in smoothly has begun before it is felt.
     const int earlier = 2 * (touching.NumFelt(kFelt * closing) - 1);
     encounter.step = std::max(touching.begin, at.step - earlier);

@@ -43,8 +43,8 @@ struct Encounter {
   std::vector<double> force;   // on every disc, B x 2
 };
 
-// The first contact of the model's rollout that takes a part of a pair's closing speed; nothing if there is none, or if
-// the rollout is not finite.
+// The first contact of the model's rollout that takes a part of a pair's closing speed while nothing else is close;
+// nothing if there is none, or if the rollout is not finite.
 std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene);
 
 // What a contact does to the velocity along the pair's normal.

@@ -124,7 +124,25 @@ TEST(ContactClass, WhatFitsNoClassIsUnclear) {
   EXPECT_NEAR(*found.position_from_position, -0.5, 1e-3);
   Scene apart = ProblemScene("bounce_once");
   apart.duration = 0.1;
-  EXPECT_THAT(RecogniseContact("direct", apart).words, HasSubstr("nothing meets"));
+  EXPECT_THAT(RecogniseContact("direct", apart).words, HasSubstr("no two bodies meet"));
+}
+
+// A ball that strikes a row comes to rest although the restitution is 1. A later contact tells.
+TEST(ContactClass, ContactsOfSeveralAtOnceAreNotJudged) {
+  Scene scene = ProblemScene("two_balls");
+  scene.control = {};
+  scene.bodies[0].position = {-1, 0};
+  scene.bodies[0].velocity = {4, 0};
+  scene.bodies[1].position = {0, 0};
+  scene.bodies.push_back(scene.bodies[1]);
+  scene.bodies[2].name = "third";
+  scene.bodies[2].position = {0.4, 0};
+  const ContactRecognition row = RecogniseContact("event", scene);
+  EXPECT_EQ(row.contact_class, ContactClass::kUnclear) << row.words;
+  scene.planes = {{"wall", {1.2, 0}, {-1, 0}}};
+  const ContactRecognition wall = RecogniseContact("event", scene);
+  EXPECT_EQ(wall.contact_class, kResolved) << wall.words;
+  EXPECT_EQ(wall.b, "wall");
 }
 
 TEST(ContactClass, StepsOfOtherLengthsGiveTheSame) {
