@@ -73,7 +73,8 @@ double EffortLoss(const Objective& objective, std::span<const double> control, d
 
 void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,
                        std::span<double> gradient) {
-  for (size_t i = 0; i < control.size(); ++i) gradient[i] += 2 * objective.effort * control[i] * dt;
+  const double weight = EffortWeight(objective, dt);
+  for (size_t i = 0; i < control.size(); ++i) gradient[i] += weight * control[i];
 }
 
 }  // namespace saltus

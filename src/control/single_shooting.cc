@@ -79,11 +79,15 @@ double SingleShooting::LossOfLastRollout(std::span<const double> z) const {
          EffortLoss(scene().objective, ControlIn(z), simulator_->step());
 }
 
-void SingleShooting::PullBack(double* gradient) {
+void SingleShooting::PullBack(double effort, std::span<const double> z, double* gradient) {
   ++num_adjoints_;
   SensitivityView out;
   out.initial = initial_gradient_;
-  if (controls_) out.control = {gradient, guess_.size()};
+  if (controls_) {
+    out.control = {gradient, guess_.size()};
+    out.effort = effort;
+    out.effort_of = z;
+  }
   simulator_->AdjointInto(cotangent_, out);
   for (int index : variables_) *gradient++ = initial_gradient_[index];
 }
@@ -94,10 +98,7 @@ bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* g
   if (!std::isfinite(*loss)) return false;
   if (gradient == nullptr) return true;
   TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
-  PullBack(gradient);
-  if (controls_) {
-    AddEffortGradient(scene().objective, z, simulator_->step(), {gradient, guess_.size()});
-  }
+  PullBack(EffortWeight(scene().objective, simulator_->step()), z, gradient);
   if (simulator_->precision() == Precision::kFloat) {
     for (int i = 0; i < num_variables(); ++i) gradient[i] = static_cast<float>(gradient[i]);
   }
@@ -118,7 +119,7 @@ void SingleShooting::TerminalJacobian(double* jacobian) {
       saltus::TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
   for (int row = 0; row < terminal.rows(); ++row) {
     Eigen::Map<Eigen::RowVectorXd>(cotangent_.data(), cotangent_.size()) = terminal.row(row);
-    PullBack(jacobian + static_cast<size_t>(row) * num_variables());
+    PullBack(0, {}, jacobian + static_cast<size_t>(row) * num_variables());
   }
 }
 

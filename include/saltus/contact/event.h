@@ -33,6 +33,8 @@
 //   on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
 #pragma once
 
+#include <type_traits>
+
 #include "saltus/contact/event_step.h"
 
 namespace saltus {
@@ -57,14 +59,14 @@ struct EventDriven {
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    FreeFlight(*this, in, x, next);
-    if (in.candidates.empty()) return;
+    if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
     internal::EventStep<T> step(in, x);
-    if (!step.AnythingMayHappen()) return;
-    step.Run();
-    for (int i = 0; i < static_cast<int>(x.size()); ++i) {
-      if (step.Moved(i)) next[i] = step.End(i);
+    // Derivatives are asked for only where something does.
+    if constexpr (std::is_same_v<T, double>) {
+      if (!step.AnythingMayHappen()) return FreeFlight(*this, in, x, next);
     }
+    step.Run();
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : Free(in, i, x[i]);
   }
 };
 

@@ -37,15 +37,15 @@ class PressedGroup {
         inverse_mass_(in.scratch) {}
 
   // The discs of the step, which the functions below read and change. They must stay where they are.
-  void SetDiscs(std::span<EventDisc<T>> discs) {
-    discs_ = discs;
-    acceleration_.resize(discs.size());
-    inverse_mass_.resize(discs.size());
-    for (std::size_t i = 0; i < discs.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
-  }
+  void SetDiscs(std::span<EventDisc<T>> discs) { discs_ = discs; }
+  // To be called before anything else.
   void Clear() {
     contacts_.clear();
     wedged_ = false;
+    if (acceleration_.size() == discs_.size()) return;
+    acceleration_.resize(discs_.size());
+    inverse_mass_.resize(discs_.size());
+    for (std::size_t i = 0; i < discs_.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
   }
 
   std::span<const Contact> contacts() const { return contacts_; }

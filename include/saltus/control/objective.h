@@ -24,8 +24,9 @@ void TerminalResiduals(const Objective& objective, std::span<const double> x, in
 // dr/dx, NumTerminalResiduals x state size; constant.
 Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int body_size);
 
-// effort * sum |u|^2 dt, and 2 effort u dt added to `gradient`.
+// effort * sum |u|^2 dt; its gradient is EffortWeight() u, which AddEffortGradient adds to `gradient`.
 double EffortLoss(const Objective& objective, std::span<const double> control, double dt);
+inline double EffortWeight(const Objective& objective, double dt) { return 2 * objective.effort * dt; }
 void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,
                        std::span<double> gradient);
 

@@ -62,8 +62,9 @@ class SingleShooting {
   double LossOfLastRollout(std::span<const double> z) const;
   // The control that z stands for, without a copy.
   std::span<const double> ControlIn(std::span<const double> z) const;
-  // The derivative by z of a function of the final state with derivative cotangent_.
-  void PullBack(double* gradient);
+  // The derivative by z of a function of the final state with derivative cotangent_, plus `effort` times z if z is the
+  // control.
+  void PullBack(double effort, std::span<const double> z, double* gradient);
 
   std::unique_ptr<Simulator> simulator_;
   bool controls_;  // z is the control

@@ -3,6 +3,8 @@
 //   dp' = pp dp + pv dv + pa da,  dv' = vp dp + vv dv + va da,  a = u/m + g; every block is a multiple of the identity.
 #pragma once
 
+#include <Eigen/Core>
+
 namespace saltus {
 
 template <typename S>
@@ -69,6 +71,21 @@ void PullBackFlight(const FreeFlightJacobian<S>& free, int n, S* lambda, const P
   lambda[1] = py;
   lambda[2] = vx;
   lambda[3] = vy;
+}
+
+// Cotangents of a disc's acceleration in n steps: last + (n - 1 - j) change in step j.
+template <typename S>
+struct LinearCotangents {
+  Eigen::Array<S, 2, 1> last, change;
+};
+
+// The same in one go, so that no step waits for another. A flight that is cut in two differs in the last bits.
+// Precondition: free.IsShear().
+template <typename S>
+LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* lambda) {
+  const Eigen::Array<S, 2, 1> p(lambda[0], lambda[1]), v(lambda[2], lambda[3]), change = free.pv * p;
+  for (int j = 0; j < 2; ++j) lambda[2 + j] = v[j] + S(n) * change[j];
+  return {free.pa * p + free.va * v, free.va * change};
 }
 
 }  // namespace saltus

@@ -18,6 +18,7 @@
 #include <limits>
 #include <optional>
 #include <tuple>
+#include <type_traits>
 #include <utility>
 
 #include "saltus/dynamics/broad_phase.h"
@@ -76,7 +77,7 @@ class ModelSimulator final : public Simulator {
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
     CHECK_EQ(static_cast<int>(initial.size()), 4 * num_bodies());
     CHECK_EQ(static_cast<int>(control.size()), control_size());
-    control_.assign(control.begin(), control.end());
+    control_.resize(control.size());
     trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
     Expand(initial, trajectory_.Checkpoint(0).data());
     touches_.clear();
@@ -85,6 +86,7 @@ class ModelSimulator final : public Simulator {
     for (int w = 0; w < trajectory_.num_windows(); ++w) {
       if (RecordIsFull()) all_recorded_ = false;
       if (!all_recorded_) ForgetTouchedStates(static_cast<int>(touches_.size()));
+      CopyControl(w, control);
       RunWindow(w, [&](int k) {
         for (const Touch& touch : work_->touches) touches_.push_back({k, touch});
         RecordTouchedStates(k);
@@ -104,6 +106,7 @@ class ModelSimulator final : public Simulator {
     CHECK_EQ(static_cast<int>(cotangent.size()), state_size());
     CHECK(out.initial.empty() || out.initial.size() == 4 * bodies_.size());
     CHECK(out.control.empty() || static_cast<int>(out.control.size()) == control_size());
+    CHECK(out.effort == 0 || out.effort_of.size() == out.control.size());
     if (out.parameters != nullptr) ClearParameters(out.parameters);
     lambda_.assign(cotangent.begin(), cotangent.end());
     pulled_to_.assign(num_bodies(), num_steps_);
@@ -186,6 +189,9 @@ class ModelSimulator final : public Simulator {
  private:
   using Jet = StepJet<S>;
   using JetState = BodyState<Jet, kRotation>;
+  // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
+  // those of the published programs to the last digits.
+  static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
 
   // The discs of one island as a scene of their own.
@@ -261,6 +267,12 @@ class ModelSimulator final : public Simulator {
     return place_in_control_[i] < 0 ? nullptr : control_.data() + k * ControlStride() + 2 * place_in_control_[i];
   }
   std::ptrdiff_t ControlStride() const { return 2 * static_cast<std::ptrdiff_t>(num_controlled()); }
+
+  // Takes over the control of window w, just before it is used: a long one does not stay in the processor's cache.
+  void CopyControl(int w, std::span<const double> control) {
+    const std::ptrdiff_t begin = trajectory_.begin(w) * ControlStride(), end = trajectory_.end(w) * ControlStride();
+    std::copy(control.begin() + begin, control.begin() + end, control_.begin() + begin);
+  }
 
   void SetForce(int k, std::vector<Vec2<S>>* force) const {
     for (int body : scene_.control.bodies) {
@@ -543,11 +555,7 @@ class ModelSimulator final : public Simulator {
       std::copy_n(&local.before[i * kSize], kSize, &lambda_[body * kSize]);
       pulled_to_[body] = k;
       const Vec2<S> push(local.before[n * kSize + 2 * i], local.before[n * kSize + 2 * i + 1]);
-      if (IsControlWanted(body, out)) {
-        double* gradient = GradientOf(body, k, out);
-        gradient[0] = push[0];
-        gradient[1] = push[1];
-      }
+      if (IsControlWanted(body, out)) GradientOf(body, k, out).Put(0, push[0], push[1]);
       if (with_parameters) AddConstantForce(body, push, out.parameters);
     }
     if (with_parameters) AddContactParameters(island, &local.before[n * (kSize + 2)], out.parameters);
@@ -556,8 +564,41 @@ class ModelSimulator final : public Simulator {
   bool IsControlWanted(int body, const SensitivityView& out) const {
     return place_in_control_[body] >= 0 && !out.control.empty();
   }
-  double* GradientOf(int body, int k, const SensitivityView& out) const {
-    return out.control.data() + k * ControlStride() + 2 * place_in_control_[body];
+
+  // Where the sensitivity to the forces on one disc goes, from some step on.
+  struct ForceSink {
+    double* gradient;
+    const double* control;  // null without effort
+    double effort;
+    std::ptrdiff_t stride;  // from one step to the next
+
+    void Put(int step, S x, S y) const {
+      const std::ptrdiff_t at = step * stride;
+      gradient[at] = control == nullptr ? x : x + effort * control[at];
+      gradient[at + 1] = control == nullptr ? y : y + effort * control[at + 1];
+    }
+
+    // Step j of n gets scale * (its cotangent).
+    void PutAll(int n, S scale, const LinearCotangents<S>& cotangents) const {
+      const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
+      const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
+      double* to = gradient;
+      const double* u = control;
+      if (u == nullptr) {
+        for (; n-- > 0; to += stride) Pair{to} = last + double(n) * change;
+      } else {
+        for (; n-- > 0; to += stride, u += stride) Pair{to} = last + double(n) * change + effort * ConstPair{u};
+      }
+    }
+
+   private:
+    using Pair = Eigen::Map<Eigen::Array2d>;
+    using ConstPair = Eigen::Map<const Eigen::Array2d>;
+  };
+  ForceSink GradientOf(int body, int k, const SensitivityView& out) const {
+    const std::ptrdiff_t at = k * ControlStride() + 2 * place_in_control_[body];
+    return {
+        out.control.data() + at, out.effort == 0 ? nullptr : out.effort_of.data() + at, out.effort, ControlStride()};
   }
 
   void AddContactParameters(std::span<const int> island, const S* gradient, ParameterGradient* parameters) const {
@@ -585,13 +626,7 @@ class ModelSimulator final : public Simulator {
     if (out.parameters != nullptr) {
       PullBackWithParameters(k, steps, i, lambda, out);
     } else if (IsControlWanted(i, out)) {
-      double* gradient = GradientOf(i, k, out);
-      const S inverse_mass = bodies_[i].inverse_mass;
-      const std::ptrdiff_t stride = ControlStride();
-      PullBackFlight(free_, steps, lambda, [=](int j, S x, S y) {
-        gradient[j * stride] = inverse_mass * x;
-        gradient[j * stride + 1] = inverse_mass * y;
-      });
+      PullBackControlled(k, steps, i, lambda, out);
     } else if constexpr (kRotation > 0) {
       // Step by step: windows may cut a flight, which must not change a bit.
       PullBackFlight(free_, steps, lambda, [](int, S, S) {});
@@ -601,16 +636,22 @@ class ModelSimulator final : public Simulator {
     }
   }
 
+  void PullBackControlled(int k, int steps, int i, S* lambda, const SensitivityView& out) const {
+    const ForceSink gradient = GradientOf(i, k, out);
+    const S inverse_mass = bodies_[i].inverse_mass;
+    if (kFlightsInOneGo && free_.IsShear()) {
+      gradient.PutAll(steps, inverse_mass, PullBackShear(free_, steps, lambda));
+      return;
+    }
+    PullBackFlight(free_, steps, lambda, [&](int j, S x, S y) { gradient.Put(j, inverse_mass * x, inverse_mass * y); });
+  }
+
   void PullBackWithParameters(int k, int steps, int i, S* lambda, const SensitivityView& out) const {
     const S inverse_mass = bodies_[i].inverse_mass;
     PullBackFlight(free_, steps, lambda, [&](int j, S x, S y) {
       const Vec2<S> push = Scale(inverse_mass, Vec2<S>(x, y));
       AddConstantForce(i, push, out.parameters);
-      if (IsControlWanted(i, out)) {
-        double* gradient = GradientOf(i, k + j, out);
-        gradient[0] = push[0];
-        gradient[1] = push[1];
-      }
+      if (IsControlWanted(i, out)) GradientOf(i, k + j, out).Put(0, push[0], push[1]);
       if (const S* u = ControlOf(i, k + j)) {
         out.parameters->mass[i] -= Dot(push, Vec2<S>(u[0], u[1])) * inverse_mass;
       }
@@ -630,7 +671,7 @@ class ModelSimulator final : public Simulator {
   void PullBackRotation(int k, int steps, int i, S* lambda) {
     Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
     if (cotangent.isZero(S(0))) return;
-    RotationMatrix jacobian;
+    RotationMatrix jacobian = RotationMatrix::Zero();
     const State* at = nullptr;  // where `jacobian` is; a disc that does not spin keeps it
     for (int j = k + steps - 1; j >= k; --j) {
       const State& x = trajectory_.At(j)[i];

@@ -51,6 +51,10 @@ struct SensitivityView {
   std::span<double> initial;                // B x 4
   std::span<double> control;                // K x C x 2
   ParameterGradient* parameters = nullptr;  // its vectors are resized
+  // Added to the sensitivity to the control: effort * effort_of, such as the gradient of an effort (K x C x 2). Done in
+  // one go, a long control passes through memory once.
+  double effort = 0;
+  std::span<const double> effort_of = {};
 };
 
 // x' = f(x, u) to first order at one point: dx' = A dx + B du + P dparameters. Dense over the discs that touch
