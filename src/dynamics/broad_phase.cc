@@ -22,11 +22,13 @@ double TimeToCover(double gap, double closing, double acceleration) {
   return closing + root > 0 ? 2 * gap / (closing + root) : kInfinity;
 }
 
-std::uint64_t HashOfCell(std::int64_t x, std::int64_t y) {
-  std::uint64_t hash = static_cast<std::uint64_t>(x) * 0x9e3779b97f4a7c15u + static_cast<std::uint64_t>(y);
-  hash ^= hash >> 32;
-  hash *= 0xd6e8feb86659fd93u;
-  return hash ^ (hash >> 32);
+// Cells of the grid in each direction; a power of two. The grid goes on periodically, so that no disc is outside: what
+// far cells put into the same bucket is told apart by distance. At least 4, so that a cell's neighbours are different
+// ones.
+int GridWidth(int num_discs) {
+  int width = 4;
+  while (width * width < 2 * num_discs) width *= 2;
+  return width;
 }
 
 }  // namespace
@@ -131,19 +133,28 @@ void BroadPhase::ListNearPairs() {
 
   const double near_gap = skin_ + options_.push_gap;
   SortIntoGrid(2 * largest_radius_ + near_gap);
-  const std::uint64_t mask = bucket_start_.size() - 2;
+  const int width = GridWidth(num_discs()), mask = width - 1;
   for (int i = 0; i < num_discs(); ++i) {
     const auto first = list_.size();
-    for (int neighbour = 0; neighbour < 9; ++neighbour) {
-      const std::int64_t x = cell_x_[i] + neighbour % 3 - 1;
-      const std::int64_t y = cell_y_[i] + neighbour / 3 - 1;
-      const std::uint64_t bucket = HashOfCell(x, y) & mask;
-      for (int at = bucket_start_[bucket]; at < bucket_start_[bucket + 1]; ++at) {
+    const auto compare_with = [&](int begin, int end) {
+      for (int at = begin; at < end; ++at) {
         const int j = bucket_[at];
-        if (j <= i || cell_x_[j] != x || cell_y_[j] != y || (discs_[i].fixed && discs_[j].fixed)) continue;
+        if (j <= i) continue;
         const Vec2d d = there_[i] - there_[j];
         const double near = discs_[i].radius + discs_[j].radius + near_gap;
-        if (Dot(d, d) <= near * near) list_.push_back({i, j, false});
+        if (Dot(d, d) <= near * near && !(discs_[i].fixed && discs_[j].fixed)) list_.push_back({i, j, false});
+      }
+    };
+    const int x = static_cast<int>(cell_x_[i]), y = static_cast<int>(cell_y_[i]);
+    for (int above = -1; above <= 1; ++above) {
+      const int row = ((y + above) & mask) * width;
+      if (x > 0 && x < mask) {
+        compare_with(bucket_start_[row + x - 1], bucket_start_[row + x + 2]);
+      } else {
+        for (int right = -1; right <= 1; ++right) {
+          const int bucket = row + ((x + right) & mask);
+          compare_with(bucket_start_[bucket], bucket_start_[bucket + 1]);
+        }
       }
     }
     std::sort(list_.begin() + first, list_.end(), [](const auto& l, const auto& r) { return l.b < r.b; });
@@ -157,21 +168,22 @@ void BroadPhase::ListNearPairs() {
 }
 
 void BroadPhase::SortIntoGrid(double cell) {
-  const int n = num_discs();
-  size_t num_buckets = 16;
-  while (num_buckets < 2 * static_cast<size_t>(n)) num_buckets *= 2;
-  const auto bucket_of = [&](int i) { return HashOfCell(cell_x_[i], cell_y_[i]) & (num_buckets - 1); };
+  const int n = num_discs(), width = GridWidth(n);
+  const auto bucket_of = [&](int i) { return cell_y_[i] * width + cell_x_[i]; };
   cell_x_.resize(n);
   cell_y_.resize(n);
   bucket_.resize(n);
-  bucket_start_.assign(num_buckets + 1, 0);
+  bucket_start_.assign(width * width + 1, 0);
   constexpr double kFarthest = 1e15;  // further out, cells no longer matter
+  const auto cell_at = [&](double x) {
+    return static_cast<std::int64_t>(std::clamp(std::floor(x / cell), -kFarthest, kFarthest)) & (width - 1);
+  };
   for (int i = 0; i < n; ++i) {
-    cell_x_[i] = static_cast<std::int64_t>(std::clamp(std::floor(there_[i][0] / cell), -kFarthest, kFarthest));
-    cell_y_[i] = static_cast<std::int64_t>(std::clamp(std::floor(there_[i][1] / cell), -kFarthest, kFarthest));
+    cell_x_[i] = cell_at(there_[i][0]);
+    cell_y_[i] = cell_at(there_[i][1]);
     ++bucket_start_[bucket_of(i) + 1];
   }
-  for (size_t b = 0; b < num_buckets; ++b) bucket_start_[b + 1] += bucket_start_[b];
+  for (int b = 0; b < width * width; ++b) bucket_start_[b + 1] += bucket_start_[b];
   // Filled from behind: the end of each bucket becomes its beginning.
   for (int i = n - 1; i >= 0; --i) bucket_[--bucket_start_[bucket_of(i) + 1]] = i;
   std::rotate(bucket_start_.begin(), bucket_start_.begin() + 1, bucket_start_.end());
