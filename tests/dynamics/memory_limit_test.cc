@@ -1,8 +1,10 @@
 // Rollouts that are not kept in full have the bits of those that are.
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
@@ -112,6 +114,38 @@ TEST(MemoryLimit, RecordsOfContactsAreLetGo) {
   EXPECT_EQ(limited.gradient.initial, whole.gradient.initial);
   EXPECT_EQ(limited.gradient.control, whole.gradient.control);
   EXPECT_EQ(limited.states, whole.states);
+}
+
+std::size_t LargestMemorySoFar() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<std::size_t>(usage.ru_maxrss) << 10;
+}
+
+// The derivative of the loss by a factor on the control, which hardly depends on the number of steps.
+double DerivativeByScale(const std::string& model, int steps, std::size_t limit) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = steps;
+  SingleShooting shooting(MakeSimulator(model, scene, Precision::kDouble));
+  shooting.set_memory_limit(limit);
+  const std::vector<double>& z = shooting.initial_guess();
+  std::vector<double> gradient(z.size());
+  double loss = 0;
+  EXPECT_TRUE(shooting.Evaluate(z, &loss, gradient.data()));
+  return std::inner_product(z.begin(), z.end(), gradient.begin(), 0.0);
+}
+
+// 16 bytes a step for each of guess, control and gradient, and hardly any for states.
+TEST(MemoryLimit, AMillionStepsTakeLittle) {
+  for (const char* model : {"direct_toi", "event"}) {
+    const double expected = DerivativeByScale(model, 48000, std::size_t{1} << 30);
+    const std::size_t before = LargestMemorySoFar();
+    const double derivative = DerivativeByScale(model, 1000000, std::size_t{1} << 30);
+    EXPECT_NEAR(derivative, expected, 1e-3 * std::abs(expected)) << model;
+    EXPECT_LT(LargestMemorySoFar() - before, std::size_t{80} << 20) << model;
+    // The least there is.
+    EXPECT_EQ(DerivativeByScale(model, 1000000, 0), derivative) << model;
+  }
 }
 
 }  // namespace
