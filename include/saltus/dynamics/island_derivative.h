@@ -147,15 +147,7 @@ class IslandDerivative {
   template <typename Use>
   void RunPass(const M& model, const StepInput<S>& in, const Columns& columns, const Use& use) {
     Seed(in, columns, S(1));
-    const StepInput<Jet> jets{.h = in.h,
-                              .gravity = in.gravity,
-                              .contact = contact_,
-                              .bodies = bodies_,
-                              .planes = in.planes,
-                              .force = force_,
-                              .candidates = in.candidates,
-                              .scratch = in.scratch};
-    model.Step(jets, std::span<const JetState>(x_), std::span<JetState>(next_));
+    model.Step(jets_, std::span<const JetState>(x_), std::span<JetState>(next_));
     Seed(in, columns, S(0));
     use(columns);
   }
@@ -173,8 +165,17 @@ class IslandDerivative {
       const BodyConstants<S>& body = in.bodies[i];
       bodies_[i] = {Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed};
     }
-    contact_ = {
-        Jet(in.contact.restitution), Jet(in.contact.friction), Jet(in.contact.stiffness), Jet(in.contact.damping)};
+    jets_.h = in.h;
+    jets_.gravity = in.gravity;
+    jets_.contact.restitution = Jet(in.contact.restitution);
+    jets_.contact.friction = Jet(in.contact.friction);
+    jets_.contact.stiffness = Jet(in.contact.stiffness);
+    jets_.contact.damping = Jet(in.contact.damping);
+    jets_.bodies = bodies_;
+    jets_.planes = in.planes;
+    jets_.force = force_;
+    jets_.candidates = in.candidates;
+    jets_.scratch = in.scratch;
   }
 
   // Number j of the state of disc i.
@@ -192,7 +193,8 @@ class IslandDerivative {
       } else if (column < parameters) {
         force_[(column - forces) / 2][(column - forces) % 2].v[direction] = one;
       } else if (column < parameters + 4) {
-        Jet* const contact[] = {&contact_.restitution, &contact_.friction, &contact_.stiffness, &contact_.damping};
+        ContactConstants<Jet>& c = jets_.contact;
+        Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
         contact[column - parameters]->v[direction] = one;
       } else {
         const int i = column - parameters - 4;
@@ -226,7 +228,7 @@ class IslandDerivative {
   std::vector<JetState> x_, next_;
   std::vector<Vec2<Jet>> force_;
   std::vector<BodyConstants<Jet>> bodies_;
-  ContactConstants<Jet> contact_;
+  StepInput<Jet> jets_;  // kept: it is large to set up
   Matrix jacobian_;
 };
 
