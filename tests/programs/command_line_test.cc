@@ -206,6 +206,14 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
       "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + Scene("two_balls"));
   EXPECT_THAT(option.output, HasSubstr("lcp:complementarity_aware=1 (biased)"));
 
+  const Outcome options =
+      RunProgram("saltus_sweep --solver=none --progress=none --sweep='contact=lcp,lcp:complementarity_aware=1'" +
+                 Scene("two_balls"));
+  const StatusOr<CsvDocument> contacts = ParseCsv(options.output);
+  ASSERT_TRUE(contacts.ok() && contacts->Find("biased")) << options.output << options.errors;
+  EXPECT_EQ(contacts->rows[0][*contacts->Find("biased")], "no");
+  EXPECT_EQ(contacts->rows[1][*contacts->Find("biased")], "yes");
+
   const Outcome sweep = RunProgram(
       "saltus_sweep --solver=none --sweep='surrogate_samples=4,400' --surrogate=smoothed_first "
       "--progress=none --contact=event" +

@@ -20,8 +20,9 @@ void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
 PointResult StartRow(const SweepStudy& study, int64_t point) {
   PointResult result{PointStatus::kComputed, study.Values(point)};
   if (const std::optional<Surrogate>& surrogate = study.request().options.surrogate) {
-    Append({std::string(SurrogateToString(surrogate->kind)), std::string("yes")}, &result.row);
+    Append({std::string(SurrogateToString(surrogate->kind))}, &result.row);
   }
+  if (study.any_bias()) Append({std::string(study.IsBiased(point) ? "yes" : "no")}, &result.row);
   return result;
 }
 
@@ -113,9 +114,10 @@ PointResult GradientPoint(const Request& request, PointResult result) {
 
 }  // namespace
 
-std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate) {
+std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias) {
   std::vector<std::string> columns;
-  if (surrogate) columns = {"surrogate", "biased"};
+  if (surrogate) columns.push_back("surrogate");
+  if (any_bias) columns.push_back("biased");
   const auto add = [&](std::initializer_list<const char*> names) {
     columns.insert(columns.end(), names.begin(), names.end());
   };

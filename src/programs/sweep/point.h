@@ -14,10 +14,9 @@ namespace saltus {
 //   initial_loss, loss_before_last, final_loss, exact_loss, iterations, evaluations, seconds, termination, reason,
 // a gradient (at the initial guess)
 //   loss, norm_dposition, norm_dvelocity, norm_dcontrol (of its parts), relative_error (to the exact one), reason,
-// and before either, of a surrogate: surrogate, biased ("yes"). Before the reason of a gradient that was estimated
-// comes
-//   norm_standard_error (over the initial state and the control).
-std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate);
+// and before either, of a surrogate: surrogate, and of biased gradients: biased ("yes" or "no"). Before the reason of a
+// gradient that was estimated comes norm_standard_error (over the initial state and the control).
+std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias);
 
 // Computes a point. A solver is stopped after `seconds` (0: never), and then the row holds what it had reached. All but
 // the column "seconds" of a point that is not stopped is the same on every call.

@@ -10,6 +10,7 @@
 #include "programs/sweep/options.h"
 #include "programs/sweep/point.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
@@ -49,6 +50,17 @@ std::string ValueAt(const nlohmann::json& document, const std::string& pointer) 
   return document.contains(place) ? document[place].dump() : "nothing";
 }
 
+// Whether any contact model of the blocks has options that bias its derivative.
+bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
+  return std::any_of(blocks.begin(), blocks.end(), [](const SweepBlock& block) {
+    const auto contact = std::find(block.options.begin(), block.options.end(), "contact");
+    if (contact == block.options.end()) return false;
+    return std::any_of(block.rows.begin(), block.rows.end(), [&](const SweepRow& row) {
+      return HasBiasedDerivative(std::get<std::string>(row[contact - block.options.begin()]));
+    });
+  });
+}
+
 }  // namespace
 
 SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
@@ -56,6 +68,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   solving_ = !request_.solvers.empty() || Has(blocks_, "solver");
   if (!Has(blocks_, "contact")) blocks_.push_back(WordBlock("contact", request_.contacts));
   if (solving_ && !Has(blocks_, "solver")) blocks_.push_back(WordBlock("solver", request_.solvers));
+  any_bias_ = request_.options.surrogate || AnyContactIsBiased(blocks_);
   for (const SweepBlock& block : blocks_) {
     const int64_t rows = static_cast<int64_t>(block.rows.size());
     if (__builtin_mul_overflow(size_, rows, &size_) || size_ > kMostPoints) {
@@ -75,11 +88,16 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   add(/*names=*/false);
   add(/*names=*/true);
   columns_ = options_;
-  for (const std::string& result : ResultColumns(solving_, request_.options.surrogate)) {
+  for (const std::string& result : ResultColumns(solving_, request_.options.surrogate, any_bias_)) {
     // An option may bear the name of a result.
     const bool taken = std::find(options_.begin(), options_.end(), result) != options_.end();
     columns_.push_back(taken ? result + "_done" : result);
   }
+}
+
+bool SweepStudy::IsBiased(int64_t point) const {
+  const size_t contact = std::find(options_.begin(), options_.end(), "contact") - options_.begin();
+  return request_.options.surrogate || HasBiasedDerivative(std::get<std::string>(Values(point)[contact]));
 }
 
 SweepRow SweepStudy::Values(int64_t point) const {

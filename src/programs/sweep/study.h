@@ -29,6 +29,10 @@ class SweepStudy {
   // All headers: options, then results.
   const std::vector<std::string>& columns() const { return columns_; }
 
+  // Whether the gradient at a point, or at any, is biased: by a surrogate or by options of the contact model.
+  bool IsBiased(int64_t point) const;
+  bool any_bias() const { return any_bias_; }
+
   // The values of options() at a point. Precondition, here and below: 0 <= point < size().
   SweepRow Values(int64_t point) const;
 
@@ -43,6 +47,7 @@ class SweepStudy {
   Request request_;
   std::vector<SweepBlock> blocks_;
   bool solving_;
+  bool any_bias_;
   int64_t size_ = 1;
   std::vector<std::string> options_;
   std::vector<std::string> columns_;

@@ -95,7 +95,7 @@ TEST(SweepSpec, ErrorsNamePlaceAndExpectation) {
       {"stiffness=1:2:lin:0", "found '0'", "1..1000000"},
       {"stiffness=-1:1:log:3", "found '-1'", "> 0, as the range is logarithmic"},
       {"contact=direct_tio", "found 'direct_tio'", "direct_toi"},
-      {"contact=lcp:convex:lin:2", "found 'convex'", "expected no options of lcp"},
+      {"contact=lcp:convex:lin:2", "found 'convex'", "expected one of the options complementarity_aware of lcp"},
       {"contact=xpbd:substeps=0", "found 'substeps=0'", "a whole number in 1..10000"},
       {"contact=xpbd:kappa=1", "character 9", "options compliance, substeps, published_bound of xpbd"},
       {"solver=gd:hmp:lin:2", "found 'gd'", "no range"},
