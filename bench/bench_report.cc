@@ -3,6 +3,7 @@
 // usage: bench_report OUTPUT_DIR RESULTS.json...
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <map>
@@ -47,6 +48,12 @@ std::string Number(double value, const char* format = "%.3g") {
   return text;
 }
 
+// The largest by the least.
+double Spread(const std::vector<double>& values) {
+  const auto [least, largest] = std::minmax_element(values.begin(), values.end());
+  return *largest / *least;
+}
+
 std::string ProcessorName() {
   std::ifstream file("/proc/cpuinfo");
   for (std::string line; std::getline(file, line);) {
@@ -60,6 +67,7 @@ class Report {
   void Add(const Json& document) {
     context_ = document.at("context");
     for (const Json& benchmark : document.at("benchmarks")) {
+      if (benchmark.value("error_occurred", false)) continue;
       results_.push_back({Parts(benchmark.at("name").get<std::string>()), benchmark});
     }
   }
@@ -71,6 +79,7 @@ class Report {
     WriteGrowth("Steps", "steps", "Two balls, per step", &out);
     WriteGrowth("Bodies", "discs", "Gas in a box at fixed density, per disc and step", &out);
     WriteThroughput(&out);
+    WriteIterations(&out);
     WriteSolvers(&out);
     return out.str();
   }
@@ -106,11 +115,16 @@ class Report {
 
   void WriteGradients(std::ostream* out) const {
     *out << "Two balls, 480 steps, 960 controls, one core:\n\n"
-            "| contact model | rollout and loss (us) | with gradient (us) | ratio |\n|---|---|---|---|\n";
-    for (const Result& result : Of("Gradient")) {
+            "| contact model | rollout and loss (us) | with gradient (us) | ratio | rollout, `direct` = 1 |\n"
+            "|---|---|---|---|---|\n";
+    const std::vector<Result> results = Of("Gradient");
+    const auto direct =
+        std::find_if(results.begin(), results.end(), [](const Result& r) { return r.parts[1] == "direct"; });
+    for (const Result& result : results) {
       const std::string name = result.parts[1] == "by_hand" ? "(direct_toi written by hand)" : result.parts[1];
       *out << "| " << name << " | " << Number(result["forward_us"]) << " | " << Number(result["gradient_us"]) << " | "
-           << Number(result["gradient_by_forward"], "%.2f") << " |\n";
+           << Number(result["gradient_by_forward"], "%.2f") << " | "
+           << (direct == results.end() ? "" : Number(result["forward_us"] / (*direct)["forward_us"], "%.2f")) << " |\n";
     }
     *out << "\n";
   }
@@ -126,16 +140,19 @@ class Report {
       cells[{result.parts[1], result.parts[2]}] = result;
     }
     for (const std::string& size : sizes) *out << " " << size << " " << unit << " |";
-    *out << "\n|---|";
+    *out << " largest by least |\n|---|---|";
     for (size_t i = 0; i < sizes.size(); ++i) *out << "---|";
     *out << "\n";
     for (const std::string& name : names) {
       *out << "| " << name << " |";
+      std::vector<double> forward, gradient;
       for (const std::string& size : sizes) {
         const Result& cell = cells.at({name, size});
-        *out << " " << Number(cell["forward_ns"]) << " / " << Number(cell["gradient_ns"]) << " |";
+        forward.push_back(cell["forward_ns"]);
+        gradient.push_back(cell["gradient_ns"]);
+        *out << " " << Number(forward.back()) << " / " << Number(gradient.back()) << " |";
       }
-      *out << "\n";
+      *out << " " << Number(Spread(forward), "%.2f") << " / " << Number(Spread(gradient), "%.2f") << " |\n";
     }
     *out << "\n";
   }
@@ -149,6 +166,17 @@ class Report {
       if (result.parts[2] == "1") single[result.parts[1]] = rate;
       *out << "| " << result.parts[1] << " | " << result.parts[2] << " | " << Number(rate, "%.0f") << " | "
            << Number(rate / single.at(result.parts[1]), "%.2f") << " |\n";
+    }
+    *out << "\n";
+  }
+
+  void WriteIterations(std::ostream* out) const {
+    *out << "One iteration of a solver, in gradients of the same problem:\n\n"
+            "| solver | contact model | problem | steps | iteration | set-up |\n|---|---|---|---|---|---|\n";
+    for (const Result& result : Of("Iteration")) {
+      for (int i = 1; i <= 4; ++i) *out << "| " << result.parts[i] << " ";
+      *out << "| " << Number(result["gradients_per_iteration"]) << " | " << Number(result["setup_in_gradients"])
+           << " |\n";
     }
     *out << "\n";
   }

@@ -27,6 +27,7 @@ Costs MeasureCosts(const std::string& contact, const Scene& scene) {
   SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble));
   std::vector<double> z = shooting.initial_guess(), gradient(z.size());
   double loss = 0;
+  CHECK(shooting.Evaluate(z, &loss, gradient.data())) << contact;
   const auto [forward, with_gradient] =
       TimeInTurns([&] { benchmark::DoNotOptimize(shooting.Evaluate(z, &loss, nullptr)); },
                   [&] { benchmark::DoNotOptimize(shooting.Evaluate(z, &loss, gradient.data())); });
@@ -123,6 +124,7 @@ class HandWritten {
 
 void Gradient(benchmark::State& state, const std::string& contact) {
   const Scene scene = ProblemScene("two_balls", 480);
+  if (const std::string why = WhyNotApplicable(contact, scene); !why.empty()) return state.SkipWithError(why.c_str());
   for (auto _ : state) {
     const Costs costs = MeasureCosts(contact, scene);
     state.SetIterationTime(costs.gradient);
