@@ -16,7 +16,7 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     if (!ReadRequest(defaults, &request)) return kDone;
     const AuditReport audit = RunAudit(request);
     std::vector<SolvedRun> runs;
-    if (!request.solvers.empty() && request.scene.optimize != Optimize::kNone) runs = SolveAll(request);
+    if (!request.solvers.empty()) runs = SolveAll(request);
     const std::vector<LaunchSolution> launches = FindLaunches(request.scene);
     if (request.json) {
       Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, runs)}};

@@ -159,7 +159,10 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
 }
 
 int SolveExitCode(const std::vector<SolvedRun>& runs) {
-  if (runs.size() == 1 && runs[0].report.termination == Termination::kNotApplicable) {
+  const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
+    return run.report.termination == Termination::kNotApplicable;
+  });
+  if (!runs.empty() && none) {
     std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
               << runs[0].report.reason << std::endl;
     return kWrongInput;

@@ -124,6 +124,7 @@ TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
       {"saltus_audit --precision=half" + Scene("two_balls"), "precision"},
       {"saltus_audit stray" + Scene("two_balls"), "stray"},
       {"saltus_solve --solver=ceres_lm --contact=direct" + Scene("bounce_once"), "ceres_lm"},
+      {"bounce_once --solver=hmp,gd --contact=event", "nothing to optimize"},
       {"saltus_solve --solver=newton" + Scene("two_balls"), "newton"},
       {"saltus_audit --surrogate=smooth" + Scene("two_balls"),
        "complementarity_aware, smoothed_zeroth, smoothed_first"},
