@@ -86,7 +86,7 @@ Optimum SolveKkt(const Scene& scene, int num_steps, bool explicit_position) {
   return optimum;
 }
 
-class LinearQuadratic : public testing::TestWithParam<const char*> {};
+class LinearQuadratic : public testing::TestWithParam<std::string> {};
 
 TEST_P(LinearQuadratic, ReachesTheKktSolution) {
   const Scene scene = LinearQuadraticScene();
@@ -141,7 +141,7 @@ TEST(CeresLbfgs, HitsTheTargetOfGroundWall) {
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
 }
 
-class ByCeres : public testing::TestWithParam<const char*> {};
+class ByCeres : public testing::TestWithParam<std::string> {};
 
 // The effort of a control that is not optimized is part of the loss.
 TEST_P(ByCeres, ReportsTheLossOfTheScene) {

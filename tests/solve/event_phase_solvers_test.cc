@@ -226,7 +226,7 @@ INSTANTIATE_TEST_SUITE_P(
                     Case{"sticking_bounce", Bounce(2), "ball-ground"}, Case{"two_pushed", TwoPushed(), "a-b"}),
     [](const auto& at) { return at.param.name; });
 
-class ByPhases : public testing::TestWithParam<const char*> {};
+class ByPhases : public testing::TestWithParam<std::string> {};
 
 TEST_P(ByPhases, SaysWhyNot) {
   const auto reason = [](const Scene& scene, const char* contact = "event") {

@@ -25,7 +25,7 @@ double ExactLoss(const Scene& scene, const SolveReport& report) {
   return run.loss;
 }
 
-class FeasiblePath : public testing::TestWithParam<std::tuple<const char*, int>> {};
+class FeasiblePath : public testing::TestWithParam<std::tuple<std::string, int>> {};
 
 // 1.3991 is what 1000 exact gradient steps reach, 1.39654 the optimum.
 TEST_P(FeasiblePath, BeatsGradientDescentOnTwoBalls) {
