@@ -241,7 +241,8 @@ const json& AuditOf(const json& document, const std::string& contact) {
 }
 
 TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
-  const Outcome outcome = RunProgram("saltus_audit --json --progress=none" + Scene("two_balls"));
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct_toi,toi_velocity,event --json --progress=none" + Scene("two_balls"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const json document = json::parse(outcome.output);
   EXPECT_EQ(document["reference"]["contact"], "event");
