@@ -7,10 +7,23 @@
 namespace saltus {
 namespace {
 
+// The degrees of freedom of a group of up to kMaxRows rows: each row connects at most two moving discs.
+template <int kMaxRows>
+inline constexpr int kMaxDofs = kMaxRows == Eigen::Dynamic ? Eigen::Dynamic : 2 * (kMaxRows + 1);
+template <int kMaxRows>
+using DofVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxDofs<kMaxRows>, 1>;
+template <int kMaxRows>
+using DofMatrix =
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxDofs<kMaxRows>, kMaxDofs<kMaxRows>>;
+template <int kMaxRows>
+using DofsByRows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxDofs<kMaxRows>, kMaxRows>;
+template <int kMaxRows>
+using RowsByDofs = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxRows, kMaxDofs<kMaxRows>>;
+
 // Places 2 x 2 blocks of moving discs; those of fixed ones are dropped.
 class Dofs {
  public:
-  Dofs(const StepInput<double>& in, int num_discs) : in_(in), index_(num_discs, -1) {}
+  Dofs(const StepInput<double>& in, int num_discs) : in_(in), index_(num_discs, -1, in.scratch), discs_(in.scratch) {}
 
   void Add(int disc) {
     if (in_.bodies[disc].fixed || index_[disc] >= 0) return;
@@ -18,13 +31,13 @@ class Dofs {
     discs_.push_back(disc);
   }
   int size() const { return 2 * static_cast<int>(discs_.size()); }
-  const std::vector<int>& discs() const { return discs_; }
+  const std::pmr::vector<int>& discs() const { return discs_; }
   // First degree of freedom of a disc, or -1.
   int operator[](int disc) const { return index_[disc]; }
 
  private:
   const StepInput<double>& in_;
-  std::vector<int> index_, discs_;
+  std::pmr::vector<int> index_, discs_;
 };
 
 template <typename Rows>
@@ -37,52 +50,54 @@ Dofs DofsOf(const StepInput<double>& in, int num_discs, const Rows& rows) {
   return dofs;
 }
 
-Eigen::VectorXd ImpulseDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction) {
-  Eigen::VectorXd a = Eigen::VectorXd::Zero(dofs.size());
-  if (dofs[c.a] >= 0) a.segment<2>(dofs[c.a]) = direction;
-  if (!c.plane && dofs[c.b] >= 0) a.segment<2>(dofs[c.b]) = -direction;
+template <int kMaxRows>
+DofVector<kMaxRows> ImpulseDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction) {
+  DofVector<kMaxRows> a = DofVector<kMaxRows>::Zero(dofs.size());
+  if (dofs[c.a] >= 0) a.template segment<2>(dofs[c.a]) = direction;
+  if (!c.plane && dofs[c.b] >= 0) a.template segment<2>(dofs[c.b]) = -direction;
   return a;
 }
 
 // d ImpulseDirection / dp for two discs at `distance`; zero at a plane. Normal and tangent turn alike, each along the
 // other, when the centres move along the tangent.
-Eigen::MatrixXd TurningOfDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction, const Vec2d& tangent,
-                                   double distance) {
-  Eigen::MatrixXd turning = Eigen::MatrixXd::Zero(dofs.size(), dofs.size());
-  if (c.plane) return turning;
-  const Eigen::VectorXd along = ImpulseDirection(dofs, c, tangent);
-  return ImpulseDirection(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
+template <int kMaxRows>
+DofMatrix<kMaxRows> TurningOfDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction,
+                                       const Vec2d& tangent, double distance) {
+  if (c.plane) return DofMatrix<kMaxRows>::Zero(dofs.size(), dofs.size());
+  const DofVector<kMaxRows> along = ImpulseDirection<kMaxRows>(dofs, c, tangent);
+  return ImpulseDirection<kMaxRows>(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
 }
 
 // The matrix closest to the identity with a^T X a = -e for each column a of `bounces`.
-Eigen::MatrixXd BounceMatrix(const Eigen::MatrixXd& bounces, double restitution) {
+template <int kMaxRows>
+DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, double restitution) {
   const int size = static_cast<int>(bounces.rows());
-  Eigen::MatrixXd X = Eigen::MatrixXd::Identity(size, size);
+  DofMatrix<kMaxRows> X = DofMatrix<kMaxRows>::Identity(size, size);
   if (bounces.cols() == 0) return X;
-  const Eigen::MatrixXd gram = bounces.transpose() * bounces;
-  const Eigen::MatrixXd squared = gram.cwiseProduct(gram);
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition(squared.rows(), squared.cols());
+  const LcpMatrix<kMaxRows> gram = bounces.transpose() * bounces;
+  const LcpMatrix<kMaxRows> squared = gram.cwiseProduct(gram);
+  Eigen::CompleteOrthogonalDecomposition<LcpMatrix<kMaxRows>> decomposition(squared.rows(), squared.cols());
   decomposition.setThreshold(1e-11);
   decomposition.compute(squared);
-  const Eigen::VectorXd weights =
-      decomposition.solve(gram.diagonal().array().matrix() + Eigen::VectorXd::Constant(gram.rows(), restitution));
+  const LcpVector<kMaxRows> right = (gram.diagonal().array() + restitution).matrix();
+  const LcpVector<kMaxRows> weights = decomposition.solve(right);
   for (int i = 0; i < bounces.cols(); ++i) X -= weights[i] * bounces.col(i) * bounces.col(i).transpose();
   return X;
 }
 
 // Of n discs that touch nothing.
-void SetFreeFlight(const StepInput<double>& in, int n, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
-  *A = Eigen::MatrixXd::Identity(4 * n, 4 * n);
-  *B = Eigen::MatrixXd::Zero(4 * n, 2 * n);
+void SetFreeFlight(const StepInput<double>& in, int n, Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B) {
+  A.setIdentity();
+  B.setZero();
   for (int i = 0; i < n; ++i) {
     if (in.bodies[i].fixed) continue;
-    A->block<2, 2>(4 * i, 4 * i + 2).diagonal().setConstant(in.h);
-    B->block<2, 2>(4 * i + 2, 2 * i).diagonal().setConstant(in.h * in.bodies[i].inverse_mass);
+    A.block<2, 2>(4 * i, 4 * i + 2).diagonal().setConstant(in.h);
+    B.block<2, 2>(4 * i + 2, 2 * i).diagonal().setConstant(in.h * in.bodies[i].inverse_mass);
   }
 }
 
 // |l_v| + |l_u| / h over some discs, from the cotangents of all states and forces.
-double SizeOfGradient(const StepInput<double>& in, const std::vector<int>& discs, const Eigen::VectorXd& state,
+double SizeOfGradient(const StepInput<double>& in, const std::pmr::vector<int>& discs, const Eigen::VectorXd& state,
                       const Eigen::VectorXd& force) {
   double velocity_squared = 0, force_squared = 0;
   for (int disc : discs) {
@@ -97,34 +112,39 @@ constexpr double kLarger = 1 + 1e-9;
 
 }  // namespace
 
-void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
-                    Eigen::MatrixXd* B) const {
-  SetFreeFlight(in, static_cast<int>(x.size()), A, B);
-  std::vector<State<double>> flying(x.size());
-  FreeFlight(*this, in, x, std::span(flying));
+void Lcp::Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::Ref<Eigen::MatrixXd> A,
+                    Eigen::Ref<Eigen::MatrixXd> B) const {
+  const int n = static_cast<int>(x.size());
+  SetFreeFlight(in, n, A, B);
+  std::pmr::vector<State<double>> flying(n, in.scratch);
+  FreeFlight(*this, in, x, std::span<State<double>>(flying));
   for (const Group<double>& group : FindGroups<double>(in, x, flying)) {
-    LinearizeGroup(in, flying, group, SolveBoxedLcp(Problem(in, group)), /*with_bounces=*/true, A, B);
+    if (IsSmall(group)) {
+      LinearizeGroup(in, flying, group, SolveBoxedLcp(Problem<kFewLcpRows>(in, group)), /*with_bounces=*/true, A, B);
+    } else {
+      LinearizeGroup(in, flying, group, SolveBoxedLcp(Problem<Eigen::Dynamic>(in, group)), /*with_bounces=*/true, A, B);
+    }
   }
 }
 
 void Lcp::PullBack(const StepInput<double>& in, std::span<const State<double>> x, std::span<const double> after,
                    std::span<double> before) const {
   const int n = static_cast<int>(x.size());
-  Eigen::MatrixXd A, B;
-  SetFreeFlight(in, n, &A, &B);
+  Eigen::MatrixXd A(4 * n, 4 * n), B(4 * n, 2 * n);
+  SetFreeFlight(in, n, A, B);
   std::vector<State<double>> flying(n);
   FreeFlight(*this, in, x, std::span(flying));
   const Eigen::Map<const Eigen::VectorXd> cotangent(after.data(), 4 * n);
   for (const Group<double>& group : FindGroups<double>(in, x, flying)) {
-    const BoxedLcp problem = Problem(in, group);
+    const BoxedLcp problem = Problem<Eigen::Dynamic>(in, group);
     const LcpSolution solution = SolveBoxedLcp(problem);
     const LcpSolution preferred = SolveBoxedLcpInClasses(problem, PreferredClasses(in, group, cotangent), solution);
     Eigen::MatrixXd A_preferred = A, B_preferred = B;
-    LinearizeGroup(in, flying, group, solution, /*with_bounces=*/true, &A, &B);
-    LinearizeGroup(in, flying, group, preferred, /*with_bounces=*/false, &A_preferred, &B_preferred);
-    const std::vector<int> discs = DofsOf(in, n, group).discs();
+    LinearizeGroup(in, flying, group, solution, /*with_bounces=*/true, A, B);
+    LinearizeGroup(in, flying, group, preferred, /*with_bounces=*/false, A_preferred, B_preferred);
+    const Dofs dofs = DofsOf(in, n, group);
     const auto size = [&](const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
-      return SizeOfGradient(in, discs, a.transpose() * cotangent, b.transpose() * cotangent);
+      return SizeOfGradient(in, dofs.discs(), a.transpose() * cotangent, b.transpose() * cotangent);
     };
     if (size(A_preferred, B_preferred) <= kLarger * size(A, B)) continue;
     A = A_preferred;
@@ -148,56 +168,60 @@ std::vector<LcpClass> Lcp::PreferredClasses(const StepInput<double>& in, const G
   return classes;
 }
 
+template <int kMaxRows>
 void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying, const Group<double>& group,
-                         const LcpSolution& solution, bool with_bounces, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
+                         const LcpSolutionUpTo<kMaxRows>& solution, bool with_bounces, Eigen::Ref<Eigen::MatrixXd> A,
+                         Eigen::Ref<Eigen::MatrixXd> B) {
+  using Vector = DofVector<kMaxRows>;
+  using Matrix = DofMatrix<kMaxRows>;
   const Dofs dofs = DofsOf(in, static_cast<int>(flying.size()), group);
   const int size = dofs.size();
   const int num_clamping = static_cast<int>(solution.clamping.size());
-  Eigen::VectorXd inverse_mass(size), free_velocity(size);
+  Vector inverse_mass(size), free_velocity(size);
   for (int disc : dofs.discs()) {
-    inverse_mass.segment<2>(dofs[disc]).setConstant(in.bodies[disc].inverse_mass);
-    free_velocity.segment<2>(dofs[disc]) = flying[disc].v;
+    inverse_mass.template segment<2>(dofs[disc]).setConstant(in.bodies[disc].inverse_mass);
+    free_velocity.template segment<2>(dofs[disc]) = flying[disc].v;
   }
 
   // Per clamping row k: its direction a_k, the impulse a_k + sigma t_k that one unit of it causes together with a
   // tangent at its bound, the derivatives G of both by position, and beta.
-  Eigen::MatrixXd direction(size, num_clamping), caused(size, num_clamping);
-  std::vector<Eigen::MatrixXd> turning(num_clamping), caused_turning(num_clamping);
-  Eigen::VectorXd beta(num_clamping), rhs(num_clamping), impulse(num_clamping);
-  Eigen::MatrixXd bounces(size, 0);
+  DofsByRows<kMaxRows> direction(size, num_clamping), caused(size, num_clamping);
+  LcpList<Matrix, kMaxRows> turning(num_clamping), caused_turning(num_clamping);
+  LcpVector<kMaxRows> beta(num_clamping), rhs(num_clamping), impulse(num_clamping);
+  DofsByRows<kMaxRows> bounces(size, 0);
   for (int k = 0; k < num_clamping; ++k) {
     const int i = solution.clamping[k];
     const Vec2d tangent = Perpendicular(group[group[i].normal].direction);
-    direction.col(k) = ImpulseDirection(dofs, group[i].candidate, group[i].direction);
-    turning[k] = TurningOfDirection(dofs, group[i].candidate, group[i].direction, tangent, group[i].distance);
+    direction.col(k) = ImpulseDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction);
+    turning[k] = TurningOfDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction, tangent, group[i].distance);
     caused.col(k) = direction.col(k);
     caused_turning[k] = turning[k];
     for (int j = 0; j < static_cast<int>(group.size()); ++j) {
       const LcpClass c = solution.classes[j];
       if (group[j].normal != i || (c != LcpClass::kUpperBound && c != LcpClass::kLowerBound)) continue;
       const double sigma = c == LcpClass::kUpperBound ? in.contact.friction : -in.contact.friction;
-      caused.col(k) += sigma * ImpulseDirection(dofs, group[j].candidate, group[j].direction);
-      caused_turning[k] +=
-          sigma * TurningOfDirection(dofs, group[j].candidate, group[j].direction, tangent, group[j].distance);
+      caused.col(k) += sigma * ImpulseDirection<kMaxRows>(dofs, group[j].candidate, group[j].direction);
+      caused_turning[k] += sigma * TurningOfDirection<kMaxRows>(
+                                       dofs, group[j].candidate, group[j].direction, tangent, group[j].distance);
     }
     beta[k] = group[i].bounced ? 1 + in.contact.restitution : 1;
     rhs[k] = group[i].rhs;
     impulse[k] = solution.x[i];
     if (!group[i].bounced || !with_bounces) continue;
     bounces.conservativeResize(Eigen::NoChange, bounces.cols() + 1);
-    bounces.rightCols<1>() = direction.col(k);
+    bounces.template rightCols<1>() = direction.col(k);
   }
 
-  const Eigen::MatrixXd response = inverse_mass.asDiagonal() * caused;  // of the velocities to clamping impulses
-  Eigen::MatrixXd vv = Eigen::MatrixXd::Identity(size, size);
-  Eigen::MatrixXd pv = Eigen::MatrixXd::Zero(size, size);
+  const DofsByRows<kMaxRows> response = inverse_mass.asDiagonal() * caused;  // of the velocities to clamping impulses
+  Matrix vv = Matrix::Identity(size, size);
+  Matrix pv = Matrix::Zero(size, size);
   if (num_clamping > 0) {
     vv -= response * solution.inverse * beta.asDiagonal() * direction.transpose();
-    const Eigen::VectorXd z = solution.inverse * rhs;
-    const Eigen::VectorXd dv = response * z;
-    Eigen::MatrixXd turned = Eigen::MatrixXd::Zero(size, size);   // sum of z G
-    Eigen::MatrixXd applied = Eigen::MatrixXd::Zero(size, size);  // sum of f G
-    Eigen::MatrixXd change(num_clamping, size);                   // d(b - Q z)/dp
+    const LcpVector<kMaxRows> z = solution.inverse * rhs;
+    const Vector dv = response * z;
+    Matrix turned = Matrix::Zero(size, size);         // sum of z G
+    Matrix applied = Matrix::Zero(size, size);        // sum of f G
+    RowsByDofs<kMaxRows> change(num_clamping, size);  // d(b - Q z)/dp
     for (int k = 0; k < num_clamping; ++k) {
       turned += z[k] * caused_turning[k];
       applied += impulse[k] * caused_turning[k];
@@ -207,15 +231,15 @@ void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<doub
     pv = response * solution.inverse * change + inverse_mass.asDiagonal() * applied;
   }
 
-  const Eigen::MatrixXd X = BounceMatrix(bounces, in.contact.restitution);
+  const Matrix X = BounceMatrix<kMaxRows>(bounces, in.contact.restitution);
   for (int row : dofs.discs()) {
     for (int column : dofs.discs()) {
-      const auto block = [&](const Eigen::MatrixXd& m) { return m.block<2, 2>(dofs[row], dofs[column]); };
-      A->block<2, 2>(4 * row, 4 * column) = block(X);
-      A->block<2, 2>(4 * row, 4 * column + 2) = in.h * block(X);
-      A->block<2, 2>(4 * row + 2, 4 * column) = block(pv);
-      A->block<2, 2>(4 * row + 2, 4 * column + 2) = block(vv);
-      B->block<2, 2>(4 * row + 2, 2 * column) = in.h * in.bodies[column].inverse_mass * block(vv);
+      const auto block = [&](const Matrix& m) { return m.template block<2, 2>(dofs[row], dofs[column]); };
+      A.block<2, 2>(4 * row, 4 * column) = block(X);
+      A.block<2, 2>(4 * row, 4 * column + 2) = in.h * block(X);
+      A.block<2, 2>(4 * row + 2, 4 * column) = block(pv);
+      A.block<2, 2>(4 * row + 2, 4 * column + 2) = block(vv);
+      B.block<2, 2>(4 * row + 2, 2 * column) = in.h * in.bodies[column].inverse_mass * block(vv);
     }
   }
 }

@@ -20,14 +20,16 @@ constexpr double kPivotRegularizations[] = {1e-8, 1e-7, 1e-6};
 constexpr int kPatience = 3;  // block steps without progress before single ones
 constexpr int kMaxSweeps = 2000;
 
-double Sigma(const BoxedLcp& problem, LcpClass c) {
+template <int kMaxRows>
+double Sigma(const BoxedLcpUpTo<kMaxRows>& problem, LcpClass c) {
   return c == LcpClass::kUpperBound ? problem.friction : c == LcpClass::kLowerBound ? -problem.friction : 0.0;
 }
 
 bool AtBound(LcpClass c) { return c == LcpClass::kUpperBound || c == LcpClass::kLowerBound; }
 
-std::vector<int> ClampingRows(const std::vector<LcpClass>& classes) {
-  std::vector<int> rows;
+template <int kMaxRows>
+LcpList<int, kMaxRows> ClampingRows(const LcpList<LcpClass, kMaxRows>& classes) {
+  LcpList<int, kMaxRows> rows;
   for (int i = 0; i < static_cast<int>(classes.size()); ++i) {
     if (classes[i] == LcpClass::kClamping) rows.push_back(i);
   }
@@ -35,12 +37,13 @@ std::vector<int> ClampingRows(const std::vector<LcpClass>& classes) {
 }
 
 // Q^+ for given classes.
-Eigen::MatrixXd InverseInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
-                                 const std::vector<int>& clamping, double rank_threshold) {
+template <int kMaxRows>
+LcpMatrix<kMaxRows> InverseInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpClass, kMaxRows>& classes,
+                                     const LcpList<int, kMaxRows>& clamping, double rank_threshold) {
   const int n = static_cast<int>(clamping.size());
   if (n == 0) return {};
-  Eigen::MatrixXd reduced(n, n);
-  std::vector<int> column(problem.size(), -1);
+  LcpMatrix<kMaxRows> reduced(n, n);
+  LcpList<int, kMaxRows> column(problem.size(), -1);
   for (int j = 0; j < n; ++j) column[clamping[j]] = j;
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) reduced(i, j) = problem.matrix(clamping[i], clamping[j]);
@@ -49,16 +52,17 @@ Eigen::MatrixXd InverseInClasses(const BoxedLcp& problem, const std::vector<LcpC
       reduced(i, column[problem.normal[k]]) += Sigma(problem, classes[k]) * problem.matrix(clamping[i], k);
     }
   }
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition(n, n);
+  Eigen::CompleteOrthogonalDecomposition<LcpMatrix<kMaxRows>> decomposition(n, n);
   decomposition.setThreshold(rank_threshold);
   decomposition.compute(reduced);
   return decomposition.pseudoInverse();
 }
 
-Eigen::VectorXd SolveInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
-                               const std::vector<int>& clamping, const Eigen::MatrixXd& inverse) {
+template <int kMaxRows>
+LcpVector<kMaxRows> SolveInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpClass, kMaxRows>& classes,
+                                   const LcpList<int, kMaxRows>& clamping, const LcpMatrix<kMaxRows>& inverse) {
   const int n = static_cast<int>(clamping.size());
-  Eigen::VectorXd x = Eigen::VectorXd::Zero(problem.size());
+  LcpVector<kMaxRows> x = LcpVector<kMaxRows>::Zero(problem.size());
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) x[clamping[i]] += inverse(i, j) * problem.rhs[clamping[j]];
   }
@@ -69,8 +73,9 @@ Eigen::VectorXd SolveInClasses(const BoxedLcp& problem, const std::vector<LcpCla
 }
 
 // The class that row i should change to, or its own.
-LcpClass BetterClass(const BoxedLcp& problem, const std::vector<LcpClass>& classes, const Eigen::VectorXd& x,
-                     const Eigen::VectorXd& w, int i, double tolerance) {
+template <int kMaxRows>
+LcpClass BetterClass(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpClass, kMaxRows>& classes,
+                     const LcpVector<kMaxRows>& x, const LcpVector<kMaxRows>& w, int i, double tolerance) {
   const LcpClass c = classes[i];
   if (problem.IsNormal(i)) {
     if (c == LcpClass::kClamping && x[i] < -tolerance) return LcpClass::kFree;
@@ -86,7 +91,8 @@ LcpClass BetterClass(const BoxedLcp& problem, const std::vector<LcpClass>& class
 }
 
 // Tangents of free normals are free; of those that no longer are, they stick.
-void FollowNormals(const BoxedLcp& problem, std::vector<LcpClass>* classes) {
+template <int kMaxRows>
+void FollowNormals(const BoxedLcpUpTo<kMaxRows>& problem, LcpList<LcpClass, kMaxRows>* classes) {
   for (int i = 0; i < problem.size(); ++i) {
     if (problem.IsNormal(i)) continue;
     const bool touching = (*classes)[problem.normal[i]] == LcpClass::kClamping;
@@ -97,24 +103,25 @@ void FollowNormals(const BoxedLcp& problem, std::vector<LcpClass>* classes) {
 
 // Principal pivoting: all rows that violate their class change it, or, when that makes no progress, only the last one
 // (Judice and Pires 1994; finite without friction). Returns x, whether it has converged or not.
-Eigen::VectorXd Pivot(BoxedLcp problem, double regularization) {
+template <int kMaxRows>
+LcpVector<kMaxRows> Pivot(BoxedLcpUpTo<kMaxRows> problem, double regularization) {
   problem.matrix.diagonal().array() += regularization * problem.matrix.diagonal().maxCoeff();
   const double tolerance = 1e-8 * (1 + problem.rhs.cwiseAbs().maxCoeff());
-  std::vector<LcpClass> classes(problem.size(), LcpClass::kFree);
+  LcpList<LcpClass, kMaxRows> classes(problem.size(), LcpClass::kFree);
   for (int i = 0; i < problem.size(); ++i) {
     if (problem.IsNormal(i) && problem.rhs[i] > 0) classes[i] = LcpClass::kClamping;
   }
   FollowNormals(problem, &classes);
 
-  Eigen::VectorXd x;
+  LcpVector<kMaxRows> x;
   int fewest = std::numeric_limits<int>::max();
   int patience = kPatience;
   for (int iteration = 0; iteration < 50 + 10 * problem.size(); ++iteration) {
-    const std::vector<int> clamping = ClampingRows(classes);
+    const LcpList<int, kMaxRows> clamping = ClampingRows<kMaxRows>(classes);
     x = SolveInClasses(problem, classes, clamping, InverseInClasses(problem, classes, clamping, 1e-14));
-    const Eigen::VectorXd w = problem.matrix * x - problem.rhs;
-    std::vector<int> wrong;
-    std::vector<LcpClass> better = classes;
+    const LcpVector<kMaxRows> w = problem.matrix * x - problem.rhs;
+    LcpList<int, kMaxRows> wrong;
+    LcpList<LcpClass, kMaxRows> better = classes;
     for (int i = 0; i < problem.size(); ++i) {
       better[i] = BetterClass(problem, classes, x, w, i, tolerance);
       if (better[i] != classes[i]) wrong.push_back(i);
@@ -136,8 +143,9 @@ Eigen::VectorXd Pivot(BoxedLcp problem, double regularization) {
   return x;
 }
 
-Eigen::VectorXd ProjectedGaussSeidel(const BoxedLcp& problem) {
-  Eigen::VectorXd x = Eigen::VectorXd::Zero(problem.size());
+template <int kMaxRows>
+LcpVector<kMaxRows> ProjectedGaussSeidel(const BoxedLcpUpTo<kMaxRows>& problem) {
+  LcpVector<kMaxRows> x = LcpVector<kMaxRows>::Zero(problem.size());
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
     double change = 0;
     for (int i = 0; i < problem.size(); ++i) {
@@ -152,11 +160,29 @@ Eigen::VectorXd ProjectedGaussSeidel(const BoxedLcp& problem) {
   return x;
 }
 
-bool Fits(const BoxedLcp& problem, const Eigen::VectorXd& x) {
-  return x.allFinite() && LcpViolation(problem, x, kTolerance) <= kTolerance;
+// As LcpViolation.
+template <int kMaxRows>
+double Violation(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x, double at_bound) {
+  const LcpVector<kMaxRows> w = problem.matrix * x - problem.rhs;
+  double violation = 0;
+  for (int i = 0; i < problem.size(); ++i) {
+    const bool is_normal = problem.IsNormal(i);
+    const double upper = is_normal ? std::numeric_limits<double>::infinity() : problem.friction * x[problem.normal[i]];
+    const double lower = is_normal ? 0.0 : -upper;
+    violation = std::max({violation, lower - x[i], x[i] - upper});
+    if (!(x[i] <= lower + at_bound)) violation = std::max(violation, w[i]);
+    if (!(x[i] >= upper - at_bound)) violation = std::max(violation, -w[i]);
+  }
+  return violation;
 }
 
-LcpClass Classify(const BoxedLcp& problem, const Eigen::VectorXd& x, int i) {
+template <int kMaxRows>
+bool Fits(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x) {
+  return x.allFinite() && Violation(problem, x, kTolerance) <= kTolerance;
+}
+
+template <int kMaxRows>
+LcpClass Classify(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x, int i) {
   const bool is_normal = problem.IsNormal(i);
   const double normal = x[problem.normal[i]];
   if (std::abs(x[i]) < kNoImpulse) {
@@ -170,7 +196,8 @@ LcpClass Classify(const BoxedLcp& problem, const Eigen::VectorXd& x, int i) {
   return x[i] > 0 ? LcpClass::kUpperBound : LcpClass::kLowerBound;
 }
 
-BoxedLcp WithoutFriction(BoxedLcp problem) {
+template <int kMaxRows>
+BoxedLcpUpTo<kMaxRows> WithoutFriction(BoxedLcpUpTo<kMaxRows> problem) {
   for (int i = 0; i < problem.size(); ++i) {
     if (problem.IsNormal(i)) continue;
     // A row of its own that nothing pushes and that pushes nothing.
@@ -184,13 +211,15 @@ BoxedLcp WithoutFriction(BoxedLcp problem) {
 }
 
 // Classes of x, and the impulses solved for again in them.
-LcpSolution Refine(const BoxedLcp& problem, const Eigen::VectorXd& x, bool with_friction) {
-  LcpSolution solution;
+template <int kMaxRows>
+LcpSolutionUpTo<kMaxRows> Refine(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x,
+                                 bool with_friction) {
+  LcpSolutionUpTo<kMaxRows> solution;
   for (int i = 0; i < problem.size(); ++i) {
     const bool used = with_friction || problem.IsNormal(i);
     solution.classes.push_back(used ? Classify(problem, x, i) : LcpClass::kFree);
   }
-  solution.clamping = ClampingRows(solution.classes);
+  solution.clamping = ClampingRows<kMaxRows>(solution.classes);
   solution.inverse = InverseInClasses(problem, solution.classes, solution.clamping, 1e-11);
   solution.x = SolveInClasses(problem, solution.classes, solution.clamping, solution.inverse);
   if (!Fits(problem, solution.x)) solution.x = x;
@@ -200,17 +229,7 @@ LcpSolution Refine(const BoxedLcp& problem, const Eigen::VectorXd& x, bool with_
 }  // namespace
 
 double LcpViolation(const BoxedLcp& problem, const Eigen::VectorXd& x, double at_bound) {
-  const Eigen::VectorXd w = problem.matrix * x - problem.rhs;
-  double violation = 0;
-  for (int i = 0; i < problem.size(); ++i) {
-    const bool is_normal = problem.IsNormal(i);
-    const double upper = is_normal ? std::numeric_limits<double>::infinity() : problem.friction * x[problem.normal[i]];
-    const double lower = is_normal ? 0.0 : -upper;
-    violation = std::max({violation, lower - x[i], x[i] - upper});
-    if (!(x[i] <= lower + at_bound)) violation = std::max(violation, w[i]);
-    if (!(x[i] >= upper - at_bound)) violation = std::max(violation, -w[i]);
-  }
-  return violation;
+  return Violation(problem, x, at_bound);
 }
 
 LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
@@ -219,7 +238,7 @@ LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<Lc
   regular.matrix.diagonal().array() += solution.regularization;
   LcpSolution result;
   result.classes = classes;
-  result.clamping = ClampingRows(classes);
+  result.clamping = ClampingRows<Eigen::Dynamic>(classes);
   result.inverse = InverseInClasses(regular, classes, result.clamping, 1e-11);
   result.regularization = solution.regularization;
   result.x = SolveInClasses(regular, classes, result.clamping, result.inverse);
@@ -229,26 +248,30 @@ LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<Lc
   return result;
 }
 
-LcpSolution SolveBoxedLcp(const BoxedLcp& problem) {
+template <int kMaxRows>
+LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem) {
   if (problem.size() == 0) return {};
   for (const double regularization : kPivotRegularizations) {
-    const LcpSolution solution = Refine(problem, Pivot(problem, regularization), true);
+    const LcpSolutionUpTo<kMaxRows> solution = Refine(problem, Pivot(problem, regularization), true);
     if (Fits(problem, solution.x)) return solution;
   }
 
-  BoxedLcp regular = problem;
+  BoxedLcpUpTo<kMaxRows> regular = problem;
   regular.matrix.diagonal().array() += kRegularization;
   bool with_friction = true;
-  Eigen::VectorXd x = Pivot(regular, 0);
+  LcpVector<kMaxRows> x = Pivot(regular, 0);
   if (!Fits(regular, x)) x = ProjectedGaussSeidel(regular);
   if (!Fits(regular, x)) {
     regular = WithoutFriction(regular);
     with_friction = false;
     x = Pivot(regular, 0);
   }
-  LcpSolution solution = Refine(regular, x, with_friction);
+  LcpSolutionUpTo<kMaxRows> solution = Refine(regular, x, with_friction);
   solution.regularization = kRegularization;
   return solution;
 }
+
+template LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
+template LcpSolutionUpTo<kFewLcpRows> SolveBoxedLcp(const BoxedLcpUpTo<kFewLcpRows>& problem);
 
 }  // namespace saltus

@@ -376,8 +376,8 @@ TEST(Lcp, JetsAgreeWithThePublishedVelocityBlocks) {
   std::vector<BodyState<double, 0>> x = {{{0, 0}, {1, -1}}, {{0.2, 0.21}, {-1, -2}}}, next(2);
   const std::vector<Vec2d> force(2, Vec2d::Zero());
   StepInput<double> in{kStep, {0, -9.8}, {0.5, 0.2, 0, 0}, bodies, planes, force, candidates, &scratch};
-  Eigen::MatrixXd A, B;
-  Lcp().Linearize(in, x, &A, &B);
+  Eigen::MatrixXd A(8, 8), B(8, 4);
+  Lcp().Linearize(in, x, A, B);
   Lcp().Step<double>(in, x, next);
 
   std::vector<BodyConstants<Jet>> jet_bodies;

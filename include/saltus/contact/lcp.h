@@ -45,8 +45,7 @@ struct Lcp {
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
                                           .double_engine = true,
                                           .published_jacobian = true,
-                                          .compared = true,
-                                          .allocates = true};
+                                          .compared = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -73,16 +72,18 @@ struct Lcp {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
     for (const Group<T>& group : FindGroups<T>(in, x, next)) {
-      const LcpSolution solution = SolveBoxedLcp(Problem(in, group));
-      ReportTouches(in, group, solution);
-      ApplyImpulses<T>(in, group, Impulses(in, group, solution), next);
+      if (IsSmall(group)) {
+        StepGroup<kFewLcpRows>(in, group, next);
+      } else {
+        StepGroup<Eigen::Dynamic>(in, group, next);
+      }
     }
   }
 
   // The source's Jacobian of the step. A is (4 n) x (4 n) over [p_x p_y v_x v_y] of each disc, B is (4 n) x (2 n) over
   // the forces. Fixed discs have the identity in A and nothing else.
-  void Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::MatrixXd* A,
-                 Eigen::MatrixXd* B) const;
+  void Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::Ref<Eigen::MatrixXd> A,
+                 Eigen::Ref<Eigen::MatrixXd> B) const;
 
   // The complementarity-aware reverse of the step: from l' to l, shapes as in contact_model.h.
   void PullBack(const StepInput<double>& in, std::span<const State<double>> x, std::span<const double> after,
@@ -102,6 +103,18 @@ struct Lcp {
   // Contacts that are connected by moving discs, in the order of candidates; tangents follow their normals.
   template <typename T>
   using Group = std::pmr::vector<Row<T>>;
+  // So that its matrices need no heap.
+  template <typename T>
+  static bool IsSmall(const Group<T>& group) {
+    return group.size() <= kFewLcpRows;
+  }
+
+  template <int kMaxRows, typename T>
+  void StepGroup(const StepInput<T>& in, const Group<T>& group, std::span<State<T>> next) const {
+    const LcpSolutionUpTo<kMaxRows> solution = SolveBoxedLcp(Problem<kMaxRows>(in, group));
+    ReportTouches(in, group, solution);
+    ApplyImpulses<T>(in, group, Impulses(in, group, solution), next);
+  }
 
   static constexpr double kMaxDepth = 0.03;        // m
   static constexpr double kMinRestitution = 1e-3;  // below, there is none
@@ -178,10 +191,10 @@ struct Lcp {
     return mobility * Dot(i.direction, j.direction);
   }
 
-  template <typename T>
-  static BoxedLcp Problem(const StepInput<T>& in, const Group<T>& group) {
+  template <int kMaxRows, typename T>
+  static BoxedLcpUpTo<kMaxRows> Problem(const StepInput<T>& in, const Group<T>& group) {
     const int n = static_cast<int>(group.size());
-    BoxedLcp problem;
+    BoxedLcpUpTo<kMaxRows> problem;
     problem.matrix.resize(n, n);
     problem.rhs.resize(n);
     problem.friction = HasFriction(in) ? double(Value(in.contact.friction)) : 0.0;
@@ -195,8 +208,9 @@ struct Lcp {
 
   // The impulse of each row: its value from the solution, its derivative from
   //   Q dx_C = db_C - dQ x_C,   x at a bound = +-mu x_n.
-  template <typename T>
-  static std::pmr::vector<T> Impulses(const StepInput<T>& in, const Group<T>& group, const LcpSolution& solution) {
+  template <int kMaxRows, typename T>
+  static std::pmr::vector<T> Impulses(const StepInput<T>& in, const Group<T>& group,
+                                      const LcpSolutionUpTo<kMaxRows>& solution) {
     using S = Base<T>;
     const int n = static_cast<int>(group.size());
     std::pmr::vector<T> x(n, T(S(0)), in.scratch);
@@ -229,8 +243,8 @@ struct Lcp {
     return x;
   }
 
-  template <typename T>
-  void ReportTouches(const StepInput<T>& in, const Group<T>& group, const LcpSolution& solution) const {
+  template <int kMaxRows, typename T>
+  void ReportTouches(const StepInput<T>& in, const Group<T>& group, const LcpSolutionUpTo<kMaxRows>& solution) const {
     for (int i = 0; i < static_cast<int>(group.size()); ++i) {
       const bool idle = solution.x[i] == 0 && !complementarity_aware;
       if (group[i].normal != i || idle) continue;
@@ -255,9 +269,10 @@ struct Lcp {
   }
 
   // The blocks of one group's published Jacobian, written over those of free flight. Without bounces, X = I.
+  template <int kMaxRows>
   static void LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying,
-                             const Group<double>& group, const LcpSolution& solution, bool with_bounces,
-                             Eigen::MatrixXd* A, Eigen::MatrixXd* B);
+                             const Group<double>& group, const LcpSolutionUpTo<kMaxRows>& solution, bool with_bounces,
+                             Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B);
 
   // The classes that the loss would rather have.
   static std::vector<LcpClass> PreferredClasses(const StepInput<double>& in, const Group<double>& group,

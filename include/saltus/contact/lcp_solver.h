@@ -6,22 +6,38 @@
 //   tangent row with the normal row n:   |x| <= mu x_n;  w = 0 strictly inside,  w >= 0 at -mu x_n,  w <= 0 at +mu x_n
 //
 // Source: NimblePhysics 0.7.2, BoxedLcpConstraintSolver, LCPUtils, ConstrainedGroupGradientMatrices.
+//
+// Problems with a bound on their rows, known when compiling, are solved without memory from the heap (unless contacts
+// are redundant, where Eigen takes some).
 #pragma once
 
 #include <Eigen/Core>
+#include <type_traits>
 #include <vector>
+
+#include "saltus/contact/bounded_vector.h"
 
 namespace saltus {
 
-struct BoxedLcp {
-  Eigen::MatrixXd matrix;   // Lambda, symmetric positive semidefinite
-  Eigen::VectorXd rhs;      // b
-  std::vector<int> normal;  // of each row: its normal row; of a normal row itself
-  double friction = 0;      // mu >= 0
+// What a problem of up to kMaxRows rows is made of; Eigen::Dynamic: of any number.
+template <int kMaxRows>
+using LcpMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxRows, kMaxRows>;
+template <int kMaxRows>
+using LcpVector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kMaxRows, 1>;
+template <typename T, int kMaxRows>
+using LcpList = std::conditional_t<kMaxRows == Eigen::Dynamic, std::vector<T>, BoundedVector<T, kMaxRows>>;
+
+template <int kMaxRows>
+struct BoxedLcpUpTo {
+  LcpMatrix<kMaxRows> matrix;     // Lambda, symmetric positive semidefinite
+  LcpVector<kMaxRows> rhs;        // b
+  LcpList<int, kMaxRows> normal;  // of each row: its normal row; of a normal row itself
+  double friction = 0;            // mu >= 0
 
   int size() const { return static_cast<int>(normal.size()); }
   bool IsNormal(int row) const { return normal[row] == row; }
 };
+using BoxedLcp = BoxedLcpUpTo<Eigen::Dynamic>;
 
 enum class LcpClass {
   kFree,        // x = 0
@@ -32,20 +48,28 @@ enum class LcpClass {
 
 // With C the clamping rows, Q is Lambda restricted to them, where rows at a bound count as +-mu times their normal:
 // the impulses solve Q x_C = b_C.
-struct LcpSolution {
-  Eigen::VectorXd x;
-  std::vector<LcpClass> classes;
-  std::vector<int> clamping;  // C, ascending
-  Eigen::MatrixXd inverse;    // Q^+
-  double regularization = 0;  // added to the diagonal of Lambda; 0 unless the problem has no solution
+template <int kMaxRows>
+struct LcpSolutionUpTo {
+  LcpVector<kMaxRows> x;
+  LcpList<LcpClass, kMaxRows> classes;
+  LcpList<int, kMaxRows> clamping;  // C, ascending
+  LcpMatrix<kMaxRows> inverse;      // Q^+
+  double regularization = 0;        // added to the diagonal of Lambda; 0 unless the problem has no solution
 };
+using LcpSolution = LcpSolutionUpTo<Eigen::Dynamic>;
+
+// The bound that SolveBoxedLcp is there for, besides Eigen::Dynamic.
+inline constexpr int kFewLcpRows = 8;
 
 // The solution, in the steps of the source: classes are found by principal pivoting; the impulses are classified (below
 // 1e-6 they are none, within 1e-5 of a bound they are at it), and solved for again in their classes by the minimum-norm
 // Q^+ b, which is kept if it fits to 1e-5. A problem without a solution that fits to 1e-5 gets 1e-4 on its diagonal,
 // and if that does not help, loses its friction. It always returns; without friction the result of the last resort
 // exists.
-LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
+template <int kMaxRows>
+LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem);
+extern template LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
+extern template LcpSolutionUpTo<kFewLcpRows> SolveBoxedLcp(const BoxedLcpUpTo<kFewLcpRows>& problem);
 
 // The same with classes that are given, whatever they say of forces: impulses Q^+ b if they fit to 1e-5, else those of
 // `solution` in the clamping rows. Regularized where `solution` is.

@@ -54,7 +54,9 @@ class IslandDerivative {
     jacobian->setZero(n * kSize, NumColumns(n, with_parameters));
     int first = 0;
     if constexpr (requires { &M::Linearize; }) {
-      LinearizeAsPublished(model, in, x, jacobian);
+      const auto [A, B] = LinearizeAsPublished(model, in, x);
+      jacobian->leftCols(A.cols()) = A.template cast<S>();
+      jacobian->middleCols(A.cols(), B.cols()) = B.template cast<S>();
       first = NumColumns(n, false);
     }
     ForEachPass(model, in, x, with_parameters, first, -1, [&](const auto& columns) {
@@ -68,6 +70,7 @@ class IslandDerivative {
  private:
   using Jet = StepJet<S>;
   using JetState = BodyState<Jet, kRotation>;
+  using Vector = Eigen::Matrix<S, Eigen::Dynamic, 1>;
 
   // The columns that a pass computes.
   struct Columns {
@@ -210,26 +213,30 @@ class IslandDerivative {
     if constexpr (requires { model.complementarity_aware; }) {
       if (model.complementarity_aware) return model.PullBack(in, x, after, before);
     }
-    jacobian_.resize(after.size(), before.size());
-    LinearizeAsPublished(model, in, x, &jacobian_);
-    Eigen::Map<Eigen::Matrix<S, Eigen::Dynamic, 1>>(before.data(), before.size()).noalias() =
-        jacobian_.transpose() * Eigen::Map<const Eigen::Matrix<S, Eigen::Dynamic, 1>>(after.data(), after.size());
+    const auto [A, B] = LinearizeAsPublished(model, in, x);
+    const Eigen::Map<const Vector> cotangent(after.data(), after.size());
+    Eigen::Map<Vector>(before.data(), A.cols()).noalias() = A.template cast<S>().transpose() * cotangent;
+    Eigen::Map<Vector>(&before[A.cols()], B.cols()).noalias() = B.template cast<S>().transpose() * cotangent;
   }
 
-  // The columns of states and forces as the model's source has them.
-  static void LinearizeAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x, Matrix* jacobian) {
+  // The columns of states and forces as the model's source has them; until the next call.
+  struct Published {
+    Eigen::Map<Eigen::MatrixXd> A, B;
+  };
+  Published LinearizeAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x) {
     const int n = static_cast<int>(x.size());
-    Eigen::MatrixXd A, B;
-    model.Linearize(in, x, &A, &B);
-    jacobian->leftCols(n * kSize) = A.cast<S>();
-    jacobian->middleCols(n * kSize, 2 * n) = B.cast<S>();
+    const int rows = n * kSize;
+    published_.resize(rows * n * (kSize + 2));
+    const Published published{{published_.data(), rows, rows}, {published_.data() + rows * rows, rows, 2 * n}};
+    model.Linearize(in, x, published.A, published.B);
+    return published;
   }
 
   std::vector<JetState> x_, next_;
   std::vector<Vec2<Jet>> force_;
   std::vector<BodyConstants<Jet>> bodies_;
   StepInput<Jet> jets_;  // kept: it is large to set up
-  Matrix jacobian_;
+  std::vector<double> published_;
 };
 
 }  // namespace saltus
