@@ -2,8 +2,8 @@
 // not asked.
 //
 // From the state just before the first contact of two bodies by themselves in the model's rollout, that contact is run
-// again with steps of length h, h / 2^(1/3), h / 2^(2/3), ... under the same force. At every length, along the normal of
-// the pair,
+// again with steps of length h, h / 2^(1/3), h / 2^(2/3), ... under the same force. At every length, along the normal
+// of the pair,
 //
 //   change of a step  = relative velocity after it, less that after free flight
 //   concentration     = largest change of a step / sum of all       stays: an impulse;  falls with h: a force
