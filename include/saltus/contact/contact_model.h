@@ -204,6 +204,15 @@ concept ContactModel = requires(const M& m, const StepInput<double>& in,
   m.Step(in, x, next);
 };
 
+// Free flight of disc i by a semi-implicit Euler step: the velocity first, the position with the new one.
+template <typename T>
+BodyState<T, 0> SemiImplicitEuler(const StepInput<T>& in, int i, const BodyState<T, 0>& x) {
+  BodyState<T, 0> next;
+  next.v = x.v + Scale(in.h, in.Acceleration(i));
+  next.p = x.p + Scale(in.h, next.v);
+  return next;
+}
+
 // Writes the free flight of every disc to `next`.
 template <typename M, typename T>
 void FreeFlight(const M& model, const StepInput<T>& in, std::span<const BodyState<T, M::kRotation>> x,

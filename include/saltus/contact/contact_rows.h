@@ -119,6 +119,14 @@ std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int 
   return groups;
 }
 
+// The same when they are where the states `x` say.
+template <typename T, typename Active>
+std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, std::span<const BodyState<T, 0>> x,
+                                                    const Active& active) {
+  return FindContactGroups(
+      in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, active);
+}
+
 // Impulses x with A x + c = 0 in clamping rows and x = +-mu x_n in tangents at a bound: derivatives by one Newton
 // correction of the given values within the given classes. `c` has one entry a row.
 template <typename T>

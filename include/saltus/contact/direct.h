@@ -31,10 +31,7 @@ struct Direct {
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = x.v + Scale(in.h, in.Acceleration(i));
-    next.p = x.p + Scale(in.h, next.v);
-    return next;
+    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

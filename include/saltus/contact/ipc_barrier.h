@@ -193,8 +193,7 @@ struct IpcBarrier {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    const auto groups = FindContactGroups(
-        in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, [](const T&) { return true; });
+    const auto groups = FindContactGroups(in, x, [](const T&) { return true; });
     for (const ContactGroup<T>& group : groups) {
       std::pmr::vector<int> discs(in.scratch);
       for (int i = 0; i < group.num_contacts(); ++i) {

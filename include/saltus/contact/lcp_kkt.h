@@ -146,17 +146,13 @@ struct LcpKkt {
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = x.v + Scale(in.h, in.Acceleration(i));
-    next.p = x.p + Scale(in.h, next.v);
-    return next;
+    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    std::pmr::vector<ContactGroup<T>> groups = FindContactGroups(
-        in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, [](const T&) { return true; });
+    std::pmr::vector<ContactGroup<T>> groups = FindContactGroups(in, x, [](const T&) { return true; });
     for (const ContactGroup<T>& group : groups) {
       Members members(group, x.size(), in.scratch);
       if (Overlap<T>(in, group, next) <= tolerance && !AnyContact<T>(in, group, x)) continue;

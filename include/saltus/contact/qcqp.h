@@ -58,20 +58,13 @@ struct Qcqp {
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = x.v + Scale(in.h, in.Acceleration(i));
-    next.p = x.p + Scale(in.h, next.v);
-    return next;
+    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    const auto groups = FindContactGroups(
-        in,
-        static_cast<int>(x.size()),
-        [&](int i) -> const Vec2<T>& { return x[i].p; },
-        [](const T& gap) { return gap <= 0.0; });
+    const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap <= 0.0; });
     for (const ContactGroup<T>& group : groups) {
       const std::pmr::vector<T> c = Velocities<T>(in, group, x, next);
       Eigen::VectorXd values(group.size());

@@ -331,10 +331,6 @@ TEST_F(SweepOnRanksTest, WrongInputIsSaidOnceAndEndsAllRanks) {
   EXPECT_EQ(outcome.errors.find("found 'colour'", first + 1), std::string::npos);
 }
 
-#else
-
-TEST(SweepOnRanksTest, TheNumberOfRanksChangesNothing) { GTEST_SKIP() << "built without MPI"; }
-
 #endif
 
 }  // namespace
