@@ -19,7 +19,7 @@ void TimeToSolution(benchmark::State& state, const char* solver, int steps) {
   for (auto _ : state) report = Solve(solver, {scene, "event"}, {.iterations = 1000, .learning_rate = 10});
   CHECK(!report.losses.empty()) << report.reason;
   const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-  state.counters["iterations"] = report.iterations;
+  state.counters["iterations_needed"] = report.iterations;
   state.counters["gap"] = exact.loss - kOptimum;
 }
 

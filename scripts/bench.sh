@@ -14,10 +14,13 @@ output=${output:-$PWD/results/bench}
 mkdir -p "$output"
 
 cmake --preset bench
-cmake --build --preset bench -j "$(nproc)" --target simulation_benchmark solver_benchmark bench_report
-for benchmark in simulation solver; do
+cmake --build --preset bench -j "$(nproc)" \
+  --target simulation_benchmark solver_benchmark time_to_solution_benchmark bench_report
+results=()
+for benchmark in simulation solver time_to_solution; do
   "build/bench/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
     --benchmark_out_format=json "$@"
+  results+=("$output/$benchmark.json")
 done
-build/bench/bench/bench_report "$output" "$output/simulation.json" "$output/solver.json"
+build/bench/bench/bench_report "$output" "${results[@]}"
 echo "Written to $output"
