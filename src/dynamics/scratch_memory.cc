@@ -1,6 +1,7 @@
 #include "saltus/dynamics/scratch_memory.h"
 
 #include <algorithm>
+#include <cstdint>
 
 namespace saltus {
 namespace {
@@ -11,26 +12,33 @@ constexpr std::size_t kFirstBlock = 1 << 13;
 
 void ScratchMemory::AddBlock(std::size_t size) {
   blocks_.push_back({std::make_unique_for_overwrite<std::byte[]>(size), size});
-  used_ = 0;
+  UseLastBlock();
+}
+
+void ScratchMemory::UseLastBlock() {
+  next_ = blocks_.back().data.get();
+  left_ = blocks_.back().size;
 }
 
 void* ScratchMemory::do_allocate(std::size_t bytes, std::size_t alignment) {
-  if (blocks_.empty()) AddBlock(kFirstBlock);
-  const auto align = [&] {
-    void* at = blocks_.back().data.get() + used_;
-    std::size_t left = blocks_.back().size - used_;
-    if (std::align(alignment, bytes, at, left) == nullptr) return static_cast<void*>(nullptr);
-    used_ = blocks_.back().size - left + bytes;
-    return at;
-  };
-  if (void* at = align()) return at;
-  AddBlock(std::max(2 * blocks_.back().size, bytes + alignment));
-  return align();
+  while (true) {
+    const std::uintptr_t address = reinterpret_cast<std::uintptr_t>(next_);
+    const std::size_t padding = -address & (alignment - 1);  // alignment is a power of two
+    if (bytes + padding <= left_) {
+      std::byte* const at = next_ + padding;
+      next_ = at + bytes;
+      left_ -= bytes + padding;
+      return at;
+    }
+    AddBlock(blocks_.empty() ? std::max(kFirstBlock, bytes + alignment)
+                             : std::max(2 * blocks_.back().size, bytes + alignment));
+  }
 }
 
 void ScratchMemory::Release() {
-  used_ = 0;
-  if (blocks_.size() < 2) return;
+  if (blocks_.empty()) return;
+  UseLastBlock();
+  if (blocks_.size() == 1) return;
   std::size_t total = 0;
   for (const Block& block : blocks_) total += block.size;
   blocks_.clear();

@@ -24,9 +24,11 @@ class ScratchMemory final : public std::pmr::memory_resource {
   void do_deallocate(void*, std::size_t, std::size_t) override {}
   bool do_is_equal(const std::pmr::memory_resource& other) const noexcept override { return this == &other; }
   void AddBlock(std::size_t size);
+  void UseLastBlock();
 
   std::vector<Block> blocks_;  // one, unless a step has needed more; the last is in use
-  std::size_t used_ = 0;       // of the last block
+  std::byte* next_ = nullptr;  // what is free of the last block
+  std::size_t left_ = 0;
 };
 
 }  // namespace saltus

@@ -14,7 +14,8 @@ S Power(const S& x, const S& n) {
 }
 template <typename S, int W>
 ceres::Jet<S, W> Power(const ceres::Jet<S, W>& x, const S& n) {
-  return ceres::Jet<S, W>(std::pow(x.a, n), (n * std::pow(x.a, n - S(1))) * x.v);
+  const S power = std::pow(x.a, n);
+  return ceres::Jet<S, W>(power, (n * power / x.a) * x.v);
 }
 
 }  // namespace saltus

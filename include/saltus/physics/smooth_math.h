@@ -5,10 +5,24 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "saltus/physics/scalar.h"
 
 namespace saltus {
+
+namespace internal {
+// v / s for derivatives v. One quotient instead of many, but in single precision, whose derivatives
+// are to have the bits of the published programs.
+template <typename V, typename S>
+auto Over(const V& v, const S& s) {
+  if constexpr (std::is_same_v<S, float>) {
+    return v / s;
+  } else {
+    return v * (S(1) / s);
+  }
+}
+}  // namespace internal
 
 // a / b. ceres::Jet multiplies with the reciprocal, which can differ from the scalar quotient in the last bit; this
 // does not. Precondition: b != 0.
@@ -19,11 +33,11 @@ S Divide(const S& a, const S& b) {
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const ceres::Jet<S, W>& a, const ceres::Jet<S, W>& b) {
   const S quotient = a.a / b.a;
-  return ceres::Jet<S, W>(quotient, (a.v - quotient * b.v) / b.a);
+  return ceres::Jet<S, W>(quotient, internal::Over(a.v - quotient * b.v, b.a));
 }
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const ceres::Jet<S, W>& a, const S& b) {
-  return ceres::Jet<S, W>(a.a / b, a.v / b);
+  return ceres::Jet<S, W>(a.a / b, internal::Over(a.v, b));
 }
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const S& a, const ceres::Jet<S, W>& b) {
@@ -40,7 +54,7 @@ template <typename S, int W>
 ceres::Jet<S, W> SafeSqrt(const ceres::Jet<S, W>& x) {
   if (x.a == S(0)) return ceres::Jet<S, W>(S(0));
   const S root = std::sqrt(x.a);
-  return ceres::Jet<S, W>(root, x.v / (S(2) * root));
+  return ceres::Jet<S, W>(root, internal::Over(x.v, S(2) * root));
 }
 
 // |x|, with derivative 0 at x = 0.
