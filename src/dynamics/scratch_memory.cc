@@ -21,6 +21,7 @@ void ScratchMemory::UseLastBlock() {
 }
 
 void* ScratchMemory::do_allocate(std::size_t bytes, std::size_t alignment) {
+  if (blocks_.empty()) AddBlock(kFirstBlock);
   while (true) {
     const std::uintptr_t address = reinterpret_cast<std::uintptr_t>(next_);
     const std::size_t padding = -address & (alignment - 1);  // alignment is a power of two
@@ -30,8 +31,7 @@ void* ScratchMemory::do_allocate(std::size_t bytes, std::size_t alignment) {
       left_ -= bytes + padding;
       return at;
     }
-    AddBlock(blocks_.empty() ? std::max(kFirstBlock, bytes + alignment)
-                             : std::max(2 * blocks_.back().size, bytes + alignment));
+    AddBlock(std::max(2 * blocks_.back().size, bytes + alignment));
   }
 }
 

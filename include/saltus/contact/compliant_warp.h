@@ -33,7 +33,7 @@ struct CompliantWarp {
 
   template <typename T>
   State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
-    return Integrate(in, x, in.Acceleration(i));
+    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>
@@ -61,16 +61,7 @@ struct CompliantWarp {
                                               : ContactMode::kStick);
       ApplyImpulse(in, c, force, [&](int i, const Vec2<T>& change) { acceleration[i] += change; });
     }
-    for (std::size_t i = 0; i < x.size(); ++i) next[i] = Integrate(in, x[i], acceleration[i]);
-  }
-
- private:
-  template <typename T>
-  static State<T> Integrate(const StepInput<T>& in, const State<T>& x, const Vec2<T>& acceleration) {
-    State<T> next;
-    next.v = x.v + Scale(in.h, acceleration);
-    next.p = x.p + Scale(in.h, next.v);
-    return next;
+    for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler<T>(in.h, acceleration[i], x[i]);
   }
 };
 

@@ -12,6 +12,7 @@
 // To add a model: one header here, one line in src/contact/models.cmake.
 #pragma once
 
+#include <algorithm>
 #include <concepts>
 #include <memory_resource>
 #include <span>
@@ -116,6 +117,39 @@ struct Touch {
   ContactKind kind = ContactKind::kImpact;
 };
 
+// Vectors that a step finds by iteration, in the order in which it needs them. A derivative depends only on where an
+// iteration ends (implicit function theorem), so a step that is taken again with Jets recalls what was found in values.
+class SolveRecord {
+ public:
+  void Clear() { Assign({}); }
+  void Assign(std::span<const double> numbers) {
+    numbers_.assign(numbers.begin(), numbers.end());
+    next_ = 0;
+  }
+  // To be called before the step is taken again.
+  void Rewind() { next_ = 0; }
+  std::span<const double> numbers() const { return numbers_; }
+
+  bool AtEnd() const { return next_ == numbers_.size(); }
+  // The next vector, until the next call of Append(). Precondition: not at the end.
+  std::span<const double> Next() {
+    const auto size = static_cast<std::size_t>(numbers_[next_]);
+    const std::span<const double> vector = numbers().subspan(next_ + 1, size);
+    next_ += 1 + size;
+    return vector;
+  }
+  // Precondition: at the end.
+  void Append(std::span<const double> vector) {
+    numbers_.push_back(static_cast<double>(vector.size()));
+    numbers_.insert(numbers_.end(), vector.begin(), vector.end());
+    next_ = numbers_.size();
+  }
+
+ private:
+  std::vector<double> numbers_;  // each vector after its length
+  std::size_t next_ = 0;
+};
+
 // One step of some discs. Index i means the same disc in `bodies`, `force` and the states.
 template <typename T>
 struct StepInput {
@@ -129,6 +163,29 @@ struct StepInput {
   std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
   std::pmr::memory_resource* scratch;     // for temporaries; released after the step
   std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
+  SolveRecord* solved = nullptr;          // if given, the step recalls from it what it needs iterations for
+
+  // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
+  // may depend on values only.
+  template <typename Solve>
+  std::span<const double> Solved(const Solve& solve) const {
+    const auto keep = [&](std::span<const double> numbers) {
+      const std::span<double> kept = Array<double>(numbers.size());
+      std::copy(numbers.begin(), numbers.end(), kept.begin());
+      return kept;
+    };
+    if (solved != nullptr && !solved->AtEnd()) return keep(solved->Next());
+    const auto& found = solve();
+    const std::span<const double> numbers(found.data(), static_cast<std::size_t>(found.size()));
+    if (solved != nullptr) solved->Append(numbers);
+    return keep(numbers);
+  }
+
+  // Uninitialized memory for n numbers, until the end of the step.
+  template <typename U>
+  std::span<U> Array(std::size_t n) const {
+    return {static_cast<U*>(scratch->allocate(n * sizeof(U), alignof(U))), n};
+  }
 
   void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1,
               ContactKind kind = ContactKind::kImpact) const {
@@ -204,13 +261,18 @@ concept ContactModel = requires(const M& m, const StepInput<double>& in,
   m.Step(in, x, next);
 };
 
-// Free flight of disc i by a semi-implicit Euler step: the velocity first, the position with the new one.
+// A semi-implicit Euler step: the velocity first, the position with the new one.
+template <typename T>
+BodyState<T, 0> SemiImplicitEuler(Base<T> h, const Vec2<T>& acceleration, const BodyState<T, 0>& x) {
+  BodyState<T, 0> next;
+  next.v = x.v + Scale(h, acceleration);
+  next.p = x.p + Scale(h, next.v);
+  return next;
+}
+// Free flight of disc i by such a step.
 template <typename T>
 BodyState<T, 0> SemiImplicitEuler(const StepInput<T>& in, int i, const BodyState<T, 0>& x) {
-  BodyState<T, 0> next;
-  next.v = x.v + Scale(in.h, in.Acceleration(i));
-  next.p = x.p + Scale(in.h, next.v);
-  return next;
+  return SemiImplicitEuler<T>(in.h, in.Acceleration(i), x);
 }
 
 // Writes the free flight of every disc to `next`.

@@ -10,6 +10,7 @@
 #include <Eigen/QR>
 #include <memory_resource>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -34,19 +35,20 @@ class ContactGroup {
   ContactGroup(const StepInput<T>& in, bool friction)
       : in_(&in), friction_(friction), contacts_(in.scratch), tangents_(in.scratch) {}
 
+  // Refers to `contact` from then on.
   void Add(const GapContact<T>& contact) {
-    contacts_.push_back(contact);
-    tangents_.push_back(Perpendicular(contact.normal));
+    contacts_.push_back(&contact);
+    if (friction_) tangents_.push_back(Perpendicular(contact.normal));
   }
 
   int num_contacts() const { return static_cast<int>(contacts_.size()); }
   int size() const { return friction_ ? 2 * num_contacts() : num_contacts(); }
   bool friction() const { return friction_; }
-  const GapContact<T>& contact(int i) const { return contacts_[i]; }
+  const GapContact<T>& contact(int i) const { return *contacts_[i]; }
   bool IsNormal(int row) const { return row < num_contacts(); }
-  int NormalOf(int row) const { return row % num_contacts(); }
-  const Candidate& candidate(int row) const { return contacts_[NormalOf(row)].candidate; }
-  const Vec2<T>& Direction(int row) const { return IsNormal(row) ? contacts_[row].normal : tangents_[NormalOf(row)]; }
+  int NormalOf(int row) const { return IsNormal(row) ? row : row - num_contacts(); }
+  const Candidate& candidate(int row) const { return contact(NormalOf(row)).candidate; }
+  const Vec2<T>& Direction(int row) const { return IsNormal(row) ? contact(row).normal : tangents_[NormalOf(row)]; }
 
   // Relative velocity along a row when the discs have the velocities that `velocity(i)` says.
   template <typename VelocityOf>
@@ -56,17 +58,23 @@ class ContactGroup {
 
   // Entry of A, 1/kg.
   T Coupling(int row, int column) const {
-    const Candidate& i = candidate(row);
-    const Candidate& j = candidate(column);
-    const auto sign_in_j = [&](int disc) { return j.a == disc ? S(1) : !j.plane && j.b == disc ? S(-1) : S(0); };
-    T mobility = in_->InverseMassA(i) * sign_in_j(i.a);
-    if (!i.plane) mobility -= in_->InverseMassB(i) * sign_in_j(i.b);
-    return mobility * Dot(Direction(row), Direction(column));
+    const auto [by_a, by_b] = Signs(row, column);
+    T mobility = in_->InverseMassA(candidate(row)) * by_a;
+    if (by_b != S(0)) mobility += in_->InverseMassB(candidate(row)) * by_b;
+    return row == column ? mobility : T(mobility * Dot(Direction(row), Direction(column)));
+  }
+  S CouplingValue(int row, int column) const {
+    const auto [by_a, by_b] = Signs(row, column);
+    S mobility = Value(in_->InverseMassA(candidate(row))) * by_a;
+    if (by_b != S(0)) mobility += Value(in_->InverseMassB(candidate(row))) * by_b;
+    if (row == column) return mobility;
+    const Vec2<T>&n = Direction(row), &m = Direction(column);
+    return mobility * (Value(n[0]) * Value(m[0]) + Value(n[1]) * Value(m[1]));
   }
   Matrix CouplingValues() const {
     Matrix values(size(), size());
     for (int i = 0; i < size(); ++i) {
-      for (int j = 0; j < size(); ++j) values(i, j) = Value(Coupling(i, j));
+      for (int j = 0; j < size(); ++j) values(i, j) = CouplingValue(i, j);
     }
     return values;
   }
@@ -80,9 +88,16 @@ class ContactGroup {
   }
 
  private:
+  // How an impulse along `column` acts on discs a and b of `row`, seen along `row`.
+  std::pair<S, S> Signs(int row, int column) const {
+    const Candidate &i = candidate(row), &j = candidate(column);
+    const auto sign = [&](int disc) { return j.a == disc ? S(1) : !j.plane && j.b == disc ? S(-1) : S(0); };
+    return {sign(i.a), i.plane ? S(0) : -sign(i.b)};
+  }
+
   const StepInput<T>* in_;
   bool friction_;
-  std::pmr::vector<GapContact<T>> contacts_;
+  std::pmr::vector<const GapContact<T>*> contacts_;
   std::pmr::vector<Vec2<T>> tangents_;
 };
 
@@ -91,7 +106,8 @@ class ContactGroup {
 template <typename T, typename PositionOf, typename Active>
 std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int num_discs, const PositionOf& position,
                                                     const Active& active) {
-  std::pmr::vector<GapContact<T>> contacts(in.scratch);
+  const std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
+  std::size_t num_contacts = 0;
   std::pmr::vector<int> parent(num_discs, in.scratch);
   for (int i = 0; i < num_discs; ++i) parent[i] = i;
   const auto root = [&](int i) {
@@ -102,12 +118,13 @@ std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int 
     const Separation<T> at = SeparationAt(in, c, position);
     const T gap = at.distance - in.ContactDistance(c);
     if (!active(gap)) continue;
-    contacts.push_back({c, at.normal, gap});
+    contacts[num_contacts++] = {c, at.normal, gap};
     if (!c.plane && !in.bodies[c.a].fixed && !in.bodies[c.b].fixed) parent[root(c.a)] = root(c.b);
   }
   std::pmr::vector<ContactGroup<T>> groups(in.scratch);
   std::pmr::vector<int> group_of(num_discs, -1, in.scratch);
-  for (const GapContact<T>& contact : contacts) {
+  groups.reserve(num_contacts);
+  for (const GapContact<T>& contact : contacts.first(num_contacts)) {
     const Candidate& c = contact.candidate;
     int& group = group_of[root(in.bodies[c.a].fixed ? c.b : c.a)];
     if (group < 0) {

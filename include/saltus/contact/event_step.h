@@ -5,6 +5,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory_resource>
 #include <type_traits>
@@ -41,7 +42,8 @@ class EventStep {
     return false;
   }
 
-  void Run() {
+  // GCC 12 cannot flatten it as a whole.
+  [[gnu::noinline]] void Run() {
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
@@ -59,7 +61,7 @@ class EventStep {
 
   // Whether an event concerned disc i, and if so its state at the end of the step.
   bool Moved(int i) const { return discs_[i].moved; }
-  State End(int i) const {
+  SALTUS_FLATTEN State End(int i) const {
     const T end(in_.h);
     return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
   }
@@ -137,7 +139,9 @@ class EventStep {
       }
       ignore_start = true;
     }
-    pair.next = now + FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start);
+    const std::span<const double> wait = in_.Solved(
+        [&] { return std::array{FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start)}; });
+    pair.next = now + wait[0];
   }
 
   void Resolve(int q) {
@@ -174,7 +178,7 @@ class EventStep {
 
   // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
   // overlapped already at its last event has no impact time of its own; it meets at that event.
-  T ImpactTime(const Candidate& c, double predicted) const {
+  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
     const T time(predicted);
     const Separation<T> at = SeparationAtTime(c, time);
     const T gap = at.distance - in_.ContactDistance(c);
@@ -205,7 +209,7 @@ class EventStep {
     return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
   }
 
-  void MoveTo(int i, const T& time) {
+  SALTUS_FLATTEN void MoveTo(int i, const T& time) {
     if (!Moves(i)) return;
     EventDisc<T>& disc = discs_[i];
     const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
@@ -231,7 +235,7 @@ class EventStep {
     }
   }
 
-  void Impact(const Candidate& c, const T& time) {
+  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time) {
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = SeparationAtTime(c, time);

@@ -74,8 +74,9 @@ struct PathOptions {
 };
 
 // Follows the central path of `problem` from (z, problem.kappa) to options.kappa. False if it does not arrive.
+// Not inlined: it is long, and no part of a derivative.
 template <typename P>
-bool InteriorPoint(const PathOptions& options, P* problem, Eigen::VectorXd* z) {
+[[gnu::noinline]] bool InteriorPoint(const PathOptions& options, P* problem, Eigen::VectorXd* z) {
   double best = HUGE_VAL;
   int stalled = 0;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {

@@ -229,20 +229,15 @@ struct IpcBarrier {
   template <typename T>
   void Advance(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const int> discs,
                std::span<State<T>> state, std::span<char> reported) const {
-    using internal::BarrierEnergy;
-    const BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
-    const BarrierEnergy<double> values = energy.template Cast<double>();
-    if (internal::StaysBeyondRange(values)) {
+    const internal::BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
+    const internal::BarrierEnergy<double> values = energy.template Cast<double>();
+    const std::span<const double> found = in.Solved([&] { return Minimize(values); });
+    if (found.empty()) {
       for (const int disc : discs) Fly(in, disc, &state[disc]);
       return;
     }
-    Eigen::VectorXd x(values.size());
-    for (const auto& disc : values.discs) {
-      if (disc.unknown >= 0) x.segment<2>(disc.unknown) = disc.q;
-    }
-    const Eigen::VectorXd start = x;
-    const bool converged = internal::MinimizeBarrierEnergy(values, &x);
-    Report(in, group, values, start, x, reported);
+    const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
+    Report(in, group, values, x, reported);
     Eigen::MatrixXd hessian;
     if constexpr (!std::is_same_v<T, double>) hessian = LinearizeByUnknowns(values, x).jacobian;
     const std::vector<T> solution = CorrectInT(energy, x, hessian);
@@ -254,7 +249,6 @@ struct IpcBarrier {
       const Vec2<T> p(solution[unknown], solution[unknown + 1]);
       const Vec2<T> mean(Divide(T(p[0] - s.p[0]), h), Divide(T(p[1] - s.p[1]), h));
       s.v = integrator == Integrator::kImplicitEuler ? mean : Vec2<T>(Scale(2.0, mean) - s.v);
-      if (!converged) s.v[0] = T(std::numeric_limits<double>::quiet_NaN());
       s.p = p;
     }
   }
@@ -293,9 +287,25 @@ struct IpcBarrier {
     return energy;
   }
 
+  // Positions at the end of a substep: empty if everything flies, not a number if the minimum is not found.
+  static Eigen::VectorXd Minimize(const internal::BarrierEnergy<double>& energy) {
+    if (internal::StaysBeyondRange(energy)) return Eigen::VectorXd(0);
+    Eigen::VectorXd x = Start(energy);
+    if (!internal::MinimizeBarrierEnergy(energy, &x)) x.setConstant(std::numeric_limits<double>::quiet_NaN());
+    return x;
+  }
+  static Eigen::VectorXd Start(const internal::BarrierEnergy<double>& energy) {
+    Eigen::VectorXd x(energy.size());
+    for (const auto& disc : energy.discs) {
+      if (disc.unknown >= 0) x.segment<2>(disc.unknown) = disc.q;
+    }
+    return x;
+  }
+
   template <typename T>
   void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::BarrierEnergy<double>& energy,
-              const Eigen::VectorXd& start, const Eigen::VectorXd& x, std::span<char> reported) const {
+              const Eigen::VectorXd& x, std::span<char> reported) const {
+    const Eigen::VectorXd start = Start(energy);
     const std::span<const double> from(start.data(), start.size()), at(x.data(), x.size());
     for (int i = 0; i < group.num_contacts(); ++i) {
       const auto& side = energy.contacts[i];

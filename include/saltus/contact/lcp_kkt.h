@@ -204,71 +204,111 @@ struct LcpKkt {
                std::span<State<T>> x) const {
     std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
     std::pmr::vector<Vec2<T>> velocity(members.discs.size(), in.scratch);
-    std::pmr::vector<State<T>> tried(x.begin(), x.end(), in.scratch);
+    std::pmr::vector<int> touching(in.scratch);
     double rest = in.h;
     for (int substep = 0; substep < kMaxSubsteps && rest > 0; ++substep) {
-      double length = rest;
-      for (int halving = 0;; ++halving, length /= 2) {
-        if (halving == 0 || !force_once) Solve<T>(in, group, members, x, length, reported, velocity);
-        for (std::size_t i = 0; i < members.discs.size(); ++i) {
-          State<T>& after = tried[members.discs[i]];
-          after.v = velocity[i];
-          after.p = x[members.discs[i]].p + Scale(length, velocity[i]);
-        }
-        if (Overlap<T>(in, group, tried) <= std::max(tolerance, Overlap<T>(in, group, x)) || halving == kMaxHalvings) {
-          break;
-        }
+      touching.clear();
+      for (int i = 0; i < group.num_contacts(); ++i) {
+        if (Gap<T>(in, group.contact(i).candidate, x) <= eps) touching.push_back(i);
       }
-      for (const int disc : members.discs) x[disc] = tried[disc];
+      const std::span<const double> found =
+          in.Solved([&] { return FindSubstep<T>(in, group, members, touching, x, rest); });
+      const double length = found[0];
+      FreeVelocities<T>(in, members, x, force_once ? rest : length, velocity);
+      if (!touching.empty()) {
+        const Eigen::VectorXd z = Eigen::Map<const Eigen::VectorXd>(&found[1], found.size() - 1);
+        const internal::KktEquations<T> equations = Pose<T>(in, group, members, touching, x, velocity);
+        Report(in, group, equations, touching, z, reported);
+        Eigen::MatrixXd jacobian;
+        if constexpr (!std::is_same_v<T, double>) {
+          internal::KktEquations<double> values = equations.template Cast<double>();
+          values.transposed = released_backward;
+          jacobian = LinearizeByUnknowns(values, z).jacobian;
+        }
+        TakeVelocities<T>(in, members, CorrectInT(equations, z, jacobian), velocity);
+      }
+      for (std::size_t i = 0; i < members.discs.size(); ++i) {
+        State<T>& disc = x[members.discs[i]];
+        disc.v = velocity[i];
+        disc.p += Scale(length, velocity[i]);
+      }
       rest -= length;
     }
   }
 
-  // Velocities at the end of a substep.
+  // The length of the next substep and, if anything touches, the unknowns of its equations.
   template <typename T>
-  void Solve(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members, std::span<const State<T>> x,
-             double length, std::span<char> reported, std::span<Vec2<T>> velocity) const {
-    std::pmr::vector<int> touching(in.scratch);
-    for (int i = 0; i < group.num_contacts(); ++i) {
-      if (Gap(in, group.contact(i).candidate, x) <= eps) touching.push_back(i);
+  Eigen::VectorXd FindSubstep(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members,
+                              std::span<const int> touching, std::span<const State<T>> x, double rest) const {
+    std::pmr::vector<Vec2<T>> velocity(members.discs.size(), in.scratch);
+    std::pmr::vector<State<T>> tried(x.begin(), x.end(), in.scratch);
+    const double overlap = std::max(tolerance, Overlap<T>(in, group, x));
+    Eigen::VectorXd z(0);
+    double length = rest;
+    for (int halving = 0;; ++halving, length /= 2) {
+      if (halving == 0 || !force_once) {
+        FreeVelocities<T>(in, members, x, length, velocity);
+        if (!touching.empty()) {
+          z = Solve(Pose<T>(in, group, members, touching, x, velocity).template Cast<double>());
+          TakeVelocities<T>(in, members, std::vector<T>(z.begin(), z.end()), velocity);
+        }
+      }
+      for (std::size_t i = 0; i < members.discs.size(); ++i) {
+        tried[members.discs[i]].p = x[members.discs[i]].p + Scale(length, velocity[i]);
+      }
+      if (Overlap<T>(in, group, tried) <= overlap || halving == kMaxHalvings) break;
     }
+    Eigen::VectorXd found(1 + z.size());
+    found << length, z;
+    return found;
+  }
+
+  // Not a number if the iteration does not converge.
+  Eigen::VectorXd Solve(internal::KktEquations<double> equations) const {
+    Eigen::VectorXd z = Eigen::VectorXd::Ones(equations.size());
+    for (int i = 0; i < equations.num_velocities(); ++i) z[i] = equations.free_velocity[i];
+    PathOptions path;
+    path.kappa = final_kappa;
+    path.tolerance = 1e-15;
+    if (!InteriorPoint(path, &equations, &z)) z.setConstant(std::numeric_limits<double>::quiet_NaN());
+    return z;
+  }
+
+  template <typename T>
+  static void FreeVelocities(const StepInput<T>& in, const Members& members, std::span<const State<T>> x, double length,
+                             std::span<Vec2<T>> velocity) {
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       const int disc = members.discs[i];
       velocity[i] = x[disc].v + Scale(length, in.Acceleration(disc));
     }
-    if (touching.empty()) return;
-    internal::KktEquations<T> equations = Pose<T>(in, group, members, touching, x, velocity);
-    internal::KktEquations<double> values = equations.template Cast<double>();
-    Eigen::VectorXd z = Eigen::VectorXd::Ones(values.size());
-    for (int i = 0; i < values.num_velocities(); ++i) z[i] = values.free_velocity[i];
-    PathOptions path;
-    path.kappa = final_kappa;
-    path.tolerance = 1e-15;
-    const bool converged = InteriorPoint(path, &values, &z);
-    values.transposed = released_backward;
-    Eigen::MatrixXd jacobian;
-    if constexpr (!std::is_same_v<T, double>) jacobian = LinearizeByUnknowns(values, z).jacobian;
-    const std::vector<T> solution = CorrectInT(equations, z, jacobian);
-    int unknown = 0;
+  }
+
+  // Those of the moving discs from the unknowns of the equations.
+  template <typename T>
+  static void TakeVelocities(const StepInput<T>& in, const Members& members, const std::vector<T>& unknowns,
+                             std::span<Vec2<T>> velocity) {
+    int next = 0;
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       if (in.bodies[members.discs[i]].fixed) continue;
-      velocity[i] = {solution[unknown], solution[unknown + 1]};
-      if (!converged) velocity[i][0] = T(std::numeric_limits<double>::quiet_NaN());
-      unknown += 2;
+      velocity[i] = {unknowns[next], unknowns[next + 1]};
+      next += 2;
     }
+  }
+
+  template <typename T>
+  static void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::KktEquations<T>& equations,
+                     std::span<const int> touching, const Eigen::VectorXd& z, std::span<char> reported) {
     for (std::size_t k = 0; k < touching.size(); ++k) {
-      const double* multiplier = &z[values.num_velocities() + static_cast<int>(k) * values.per_contact()];
-      const bool acts =
-          *multiplier >
-          z[values.num_velocities() + values.num_multipliers() + static_cast<int>(k) * values.per_contact()];
+      const int first = equations.num_velocities() + static_cast<int>(k) * equations.per_contact();
+      const bool acts = z[first] > z[first + equations.num_multipliers()];
       char& known = reported[touching[k]];
       if (known || !acts) continue;
       known = 1;
-      const bool slips = values.has_friction && multiplier[3] > 1e-6;
+      const bool slips = equations.has_friction && z[first + 3] > 1e-6;
       in.Report(group.contact(touching[k]).candidate,
-                !values.has_friction ? ContactMode::kFrictionless
-                : slips              ? ContactMode::kSlip
-                                     : ContactMode::kStick);
+                !equations.has_friction ? ContactMode::kFrictionless
+                : slips                 ? ContactMode::kSlip
+                                        : ContactMode::kStick);
     }
   }
 

@@ -195,18 +195,20 @@ struct Ncp {
     std::pmr::vector<int> discs(in.scratch);
     const Equations<T> equations = Pose<T>(in, group, x, next, &discs);
     Equations<double> values = equations.template Cast<double>();
-    Eigen::VectorXd z = Start(&values);
-    PathOptions path;
-    path.kappa = kappa;
-    const bool converged = InteriorPoint(path, &values, &z);
+    const auto solve_at = [&](double end) {
+      Eigen::VectorXd z = Start(&values);
+      PathOptions path;
+      path.kappa = end;
+      if (!InteriorPoint(path, &values, &z)) z.setConstant(std::numeric_limits<double>::quiet_NaN());
+      return z;
+    };
+    const std::span<const double> found = in.Solved([&] { return solve_at(kappa); });
+    Eigen::VectorXd z = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
     ReportContacts(in, group, values, z);
     std::vector<T> solution(z.begin(), z.end());
     if constexpr (!std::is_same_v<T, double>) {
-      if (kappa_grad > kappa) {
-        path.kappa = values.kappa = kappa_grad;
-        z = Start(&values);
-        InteriorPoint(path, &values, &z);
-      }
+      if (kappa_grad > kappa) z = solve_at(kappa_grad);
+      values.kappa = std::max(kappa, kappa_grad);
       const std::vector<T> corrected = CorrectInT(equations, z, LinearizeByUnknowns(values, z).jacobian);
       for (int i = 0; i < z.size(); ++i) solution[i].v = corrected[i].v;
     }
@@ -215,7 +217,6 @@ struct Ncp {
       if (unknown < 0) continue;
       State<T>& after = next[discs[i]];
       after.v = {solution[unknown], solution[unknown + 1]};
-      if (!converged) after.v[0] = T(std::numeric_limits<double>::quiet_NaN());
       after.p = x[discs[i]].p + Scale(in.h, after.v);
     }
   }

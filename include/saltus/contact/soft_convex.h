@@ -20,7 +20,8 @@
 #pragma once
 
 #include <Eigen/Dense>
-#include <array>
+#include <algorithm>
+#include <cmath>
 #include <memory_resource>
 #include <vector>
 
@@ -36,8 +37,7 @@ struct SoftConvex {
                                           .source = "MuJoCo (Todorov 2014)",
                                           .compliant = true,
                                           .double_engine = true,
-                                          .rebound = Rebound::kEmergent,
-                                          .allocates = true};
+                                          .rebound = Rebound::kEmergent};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -70,60 +70,74 @@ struct SoftConvex {
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    FreeFlight(*this, in, x, next);
+    const std::span<Vec2<T>> acceleration = in.template Array<Vec2<T>>(x.size());
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      acceleration[i] = in.Acceleration(static_cast<int>(i));
+      next[i] = SemiImplicitEuler<T>(in.h, acceleration[i], x[i]);
+    }
     const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap < Base<T>(0); });
     for (const ContactGroup<T>& group : groups) {
-      const Program<T> program = Pose<T>(in, group, x);
+      const Program<T> program = Pose<T>(in, group, x, acceleration);
       const std::pmr::vector<T> force = SolveProgram(in, group, program);
       group.Push(force, [&](int i, const Vec2<T>& change) {
         next[i].v += Scale(in.h, change);
-        next[i].p += Scale(T(T(in.h) * in.h), change);
+        next[i].p += Scale(in.h * in.h, change);
       });
     }
   }
 
  private:
-  // 1/2 f^T (A + diag(regularization)) f + f^T c
+  // 1/2 f^T H f + f^T c, where H has the diagonal here and otherwise is A.
   template <typename T>
   struct Program {
-    std::pmr::vector<T> regularization, c;
+    std::span<T> diagonal, c;
   };
+
+  using MatrixMap = Eigen::Map<Eigen::MatrixXd>;
+  using VectorMap = Eigen::Map<Eigen::VectorXd>;
 
   // How a contact pushes: not at all, freely in its cone, or along the edge (1, +-mu).
   enum class Edge { kOpen, kInside, kUpper, kLower };
 
   template <typename T>
-  Program<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x) const {
+  Program<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x,
+                  std::span<const Vec2<T>> acceleration) const {
     using S = Base<T>;
     const int n = group.num_contacts();
     const S at_width = S(impedance.at_width);
     const T normal_damping = damping >= 0 ? T(S(damping)) : DampingOf(in);
-    const T sliding_damping =
-        tangential_damping >= 0 ? T(S(tangential_damping)) : T(S(2) * SafeSqrt(in.contact.stiffness));
-    Program<T> program{std::pmr::vector<T>(group.size(), T(S(0)), in.scratch),
-                       std::pmr::vector<T>(group.size(), T(S(0)), in.scratch)};
+    const T sliding_damping = !group.friction()         ? T(S(0))
+                              : tangential_damping >= 0 ? T(S(tangential_damping))
+                                                        : T(S(2) * SafeSqrt(in.contact.stiffness));
+    const Program<T> program{in.template Array<T>(group.size()), in.template Array<T>(group.size())};
     for (int row = 0; row < group.size(); ++row) {
       const T& gap = group.contact(group.NormalOf(row)).gap;
       const T d = ImpedanceAt(T(-gap));
-      const T regularization = Divide(T(S(1) - d), d) * group.Coupling(group.NormalOf(row), group.NormalOf(row));
-      program.regularization[row] = row < n ? regularization : Divide(regularization, S(impratio));
+      const T coupling = group.Coupling(row, row), softness = Divide(T(S(1) - d), d);
+      program.diagonal[row] = coupling + (row < n ? softness : Divide(softness, S(impratio))) * coupling;
       const T speed = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
       T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
-      program.c[row] = group.Along(row, [&](int i) -> Vec2<T> { return in.Acceleration(i); }) - reference;
+      program.c[row] = group.Along(row, [&](int i) -> const Vec2<T>& { return acceleration[i]; }) - reference;
     }
     return program;
   }
 
-  // Twice the damping ratio of a linear spring with the restitution e, times its frequency.
+  // Twice the damping ratio of a linear spring with the restitution e, times its frequency: 2 zeta(e) sqrt(stiffness).
   template <typename T>
   static T DampingOf(const StepInput<T>& in) {
-    using std::log;
     using S = Base<T>;
-    constexpr double kPi = 3.14159265358979323846;
-    const T decrement = log(MaxOf(T(S(1e-6)), in.contact.restitution));
-    return S(-2) * Divide(decrement, SafeSqrt(T(decrement * decrement + S(kPi * kPi)))) *
-           SafeSqrt(in.contact.stiffness);
+    constexpr S kSquaredPi = S(9.869604401089358);
+    const S e = std::max(S(1e-6), Value(in.contact.restitution)), decrement = std::log(e);
+    const S squared = decrement * decrement + kSquaredPi, root = std::sqrt(squared);
+    const S zeta = -decrement / root, frequency = std::sqrt(Value(in.contact.stiffness));
+    T damping = T(S(2) * zeta * frequency);
+    if constexpr (!std::is_same_v<T, S>) {
+      const S slope = e > S(1e-6) ? -kSquaredPi / (squared * root * e) : S(0);  // of zeta
+      damping.v = S(2) * slope * frequency * in.contact.restitution.v;
+      if (frequency > S(0)) damping.v += zeta / frequency * in.contact.stiffness.v;
+    }
+    return damping;
   }
 
   template <typename T>
@@ -133,8 +147,9 @@ struct SoftConvex {
     T y = T(S(1));
     if (depth < S(impedance.width)) {
       const T x = Divide(depth, S(impedance.width));
-      y = x <= middle ? Divide(Power(x, power), S(std::pow(middle, power - S(1))))
-                      : T(S(1) - Divide(Power(T(S(1) - x), power), S(std::pow(S(1) - middle, power - S(1)))));
+      const T from_end = S(1) - x;
+      y = x <= middle ? middle * Power(T(Divide(x, middle)), power)
+                      : S(1) - (S(1) - middle) * Power(T(Divide(from_end, S(S(1) - middle))), power);
     }
     return S(impedance.at_contact) + y * S(impedance.at_width - impedance.at_contact);
   }
@@ -143,120 +158,128 @@ struct SoftConvex {
   template <typename T>
   std::pmr::vector<T> SolveProgram(const StepInput<T>& in, const ContactGroup<T>& group,
                                    const Program<T>& program) const {
-    using S = Base<T>;
-    using Matrix = typename ContactGroup<T>::Matrix;
-    using Vector = typename ContactGroup<T>::Vector;
-    const int n = group.num_contacts();
-    const S mu = Value(in.contact.friction);
-    Matrix H = group.CouplingValues();
-    Vector c(group.size());
-    for (int i = 0; i < group.size(); ++i) {
-      H(i, i) += Value(program.regularization[i]);
-      c[i] = Value(program.c[i]);
+    const int n = group.num_contacts(), size = group.size();
+    MatrixMap H(in.template Array<double>(size * size).data(), size, size);
+    for (int i = 0; i < size; ++i) {
+      for (int j = 0; j < size; ++j) H(i, j) = i == j ? Value(program.diagonal[i]) : group.CouplingValue(i, j);
     }
-    Vector f = Vector::Zero(group.size());
-    std::vector<Edge> edges(n, Edge::kOpen);
-    for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
-      const Vector before = f;
-      for (int i = 0; i < n; ++i) SolveContact(group, H, c, mu, i, &f, &edges[i]);
-      if ((f - before).cwiseAbs().maxCoeff() <= S(1e-15) * f.cwiseAbs().maxCoeff()) break;
-    }
+    const std::span<const double> found = in.Solved([&] { return Minimize<T>(in, group, H, program.c); });
+    const auto edge = [&](int i) { return static_cast<Edge>(static_cast<int>(found[size + i])); };
     for (int i = 0; i < n; ++i) {
-      if (edges[i] == Edge::kOpen) continue;
+      if (edge(i) == Edge::kOpen) continue;
       in.Report(group.contact(i).candidate,
-                !group.friction()           ? ContactMode::kFrictionless
-                : edges[i] == Edge::kInside ? ContactMode::kStick
-                                            : ContactMode::kSlip);
+                !group.friction()          ? ContactMode::kFrictionless
+                : edge(i) == Edge::kInside ? ContactMode::kStick
+                                           : ContactMode::kSlip);
     }
-    return ForcesAlongEdges(in, group, program, f, edges);
+    std::pmr::vector<T> f(found.begin(), found.begin() + size, in.scratch);
+    if constexpr (!std::is_same_v<T, Base<T>>) Differentiate(in, group, program, H, edge, &f);
+    return f;
+  }
+
+  // The values of the forces, then the edge of each contact.
+  template <typename T>
+  static std::span<const double> Minimize(const StepInput<T>& in, const ContactGroup<T>& group, const MatrixMap& H,
+                                          std::span<const T> linear) {
+    const int n = group.num_contacts(), size = group.size();
+    const std::span<double> found = in.template Array<double>(size + n);
+    VectorMap f(found.data(), size), before(in.template Array<double>(size).data(), size),
+        c(in.template Array<double>(size).data(), size);
+    f.setZero();
+    for (int i = 0; i < size; ++i) c[i] = Value(linear[i]);
+    for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
+      before = f;
+      for (int i = 0; i < n; ++i) {
+        const Edge edge = SolveContact(group, H, c, Value(in.contact.friction), i, f);
+        found[size + i] = static_cast<int>(edge);
+      }
+      if ((f - before).cwiseAbs().maxCoeff() <= 1e-15 * f.cwiseAbs().maxCoeff()) break;
+    }
+    return found;
   }
 
   // The best force of contact i while the others stay.
-  template <typename G, typename Matrix, typename Vector, typename S>
-  static void SolveContact(const G& group, const Matrix& H, const Vector& c, S mu, int i, Vector* f, Edge* edge) {
-    const auto pull = [&](int row, S own, int other, S other_force) {
-      return c[row] + H.row(row).dot(*f) - H(row, row) * own - (other < 0 ? S(0) : H(row, other) * other_force);
+  template <typename T>
+  static Edge SolveContact(const ContactGroup<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
+                           VectorMap f) {
+    const auto pull = [&](int row, int without) {
+      return c[row] + H.row(row).dot(f) - H(row, row) * f[row] - (without < 0 ? 0 : H(row, without) * f[without]);
     };
     if (!group.friction()) {
-      const S best = -pull(i, (*f)[i], -1, 0) / H(i, i);
-      *edge = best > 0 ? Edge::kInside : Edge::kOpen;
-      (*f)[i] = std::max(S(0), best);
-      return;
+      const double best = -pull(i, -1) / H(i, i);
+      f[i] = std::max(0.0, best);
+      return best > 0 ? Edge::kInside : Edge::kOpen;
     }
     // Normal and tangent of one contact do not couple: they are orthogonal.
     const int t = i + group.num_contacts();
-    const S c_n = pull(i, (*f)[i], t, (*f)[t]), c_t = pull(t, (*f)[t], i, (*f)[i]);
-    const S f_n = -c_n / H(i, i), f_t = -c_t / H(t, t);
+    const double c_n = pull(i, t), c_t = pull(t, i), f_n = -c_n / H(i, i), f_t = -c_t / H(t, t);
     if (f_n > 0 && std::abs(f_t) <= mu * f_n) {
-      *edge = Edge::kInside;
-      (*f)[i] = f_n;
-      (*f)[t] = f_t;
-      return;
+      f[i] = f_n;
+      f[t] = f_t;
+      return Edge::kInside;
     }
-    const S side = c_t < 0 ? S(1) : S(-1), slope = c_n + side * mu * c_t;
-    *edge = !(slope < 0) ? Edge::kOpen : side > 0 ? Edge::kUpper : Edge::kLower;
-    (*f)[i] = slope < 0 ? -slope / (H(i, i) + mu * mu * H(t, t)) : S(0);
-    (*f)[t] = side * mu * (*f)[i];
+    const double side = c_t < 0 ? 1 : -1, slope = c_n + side * mu * c_t;
+    f[i] = slope < 0 ? -slope / (H(i, i) + mu * mu * H(t, t)) : 0;
+    f[t] = side * mu * f[i];
+    return !(slope < 0) ? Edge::kOpen : side > 0 ? Edge::kUpper : Edge::kLower;
   }
 
-  // f in T: with E the active edges, f = E alpha and E^T ((A + R) f + c) = 0.
-  template <typename T>
-  std::pmr::vector<T> ForcesAlongEdges(const StepInput<T>& in, const ContactGroup<T>& group, const Program<T>& program,
-                                       const typename ContactGroup<T>::Vector& values,
-                                       const std::vector<Edge>& edges) const {
-    using S = Base<T>;
+  // f in T: with E the active edges, f = E alpha and E^T (H f + c) = 0, H = A + R.
+  template <typename T, typename EdgeOf>
+  static void Differentiate(const StepInput<T>& in, const ContactGroup<T>& group, const Program<T>& program,
+                            const MatrixMap& H, const EdgeOf& edge, std::pmr::vector<T>* forces) {
+    std::pmr::vector<T>& f = *forces;
     const int n = group.num_contacts(), size = group.size();
-    std::pmr::vector<T> f(size, T(S(0)), in.scratch);
-    for (int i = 0; i < size; ++i) f[i] = T(values[i]);
-    if constexpr (!std::is_same_v<T, S>) {
-      // Columns of E: each has an entry in one row, or in a normal row and, +-mu times it, in its tangent.
-      struct Column {
-        int row;
-        S slope;  // +-1 along an edge, else 0
-      };
-      std::vector<Column> columns;
-      for (int i = 0; i < n; ++i) {
-        if (edges[i] == Edge::kOpen) continue;
-        const S slope = edges[i] == Edge::kInside ? S(0) : edges[i] == Edge::kUpper ? S(1) : S(-1);
-        columns.push_back({i, slope});
-        if (edges[i] == Edge::kInside && group.friction()) columns.push_back({i + n, S(0)});
-        if (slope != 0) f[i + n] = slope * (in.contact.friction * f[i]);
-      }
-      const auto projected = [&](const Column& column, const auto& row_value) {
-        T value = row_value(column.row);
-        if (column.slope != 0) value += column.slope * (in.contact.friction * row_value(column.row + n));
-        return value;
-      };
-      const int m = static_cast<int>(columns.size());
-      typename ContactGroup<T>::Matrix K(m, m);
-      std::pmr::vector<T> residual(in.scratch);
-      for (int i = 0; i < m; ++i) {
-        residual.push_back(projected(columns[i], [&](int row) {
-          T sum = program.c[row] + program.regularization[row] * f[row];
-          for (int j = 0; j < size; ++j) sum += group.Coupling(row, j) * f[j];
-          return sum;
-        }));
-        for (int j = 0; j < m; ++j) {
-          K(i, j) = Value(projected(columns[i], [&](int row) {
-            return projected(columns[j], [&](int other) {
-              return row == other ? T(group.Coupling(row, row) + program.regularization[row])
-                                  : group.Coupling(row, other);
-            });
-          }));
-        }
-      }
-      const typename ContactGroup<T>::Matrix inverse = K.inverse();
-      for (int i = 0; i < m; ++i) {
-        T change = T(S(0));
-        for (int j = 0; j < m; ++j) change += inverse(i, j) * (residual[j] - Value(residual[j]));
-        f[columns[i].row] -= change;
-      }
-      for (const Column& column : columns) {
-        if (column.slope != 0) f[column.row + n] = column.slope * (in.contact.friction * f[column.row]);
-      }
-      for (int i = 0; i < size; ++i) f[i].a = values[i];
+    // Columns of E: each has an entry in one row, or in a normal row and, +-mu times it, in its tangent.
+    struct Column {
+      int row;
+      double slope;  // +-1 along an edge, else 0
+    };
+    std::pmr::vector<Column> columns(in.scratch);
+    for (int i = 0; i < n; ++i) {
+      if (edge(i) == Edge::kOpen) continue;
+      const double slope = edge(i) == Edge::kInside ? 0 : edge(i) == Edge::kUpper ? 1 : -1;
+      columns.push_back({i, slope});
+      if (edge(i) == Edge::kInside && group.friction()) columns.push_back({i + n, 0});
     }
-    return f;
+    const auto follow_normals = [&] {
+      for (const Column& column : columns) {
+        if (column.slope != 0) f[column.row + n].v = (column.slope * (in.contact.friction * f[column.row])).v;
+      }
+    };
+    follow_normals();
+    // Row by row, E^T applied to a vector of numbers of type U.
+    const auto project = [&](const Column& column, const auto& mu, const auto& row_value) {
+      auto value = row_value(column.row);
+      if (column.slope != 0) value += column.slope * (mu * row_value(column.row + n));
+      return value;
+    };
+    const double mu = Value(in.contact.friction);
+    const int m = static_cast<int>(columns.size());
+    if (m == 0) return;
+    MatrixMap K(in.template Array<double>(m * m).data(), m, m),
+        changes(in.template Array<double>(m * kJetWidth).data(), m, kJetWidth);
+    for (int i = 0; i < m; ++i) {
+      const T residual = project(columns[i], in.contact.friction, [&](int row) {
+        T sum = program.c[row] + program.diagonal[row] * f[row];
+        for (int j = 0; j < size; ++j) {
+          if (j != row) sum += group.Coupling(row, j) * f[j];
+        }
+        return sum;
+      });
+      changes.row(i) = -residual.v;
+      for (int j = 0; j < m; ++j) {
+        K(i, j) = project(
+            columns[i], mu, [&](int row) { return project(columns[j], mu, [&](int other) { return H(row, other); }); });
+      }
+    }
+    if (m == 1) {
+      changes /= K(0, 0);
+    } else {
+      Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>>(K).solveInPlace(changes);
+    }
+    for (int i = 0; i < m; ++i) f[columns[i].row].v += changes.row(i);
+    follow_normals();
   }
 
   static constexpr int kMaxSweeps = 1000;

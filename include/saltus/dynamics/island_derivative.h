@@ -150,11 +150,17 @@ class IslandDerivative {
   template <typename Use>
   void RunPass(const M& model, const StepInput<S>& in, const Columns& columns, const Use& use) {
     Seed(in, columns, S(1));
-    model.Step(jets_, std::span<const JetState>(x_), std::span<JetState>(next_));
+    if (in.solved != nullptr) in.solved->Rewind();
+    StepJets(model);
     Seed(in, columns, S(0));
     use(columns);
   }
 
+  SALTUS_FLATTEN void StepJets(const M& model) {
+    model.Step(jets_, std::span<const JetState>(x_), std::span<JetState>(next_));
+  }
+
+  // Between passes all derivatives are zero, so values are all there is to set.
   void SetValues(const StepInput<S>& in, std::span<const State> x) {
     const size_t n = x.size();
     x_.resize(n);
@@ -163,48 +169,49 @@ class IslandDerivative {
     bodies_.resize(n);
     for (size_t i = 0; i < n; ++i) {
       const S* values = reinterpret_cast<const S*>(&x[i]);
-      for (int j = 0; j < kSize; ++j) Entry(i, j) = Jet(values[j]);
-      for (int j = 0; j < 2; ++j) force_[i][j] = Jet(in.force[i][j]);
+      for (int j = 0; j < kSize; ++j) Variable(static_cast<int>(i) * kSize + j).a = values[j];
+      for (int j = 0; j < 2; ++j) force_[i][j].a = in.force[i][j];
       const BodyConstants<S>& body = in.bodies[i];
-      bodies_[i] = {Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed};
+      bodies_[i].mass.a = body.mass;
+      bodies_[i].inverse_mass.a = body.inverse_mass;
+      bodies_[i].radius = body.radius;
+      bodies_[i].fixed = body.fixed;
     }
     jets_.h = in.h;
     jets_.gravity = in.gravity;
-    jets_.contact.restitution = Jet(in.contact.restitution);
-    jets_.contact.friction = Jet(in.contact.friction);
-    jets_.contact.stiffness = Jet(in.contact.stiffness);
-    jets_.contact.damping = Jet(in.contact.damping);
+    jets_.contact.restitution.a = in.contact.restitution;
+    jets_.contact.friction.a = in.contact.friction;
+    jets_.contact.stiffness.a = in.contact.stiffness;
+    jets_.contact.damping.a = in.contact.damping;
     jets_.bodies = bodies_;
     jets_.planes = in.planes;
     jets_.force = force_;
     jets_.candidates = in.candidates;
     jets_.scratch = in.scratch;
+    jets_.solved = in.solved;
   }
-
-  // Number j of the state of disc i.
-  Jet& Entry(size_t i, int j) { return reinterpret_cast<Jet*>(&x_[i])[j]; }
 
   // Sets the derivatives of the variables of a pass to `one` in their directions.
   void Seed(const StepInput<S>& in, const Columns& columns, S one) {
-    const int n = static_cast<int>(x_.size());
-    const int forces = n * kSize;
-    const int parameters = n * (kSize + 2);
-    for (int direction = 0; direction < columns.count; ++direction) {
-      const int column = columns.index[direction];
-      if (column < forces) {
-        Entry(column / kSize, column % kSize).v[direction] = one;
-      } else if (column < parameters) {
-        force_[(column - forces) / 2][(column - forces) % 2].v[direction] = one;
-      } else if (column < parameters + 4) {
-        ContactConstants<Jet>& c = jets_.contact;
-        Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
-        contact[column - parameters]->v[direction] = one;
-      } else {
-        const int i = column - parameters - 4;
-        bodies_[i].mass.v[direction] = one;
-        if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
-      }
+    for (int direction = 0; direction < columns.count; ++direction)
+      Variable(columns.index[direction]).v[direction] = one;
+    const int first_mass = NumColumns(static_cast<int>(x_.size()), false) + 4;
+    if (columns.count == 0 || columns.index[columns.count - 1] < first_mass) return;
+    for (size_t i = 0; i < x_.size(); ++i) {
+      if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
     }
+  }
+
+  // What a column of the Jacobian differentiates by.
+  Jet& Variable(int column) {
+    const int n = static_cast<int>(x_.size());
+    if (column < n * kSize) return reinterpret_cast<Jet*>(x_.data())[column];
+    column -= n * kSize;
+    if (column < 2 * n) return force_[column / 2][column % 2];
+    column -= 2 * n;
+    ContactConstants<Jet>& c = jets_.contact;
+    Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
+    return column < 4 ? *contact[column] : bodies_[column - 4].mass;
   }
 
   // The cotangents of states and forces as the model's source has them.

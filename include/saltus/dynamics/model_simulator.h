@@ -6,8 +6,8 @@
 // Jacobian (free_flight.h), found once by differentiating the model's free flight; islands of discs that touched are
 // differentiated with Jets (island_derivative.h).
 //
-// Memory: one window of states and one state per further window (trajectory.h), the control, and two discs' states per
-// contact and step.
+// Memory: one window of states and one state per further window (trajectory.h), the control, and per contact and step
+// two discs' states and what iterations have found (solved_steps.h).
 #pragma once
 
 #include <glog/logging.h>
@@ -27,6 +27,7 @@
 #include "saltus/dynamics/islands.h"
 #include "saltus/dynamics/scratch_memory.h"
 #include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/solved_steps.h"
 #include "saltus/dynamics/trajectory.h"
 
 namespace saltus {
@@ -163,6 +164,7 @@ class ModelSimulator final : public Simulator {
       const std::span<const int> island = work.islands.bodies(q);
       for (int i : island) flying[i] = 0;
       Gather(q, from, &work);
+      work.local.solved.Clear();
       typename IslandDerivative<M, S>::Matrix jacobian;
       work.derivative.Evaluate(model_, LocalInput(work), work.local.x, with_parameters, &jacobian);
       work.scratch.Release();
@@ -202,6 +204,7 @@ class ModelSimulator final : public Simulator {
     std::vector<Candidate> candidates;
     std::vector<Touch> touches;
     std::vector<S> after, before;  // cotangents
+    SolveRecord solved;
   };
 
   // Everything a step or a sweep needs besides the trajectory; reused, so that neither allocates.
@@ -215,6 +218,7 @@ class ModelSimulator final : public Simulator {
     std::vector<Vec2<S>> force;
     std::vector<double> push;
     Islands islands;
+    SolvedSteps solved;  // of the step just taken
     LocalScene local;
     IslandDerivative<M, S> derivative;
   };
@@ -323,7 +327,7 @@ class ModelSimulator final : public Simulator {
         continue;
       }
       SetForce(k, &work.force);
-      StepScene(trajectory_.At(k), trajectory_.At(k + 1), &work);
+      StepScene(k, trajectory_.At(k), trajectory_.At(k + 1), &work);
       if (!work.touches.empty()) record(k);
       ++k;
     }
@@ -356,25 +360,31 @@ class ModelSimulator final : public Simulator {
     }
   }
 
-  // One step of all discs under work->force; leaves what touched in work->touches.
-  void StepScene(std::span<const State> x, std::span<State> next, Workspace* work) const {
+  // Step k of all discs, under work->force; leaves what touched in work->touches.
+  void StepScene(int k, std::span<const State> x, std::span<State> next, Workspace* work) const {
     FreeFlight(model_, Input(*work), x, next);
     work->touches.clear();
+    work->solved.Clear();
     work->islands.Find(work->candidates, fixed_);
-    for (int q = 0; q < work->islands.size(); ++q) StepIsland(q, x, next, work);
+    for (int q = 0; q < work->islands.size(); ++q) StepIsland(k, q, x, next, work);
     if (work->islands.size() > 1) SortTouches(&work->touches);
   }
 
-  void StepIsland(int q, std::span<const State> x, std::span<State> next, Workspace* work) const {
+  void StepIsland(int k, int q, std::span<const State> x, std::span<State> next, Workspace* work) const {
     const std::span<const int> island = work->islands.bodies(q);
     Gather(q, x, work);
     LocalScene& local = work->local;
     local.next.resize(island.size());
     local.touches.clear();
+    local.solved.Clear();
     StepInput<S> in = LocalInput(*work);
     in.touches = &local.touches;
     model_.Step(in, std::span<const State>(local.x), std::span<State>(local.next));
     work->scratch.Release();
+    // The derivative is of the pairs that touch only: it recalls this step if these are all there are.
+    if (!local.solved.numbers().empty() && local.touches.size() == local.candidates.size()) {
+      work->solved.Add(k, FirstPair(local, island), local.candidates.size(), local.solved.numbers());
+    }
     for (size_t i = 0; i < island.size(); ++i) {
       if (!fixed_[island[i]]) next[island[i]] = local.next[i];
     }
@@ -413,7 +423,13 @@ class ModelSimulator final : public Simulator {
     in.bodies = work.local.bodies;
     in.force = work.local.force;
     in.candidates = work.local.candidates;
+    in.solved = &work.local.solved;
     return in;
+  }
+  // The first of the local scene's pairs, in the numbers of the whole scene.
+  static Candidate FirstPair(const LocalScene& local, std::span<const int> island) {
+    const Candidate& c = local.candidates[0];
+    return {island[c.a], c.plane ? c.b : island[c.b], c.plane};
   }
 
   // Makes island q of work->islands the local scene, with the discs at x.
@@ -465,11 +481,12 @@ class ModelSimulator final : public Simulator {
   // The record of a rollout.
 
   bool RecordIsFull() const {
-    return trajectory_.bytes() + touched_states_.size() * sizeof(touched_states_[0]) > memory_limit_;
+    return trajectory_.bytes() + touched_states_.size() * sizeof(touched_states_[0]) + solved_.bytes() > memory_limit_;
   }
   // From here on, states are kept from touch `first` on.
   void ForgetTouchedStates(int first) {
     touched_states_.clear();
+    solved_.Clear();
     first_touch_with_states_ = first;
   }
   void RecordTouchedStates(int k) {
@@ -478,6 +495,7 @@ class ModelSimulator final : public Simulator {
       const Candidate& c = touch.candidate;
       touched_states_.push_back({x[c.a], c.plane ? x[c.a] : x[c.b]});
     }
+    solved_.AddAll(work_->solved);
   }
   // The first of the touches before `end` in step k or later.
   int FirstTouch(int k, int end) const {
@@ -545,6 +563,7 @@ class ModelSimulator final : public Simulator {
     const bool with_parameters = out.parameters != nullptr;
     local.after.resize(n * kSize);
     local.before.resize(IslandDerivative<M, S>::NumColumns(n, with_parameters));
+    local.solved.Assign(solved_.Find(k, FirstPair(local, island), local.candidates.size()));
     for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &local.after[i * kSize]);
     work_->derivative.ApplyTranspose(
         model_, LocalInput(*work_), local.x, free_, with_parameters, local.after, local.before);
@@ -582,18 +601,31 @@ class ModelSimulator final : public Simulator {
     void PutAll(int n, S scale, const LinearCotangents<S>& cotangents) const {
       const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
       const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
-      double* to = gradient;
-      const double* u = control;
-      if (u == nullptr) {
-        for (; n-- > 0; to += stride) Pair{to} = last + double(n) * change;
+      if (control == nullptr) {
+        PutEach(n, [&](double* to, double left, std::ptrdiff_t) { Pair{to} = last + left * change; });
       } else {
-        for (; n-- > 0; to += stride, u += stride) Pair{to} = last + double(n) * change + effort * ConstPair{u};
+        PutEach(n, [&](double* to, double left, std::ptrdiff_t at) {
+          Pair{to} = last + left * change + effort * ConstPair{control + at};
+        });
       }
     }
 
    private:
     using Pair = Eigen::Map<Eigen::Array2d>;
     using ConstPair = Eigen::Map<const Eigen::Array2d>;
+
+    // Calls put(where, number of steps after it, offset) for each step; some at a time, which need not wait for each
+    // other.
+    template <typename PutStep>
+    void PutEach(int n, const PutStep& put) const {
+      constexpr int kAtATime = 4;
+      std::ptrdiff_t at = 0;
+      double left = n;
+      for (; n >= kAtATime; n -= kAtATime, left -= kAtATime) {
+        for (int j = 1; j <= kAtATime; ++j, at += stride) put(gradient + at, left - j, at);
+      }
+      for (; n > 0; --n, at += stride) put(gradient + at, --left, at);
+    }
   };
   ForceSink GradientOf(int body, int k, const SensitivityView& out) const {
     const std::ptrdiff_t at = k * ControlStride() + 2 * place_in_control_[body];
@@ -741,6 +773,7 @@ class ModelSimulator final : public Simulator {
   std::vector<StepTouch> touches_;
   std::vector<std::array<State, 2>> touched_states_;  // of discs a and b before the step, from the touch below on
   int first_touch_with_states_ = 0;
+  SolvedSteps solved_;        // from the same touch on
   bool all_recorded_ = true;  // false if the states of some touches were let go for the sake of memory_limit()
   std::vector<S> lambda_;
   std::vector<int> pulled_to_;

@@ -12,6 +12,14 @@
 
 #include <ceres/jet.h>
 
+// Functions of Jets whose calls become part of them, as a call costs more than the arithmetic of the Jets in it. Not
+// under a sanitizer, whose checks in so large a function compile for minutes.
+#if defined(__SANITIZE_ADDRESS__)
+#define SALTUS_FLATTEN
+#else
+#define SALTUS_FLATTEN [[gnu::flatten]]
+#endif
+
 namespace saltus {
 
 // Derivatives are computed in passes of this many directions. Six is one disc's position, velocity and force, so a disc

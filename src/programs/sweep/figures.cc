@@ -14,7 +14,6 @@
 namespace saltus {
 namespace {
 
-constexpr double kLogAxisFrom = 20;  // largest to smallest
 constexpr double kLogLossFrom = 100;
 constexpr size_t kMostMarks = 40;
 constexpr size_t kMostPanels = 9;
@@ -56,6 +55,25 @@ std::string Short(double value) {
 
 // True if a logarithmic scale shows values from `least` to `most` better.
 bool WantsLog(double least, double most, double ratio) { return least > 0 && most >= ratio * least; }
+
+// True if ascending values of an option are spaced more evenly on a logarithmic scale; of two values, if they are far
+// apart.
+bool WantsLog(const std::vector<double>& values) {
+  constexpr double kFar = 20;
+  if (values.size() < 3) return !values.empty() && WantsLog(values.front(), values.back(), kFar);
+  if (values.front() <= 0) return false;
+  // The widest gap by the narrowest.
+  const auto unevenness = [&](const auto& scale) {
+    double narrowest = HUGE_VAL, widest = 0;
+    for (size_t i = 1; i < values.size(); ++i) {
+      const double gap = scale(values[i]) - scale(values[i - 1]);
+      narrowest = std::min(narrowest, gap);
+      widest = std::max(widest, gap);
+    }
+    return widest / narrowest;
+  };
+  return unevenness([](double x) { return std::log(x); }) < unevenness([](double x) { return x; });
+}
 
 // The points that are done, with their columns by name.
 class Results {
@@ -185,11 +203,12 @@ std::vector<std::string> Solvers(const std::map<Method, Curve>& curves) {
 
 Panel CurvePanel(const std::map<Method, Curve>& curves, const std::string& x_label, const std::string& y_label) {
   Panel panel;
-  Extent x, y;
+  std::set<double> x;
+  Extent y;
   const std::vector<std::string> solvers = Solvers(curves);
   for (const auto& [method, curve] : curves) {
     for (const auto& [at, value] : curve) {
-      x.Add(at);
+      x.insert(at);
       y.Add(value);
     }
     Series series = CurveSeries(method, curve, solvers);
@@ -198,7 +217,7 @@ Panel CurvePanel(const std::map<Method, Curve>& curves, const std::string& x_lab
     panel.series.push_back(std::move(series));
   }
   panel.x.label = x_label;
-  panel.x.log = WantsLog(x.least, x.most, kLogAxisFrom);
+  panel.x.log = WantsLog({x.begin(), x.end()});
   panel.y.label = y_label;
   panel.y.log = WantsLog(y.least, y.most, kLogLossFrom);
   return panel;
@@ -322,7 +341,7 @@ struct MapAxis {
   bool log = false;
 
   MapAxis(const Results& results, const std::string& name) : option(name), values(results.Distinct(name)) {
-    log = WantsLog(values.front(), values.back(), kLogAxisFrom);
+    log = WantsLog(values);
     edges = Edges(values, log);
   }
   Axis ToAxis() const { return {.label = AxisLabel(option), .log = log, .min = edges.front(), .max = edges.back()}; }

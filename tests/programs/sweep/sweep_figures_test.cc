@@ -81,6 +81,21 @@ TEST(SweepFigures, LossAgainstOneOptionIsACurvePerModel) {
   EXPECT_EQ(curves, 2);
 }
 
+TEST(SweepFigures, AnAxisHasTheScaleOnWhichItsValuesAreEven) {
+  const Request request = GradientRequest({"event"});
+  for (const auto& [sweep, log] : {std::pair{"steps=120,240,480", true},
+                                   std::pair{"steps=100,200,300", false},
+                                   std::pair{"damping=0,1,10", false},
+                                   std::pair{"stiffness=1e2,1e5", true},
+                                   std::pair{"stiffness=1e2,2e2", false}}) {
+    const SweepStudy study(request, ParseSweep(sweep, request.scene));
+    const auto figures = MakeSweepFigures(study,
+                                          MakePoints(
+                                              study, [](const SweepRow&) { return 1.0; }, Zero));
+    EXPECT_EQ(figures.at(0).figure.panels.at(0).x.log, log) << sweep;
+  }
+}
+
 TEST(SweepFigures, OtherOptionsAreChosenForTheSmallestLoss) {
   const Request request = GradientRequest({"event"});
   const SweepStudy study(request, ParseSweep("stiffness=1,2; damping=5,3,4", request.scene));
