@@ -5,12 +5,6 @@
 namespace saltus {
 namespace {
 
-Json NumbersToJson(const std::vector<double>& values) {
-  Json numbers = Json::array();
-  for (double value : values) numbers.push_back(NumberToJson(value));
-  return numbers;
-}
-
 Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
   Json quantities = Json::array();
   for (const QuantityStudy& quantity : study.quantities) {

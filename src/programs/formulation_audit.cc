@@ -21,7 +21,7 @@ constexpr std::string_view kUnit = "direct";
 constexpr int kRounds = 7;
 constexpr double kTurn = 3e-4;  // s, at least
 // Errors below are those of rounding, and shown on this line of the figure.
-constexpr double kLowestError = 1e-4;
+constexpr double kLeastErrorShown = 1e-4;
 // Step counts per level of refinement: fewer than an audit takes, for the sake of the slow models.
 constexpr int kSamples = 5;
 
@@ -220,15 +220,15 @@ PaperFigure FormulationAudit::ToFigure() const {
     panel.y.label = "relative error of the gradient";
     panel.x.log = panel.y.log = true;
     panel.x.min = 0.8;
-    panel.y.min = kLowestError / 2;
+    panel.y.min = kLeastErrorShown / 2;
     for (size_t model = 0; model < contacts_.size(); ++model) {
       const double error = ErrorByInitialState(results, model);
       if (std::isnan(error)) continue;
-      Series series = Series::ForModel(contacts_[model], {results.costs[model]}, {std::max(error, kLowestError)});
+      Series series = Series::ForModel(contacts_[model], {results.costs[model]}, {std::max(error, kLeastErrorShown)});
       series.line = false;
       panel.series.push_back(std::move(series));
     }
-    panel.reference_lines.push_back({.value = kLowestError, .label = "exact to rounding", .colour = "#999999"});
+    panel.reference_lines.push_back({.value = kLeastErrorShown, .label = "exact to rounding", .colour = "#999999"});
     figure.panels.push_back(std::move(panel));
   }
   figure.columns = static_cast<int>(figure.panels.size());

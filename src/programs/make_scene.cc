@@ -17,8 +17,6 @@ DECLARE_int32(steps);
 namespace saltus {
 namespace {
 
-bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
-
 // The options of either kind, with what the flags say.
 template <typename Options>
 Options ReadOptions(int fewest) {

@@ -1,19 +1,12 @@
 #include "programs/paper_report.h"
 
 #include <algorithm>
-#include <cstdio>
 
 #include "saltus/exact/two_disc_optimum.h"
 #include "saltus/io/html_report.h"
 
 namespace saltus {
 namespace {
-
-std::string Format(const char* format, double value) {
-  char buffer[64];
-  std::snprintf(buffer, sizeof(buffer), format, value);
-  return buffer;
-}
 
 void AddFigure(const std::vector<PaperFigure>& figures, const std::string& name, HtmlReport* report) {
   for (const PaperFigure& figure : figures) {

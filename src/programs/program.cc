@@ -45,8 +45,6 @@ extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); no
 namespace saltus {
 namespace {
 
-bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
-
 std::vector<std::string> Split(const std::string& list) {
   std::vector<std::string> items;
   std::stringstream stream(list);
@@ -150,6 +148,8 @@ int RunMain(int argc, char** argv, const std::string& usage, const std::function
     return kWrongInput;
   }
 }
+
+bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
 
 Scene LoadScene(const std::string& path) {
   std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);

@@ -59,6 +59,10 @@ std::string OutputDirFromFlags();
 // Loads a scene file. Throws InputError.
 Scene LoadScene(const std::string& path);
 
+// Whether a flag was given on the command line, in a flag file or in the environment. Precondition: there is such a
+// flag.
+bool IsGiven(const char* flag);
+
 // The learning rate of the published experiments for this kind of problem, per N for controls.
 double DefaultLearningRate(const Scene& scene);
 

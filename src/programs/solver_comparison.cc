@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <optional>
 #include <set>
@@ -54,12 +53,6 @@ Series SolverSeries(const std::string& solver, std::vector<double> x, std::vecto
   }
   if (series.x.size() < 4) series.marker = Marker::kCircle;
   return series;
-}
-
-std::string Format(const char* format, double value) {
-  char buffer[64];
-  std::snprintf(buffer, sizeof(buffer), format, value);
-  return buffer;
 }
 
 double LargestDefect(const SolveReport& report) {

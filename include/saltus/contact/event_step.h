@@ -104,6 +104,13 @@ class EventStep {
   Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
     return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
   }
+  // The same at the last events of both discs. Precondition: that is the same instant, or a disc is fixed.
+  Vec2<T> LastRelativeVelocity(const Candidate& c) const {
+    return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
+  }
+  Separation<T> LastSeparation(const Candidate& c) const {
+    return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
+  }
   Motion MotionAt(int i, double time) const {
     const EventDisc<T>& disc = discs_[i];
     const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
@@ -238,8 +245,8 @@ class EventStep {
   SALTUS_FLATTEN void Impact(const Candidate& c, const T& time) {
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
-    const Separation<T> at = SeparationAtTime(c, time);
-    const Vec2<T> w = RelativeVelocityAt(c, time), tangent = Perpendicular(at.normal);
+    const Separation<T> at = LastSeparation(c);
+    const Vec2<T> w = LastRelativeVelocity(c), tangent = Perpendicular(at.normal);
     const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
     const T& friction = in_.contact.friction;
     const T mass = in_.EffectiveMass(c);
@@ -258,9 +265,8 @@ class EventStep {
 
   // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
   void StopClosing(const Candidate& c) {
-    const Vec2<T> normal = SeparationAt(in_, c, [&](int i) { return discs_[i].p; }).normal;
-    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
-    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, w)), normal);
+    const Vec2<T> normal = LastSeparation(c).normal;
+    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
   }
 

@@ -108,4 +108,7 @@ StatusOr<CsvDocument> ReadCsv(const std::string& path);
 // `text` with the characters that HTML (elements and attributes) and XML reserve replaced by entities.
 std::string EscapeHtml(std::string_view text);
 
+// A number as printf writes it, in up to 63 characters.
+std::string Format(const char* format, double value);
+
 }  // namespace saltus

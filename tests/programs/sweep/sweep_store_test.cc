@@ -1,11 +1,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sqlite3.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <map>
+#include <sstream>
 
 #include "programs/sweep/output.h"
 #include "programs/sweep/point.h"
@@ -113,6 +117,39 @@ TEST_F(SweepStoreTest, AnEmptyFileIsANewStore) {
   const SweepStudy study = Study();
   std::ofstream(Path()).flush();  // what a sweep leaves that is killed while it makes the store
   EXPECT_TRUE(SweepStore::Open(Path(), study).ok());
+}
+
+TEST_F(SweepStoreTest, IsWholeWhereverItsLogIsCut) {
+  const SweepStudy study = Study();
+  constexpr int kPoints = 3;
+  const pid_t child = fork();
+  if (child == 0) {
+    StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
+    bool ok = store.ok();
+    for (int point = 0; ok && point < kPoints; ++point) ok = store->Add(point, Row(study, point)).ok();
+    _exit(ok ? 0 : 1);  // as if killed: nothing is closed
+  }
+  int status = 0;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  ASSERT_EQ(status, 0);
+  std::ostringstream log;
+  log << std::ifstream(Path() + "-wal", std::ios::binary).rdbuf();
+  const size_t size = log.str().size();
+  constexpr size_t kStride = 1030;  // a quarter of a page in the log
+  ASSERT_GT(size, kPoints * 4 * kStride);
+
+  int64_t last = 0;
+  for (size_t length = 0; length < size + kStride; length += kStride) {
+    const std::string cut = Path("cut" + std::to_string(length));
+    std::filesystem::copy_file(Path(), cut);
+    std::ofstream(cut + "-wal", std::ios::binary) << log.str().substr(0, length);
+    const StatusOr<SweepStore> store = SweepStore::Open(cut, study);
+    ASSERT_TRUE(store.ok()) << length << " of " << size << ": " << store.status().message();
+    EXPECT_GE(store->size(), last);
+    last = store->size();
+    for (const auto& [point, row] : Contents(*store)) EXPECT_EQ(row, Row(study, point));
+  }
+  EXPECT_EQ(last, kPoints);
 }
 
 TEST_F(SweepStoreTest, HasOneUserAtATime) {
