@@ -1,5 +1,5 @@
-# Installs the build tree into a fresh folder, builds and runs the consumer against that folder alone, configures it with
-# the source tree as a subproject, and uninstalls.
+# Installs the build tree into a fresh folder, builds and runs the consumer against that folder alone, once more as people
+# do who compile for their own machine, configures it with the source tree as a subproject, and uninstalls.
 # Given: SOURCE_TREE, BUILD_TREE, WORK (scratch folder), GENERATOR, CXX, BUILD_TYPE.
 function(run)
   execute_process(COMMAND ${ARGV} COMMAND_ECHO STDOUT COMMAND_ERROR_IS_FATAL ANY)
@@ -14,6 +14,12 @@ run(${CMAKE_COMMAND} --install ${BUILD_TREE} --prefix ${prefix})
 run(${configure} -B ${WORK}/installed -DCMAKE_PREFIX_PATH=${prefix})
 run(${CMAKE_COMMAND} --build ${WORK}/installed)
 run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
+run(${WORK}/installed/values)
+
+# Fused multiply-adds, where the machine has them.
+run(${configure} -B ${WORK}/native -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLAGS=-march=native)
+run(${CMAKE_COMMAND} --build ${WORK}/native --target values)
+run(${WORK}/native/values)
 
 # With a contact model of the user's own: its header gets an entry in the registry.
 run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE}
