@@ -21,6 +21,8 @@ Verdict Judge(double given, double exact, double largest, double tolerance) {
 
 std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact) {
   CHECK(exact.ok());
+  CHECK_EQ(exact.gradient.initial.size(), 4 * scene.bodies.size());
+  CHECK_EQ(exact.gradient.control.size(), 2 * scene.control.bodies.size() * exact.num_steps);
   std::vector<GivenEntry> entries;
   // `values` and `at` name the exact entries of one vector.
   const auto add = [&](const std::optional<Vec2d>& value,

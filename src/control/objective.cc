@@ -1,12 +1,16 @@
 #include "saltus/control/objective.h"
 
+#include <glog/logging.h>
+
 #include <cmath>
 
 namespace saltus {
 namespace {
 
-// Index of the first of the two state entries that a term reads.
-int Offset(const TerminalTerm& term, int body_size) {
+// Index of the first of the two entries that a term reads in a state of `size` numbers.
+int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
+  CHECK(term.body >= 0 && (term.body + 1) * static_cast<std::size_t>(body_size) <= size)
+      << "a terminal term of body " << term.body << ", which is not in the state";
   return term.body * body_size + (term.quantity == TerminalTerm::Quantity::kVelocity ? 2 : 0);
 }
 
@@ -15,7 +19,7 @@ int Offset(const TerminalTerm& term, int body_size) {
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size) {
   double loss = 0;
   for (const TerminalTerm& term : objective.terminal) {
-    const double* q = &x[Offset(term, body_size)];
+    const double* q = &x[Offset(term, body_size, x.size())];
     if (term.component) {
       loss += term.weight * q[*term.component];
     } else {
@@ -28,9 +32,10 @@ double TerminalLoss(const Objective& objective, std::span<const double> x, int b
 
 void TerminalGradient(const Objective& objective, std::span<const double> x, int body_size,
                       std::span<double> gradient) {
+  CHECK_EQ(gradient.size(), x.size());
   std::fill(gradient.begin(), gradient.end(), 0.0);
   for (const TerminalTerm& term : objective.terminal) {
-    const int at = Offset(term, body_size);
+    const int at = Offset(term, body_size, x.size());
     if (term.component) {
       gradient[at + *term.component] += term.weight;
       continue;
@@ -43,9 +48,10 @@ int NumTerminalResiduals(const Objective& objective) { return 2 * static_cast<in
 
 void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,
                        std::span<double> residuals) {
+  CHECK_EQ(static_cast<int>(residuals.size()), NumTerminalResiduals(objective));
   int row = 0;
   for (const TerminalTerm& term : objective.terminal) {
-    const int at = Offset(term, body_size);
+    const int at = Offset(term, body_size, x.size());
     for (int j = 0; j < 2; ++j) residuals[row++] = std::sqrt(term.weight) * (x[at + j] - term.target[j]);
   }
 }
@@ -54,7 +60,8 @@ Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int
   Eigen::MatrixXd jacobian = Eigen::MatrixXd::Zero(NumTerminalResiduals(objective), state_size);
   int row = 0;
   for (const TerminalTerm& term : objective.terminal) {
-    for (int j = 0; j < 2; ++j) jacobian(row++, Offset(term, body_size) + j) = std::sqrt(term.weight);
+    const int at = Offset(term, body_size, state_size);
+    for (int j = 0; j < 2; ++j) jacobian(row++, at + j) = std::sqrt(term.weight);
   }
   return jacobian;
 }
@@ -73,6 +80,7 @@ double EffortLoss(const Objective& objective, std::span<const double> control, d
 
 void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,
                        std::span<double> gradient) {
+  CHECK_EQ(gradient.size(), control.size());
   const double weight = EffortWeight(objective, dt);
   for (size_t i = 0; i < control.size(); ++i) gradient[i] += weight * control[i];
 }

@@ -1,6 +1,7 @@
 #include "saltus/control/step_shooting.h"
 
 #include <ceres/manifold.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
@@ -66,6 +67,7 @@ std::vector<double> StatesOf(const Simulator& simulator) {
 std::vector<double> LargestDefects(const Simulator& simulator, std::span<const double> states,
                                    std::span<const double> control) {
   const size_t size = simulator.state_size();
+  CHECK_EQ(states.size(), (simulator.num_steps() + 1) * size);
   std::vector<double> force(2 * simulator.num_bodies()), next(size), largest(simulator.num_steps());
   for (int k = 0; k < simulator.num_steps(); ++k) {
     simulator.ExpandForce(control, k, force);

@@ -45,6 +45,7 @@ std::string WhyNotValid(const Surrogate& surrogate) {
 }
 
 std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contact, const Scene& scene) {
+  if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
   if (!surrogate.smooths()) return HasOption(contact) ? "" : "this model has no complementarity-aware gradient";
   const int intervals = scene.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
   if (!scene.control.bodies.empty() && surrogate.segments > intervals) {

@@ -133,12 +133,16 @@ bool HasBiasedDerivative(std::string_view model) {
 }
 
 std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
+  if (std::string wrong = WhatIsWrongWith(model); !wrong.empty()) return wrong;
+  if (const std::optional<SceneError> error = ValidateStructure(scene))
+    return "the scene is wrong: " + error->ToString();
   return Entry(model).why_not_applicable(scene);
 }
 
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision) {
+  const std::string why_not = WhyNotApplicable(model, scene);
+  CHECK(why_not.empty()) << model << ": " << why_not;
   const RegistryEntry& entry = Entry(model);
-  CHECK(entry.why_not_applicable(scene).empty()) << entry.why_not_applicable(scene);
   return entry.make(scene, precision, OptionsIn(model));
 }
 

@@ -230,6 +230,7 @@ std::optional<ClosedForm> TwoDiscs(const Scene& scene, std::string* why_not) {
 }  // namespace
 
 std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not) {
+  if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
   for (const Body& body : scene.bodies) {
     if (body.fixed) return Refuse(why_not, "a disc is fixed");
   }

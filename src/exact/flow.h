@@ -16,8 +16,14 @@ namespace saltus::exact_internal {
 inline constexpr double kTouching = 1e-12;  // m, the overlap that a valid scene may start with
 inline constexpr double kGrazing = 1e-9;    // m/s, slower approaches have no usable derivative
 
+// What ValidateStructure says of a scene; empty if nothing is wrong with it.
+inline std::string WhatIsWrongWith(const Scene& scene) {
+  const std::optional<SceneError> error = ValidateStructure(scene);
+  return error ? "the scene is wrong: " + error->ToString() : "";
+}
+
 // Nothing, and why.
-inline std::nullopt_t Refuse(std::string* why_not, const char* reason) {
+inline std::nullopt_t Refuse(std::string* why_not, const std::string& reason) {
   if (why_not != nullptr) *why_not = reason;
   return std::nullopt;
 }

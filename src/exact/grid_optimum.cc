@@ -142,9 +142,9 @@ std::optional<GridOptimum> MakeOptimum(const Scene& scene, TwoDiscSequence seque
 
 std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSequence sequence, int node,
                                                 std::string* why_not) {
-  CHECK(node >= 2 && node < scene.steps) << "no such node for an impact: " << node;
   const std::optional<Grid> grid = MakeGrid(scene, sequence, why_not);
   if (!grid) return std::nullopt;
+  CHECK(node >= 2 && node < scene.steps) << "no such node for an impact: " << node;
   const auto loss = BestAtNode(*grid, node);
   if (!loss) return exact_internal::Refuse(why_not, "no minimum with the impact on this node was found");
   return MakeOptimum(scene, sequence, *grid, node, *loss, why_not);

@@ -111,6 +111,10 @@ const char* WhyNotLaunch(const Scene& scene) {
 std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits, std::string* why_not) {
   constexpr int kLattice = 3;  // starts to either side, per direction
   std::vector<LaunchSolution> solutions;
+  if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) {
+    exact_internal::Refuse(why_not, wrong);
+    return solutions;
+  }
   if (const char* reason = WhyNotLaunch(scene)) {
     exact_internal::Refuse(why_not, reason);
     return solutions;

@@ -61,6 +61,7 @@ const char* WhyNotTwoDiscs(const Scene& scene) {
 }  // namespace
 
 std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
   if (const char* reason = WhyNotTwoDiscs(scene)) return Refuse(why_not, reason);
   const Body& first = scene.bodies[0];
   const Body& second = scene.bodies[1];

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <limits>
 #include <string_view>
 #include <unordered_map>
 
@@ -19,6 +20,8 @@ struct Range {
 };
 constexpr Range kAny{-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e12"};
 constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive number, 1e-12 to 1e12"};
+// Parts of a horizon may be shorter than a whole one.
+constexpr Range kAboveZero{std::numeric_limits<double>::min(), kLargestMagnitude, "a positive number, up to 1e12"};
 constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e12"};
 constexpr Range kFraction{0, 1, "a number from 0 to 1"};
 
@@ -27,10 +30,23 @@ std::string ToText(double value) {
   return {text, std::to_chars(text, text + sizeof(text), value).ptr};
 }
 
-std::string At(const char* list, std::size_t index, const char* field = nullptr) {
-  std::string path = std::string(list) + '[' + std::to_string(index) + ']';
-  return field ? path + '.' + field : path;
-}
+// The path of a number in the scene file; text only if it is needed.
+struct Key {
+  const char* list = "";
+  std::optional<std::size_t> index = std::nullopt;
+  const char* field = nullptr;
+  std::optional<int> component = std::nullopt;
+
+  std::string ToString() const {
+    std::string path = list;
+    if (index) path += '[' + std::to_string(*index) + ']';
+    if (field) path += std::string(".") + field;
+    if (component) path += '[' + std::to_string(*component) + ']';
+    return path;
+  }
+};
+
+Key At(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
 
 // A name as it may stand in a message: it can be anything, as long as anything.
 std::string Quoted(const std::string& name) {
@@ -43,7 +59,8 @@ std::string Quoted(const std::string& name) {
 // Checks rules in order and keeps the first that fails.
 class Rules {
  public:
-  explicit Rules(const Scene& scene) : scene_(scene) {}
+  // With `structure_only`, those of ValidateStructure.
+  Rules(const Scene& scene, bool structure_only) : scene_(scene), all_(!structure_only) {}
 
   std::optional<SceneError> Check() {
     CheckTime();
@@ -53,72 +70,85 @@ class Rules {
     CheckControl();
     CheckObjective();
     CheckFree();
-    if (!error_) CheckOverlap();  // meaningful for finite numbers only
+    if (all_ && !error_) CheckOverlap();  // meaningful for finite numbers only
     return error_;
   }
 
  private:
-  void Expect(bool holds, const std::string& key, const std::string& message) {
-    if (!holds && !error_) error_ = SceneError{key, message};
+  // `message` gives the text, which is costly to write for every number of a scene.
+  template <typename Message>
+  void Expect(bool holds, const Key& key, const Message& message) {
+    if (!holds && !error_) error_ = SceneError{key.ToString(), message()};
+  }
+  void Expect(bool holds, const Key& key, const char* message) {
+    Expect(holds, key, [&] { return std::string(message); });
   }
 
-  void Number(const std::string& key, double value, const Range& range) {
-    if (value >= range.low && value <= range.high) return;
-    Expect(false, key, "found " + ToText(value) + ", expected " + range.expected);
+  void Number(const Key& key, double value, const Range& range) {
+    Expect(value >= range.low && value <= range.high, key, [&] {
+      return "found " + ToText(value) + ", expected " + range.expected;
+    });
   }
 
-  void Vector(const std::string& key, const Vec2d& value) {
-    Number(key + "[0]", value[0], kAny);
-    Number(key + "[1]", value[1], kAny);
+  void Vector(const Key& key, const Vec2d& value) {
+    for (int j = 0; j < 2; ++j) Number({key.list, key.index, key.field, j}, value[j], kAny);
   }
 
-  void Name(const std::string& key, const std::string& name, std::string_view others) {
+  void Name(const Key& key, const std::string& name, std::string_view others) {
     const auto ok = [&](char c) {
       return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || others.find(c) != std::string_view::npos;
     };
-    Expect(!name.empty() && name.size() <= kLongestName && std::all_of(name.begin(), name.end(), ok),
-           key,
-           "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, 0-9 and " +
-               std::string(others));
+    Expect(!name.empty() && name.size() <= kLongestName && std::all_of(name.begin(), name.end(), ok), key, [&] {
+      return "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, 0-9 and " +
+             std::string(others);
+    });
   }
 
   // Of a body or plane.
-  void UniqueName(const std::string& key, const std::string& name) {
+  void UniqueName(const Key& key, const std::string& name) {
+    if (!all_) return;
     Name(key, name, "_-.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
     const auto [other, is_new] = names_.emplace(name, key);
-    if (!is_new) Expect(false, key, "found " + name + ", which is " + other->second + " too; expected a unique name");
+    Expect(is_new, key, [&, &other = other] {
+      return "found " + name + ", which is " + other->second.ToString() + " too; expected a unique name";
+    });
   }
 
   // A list of bodies that move, without repetition.
   void Movable(const char* list, const std::vector<int>& bodies) {
+    if (bodies.empty()) return;
     std::vector<bool> seen(scene_.bodies.size(), false);
     for (std::size_t i = 0; i < bodies.size(); ++i) {
       if (!BodyIndex(At(list, i), bodies[i])) return;
       const Body& body = scene_.bodies[bodies[i]];
-      Expect(!body.fixed, At(list, i), "found " + body.name + ", which is fixed; expected a body that moves");
-      Expect(!seen[bodies[i]], At(list, i), "found " + body.name + " twice; expected each body once");
+      Expect(!body.fixed, At(list, i), [&] {
+        return "found " + body.name + ", which is fixed; expected a body that moves";
+      });
+      Expect(!seen[bodies[i]], At(list, i), [&] { return "found " + body.name + " twice; expected each body once"; });
       seen[bodies[i]] = true;
     }
   }
 
-  bool BodyIndex(const std::string& key, int body) {
+  bool BodyIndex(const Key& key, int body) {
     const bool in_range = body >= 0 && body < scene_.num_bodies();
-    Expect(in_range, key, "found body number " + std::to_string(body) + ", expected one of the scene's bodies");
+    Expect(in_range, key, [&] {
+      return "found body number " + std::to_string(body) + ", expected one of the scene's bodies";
+    });
     return in_range;
   }
 
   void CheckTime() {
-    Name("name", scene_.name, "_");
-    Number("duration", scene_.duration, kPositive);
-    Expect(
-        scene_.steps >= 1 && scene_.steps <= kMaxSteps,
-        "steps",
-        "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " + std::to_string(kMaxSteps));
-    Vector("gravity", scene_.gravity);
+    if (all_) Name({"name"}, scene_.name, "_");
+    Number({"duration"}, scene_.duration, all_ ? kPositive : kAboveZero);
+    Expect(scene_.steps >= 1 && scene_.steps <= kMaxSteps, {"steps"}, [&] {
+      return "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " +
+             std::to_string(kMaxSteps);
+    });
+    Vector({"gravity"}, scene_.gravity);
   }
 
   void CheckBodies() {
-    Expect(!scene_.bodies.empty(), "bodies", "found none, expected at least one body");
+    Expect(!scene_.bodies.empty(), {"bodies"}, "found none, expected at least one body");
     for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
       const Body& body = scene_.bodies[i];
       UniqueName(At("bodies", i, "name"), body.name);
@@ -138,29 +168,30 @@ class Rules {
       Vector(At("planes", i, "point"), plane.point);
       Vector(At("planes", i, "normal"), plane.normal);
       const double length = std::hypot(plane.normal[0], plane.normal[1]);
-      Expect(length >= kSmallestPositive,
-             At("planes", i, "normal"),
-             "found a vector of length " + ToText(length) + ", expected one of length at least 1e-12");
+      Expect(length >= kSmallestPositive, At("planes", i, "normal"), [&] {
+        return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-12";
+      });
     }
   }
 
   void CheckContact() {
-    Number("contact.restitution", scene_.contact.restitution, kFraction);
-    Number("contact.friction", scene_.contact.friction, kNotNegative);
-    Number("contact.stiffness", scene_.contact.stiffness, kNotNegative);
-    Number("contact.damping", scene_.contact.damping, kNotNegative);
+    Number({"contact.restitution"}, scene_.contact.restitution, kFraction);
+    Number({"contact.friction"}, scene_.contact.friction, kNotNegative);
+    Number({"contact.stiffness"}, scene_.contact.stiffness, kNotNegative);
+    Number({"contact.damping"}, scene_.contact.damping, kNotNegative);
   }
 
   void CheckControl() {
     const Control& control = scene_.control;
     Movable("control.bodies", control.bodies);
-    Expect(control.initial.size() == control.bodies.size(),
-           "control.initial",
-           "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
-               std::to_string(control.bodies.size()) + " controlled bodies");
+    Expect(control.initial.size() == control.bodies.size(), {"control.initial"}, [&] {
+      return "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
+             std::to_string(control.bodies.size()) + " controlled bodies";
+    });
     for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    if (!all_) return;
     Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
-           "optimize",
+           {"optimize"},
            "found control, expected velocity, position or none: no body is controlled");
   }
 
@@ -175,16 +206,18 @@ class Rules {
              At("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
     }
-    Number("objective.effort", scene_.objective.effort, kNotNegative);
+    Number({"objective.effort"}, scene_.objective.effort, kNotNegative);
+    if (!all_) return;
     Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
-           "objective.terminal",
+           {"objective.terminal"},
            "found no term, expected at least one: there is something to optimize");
   }
 
   void CheckFree() {
     Movable("free", scene_.free);
+    if (!all_) return;
     const bool needed = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
-    Expect(!needed || !scene_.free.empty(), "free", "found no body, expected at least one that moves");
+    Expect(!needed || !scene_.free.empty(), {"free"}, "found no body, expected at least one that moves");
   }
 
   void CheckOverlap() {
@@ -215,15 +248,15 @@ class Rules {
   }
 
   void Overlap(std::size_t body, const char* list, std::size_t other, const std::string& name, double depth) {
-    if (depth <= kOverlapTolerance) return;
-    Expect(false,
-           At("bodies", body, "position"),
-           "found an overlap of " + ToText(depth) + " m with " + At(list, other) + " (" + name +
-               ") at the start, expected at most 1e-12 m");
+    Expect(depth <= kOverlapTolerance, At("bodies", body, "position"), [&] {
+      return "found an overlap of " + ToText(depth) + " m with " + At(list, other).ToString() + " (" + name +
+             ") at the start, expected at most 1e-12 m";
+    });
   }
 
   const Scene& scene_;
-  std::unordered_map<std::string, std::string> names_;  // of bodies and planes, to their keys
+  const bool all_;
+  std::unordered_map<std::string, Key> names_;  // of bodies and planes
   std::optional<SceneError> error_;
 };
 
@@ -247,6 +280,10 @@ const char* OptimizeToString(Optimize optimize) {
   LOG(FATAL) << "not an Optimize: " << static_cast<int>(optimize);
 }
 
-std::optional<SceneError> Validate(const Scene& scene) { return Rules(scene).Check(); }
+std::optional<SceneError> Validate(const Scene& scene) { return Rules(scene, /*structure_only=*/false).Check(); }
+
+std::optional<SceneError> ValidateStructure(const Scene& scene) {
+  return Rules(scene, /*structure_only=*/true).Check();
+}
 
 }  // namespace saltus

@@ -1,6 +1,7 @@
 #include "saltus/solve/solver.h"
 
-#include <glog/logging.h>
+#include <algorithm>
+#include <cmath>
 
 #include "ceres_event.h"
 #include "ceres_lagrangian.h"
@@ -25,7 +26,29 @@ std::string WhyNotLeastSquares(const SolveRequest& request) {
   return WhyNothingToOptimize(request.scene);
 }
 
+std::string UnknownSolver(std::string_view name) {
+  std::string known;
+  for (const SolverEntry& solver : AllSolvers()) known += (known.empty() ? "" : ", ") + std::string(solver.name);
+  return "found '" + std::string(name) + "', expected a solver: " + known;
+}
+
+std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
+  if (options.iterations < 0) return "iterations: found " + std::to_string(options.iterations) + ", expected 0 or more";
+  if (!std::isfinite(options.learning_rate)) return "learning_rate: expected a finite number";
+  if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
+  if (!options.sequence) return "";
+  const ContactSequence pairs = AllPairs(scene);
+  for (const Candidate& pair : *options.sequence) {
+    if (std::find(pairs.begin(), pairs.end(), pair) == pairs.end()) {
+      return "sequence: found the pair " + std::to_string(pair.a) + ", " + std::to_string(pair.b) +
+             ", expected two discs by increasing index, or a disc and a plane, that could collide";
+    }
+  }
+  return "";
+}
+
 std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
+  if (std::string wrong = WhyNotValid(surrogate); !wrong.empty()) return wrong;
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
   return WhyNotApplicable(surrogate, request.contact, request.scene);
 }
@@ -58,8 +81,8 @@ const SolverEntry* FindSolver(std::string_view name) {
 
 SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options) {
   const SolverEntry* entry = FindSolver(solver);
-  CHECK(entry != nullptr) << "unknown solver " << solver;
-  std::string reason = WhyNotApplicable(request.contact, request.scene);
+  std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
+  if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   if (reason.empty()) reason = entry->why_not(request);
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
   if (reason.empty()) return entry->solve(request, options);

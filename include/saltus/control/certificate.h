@@ -75,7 +75,7 @@ const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
-// none.
+// none. Where these or the scene are wrong, the certificate is kNotApplicable and says so.
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {});
 

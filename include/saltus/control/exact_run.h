@@ -19,7 +19,8 @@ struct ExactRun {
   bool only_impacts = true;         // no event is a resting or grazing contact
 };
 // Shapes: initial is B x 4; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that sum up to
-// the horizon), or equally long if there are none.
+// the horizon), or equally long if there are none. Wrong shapes, numbers that are not finite and a wrong scene are a
+// reason.
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations = {});
 

@@ -44,7 +44,7 @@ std::string_view SurrogateToString(SurrogateKind kind);
 // Which numbers of `surrogate` are impossible, and what was expected; empty if none are.
 std::string WhyNotValid(const Surrogate& surrogate);
 
-// Why there is no such surrogate of the model's gradient; empty if there is. Precondition: the name is known.
+// Why there is no such surrogate of the model's gradient, unknown models included; empty if there is.
 std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contact, const Scene& scene);
 
 // The name of the contact model whose adjoint is the surrogate, or is what is smoothed.

@@ -31,10 +31,11 @@ std::string WhatIsWrongWith(std::string_view model);
 // Whether options are set that bias the derivative. Precondition: nothing is wrong with the name.
 bool HasBiasedDerivative(std::string_view model);
 
-// Why `model` cannot simulate `scene`; empty if it can. Precondition: the name is known.
+// Why `model` cannot simulate `scene`: there is no such model (WhatIsWrongWith), the scene is wrong (ValidateStructure),
+// or the model's own reason. Empty if it can.
 std::string WhyNotApplicable(std::string_view model, const Scene& scene);
 
-// Preconditions: nothing is wrong with the name, the scene is valid, and WhyNotApplicable is empty.
+// Precondition: WhyNotApplicable is empty.
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision);
 
 }  // namespace saltus

@@ -113,6 +113,8 @@ struct Scene {
 struct SceneError {
   std::string key;      // path in the scene file: "bodies[1].radius"
   std::string message;  // what was found and what was expected
+
+  std::string ToString() const { return key + ": " + message; }
 };
 
 // The first rule that `scene` breaks, or nothing. Checked: numbers (see the top), ranges as stated above, names that
@@ -120,5 +122,10 @@ struct SceneError {
 // needs neither), and no overlap above kOverlapTolerance at the start between discs or of a disc with a plane (two
 // fixed discs may overlap, and a fixed disc may reach into a plane). Quadratic in the number of bodies.
 std::optional<SceneError> Validate(const Scene& scene);
+
+// The first of those rules that `scene` breaks and a simulation relies on: numbers, ranges and indices. Names, what is
+// to be optimised and overlaps are not looked at. Linear in the size of the scene. Every entry point of the library
+// that takes a scene asks this, so that a wrong one is refused with its key.
+std::optional<SceneError> ValidateStructure(const Scene& scene);
 
 }  // namespace saltus

@@ -99,8 +99,8 @@ const std::vector<SolverEntry>& AllSolvers();
 const SolverEntry* FindSolver(std::string_view name);
 
 // Runs the solver of that name, after asking the model and the solver whether they can, and with the surrogate, if one
-// is given: if not, the report is kNotApplicable with the reason. Precondition: both names are known, scene and
-// surrogate are valid.
+// is given: if not, the report is kNotApplicable with the reason. So it is for unknown names, and where the scene, the
+// surrogate or an option is wrong.
 SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus
