@@ -46,7 +46,7 @@ double PartToContact(const Energy& energy, const Eigen::VectorXd& x, const Eigen
   return part;
 }
 
-// The Newton step with the identity added until the Hessian is positive definite.
+// The Newton step with the identity added until the Hessian is positive definite; not a number if none is enough.
 Eigen::VectorXd DescentStep(const Linearized& at) {
   Eigen::MatrixXd hessian = at.jacobian;
   double shift = 0;
@@ -55,7 +55,7 @@ Eigen::VectorXd DescentStep(const Linearized& at) {
     if (factor.info() == Eigen::Success) return factor.solve(-at.residual);
     const double before = shift;
     shift = shift == 0 ? 1e-6 * at.jacobian.cwiseAbs().maxCoeff() : 4 * shift;
-    if (!std::isfinite(shift)) return Eigen::VectorXd::Zero(at.residual.size());
+    if (!std::isfinite(shift)) return Eigen::VectorXd::Constant(at.residual.size(), NAN);
     hessian.diagonal().array() += shift - before;
   }
 }
@@ -66,8 +66,9 @@ bool MinimizeBarrierEnergy(const Energy& energy, Eigen::VectorXd* x) {
   double value = energy.Energy(Span(*x));
   for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
     const Linearized at = LinearizeByUnknowns(energy, *x);
-    if (!at.residual.allFinite()) return false;
+    if (!at.residual.allFinite() || !at.jacobian.allFinite()) return false;
     const Eigen::VectorXd step = DescentStep(at);
+    if (!step.allFinite()) return false;
     const double size = step.cwiseAbs().maxCoeff();
     if (size <= 1e-15 * (1 + x->cwiseAbs().maxCoeff())) return true;
     const double slope = at.residual.dot(step);

@@ -268,6 +268,8 @@ LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem) {
   }
   LcpSolutionUpTo<kMaxRows> solution = Refine(regular, x, with_friction);
   solution.regularization = kRegularization;
+  const double scale = 1 + problem.rhs.cwiseAbs().maxCoeff() + solution.x.cwiseAbs().maxCoeff();
+  solution.fits = solution.x.allFinite() && Violation(regular, solution.x, kTolerance) <= kTolerance * scale;
   return solution;
 }
 

@@ -8,8 +8,8 @@ namespace {
 
 constexpr int kMaxSweeps = 20000;
 
-// Sweeps until nothing changes by more than rounding.
-void DescendCoordinates(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
+// Sweeps until nothing changes by more than rounding; false if that takes too many.
+bool DescendCoordinates(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
                         const Eigen::VectorXd& high, Eigen::VectorXd* x) {
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
     double change = 0;
@@ -19,27 +19,45 @@ void DescendCoordinates(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, cons
       change = std::max(change, std::abs(moved - (*x)[i]));
       (*x)[i] = moved;
     }
-    if (change <= 1e-15 * x->cwiseAbs().maxCoeff()) return;
+    if (change <= 1e-15 * x->cwiseAbs().maxCoeff()) return true;
   }
+  return false;
+}
+
+// Whether x is the minimum, to rounding: the slope vanishes inside and points out of the box at its sides.
+bool IsMinimum(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
+               const Eigen::VectorXd& high, const Eigen::VectorXd& x) {
+  for (int i = 0; i < x.size(); ++i) {
+    const double slope = c[i] + A.row(i).dot(x);
+    const double rounding = 1e-12 * (std::abs(c[i]) + A.row(i).cwiseAbs().dot(x.cwiseAbs()));
+    if (x[i] > low[i] && slope > rounding) return false;
+    if (x[i] < high[i] && slope < -rounding) return false;
+  }
+  return true;
 }
 
 }  // namespace
 
-Eigen::VectorXd SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
-                           const Eigen::VectorXd& high, const Eigen::VectorXd& start) {
+std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c,
+                                          const Eigen::VectorXd& low, const Eigen::VectorXd& high,
+                                          const Eigen::VectorXd& start) {
   Eigen::VectorXd x = start.cwiseMax(low).cwiseMin(high);
-  DescendCoordinates(A, c, low, high, &x);
+  const bool ended = DescendCoordinates(A, c, low, high, &x);
   std::vector<int> inside;
   for (int i = 0; i < x.size(); ++i) {
     if (x[i] > low[i] && x[i] < high[i]) inside.push_back(i);
   }
-  if (inside.empty()) return x;
+  const auto checked = [&](const Eigen::VectorXd& found) -> std::optional<Eigen::VectorXd> {
+    if (!ended && !IsMinimum(A, c, low, high, found)) return std::nullopt;
+    return found;
+  };
+  if (inside.empty()) return checked(x);
   const Eigen::VectorXd slope = c + A * x;
   const Eigen::VectorXd step = A(inside, inside).completeOrthogonalDecomposition().solve(-slope(inside));
   Eigen::VectorXd polished = x;
   for (std::size_t i = 0; i < inside.size(); ++i) polished[inside[i]] += step[i];
   const bool feasible = (polished.array() >= low.array()).all() && (polished.array() <= high.array()).all();
-  return feasible ? polished : x;
+  return checked(feasible ? polished : x);
 }
 
 StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
@@ -52,11 +70,15 @@ StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd
   for (int pass = 0; pass < passes && !result.converged; ++pass) {
     const Eigen::VectorXd before = x;
     const Eigen::VectorXd pull = c.head(n) + A.topRightCorner(n, size - n) * x.tail(size - n);
-    x.head(n) = SolveBoxQp(A.topLeftCorner(n, n), pull, zero, unbounded, x.head(n));
+    const auto normals = SolveBoxQp(A.topLeftCorner(n, n), pull, zero, unbounded, x.head(n));
+    if (!normals) break;
+    x.head(n) = *normals;
     if (size > n) {
       const Eigen::VectorXd bound = friction * x.head(n);
       const Eigen::VectorXd slide = c.tail(n) + A.bottomLeftCorner(n, n) * x.head(n);
-      x.tail(n) = SolveBoxQp(A.bottomRightCorner(n, n), slide, -bound, bound, x.tail(n));
+      const auto tangents = SolveBoxQp(A.bottomRightCorner(n, n), slide, -bound, bound, x.tail(n));
+      if (!tangents) break;
+      x.tail(n) = *tangents;
     }
     result.converged = size == n || (x - before).cwiseAbs().maxCoeff() <= tolerance * x.cwiseAbs().maxCoeff();
   }

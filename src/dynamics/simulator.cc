@@ -2,9 +2,23 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <cmath>
+
 namespace saltus {
+namespace {
+
+void CheckSizes(const StepLinearization& linearization, std::size_t x, std::size_t force, std::size_t next) {
+  const std::size_t num_bodies = linearization.inverse_mass.size();
+  CHECK_EQ(x, num_bodies * linearization.body_size);
+  CHECK_EQ(next, num_bodies * linearization.body_size);
+  CHECK_EQ(force, 2 * num_bodies);
+}
+
+}  // namespace
 
 void StepLinearization::Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const {
+  CheckSizes(*this, x.size(), force.size(), next.size());
   const int rotation_size = body_size - 4;
   for (size_t f = 0; f < flying.size(); ++f) {
     const int i = flying[f];
@@ -35,6 +49,7 @@ void StepLinearization::Apply(std::span<const double> x, std::span<const double>
 
 void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<double> x,
                                        std::span<double> force) const {
+  CheckSizes(*this, x.size(), force.size(), next.size());
   const int rotation_size = body_size - 4;
   for (size_t f = 0; f < flying.size(); ++f) {
     const int i = flying[f];
@@ -81,6 +96,26 @@ void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
   }
 }
 
+std::string Simulator::WhyFailed() const {
+  if (!failure_) return "";
+  Failure failure = *failure_;
+  if (failure.what.empty()) {
+    failure.what = "the state is not finite";
+    std::vector<double> x(state_size());
+    for (int k = 0; k <= num_steps_ && failure.step < 0; ++k) {
+      GetState(k, x);
+      const auto wrong = std::find_if(x.begin(), x.end(), [](double value) { return !std::isfinite(value); });
+      if (wrong == x.end()) continue;
+      failure.step = std::max(0, k - 1);
+      failure.body = static_cast<int>(wrong - x.begin()) / body_size();
+    }
+  }
+  std::string why = "step " + std::to_string(failure.step) + " of " + std::string(traits().name) + ": ";
+  why += failure.what;
+  if (failure.body >= 0) why += " (" + scene_.bodies[failure.body].name + ")";
+  return why;
+}
+
 void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) {
   sensitivity->initial.resize(4 * num_bodies());
   sensitivity->control.resize(control_size());
@@ -90,6 +125,9 @@ void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters,
 }
 
 void Simulator::ExpandForce(std::span<const double> control, int k, std::span<double> force) const {
+  CHECK(k >= 0 && k < num_steps_) << "found step " << k << ", expected 0 to " << num_steps_ - 1;
+  CHECK_EQ(static_cast<int>(control.size()), control_size());
+  CHECK_EQ(static_cast<int>(force.size()), 2 * num_bodies());
   std::fill(force.begin(), force.end(), 0.0);
   const double* u = control.data() + static_cast<size_t>(k) * num_controlled() * 2;
   for (int body : scene_.control.bodies) {

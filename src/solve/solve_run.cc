@@ -29,6 +29,8 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
                              std::optional<double> final_loss) {
   report_.termination = termination;
   report_.reason = std::move(reason);
+  const std::string why = termination == Termination::kFailed ? shooting_.simulator().WhyFailed() : "";
+  if (!why.empty()) report_.reason += (report_.reason.empty() ? "" : ": ") + why;
   if (!report_.losses.empty()) {
     report_.initial_loss = report_.losses.front();
     report_.final_loss = final_loss.value_or(report_.losses.back());

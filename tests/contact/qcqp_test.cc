@@ -53,7 +53,7 @@ TEST(BoxQpTest, BoundsHold) {
   Eigen::MatrixXd A(3, 3);
   A << 2, 0.5, 0, 0.5, 1, 0.2, 0, 0.2, 4;
   const Eigen::VectorXd low = Eigen::VectorXd::Zero(3), high = Eigen::VectorXd::Ones(3);
-  const Eigen::VectorXd x = SolveBoxQp(A, Eigen::Vector3d(-5, 1, -1), low, high, low);
+  const Eigen::VectorXd x = SolveBoxQp(A, Eigen::Vector3d(-5, 1, -1), low, high, low).value();
   EXPECT_EQ(x[0], 1);
   EXPECT_EQ(x[1], 0);
   EXPECT_NEAR(x[2], 0.25, 1e-15);

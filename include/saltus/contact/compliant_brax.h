@@ -33,7 +33,9 @@ struct CompliantBrax {
                                           .chains = true,
                                           .restitution_power = 2,
                                           .averages = true,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true,
+                                          .spins = true};
   static constexpr int kRotation = 1;
   template <typename T>
   using State = BodyState<T, kRotation>;

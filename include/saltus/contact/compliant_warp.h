@@ -26,7 +26,8 @@ struct CompliantWarp {
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
                                           .compliant = true,
                                           .rebound = Rebound::kEmergent,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

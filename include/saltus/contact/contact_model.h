@@ -54,7 +54,10 @@ struct ModelTraits {
   double reach = 0;              // m, gap from which on bodies push each other
   bool allocates = false;        // solves with matrices of its own on the heap in steps with contact
   double accuracy = 0;           // relative error that the iterations of a step leave; 0: rounding
-  bool relative = true;          // what discs do to each other depends on their relative motion only
+  // What discs do to each other depends on their relative motion only, and momentum is conserved: spares their
+  // derivatives a pass. A model that claims it and is not so gets a wrong gradient.
+  bool relative = false;
+  bool spins = false;  // discs turn, and friction turns them: kRotation > 0
 };
 
 // A number of a model's own that users may set, as in --contact=ncp:kappa=1e-6.
@@ -164,6 +167,7 @@ struct StepInput {
   std::pmr::memory_resource* scratch;     // for temporaries; released after the step
   std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
   SolveRecord* solved = nullptr;          // if given, the step recalls from it what it needs iterations for
+  std::string_view* failure = nullptr;    // if given, the step says there why it has no result
 
   // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
   // may depend on values only.
@@ -190,6 +194,12 @@ struct StepInput {
   void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1,
               ContactKind kind = ContactKind::kImpact) const {
     if (touches != nullptr) touches->push_back({candidate, mode, time, kind});
+  }
+
+  // To be called by a step whose iterations do not arrive. The rollout then fails with this reason, which must be a
+  // literal; what the step leaves should be not a number, so that derivatives taken there fail too.
+  void Fail(std::string_view why) const {
+    if (failure != nullptr && failure->empty()) *failure = why;
   }
 
   // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
@@ -234,9 +244,18 @@ void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& imp
 //   const;
 //       the step of disc i when it touches nothing. (p, v) -> (p', v') is affine and isotropic, with the same Jacobian
 //       in every step, and force enters through Acceleration(i) only; the rotation depends on the rotation only.
+//       Checked once, by derivatives at two states.
 //   template <typename T> void Step(const StepInput<T>&, std::span<const BodyState<T, kRotation>> x,
 //                                   std::span<BodyState<T, kRotation>> next) const;
-//       the step of all discs. Without touching candidates it equals Free, bit by bit.
+//       the step of all discs. Contacts that take effect are reported (StepInput::Report): derivatives are taken of
+//       what is reported, and all else is taken to fly. So
+//         - a disc that no reported candidate has moves as by Free, bit by bit: checked in every step of every rollout,
+//           which fails otherwise, and in Simulator::Step, whose result then is not a number;
+//         - candidates that are not reported have no effect on discs that others have: what that does to the gradient,
+//           the audit finds by differences;
+//         - derivatives pass through the step: a value without them makes the gradient wrong, which the audit finds
+//           too.
+//       Iterations end, and a step that they do not bring to its result says so (StepInput::Fail).
 // and may have
 //   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default

@@ -144,6 +144,27 @@ std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, std:
       in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, active);
 }
 
+// Lets those discs of a group fly freely that no reported contact has. For models that step groups in several
+// substeps, or to the end of an iteration: what that leaves in such a disc is rounding.
+template <typename M, typename T>
+void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGroup<T>& group,
+                       std::span<const char> reported, std::span<const BodyState<T, 0>> x,
+                       std::span<BodyState<T, 0>> next) {
+  std::pmr::vector<char> pushed(x.size(), 0, in.scratch);
+  const auto for_each_disc = [&](const Candidate& c, const auto& visit) {
+    visit(c.a);
+    if (!c.plane) visit(c.b);
+  };
+  for (int i = 0; i < group.num_contacts(); ++i) {
+    if (reported[i]) for_each_disc(group.contact(i).candidate, [&](int disc) { pushed[disc] = 1; });
+  }
+  for (int i = 0; i < group.num_contacts(); ++i) {
+    for_each_disc(group.contact(i).candidate, [&](int disc) {
+      if (!pushed[disc]) next[disc] = model.Free(in, disc, x[disc]);
+    });
+  }
+}
+
 // Impulses x with A x + c = 0 in clamping rows and x = +-mu x_n in tangents at a bound: derivatives by one Newton
 // correction of the given values within the given classes. `c` has one entry a row.
 template <typename T>

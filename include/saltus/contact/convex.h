@@ -28,7 +28,8 @@ struct Convex {
                                : "impulse by a cone program at the end of the step",
       .source = "DiffCoSim (Zhong, Dey, Chakraborty 2021); Zhong, Han, Brikis 2022",
       .published_jacobian = true,
-      .compared = true};
+      .compared = true,
+      .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

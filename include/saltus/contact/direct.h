@@ -24,7 +24,8 @@ struct Direct {
                                : "direct velocity impulse at the end of the step",
       .source = "DiffTaichi (Hu et al. 2020); Zhong, Han, Brikis 2022",
       .friction = false,
-      .compared = true};
+      .compared = true,
+      .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

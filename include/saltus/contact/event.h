@@ -46,7 +46,8 @@ struct EventDriven {
                                           .double_engine = true,
                                           .chains = true,
                                           .event_driven = true,
-                                          .sequential = true};
+                                          .sequential = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -156,7 +156,8 @@ struct IpcBarrier {
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
                                           .reach = kRange,
-                                          .allocates = true};
+                                          .allocates = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -205,6 +206,7 @@ struct IpcBarrier {
       for (const int disc : discs) next[disc] = x[disc];
       std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
       for (int substep = 0; substep < substeps; ++substep) Advance<T>(in, group, discs, next, reported);
+      FlyUnlessReported<IpcBarrier, T>(*this, in, group, reported, x, next);
     }
   }
 
@@ -231,7 +233,7 @@ struct IpcBarrier {
                std::span<State<T>> state, std::span<char> reported) const {
     const internal::BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
     const internal::BarrierEnergy<double> values = energy.template Cast<double>();
-    const std::span<const double> found = in.Solved([&] { return Minimize(values); });
+    const std::span<const double> found = in.Solved([&] { return Minimize(in, values); });
     if (found.empty()) {
       for (const int disc : discs) Fly(in, disc, &state[disc]);
       return;
@@ -288,10 +290,14 @@ struct IpcBarrier {
   }
 
   // Positions at the end of a substep: empty if everything flies, not a number if the minimum is not found.
-  static Eigen::VectorXd Minimize(const internal::BarrierEnergy<double>& energy) {
+  template <typename T>
+  static Eigen::VectorXd Minimize(const StepInput<T>& in, const internal::BarrierEnergy<double>& energy) {
     if (internal::StaysBeyondRange(energy)) return Eigen::VectorXd(0);
     Eigen::VectorXd x = Start(energy);
-    if (!internal::MinimizeBarrierEnergy(energy, &x)) x.setConstant(std::numeric_limits<double>::quiet_NaN());
+    if (!internal::MinimizeBarrierEnergy(energy, &x)) {
+      in.Fail("the minimum of the barrier energy is not found");
+      x.setConstant(std::numeric_limits<double>::quiet_NaN());
+    }
     return x;
   }
   static Eigen::VectorXd Start(const internal::BarrierEnergy<double>& energy) {

@@ -30,6 +30,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <memory_resource>
 #include <type_traits>
 #include <vector>
@@ -45,7 +46,8 @@ struct Lcp {
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
                                           .double_engine = true,
                                           .published_jacobian = true,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -113,7 +115,12 @@ struct Lcp {
   void StepGroup(const StepInput<T>& in, const Group<T>& group, std::span<State<T>> next) const {
     const LcpSolutionUpTo<kMaxRows> solution = SolveBoxedLcp(Problem<kMaxRows>(in, group));
     ReportTouches(in, group, solution);
-    ApplyImpulses<T>(in, group, Impulses(in, group, solution), next);
+    std::pmr::vector<T> impulses = Impulses(in, group, solution);
+    if (!solution.fits) {
+      in.Fail("the complementarity problem is not solved");
+      impulses[0] = T(std::numeric_limits<Base<T>>::quiet_NaN());
+    }
+    ApplyImpulses<T>(in, group, impulses, next);
   }
 
   static constexpr double kMaxDepth = 0.03;        // m

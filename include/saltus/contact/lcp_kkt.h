@@ -125,7 +125,8 @@ struct LcpKkt {
                                           .double_engine = true,
                                           .chains = true,
                                           .allocates = true,
-                                          .accuracy = 1e-9};
+                                          .accuracy = 1e-9,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -157,7 +158,9 @@ struct LcpKkt {
       Members members(group, x.size(), in.scratch);
       if (Overlap<T>(in, group, next) <= tolerance && !AnyContact<T>(in, group, x)) continue;
       for (const int disc : members.discs) next[disc] = x[disc];
-      Advance<T>(in, group, members, next);
+      std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
+      Advance<T>(in, group, members, next, reported);
+      FlyUnlessReported<LcpKkt, T>(*this, in, group, reported, x, next);
     }
   }
 
@@ -198,11 +201,10 @@ struct LcpKkt {
     return false;
   }
 
-  // The whole step of one group.
+  // The whole step of one group; not a number if kMaxSubsteps do not get to its end.
   template <typename T>
-  void Advance(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members,
-               std::span<State<T>> x) const {
-    std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
+  void Advance(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members, std::span<State<T>> x,
+               std::span<char> reported) const {
     std::pmr::vector<Vec2<T>> velocity(members.discs.size(), in.scratch);
     std::pmr::vector<int> touching(in.scratch);
     double rest = in.h;
@@ -234,6 +236,9 @@ struct LcpKkt {
       }
       rest -= length;
     }
+    if (!(rest > 0)) return;
+    in.Fail("the step is not at its end after the most substeps");
+    for (const int disc : members.discs) x[disc].v = Vec2<T>::Constant(T(std::numeric_limits<double>::quiet_NaN()));
   }
 
   // The length of the next substep and, if anything touches, the unknowns of its equations.
@@ -249,7 +254,7 @@ struct LcpKkt {
       if (halving == 0 || !force_once) {
         FreeVelocities<T>(in, members, x, length, velocity);
         if (!touching.empty()) {
-          z = Solve(Pose<T>(in, group, members, touching, x, velocity).template Cast<double>());
+          z = Solve(in, Pose<T>(in, group, members, touching, x, velocity).template Cast<double>());
           TakeVelocities<T>(in, members, std::vector<T>(z.begin(), z.end()), velocity);
         }
       }
@@ -264,13 +269,17 @@ struct LcpKkt {
   }
 
   // Not a number if the iteration does not converge.
-  Eigen::VectorXd Solve(internal::KktEquations<double> equations) const {
+  template <typename T>
+  Eigen::VectorXd Solve(const StepInput<T>& in, internal::KktEquations<double> equations) const {
     Eigen::VectorXd z = Eigen::VectorXd::Ones(equations.size());
     for (int i = 0; i < equations.num_velocities(); ++i) z[i] = equations.free_velocity[i];
     PathOptions path;
     path.kappa = final_kappa;
     path.tolerance = 1e-15;
-    if (!InteriorPoint(path, &equations, &z)) z.setConstant(std::numeric_limits<double>::quiet_NaN());
+    if (!InteriorPoint(path, &equations, &z)) {
+      in.Fail("the interior point method does not converge");
+      z.setConstant(std::numeric_limits<double>::quiet_NaN());
+    }
     return z;
   }
 

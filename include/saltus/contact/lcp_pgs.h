@@ -66,7 +66,8 @@ struct LcpPgs {
       .source = kAdjoint ? "after Qiao et al. 2021" : "Tiny Differentiable Simulator (Heiden et al. 2021)",
       .double_engine = true,
       .rebound = Rebound::kEmergent,
-      .allocates = true};
+      .allocates = true,
+      .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -55,6 +55,7 @@ struct LcpSolutionUpTo {
   LcpList<int, kMaxRows> clamping;  // C, ascending
   LcpMatrix<kMaxRows> inverse;      // Q^+
   double regularization = 0;        // added to the diagonal of Lambda; 0 unless the problem has no solution
+  bool fits = true;                 // false if not even the last resort gave impulses that solve their problem
 };
 using LcpSolution = LcpSolutionUpTo<Eigen::Dynamic>;
 
@@ -64,8 +65,7 @@ inline constexpr int kFewLcpRows = 8;
 // The solution, in the steps of the source: classes are found by principal pivoting; the impulses are classified (below
 // 1e-6 they are none, within 1e-5 of a bound they are at it), and solved for again in their classes by the minimum-norm
 // Q^+ b, which is kept if it fits to 1e-5. A problem without a solution that fits to 1e-5 gets 1e-4 on its diagonal,
-// and if that does not help, loses its friction. It always returns; without friction the result of the last resort
-// exists.
+// and if that does not help, loses its friction. It always returns; whether the last resort has worked, `fits` says.
 template <int kMaxRows>
 LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem);
 extern template LcpSolution SolveBoxedLcp(const BoxedLcp& problem);

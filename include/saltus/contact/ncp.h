@@ -153,7 +153,8 @@ struct Ncp {
       .rebound = kRestitution ? Rebound::kRestitution : Rebound::kPlastic,
       .reach = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
       .allocates = true,
-      .accuracy = 1e-12};
+      .accuracy = 1e-12,
+      .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -199,7 +200,10 @@ struct Ncp {
       Eigen::VectorXd z = Start(&values);
       PathOptions path;
       path.kappa = end;
-      if (!InteriorPoint(path, &values, &z)) z.setConstant(std::numeric_limits<double>::quiet_NaN());
+      if (!InteriorPoint(path, &values, &z)) {
+        in.Fail("the interior point method does not converge");
+        z.setConstant(std::numeric_limits<double>::quiet_NaN());
+      }
       return z;
     };
     const std::span<const double> found = in.Solved([&] { return solve_at(kappa); });

@@ -44,7 +44,9 @@ struct PbdBrax {
                                           .restitution_power = 2,
                                           .projects = true,
                                           .averages = true,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true,
+                                          .spins = true};
   static constexpr int kRotation = 3;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -32,7 +32,8 @@ struct PbdWarp {
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
                                           .rebound = Rebound::kElasticOnly,
                                           .projects = true,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -17,6 +17,7 @@
 #include <Eigen/Core>
 #include <limits>
 #include <memory_resource>
+#include <optional>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -25,9 +26,11 @@
 namespace saltus {
 
 // argmin of 1/2 x^T A x + c^T x over low <= x <= high for symmetric positive semidefinite A: coordinate descent, then
-// one solve in the coordinates that it leaves inside.
-Eigen::VectorXd SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
-                           const Eigen::VectorXd& high, const Eigen::VectorXd& start);
+// one solve in the coordinates that it leaves inside. Nothing if the descent has not ended after its most sweeps and
+// the solve does not give the minimum either.
+std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c,
+                                          const Eigen::VectorXd& low, const Eigen::VectorXd& high,
+                                          const Eigen::VectorXd& start);
 
 struct StaggeredImpulses {
   Eigen::VectorXd x;  // normals, then tangents
@@ -43,7 +46,8 @@ struct Qcqp {
                                           .summary = "staggered programs for normal and friction impulses",
                                           .source = "Le Lidec et al. 2021",
                                           .double_engine = true,
-                                          .allocates = true};
+                                          .allocates = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -73,7 +77,10 @@ struct Qcqp {
           group.CouplingValues(), values, Value(in.contact.friction), group.num_contacts(), passes, tolerance);
       Report(in, group, solution);
       std::pmr::vector<T> impulse = ImpulsesInClasses<T>(in, group, c, solution.x, solution.classes);
-      if (!solution.converged) impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
+      if (!solution.converged) {
+        in.Fail("the programs for normal and friction impulses do not come to agree");
+        impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
+      }
       group.Push(impulse, [&](int i, const Vec2<T>& change) {
         next[i].v += change;
         next[i].p += Scale(in.h, change);

@@ -32,7 +32,8 @@ struct SmoothCompliant {
                                           .source = "Hunt, Crossley 1975; Drake; IPC toolkit (Li et al. 2020)",
                                           .compliant = true,
                                           .chains = true,
-                                          .rebound = Rebound::kEmergent};
+                                          .rebound = Rebound::kEmergent,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

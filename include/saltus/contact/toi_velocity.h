@@ -26,7 +26,8 @@ struct ToiVelocity {
                                           .summary = "direct velocity impulse, velocities and position at the impact",
                                           .source = "Zhong, Han, Dey, Brikis 2023",
                                           .friction = false,
-                                          .compared = true};
+                                          .compared = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

@@ -33,7 +33,8 @@ struct Xpbd {
                                           .source = "Macklin et al. 2016, 2019; Mueller et al. 2020",
                                           .chains = true,
                                           .projects = true,
-                                          .sequential = true};
+                                          .sequential = true,
+                                          .relative = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;

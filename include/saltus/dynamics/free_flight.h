@@ -11,6 +11,8 @@ template <typename S>
 struct FreeFlightJacobian {
   S pp, pv, pa, vp, vv, va;  // 1, s, s^2, 1/s, 1, s
 
+  bool operator==(const FreeFlightJacobian&) const = default;
+
   // True if the velocity stays as it is and the position follows it, as in all models without drag.
   bool IsShear() const { return pp == S(1) && vp == S(0) && vv == S(1); }
 

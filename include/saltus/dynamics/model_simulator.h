@@ -16,7 +16,9 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <optional>
+#include <string_view>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -28,6 +30,7 @@
 #include "saltus/dynamics/scratch_memory.h"
 #include "saltus/dynamics/simulator.h"
 #include "saltus/dynamics/solved_steps.h"
+#include "saltus/dynamics/step_contract.h"
 #include "saltus/dynamics/trajectory.h"
 
 namespace saltus {
@@ -39,6 +42,7 @@ class ModelSimulator final : public Simulator {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
   static_assert(sizeof(State) == kSize * sizeof(S));
+  static_assert(M::kTraits.spins == (kRotation > 0), "a model has the trait `spins` if discs have a rotation");
 
   ModelSimulator(const Scene& scene, Precision precision, M model = {})
       : Simulator(scene, precision, M::kTraits.grid_steps),
@@ -59,7 +63,8 @@ class ModelSimulator final : public Simulator {
       wide_planes_.push_back({normal, Dot(normal, plane.point)});
     }
     for (int c = 0; c < num_controlled(); ++c) place_in_control_[scene.control.bodies[c]] = c;
-    free_ = DifferentiateFreeFlight();
+    free_ = DifferentiateFreeFlight(/*offset=*/0);
+    free_is_affine_ = free_ == DifferentiateFreeFlight(/*offset=*/1);
     work_.emplace(MakeBroadPhase());
   }
 
@@ -84,6 +89,11 @@ class ModelSimulator final : public Simulator {
     touches_.clear();
     ForgetTouchedStates(0);
     all_recorded_ = true;
+    failure_.reset();
+    if (!free_is_affine_) {
+      failure_ = {0, -1, "free flight is not affine and isotropic, or its derivative depends on the state"};
+      return false;
+    }
     for (int w = 0; w < trajectory_.num_windows(); ++w) {
       if (RecordIsFull()) all_recorded_ = false;
       if (!all_recorded_) ForgetTouchedStates(static_cast<int>(touches_.size()));
@@ -92,11 +102,18 @@ class ModelSimulator final : public Simulator {
         for (const Touch& touch : work_->touches) touches_.push_back({k, touch});
         RecordTouchedStates(k);
       });
+      if (work_->failure) {
+        failure_ = work_->failure;
+        return false;
+      }
     }
-    return AllFinite(trajectory_.At(num_steps_));
+    if (!AllFinite(trajectory_.At(num_steps_))) failure_.emplace();
+    return !failure_;
   }
 
   void GetState(int k, std::span<double> x) const override {
+    CHECK(k >= 0 && k <= num_steps_) << "found state " << k << ", expected 0 to " << num_steps_;
+    CHECK_EQ(static_cast<int>(x.size()), state_size());
     const int w = trajectory_.WindowOf(k);
     if (!trajectory_.Holds(w)) RunWindow(w, [](int) {});
     const S* flat = Flat(trajectory_.At(k).data());
@@ -138,8 +155,10 @@ class ModelSimulator final : public Simulator {
             std::vector<Touch>* touches) const override {
     Workspace work(MakeBroadPhase());
     std::vector<State> from(num_bodies()), to(num_bodies());
+    CHECK_EQ(static_cast<int>(next.size()), state_size());
     StepOnce(x, force, &work, &from, &to);
     std::copy(Flat(to.data()), Flat(to.data()) + state_size(), next.begin());
+    if (work.failure) std::fill(next.begin(), next.end(), std::numeric_limits<double>::quiet_NaN());
     if (touches != nullptr) *touches = work.touches;
   }
 
@@ -183,6 +202,8 @@ class ModelSimulator final : public Simulator {
   }
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
+    CHECK_EQ(static_cast<int>(initial.size()), 4 * num_bodies());
+    CHECK_EQ(static_cast<int>(x.size()), state_size());
     std::vector<State> state(num_bodies());
     Expand(initial, state.data());
     std::copy(Flat(state.data()), Flat(state.data()) + state_size(), x.begin());
@@ -205,6 +226,7 @@ class ModelSimulator final : public Simulator {
     std::vector<Touch> touches;
     std::vector<S> after, before;  // cotangents
     SolveRecord solved;
+    std::string_view failure;
   };
 
   // Everything a step or a sweep needs besides the trajectory; reused, so that neither allocates.
@@ -220,6 +242,8 @@ class ModelSimulator final : public Simulator {
     Islands islands;
     SolvedSteps solved;  // of the step just taken
     LocalScene local;
+    std::optional<Failure> failure;  // of the step just taken
+    std::vector<char> reported;
     IslandDerivative<M, S> derivative;
   };
 
@@ -309,12 +333,13 @@ class ModelSimulator final : public Simulator {
   }
 
   // Runs the steps of window w from its checkpoint and calls record(k) for each step in which something touched, with
-  // its touches in work_->touches.
+  // its touches in work_->touches. Ends early with work_->failure.
   template <typename Record>
   void RunWindow(int w, const Record& record) const {
     Workspace& work = *work_;
     const int begin = trajectory_.begin(w), end = trajectory_.end(w);
     trajectory_.Open(w);
+    work.failure.reset();
     FindLargestAccelerations(begin, end, &work.push);
     work.broad_phase.SetAccelerations(work.push);
     work.force.assign(num_bodies(), Vec2<S>::Zero());
@@ -328,6 +353,7 @@ class ModelSimulator final : public Simulator {
       }
       SetForce(k, &work.force);
       StepScene(k, trajectory_.At(k), trajectory_.At(k + 1), &work);
+      if (work.failure) break;
       if (!work.touches.empty()) record(k);
       ++k;
     }
@@ -366,10 +392,11 @@ class ModelSimulator final : public Simulator {
     work->touches.clear();
     work->solved.Clear();
     work->islands.Find(work->candidates, fixed_);
-    for (int q = 0; q < work->islands.size(); ++q) StepIsland(k, q, x, next, work);
+    for (int q = 0; q < work->islands.size() && !work->failure; ++q) StepIsland(k, q, x, next, work);
     if (work->islands.size() > 1) SortTouches(&work->touches);
   }
 
+  // `next` has free flight and gets the step.
   void StepIsland(int k, int q, std::span<const State> x, std::span<State> next, Workspace* work) const {
     const std::span<const int> island = work->islands.bodies(q);
     Gather(q, x, work);
@@ -381,6 +408,9 @@ class ModelSimulator final : public Simulator {
     in.touches = &local.touches;
     model_.Step(in, std::span<const State>(local.x), std::span<State>(local.next));
     work->scratch.Release();
+    CheckStep(
+        k, island, local.touches, local.next, [&](int i) -> const State& { return next[island[i]]; }, work);
+    if (work->failure) return;
     // The derivative is of the pairs that touch only: it recalls this step if these are all there are.
     if (!local.solved.numbers().empty() && local.touches.size() == local.candidates.size()) {
       work->solved.Add(k, FirstPair(local, island), local.candidates.size(), local.solved.numbers());
@@ -393,6 +423,24 @@ class ModelSimulator final : public Simulator {
       if (!touch.candidate.plane) touch.candidate.b = island[touch.candidate.b];
       work->touches.push_back(touch);
     }
+  }
+
+  // Notes what is wrong with a step of the discs `island`, whose indices the touches are.
+  template <typename FlyingOf>
+  void CheckStep(int k, std::span<const int> island, std::span<const Touch> touches, std::span<const State> next,
+                 const FlyingOf& flying, Workspace* work) const {
+    if (!work->local.failure.empty()) {
+      work->failure = {k, island[0], work->local.failure};
+      return;
+    }
+    const BrokenContract broken = CheckContract(
+        touches,
+        next,
+        static_cast<int>(planes_.size()),
+        [&](int i) { return fixed_[island[i]]; },
+        flying,
+        &work->reported);
+    if (!broken.what.empty()) work->failure = {k, broken.disc < 0 ? -1 : island[broken.disc], broken.what};
   }
 
   // In order of time if the model resolves it, else as candidates are.
@@ -424,6 +472,8 @@ class ModelSimulator final : public Simulator {
     in.force = work.local.force;
     in.candidates = work.local.candidates;
     in.solved = &work.local.solved;
+    work.local.failure = {};
+    in.failure = &work.local.failure;
     return in;
   }
   // The first of the local scene's pairs, in the numbers of the whole scene.
@@ -473,8 +523,17 @@ class ModelSimulator final : public Simulator {
     work->broad_phase.Find(Flat(from->data()), kSize, &work->candidates);
     StepInput<S> in = Input(*work);
     in.touches = &work->touches;
+    in.failure = &work->local.failure;
     model_.Step(in, std::span<const State>(*from), std::span<State>(*to));
     work->scratch.Release();
+    std::vector<State> flying(num_bodies());
+    FreeFlight(model_, in, std::span<const State>(*from), std::span<State>(flying));
+    std::vector<int> all(num_bodies());
+    std::iota(all.begin(), all.end(), 0);
+    CheckStep(
+        0, all, work->touches, *to, [&](int i) -> const State& { return flying[i]; }, work);
+    // Without a result there is nothing to linearize.
+    if (work->failure) work->touches.clear();
   }
 
   // -------------------------------------------------------------------------------------------------------------------
@@ -737,13 +796,15 @@ class ModelSimulator final : public Simulator {
     return jacobian;
   }
 
-  FreeFlightJacobian<S> DifferentiateFreeFlight() const {
+  // At a state whose numbers are all `offset`. Not a number where free flight is not isotropic, or turns with the
+  // motion.
+  FreeFlightJacobian<S> DifferentiateFreeFlight(S offset) const {
     JetState x{};
     std::array<Vec2<Jet>, 1> force;
     for (int j = 0; j < 2; ++j) {
-      x.p[j] = Jet(S(0), j);
-      x.v[j] = Jet(S(0), 2 + j);
-      force[0][j] = Jet(S(0), 4 + j);
+      x.p[j] = Jet(offset, j);
+      x.v[j] = Jet(offset, 2 + j);
+      force[0][j] = Jet(offset, 4 + j);
     }
     if constexpr (kRotation > 0) {
       const State start = AtRest();
@@ -756,7 +817,19 @@ class ModelSimulator final : public Simulator {
     in.bodies = body;
     in.force = force;
     const JetState next = model_.Free(in, 0, x);
-    return {next.p[0].v[0], next.p[0].v[2], next.p[0].v[4], next.v[0].v[0], next.v[0].v[2], next.v[0].v[4]};
+    FreeFlightJacobian<S> free{
+        next.p[0].v[0], next.p[0].v[2], next.p[0].v[4], next.v[0].v[0], next.v[0].v[2], next.v[0].v[4]};
+    bool isotropic = true;
+    for (int by = 0; by < 6; by += 2) {
+      for (const Vec2<Jet>& to : {next.p, next.v}) {
+        isotropic = isotropic && to[1].v[by + 1] == to[0].v[by] && to[0].v[by + 1] == S(0) && to[1].v[by] == S(0);
+      }
+      if constexpr (kRotation > 0) {
+        for (const Jet& to : next.rotation) isotropic = isotropic && to.v[by] == S(0) && to.v[by + 1] == S(0);
+      }
+    }
+    if (!isotropic) free.pp = std::numeric_limits<S>::quiet_NaN();
+    return free;
   }
 
   M model_;
@@ -767,6 +840,7 @@ class ModelSimulator final : public Simulator {
   std::vector<HalfPlane<S>> planes_;
   std::vector<HalfPlane<double>> wide_planes_;
   FreeFlightJacobian<S> free_{};
+  bool free_is_affine_ = true;
 
   // The last rollout.
   std::vector<S> control_;  // K x C x 2

@@ -11,8 +11,10 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -103,9 +105,12 @@ class Simulator {
   int state_size() const { return num_bodies() * body_size(); }
   int control_size() const { return num_steps_ * num_controlled() * 2; }
 
-  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite; then neither
-  // Adjoint nor the states after the last finite one may be asked for.
+  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite, if the
+  // iterations of a step do not arrive, or if the model breaks its contract (contact_model.h); then neither Adjoint nor
+  // states after that step may be asked for.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
+  // Why the last rollout returned false, with the model, the step and the disc; empty if it returned true.
+  std::string WhyFailed() const;
 
   // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
   virtual void GetState(int k, std::span<double> x) const = 0;
@@ -127,8 +132,8 @@ class Simulator {
   // The smallest limit that can be kept, in bytes.
   virtual std::size_t LeastMemory() const = 0;
 
-  // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization.
-  // Thread-safe among themselves.
+  // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization. What
+  // makes a rollout fail makes `next` not a number. Thread-safe among themselves.
   virtual void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
                     std::vector<Touch>* touches = nullptr) const = 0;
   virtual void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
@@ -141,6 +146,13 @@ class Simulator {
   void ExpandForce(std::span<const double> control, int k, std::span<double> force) const;
 
  protected:
+  // What went wrong in a rollout; without words, a state that is not finite.
+  struct Failure {
+    int step = -1;
+    int body = -1;  // one of those concerned; -1: none in particular
+    std::string_view what;
+  };
+
   Simulator(const Scene& scene, Precision precision, int grid_steps)
       : scene_(scene), precision_(precision), num_steps_(scene.steps / grid_steps) {}
 
@@ -148,6 +160,7 @@ class Simulator {
   Precision precision_;
   int num_steps_;
   std::size_t memory_limit_ = std::size_t{1} << 30;
+  std::optional<Failure> failure_;  // of the last rollout
 };
 
 // The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).
