@@ -464,7 +464,7 @@ Attribution Attributor::Run() {
   initial_ = InitialState(scene_);
   control_ = InitialControl(scene_, model_->num_steps());
   if (!model_->Rollout(initial_, control_)) {
-    out.reason = "the rollout is not finite";
+    out.reason = "the rollout fails: " + model_->WhyFailed();
     return out;
   }
   const std::vector<Interval> intervals = FindIntervals();
@@ -491,6 +491,7 @@ const char* BlockToString(Block block) {
 }
 
 Attribution AttributeError(std::string_view contact, const Scene& scene) {
+  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
   Attribution own = Attributor(contact, scene).Run();
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.

@@ -103,10 +103,46 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
   return why;
 }
 
+// What the derivative of its source is, and not of its steps.
+bool IsNotMeantAsDerivative(std::string_view contact) {
+  return FindContactModel(contact)->published_jacobian || HasBiasedDerivative(contact);
+}
+
+// Why the gradient is not right.
+std::string CauseOf(const ModelAudit& audit) {
+  if (audit.verdict == Verdict::kIllConditioned) {
+    char text[160];
+    std::snprintf(text,
+                  sizeof text,
+                  "rounding alone changes the exact gradient by %.2g of it (condition %.2g)",
+                  audit.refinement->conditioning->rounding,
+                  audit.refinement->conditioning->condition);
+    return text;
+  }
+  // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
+  const std::optional<ContactRecognition>& recognition = audit.recognition;
+  if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
+                      recognition->contact_class == ContactClass::kDepthFeedback)) {
+    return recognition->words;
+  }
+  const bool jumps = recognition && recognition->contact_class == ContactClass::kForceWithJump;
+  if (const ContactError* first = audit.FirstWrong()) {
+    return first->why + (jumps ? "; its force jumps at the onset" : "");
+  }
+  if (audit.attribution && !audit.attribution->sequence.empty()) return audit.attribution->sequence;
+  if (audit.attribution && !audit.attribution->ok()) return audit.attribution->reason;
+  if (audit.attribution) return "no single contact is wrong";
+  if (audit.widths) return audit.widths->Summary();
+  if (!audit.refinement) return "";
+  return audit.refinement->ok() ? "the error falls, but not yet below one percent" : audit.refinement->reason;
+}
+
 }  // namespace
 
 std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals) {
+  CHECK_GT(intervals, 0);
   CHECK_EQ(steps % intervals, 0);
+  CHECK(steps > 0 ? control.size() % steps == 0 : control.empty());
   const size_t width = steps > 0 ? control.size() / steps : 0;
   std::vector<double> coarse(width * intervals, 0.0);
   for (size_t i = 0; i < control.size(); ++i) {
@@ -121,6 +157,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   const int intervals = std::min(gradient.num_steps, exact.num_steps);
   const Eigen::VectorXd g = Stack(gradient, intervals);
   const Eigen::VectorXd reference = Stack(exact, intervals);
+  CHECK_EQ(g.size(), reference.size()) << "the gradients are of different scenes";
   const double scale = reference.norm();
   GradientError error;
   error.relative = scale > 0 ? (g - reference).norm() / scale : (g - reference).norm();
@@ -149,19 +186,15 @@ const ContactError* ModelAudit::FirstWrong() const {
 std::string ModelAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
-  // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
-  if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
-                      recognition->contact_class == ContactClass::kDepthFeedback)) {
-    return recognition->words;
-  }
-  const bool jumps = recognition && recognition->contact_class == ContactClass::kForceWithJump;
-  if (const ContactError* first = FirstWrong()) return first->why + (jumps ? "; its force jumps at the onset" : "");
-  if (attribution && !attribution->sequence.empty()) return attribution->sequence;
-  if (attribution && !attribution->ok()) return attribution->reason;
-  if (attribution) return "no single contact is wrong";
-  if (widths) return widths->Summary();
-  if (!refinement) return "";
-  return refinement->ok() ? "the error falls, but not yet below one percent" : refinement->reason;
+  if (verdict == Verdict::kNotApplicable) return not_comparable;
+  const std::string cause = CauseOf(*this);
+  if (!own || own->agreement != Agreement::kDiffers || IsNotMeantAsDerivative(gradient.contact)) return cause;
+  return (cause.empty() ? "" : cause + "; ") + "agrees with no differences of its own loss";
+}
+
+std::string WhyNotComparable(std::string_view contact, const Scene& scene) {
+  const bool spins = FindContactModel(contact)->spins && scene.contact.friction > 0;
+  return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
 }
 
 ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
@@ -176,7 +209,11 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
     return audit;
   }
   audit.recognition = RecogniseContact(contact, scene);
-  if (reference) {
+  audit.own = CompareWithOwnDifferences(contact, scene);
+  if (reference) audit.not_comparable = WhyNotComparable(contact, scene);
+  if (!audit.not_comparable.empty()) {
+    audit.verdict = Verdict::kNotApplicable;
+  } else if (reference) {
     audit.error = CompareGradients(audit.gradient, *reference);
     audit.refinement = StudyRefinement(contact, scene, options.refinement);
     audit.verdict = audit.refinement->verdict;

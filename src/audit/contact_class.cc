@@ -273,6 +273,7 @@ const char* MeaningOf(ContactClass contact_class) {
 }
 
 ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene) {
+  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.words = std::move(why_not)};
   return Recogniser(contact, scene).Run();
 }
 

@@ -14,7 +14,8 @@ void FillIn(std::unique_ptr<Simulator> simulator, ModelGradient* result) {
   SingleShooting shooting(std::move(simulator));
   result->num_steps = shooting.simulator().num_steps();
   if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
-    result->reason = "the rollout is not finite";
+    const std::string why = shooting.simulator().WhyFailed();
+    result->reason = why.empty() ? "the loss is not finite" : "the rollout fails: " + why;
     return;
   }
   result->events = EventsOf(shooting.simulator());
@@ -72,11 +73,11 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
 
 ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
                                const Surrogate& surrogate, int threads) {
-  CHECK(WhyNotValid(surrogate).empty()) << WhyNotValid(surrogate);
   ModelGradient result;
   result.contact = contact;
   result.surrogate = surrogate;
-  result.reason = WhyNotApplicable(contact, scene);
+  result.reason = WhyNotValid(surrogate);
+  if (result.ok()) result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
   FillIn(MakeSimulator(ContactWith(surrogate, contact), scene, precision), &result);

@@ -85,6 +85,8 @@ constexpr double kWorkOfATouch = 24;
 
 // Before that no floor can be told from slow convergence.
 constexpr double kSettled = 0.01;
+// Roundings of the exact gradient, of which a few were measured, by which a model may miss it.
+constexpr double kRoundings = 10;
 // Orders are fitted over this many of the finest levels.
 constexpr size_t kTail = 4;
 
@@ -120,12 +122,15 @@ int Badness(Verdict verdict) {
       return 1;
     case Verdict::kUnknown:
       return 2;
-    case Verdict::kBiased:
+    case Verdict::kIllConditioned:
+    case Verdict::kNotApplicable:
       return 3;
-    case Verdict::kWrong:
+    case Verdict::kBiased:
       return 4;
-    case Verdict::kWrongSign:
+    case Verdict::kWrong:
       return 5;
+    case Verdict::kWrongSign:
+      return 6;
   }
   LOG(FATAL) << "no such verdict";
 }
@@ -143,6 +148,18 @@ Verdict Overall(const RefinementStudy& study) {
     }
   }
   return worst;
+}
+
+// Errors that are no larger than what rounding does to the exact gradient are nobody's.
+void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
+  for (QuantityStudy& quantity : study->quantities) {
+    if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
+    if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
+    if (!study->conditioning) return;
+    if (quantity.levels.back().error <= kRoundings * study->conditioning->rounding) {
+      quantity.verdict = Verdict::kIllConditioned;
+    }
+  }
 }
 
 // Adds one level after the other to a study.
@@ -248,6 +265,10 @@ const char* VerdictToString(Verdict verdict) {
       return "unknown";
     case Verdict::kBiased:
       return "biased";
+    case Verdict::kIllConditioned:
+      return "ill-conditioned";
+    case Verdict::kNotApplicable:
+      return "not applicable";
   }
   LOG(FATAL) << "no such verdict";
 }
@@ -351,6 +372,8 @@ const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
 
 RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options) {
   RefinementStudy study;
+  study.reason = WhyNotApplicable(contact, scene);
+  if (!study.ok()) return study;
   Study run(contact, scene, options, &study);
   if (!study.ok()) return study;
   const int levels = std::max<int>(options.levels, kTail);
@@ -361,6 +384,7 @@ RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, co
   for (QuantityStudy& quantity : study.quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
+  ExcuseRounding(scene, &study);
   study.verdict = Overall(study);
   return study;
 }

@@ -210,6 +210,8 @@ std::string WidthSweepStudy::Summary() const {
 
 WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options) {
   WidthSweepStudy study;
+  study.reason = WhyNotApplicable(contact, scene);
+  if (!study.ok()) return study;
   Scene refined = scene;
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   refined.steps = scene.steps * std::clamp<int>(kMostSteps / scene.steps, 1, options.refine) +

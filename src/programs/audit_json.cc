@@ -100,6 +100,13 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     }
   }
   item["verdict"] = VerdictToString(audit.verdict);
+  if (audit.refinement && audit.refinement->conditioning) {
+    item["condition"] = NumberToJson(audit.refinement->conditioning->condition);
+    item["rounding"] = NumberToJson(audit.refinement->conditioning->rounding);
+  }
+  if (audit.own && audit.own->agreement != Agreement::kUndecided) {
+    item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
+  }
   if (audit.recognition) {
     item["class"] = ContactClassToString(audit.recognition->contact_class);
     item["class_evidence"] = RecognitionToJson(*audit.recognition);

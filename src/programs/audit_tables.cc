@@ -71,7 +71,9 @@ Tone ToneOf(Verdict verdict) {
     case Verdict::kWrongSign:
       return Tone::kBad;
     case Verdict::kBiased:
+    case Verdict::kIllConditioned:
       return Tone::kWarning;
+    case Verdict::kNotApplicable:
     case Verdict::kUnknown:
       break;
   }

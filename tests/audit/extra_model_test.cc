@@ -1,4 +1,5 @@
-// A model that is known by its header alone (mirror_model.h) is audited like any other.
+// Models that are known by their headers alone (mirror_model.h, bad_models.h) are audited like any other.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "saltus/audit/audit.h"
@@ -7,6 +8,8 @@
 
 namespace saltus {
 namespace {
+
+using testing::HasSubstr;
 
 ModelAudit Audit(const std::string& problem) {
   const Scene scene = ProblemScene(problem);
@@ -43,6 +46,49 @@ TEST(ExtraModel, IsWrongUnderForceForAKnownReason) {
   EXPECT_EQ(audit.FirstWrong()->first_step, 331);
   EXPECT_EQ(audit.Why(), "acceleration at the impact ignored");
   EXPECT_TRUE(IsWrong(audit.widths->verdict));
+}
+
+// In the audit as everybody runs it, without a sweep of widths.
+TEST(ExtraModel, AModelThatForgetsToReportHasNoGradient) {
+  const Scene scene = ProblemScene("two_balls");
+  const ModelAudit audit = AuditModel("silent", scene, Precision::kDouble, ExactGradientOf(scene));
+  EXPECT_THAT(audit.gradient.reason, HasSubstr("step 331 of silent"));
+  EXPECT_THAT(audit.gradient.reason, HasSubstr("reports no contact"));
+  EXPECT_FALSE(audit.error);
+}
+
+TEST(ExtraModel, DetachedDerivativesAreSaidSo) {
+  for (const char* problem : {"bounce_once", "ground_wall", "two_balls"}) {
+    const Scene scene = ProblemScene(problem);
+    const ModelAudit audit = AuditModel("detached", scene, Precision::kDouble, ExactGradientOf(scene));
+    EXPECT_TRUE(IsWrong(audit.verdict)) << problem;
+    EXPECT_FALSE(audit.widths);
+    EXPECT_EQ(audit.own->agreement, Agreement::kDiffers) << problem;
+    EXPECT_THAT(audit.Why(), HasSubstr("agrees with no differences")) << problem;
+  }
+}
+
+// Of models that are wrong for other reasons nobody says so.
+TEST(ExtraModel, OtherGradientsAgreeWithTheirDifferences) {
+  for (const char* problem : {"bounce_once", "ground_wall", "two_balls", "multiple_collisions"}) {
+    const Scene scene = ProblemScene(problem);
+    for (const char* contact : {"mirror",
+                                "direct",
+                                "direct_toi",
+                                "compliant_warp",
+                                "pbd_warp",
+                                "compliant_brax",
+                                "pbd_brax",
+                                "toi_velocity",
+                                "event",
+                                "soft_convex",
+                                "smooth_compliant",
+                                "xpbd"}) {
+      const OwnDifferences own = CompareWithOwnDifferences(contact, scene);
+      EXPECT_EQ(own.agreement, Agreement::kAgrees) << contact << " in " << problem << ": " << own.gradient << " for "
+                                                   << own.difference << " by " << QuantityToString(own.quantity);
+    }
+  }
 }
 
 TEST(ExtraModel, WithoutAReferenceTheWidthsDecide) {

@@ -40,7 +40,7 @@ struct ContactError {
 };
 
 struct Attribution {
-  std::string reason;                  // why there is none: no exact flow, or a rollout that is not finite
+  std::string reason;                  // why there is none: no exact flow, or a rollout that fails
   std::vector<ContactError> contacts;  // in order of time, at most kMostContacts of them
   int first_wrong = -1;  // index of the first contact whose error is not small and stays; -1 if there is none
   std::string sequence;  // how the contacts differ from the exact ones; empty if they do not
@@ -50,7 +50,7 @@ struct Attribution {
   bool ok() const { return reason.empty(); }
 };
 
-// At the scene's own steps, initial state and control. Precondition: the model can take the scene.
+// At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason.
 Attribution AttributeError(std::string_view contact, const Scene& scene);
 
 }  // namespace saltus

@@ -16,6 +16,7 @@
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/contact_class.h"
 #include "saltus/audit/gradients.h"
+#include "saltus/audit/own_differences.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/audit/width_sweep.h"
 
@@ -50,12 +51,15 @@ struct AuditOptions {
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
-  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate.
+  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate; kNotApplicable where
+  // the reference is of another world than the model.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for
   std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
   std::optional<ContactRecognition> recognition;  // if there is a gradient
+  std::optional<OwnDifferences> own;              // likewise, unless it is biased
+  std::string not_comparable;                     // why verdict is kNotApplicable
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;
@@ -68,10 +72,14 @@ struct AuditReport {
   std::vector<ModelAudit> models;
 };
 
-// Audits one model. `reference` is ExactGradientOf(scene). Preconditions: `contact` is the name of a model, `scene` is
-// valid. Where the model cannot take the scene, the gradient says why and there is nothing else.
+// Audits one model. `reference` is ExactGradientOf(scene). Where the model cannot take the scene, there is no such
+// model or the scene is wrong, the gradient says why and there is nothing else.
 ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
+
+// Why the exact gradient of `scene` is not what the model's should be, though the model can take the scene: the exact
+// discs do not spin, and friction turns the model's. Empty if the two can be compared. Precondition: the name is known.
+std::string WhyNotComparable(std::string_view contact, const Scene& scene);
 
 // The exact gradient of a scene, or nothing.
 std::optional<ModelGradient> ExactGradientOf(const Scene& scene);

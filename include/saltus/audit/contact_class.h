@@ -60,7 +60,7 @@ struct ContactRecognition {
   std::optional<double> velocity_from_position;              // h dv'/dx, as h falls
 };
 
-// Precondition: the model can take the scene.
+// Where the model cannot take the scene, `words` says why.
 ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene);
 
 }  // namespace saltus

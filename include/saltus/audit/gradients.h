@@ -14,7 +14,7 @@ namespace saltus {
 
 struct ModelGradient {
   std::string contact;
-  std::string reason;  // why there is none: the model cannot take the scene, or its rollout is not finite
+  std::string reason;  // why there is none: the model cannot take the scene, or its rollout fails, and where
   int num_steps = 0;   // K of the control's shape
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
@@ -29,11 +29,11 @@ struct ModelGradient {
   bool ok() const { return reason.empty(); }
 };
 
-// Precondition: `contact` is the name of a model, `scene` is valid.
+// An unknown model and a wrong scene are reasons too.
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision);
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
-// each as a whole. Preconditions: as above, and `surrogate` is valid.
+// each as a whole. A surrogate that is not valid is a reason too.
 ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
                                const Surrogate& surrogate, int threads = 1);
 

@@ -11,6 +11,8 @@
 //   wrong sign   wrong, and an entry that is not negligible has the wrong sign
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
+//   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
+//   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
@@ -19,16 +21,18 @@
 // all step counts have the same reference. The study computes in double whatever the scene is simulated in.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "saltus/audit/conditioning.h"
 #include "saltus/audit/gradients.h"
 
 namespace saltus {
 
-enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased };
-const char* VerdictToString(Verdict verdict);  // "right", "consistent", "wrong", "wrong sign", "unknown", "biased"
+enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased, kIllConditioned, kNotApplicable };
+const char* VerdictToString(Verdict verdict);  // as above
 // kWrong or kWrongSign.
 bool IsWrong(Verdict verdict);
 
@@ -76,12 +80,13 @@ struct RefinementStudy {
   // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that
   // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter.
   Verdict verdict = Verdict::kUnknown;
+  std::optional<Conditioning> conditioning;  // of the exact gradient, measured where a quantity is not right
 
   bool ok() const { return reason.empty(); }
   const QuantityStudy* Find(Quantity quantity) const;
 };
 
-// Precondition: the model can take the scene.
+// Where the model cannot take the scene, that is the reason.
 RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {});
 
 }  // namespace saltus

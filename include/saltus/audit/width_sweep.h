@@ -58,7 +58,7 @@ struct WidthSweepStudy {
   std::string Summary() const;
 };
 
-// Precondition: the model can take the scene.
+// Where the model cannot take the scene, that is the reason.
 WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {});
 
 }  // namespace saltus
