@@ -51,6 +51,7 @@ struct Attribution {
 };
 
 // At the scene's own steps, initial state and control. Precondition: the model can take the scene.
-Attribution AttributeError(std::string_view contact, const Scene& scene);
+// What was stopped is of no use.
+Attribution AttributeError(std::string_view contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

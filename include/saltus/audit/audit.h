@@ -45,6 +45,8 @@ struct AuditOptions {
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;  // for its samples
+  // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
+  StopRequest stop = nullptr;
 };
 
 struct ModelAudit {
@@ -56,6 +58,7 @@ struct ModelAudit {
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for
   std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
   std::optional<ContactRecognition> recognition;  // if there is a gradient
+  bool interrupted = false;                       // before all that was asked for was found; the verdict may be missing
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;
@@ -73,7 +76,7 @@ struct AuditReport {
 ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
-// The exact gradient of a scene, or nothing.
-std::optional<ModelGradient> ExactGradientOf(const Scene& scene);
+// The exact gradient of a scene, or nothing; nothing too if it was stopped.
+std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -29,12 +29,15 @@ struct ModelGradient {
   bool ok() const { return reason.empty(); }
 };
 
-// Precondition: `contact` is the name of a model, `scene` is valid.
-ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision);
+// Precondition: `contact` is the name of a model, `scene` is valid. Here and below, one that was stopped has the reason
+// kStopped.
+ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
+                              const StopRequest& stop = nullptr);
+inline constexpr char kStopped[] = "interrupted";
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
 // each as a whole. Preconditions: as above, and `surrogate` is valid.
 ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
-                               const Surrogate& surrogate, int threads = 1);
+                               const Surrogate& surrogate, int threads = 1, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

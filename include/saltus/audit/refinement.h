@@ -81,7 +81,8 @@ struct RefinementStudy {
   const QuantityStudy* Find(Quantity quantity) const;
 };
 
-// Precondition: the model can take the scene.
-RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {});
+// Precondition: the model can take the scene. A study that was stopped is of no use.
+RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {},
+                                const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -58,7 +58,8 @@ struct WidthSweepStudy {
   std::string Summary() const;
 };
 
-// Precondition: the model can take the scene.
-WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {});
+// Precondition: the model can take the scene. A study that was stopped is of no use.
+WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {},
+                            const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -10,9 +10,11 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -21,6 +23,10 @@
 namespace saltus {
 
 enum class Precision { kDouble, kFloat };
+
+// Asked at short intervals by what may compute for long: true to make it stop. Once true it must stay so. It is asked
+// from every thread that computes.
+using StopRequest = std::function<bool()>;
 
 // A contact that took effect in step `step` of a rollout.
 struct StepTouch {
@@ -104,7 +110,7 @@ class Simulator {
   int control_size() const { return num_steps_ * num_controlled() * 2; }
 
   // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite; then neither
-  // Adjoint nor the states after the last finite one may be asked for.
+  // Adjoint nor the states after the last finite one may be asked for. False too if it was stopped; then nothing may.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
 
   // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
@@ -127,6 +133,11 @@ class Simulator {
   // The smallest limit that can be kept, in bytes.
   virtual std::size_t LeastMemory() const = 0;
 
+  // Rollouts and adjoints ask in every step with contact, and then leave their results half done. Who computes many
+  // steps by Step or Linearize asks stopped().
+  void set_stop(StopRequest stop) { stop_ = std::move(stop); }
+  bool stopped() const { return stop_ && stop_(); }
+
   // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization.
   // Thread-safe among themselves.
   virtual void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
@@ -148,6 +159,7 @@ class Simulator {
   Precision precision_;
   int num_steps_;
   std::size_t memory_limit_ = std::size_t{1} << 30;
+  StopRequest stop_;
 };
 
 // The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).
