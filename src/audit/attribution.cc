@@ -65,14 +65,19 @@ struct Interval {
 
 class Attributor {
  public:
-  Attributor(std::string_view contact, const Scene& scene)
-      : contact_(contact), scene_(scene), model_(MakeSimulator(contact, scene, Precision::kDouble)) {}
+  Attributor(std::string_view contact, const Scene& scene, const StopRequest& stop)
+      : contact_(contact), scene_(scene), stop_(stop), model_(Simulate(contact, scene)) {}
 
   Attribution Run();
 
  private:
   const Simulator& model() const { return *model_; }
   double h() const { return model_->step(); }
+  std::unique_ptr<Simulator> Simulate(std::string_view contact, const Scene& scene) const {
+    std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
+    simulator->set_stop(stop_);
+    return simulator;
+  }
 
   std::vector<double> StateAt(int k) const {
     std::vector<double> x(model_->state_size());
@@ -98,7 +103,7 @@ class Attributor {
     Scene scene = scene_;
     scene.duration = (interval.end - interval.begin) * h();
     scene.steps = steps * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-    return MakeSimulator(contact, scene, Precision::kDouble);
+    return Simulate(contact, scene);
   }
 
   std::vector<Interval> FindIntervals() const;
@@ -123,6 +128,7 @@ class Attributor {
 
   std::string contact_;
   Scene scene_;
+  const StopRequest& stop_;
   std::unique_ptr<Simulator> model_;
   std::string exact_contact_;
   std::vector<double> initial_, control_;
@@ -437,7 +443,7 @@ std::string Attributor::CompareSequences(const std::vector<Interval>& intervals)
     if (own[name] + exact[name] == 0) pairs.push_back(name);
     ++(*counts)[name];
   };
-  const std::unique_ptr<Simulator> reference = MakeSimulator(exact_contact_, scene_, Precision::kDouble);
+  const std::unique_ptr<Simulator> reference = Simulate(exact_contact_, scene_);
   if (!reference->Rollout(initial_, InitialControl(scene_, reference->num_steps()))) return "";
   for (const StepTouch& at : reference->touches()) {
     if (at.touch.kind == ContactKind::kImpact) count(at.touch.candidate, &exact);
@@ -469,7 +475,8 @@ Attribution Attributor::Run() {
   }
   const std::vector<Interval> intervals = FindIntervals();
   FindCostates(intervals);
-  for (size_t i = 0; i < intervals.size(); ++i) out.contacts.push_back(Compare(intervals[i], costates_[i]));
+  for (size_t i = 0; i < intervals.size() && !model_->stopped(); ++i)
+    out.contacts.push_back(Compare(intervals[i], costates_[i]));
   out.sequence = CompareSequences(intervals);
   return out;
 }
@@ -490,15 +497,15 @@ const char* BlockToString(Block block) {
   LOG(FATAL) << "no such block";
 }
 
-Attribution AttributeError(std::string_view contact, const Scene& scene) {
+Attribution AttributeError(std::string_view contact, const Scene& scene, const StopRequest& stop) {
   if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
-  Attribution own = Attributor(contact, scene).Run();
+  Attribution own = Attributor(contact, scene, stop).Run();
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   Scene refined = scene;
   refined.steps = std::clamp(kClearSteps / scene.steps, kRefinement, kMostRefinement) * scene.steps +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-  const Attribution fine = Attributor(contact, refined).Run();
+  const Attribution fine = Attributor(contact, refined, stop).Run();
   for (size_t i = 0; i < own.contacts.size(); ++i) {
     ContactError& error = own.contacts[i];
     const ContactError* same = i < fine.contacts.size() ? &fine.contacts[i] : nullptr;

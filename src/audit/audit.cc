@@ -167,12 +167,13 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   return error;
 }
 
-std::optional<ModelGradient> ExactGradientOf(const Scene& scene) {
+std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop) {
   for (const ModelTraits& traits : AllContactModels()) {
     if (!traits.event_driven) continue;
-    ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble);
+    ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble, stop);
     if (exact.ok()) return exact;
   }
+  if (stop && stop()) return std::nullopt;
   if (const std::optional<ClosedForm> closed_form = EvaluateClosedForm(scene))
     return FromClosedForm(*closed_form, scene);
   return std::nullopt;
@@ -186,6 +187,7 @@ const ContactError* ModelAudit::FirstWrong() const {
 std::string ModelAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
+  if (interrupted) return "interrupted";
   if (verdict == Verdict::kNotApplicable) return not_comparable;
   const std::string cause = CauseOf(*this);
   if (!own || own->agreement != Agreement::kDiffers || IsNotMeantAsDerivative(gradient.contact)) return cause;
@@ -199,29 +201,48 @@ std::string WhyNotComparable(std::string_view contact, const Scene& scene) {
 
 ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options) {
+  const StopRequest& stop = options.stop;
   ModelAudit audit;
-  audit.gradient = options.surrogate ? ComputeSurrogate(contact, scene, precision, *options.surrogate, options.threads)
-                                     : ComputeGradient(contact, scene, precision);
-  if (!audit.gradient.ok()) return audit;
+  const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
+  audit.gradient = options.surrogate
+                       ? ComputeSurrogate(contact, scene, precision, *options.surrogate, options.threads, stop)
+                       : ComputeGradient(contact, scene, precision, stop);
+  if (!audit.gradient.ok()) {
+    audit.interrupted = audit.gradient.reason == kStopped;
+    return audit;
+  }
   if (options.surrogate) {
     if (reference) audit.error = CompareGradients(audit.gradient, *reference);
     audit.verdict = Verdict::kBiased;
     return audit;
   }
-  audit.recognition = RecogniseContact(contact, scene);
-  audit.own = CompareWithOwnDifferences(contact, scene);
+  // What was being studied when it was stopped is not kept.
+  ContactRecognition recognition = RecogniseContact(contact, scene, stop);
+  if (interrupted()) return audit;
+  audit.recognition = std::move(recognition);
+  OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop);
+  if (interrupted()) return audit;
+  audit.own = std::move(own);
   if (reference) audit.not_comparable = WhyNotComparable(contact, scene);
   if (!audit.not_comparable.empty()) {
     audit.verdict = Verdict::kNotApplicable;
   } else if (reference) {
     audit.error = CompareGradients(audit.gradient, *reference);
-    audit.refinement = StudyRefinement(contact, scene, options.refinement);
-    audit.verdict = audit.refinement->verdict;
-    if (options.attribution && IsWrong(audit.verdict)) audit.attribution = AttributeError(contact, scene);
+    RefinementStudy refinement = StudyRefinement(contact, scene, options.refinement, stop);
+    if (interrupted()) return audit;
+    audit.verdict = refinement.verdict;
+    audit.refinement = std::move(refinement);
+    if (options.attribution && IsWrong(audit.verdict)) {
+      Attribution attribution = AttributeError(contact, scene, stop);
+      if (interrupted()) return audit;
+      audit.attribution = std::move(attribution);
+    }
   }
   if (options.width_sweep || !reference) {
-    audit.widths = SweepWidths(contact, scene, options.widths);
-    if (!reference) audit.verdict = audit.widths->verdict;
+    WidthSweepStudy widths = SweepWidths(contact, scene, options.widths, stop);
+    if (interrupted()) return audit;
+    if (!reference) audit.verdict = widths.verdict;
+    audit.widths = std::move(widths);
   }
   return audit;
 }

@@ -72,12 +72,13 @@ std::string Format(const char* format, double a, double b = 0, double c = 0) {
 
 class Recogniser {
  public:
-  Recogniser(std::string_view contact, const Scene& scene) : contact_(contact), scene_(scene) {}
+  Recogniser(std::string_view contact, const Scene& scene, const StopRequest& stop)
+      : contact_(contact), scene_(scene), stop_(stop) {}
 
   ContactRecognition Run();
 
  private:
-  ContactRunner RunnerAt(int i) const { return {contact_, scene_, *encounter_, LengthOf(i)}; }
+  ContactRunner RunnerAt(int i) const { return {contact_, scene_, *encounter_, LengthOf(i), stop_}; }
   double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
   bool RunContacts();
   double FinestConcentration() const {
@@ -93,6 +94,7 @@ class Recogniser {
 
   std::string contact_;
   const Scene& scene_;
+  const StopRequest& stop_;
   double h_ = 0;
   std::optional<Encounter> encounter_;
   std::vector<Length> lengths_;  // from the model's own on
@@ -186,7 +188,7 @@ void Recogniser::JudgeImpulse() {
 
 ContactRecognition Recogniser::Run() {
   out_.restitution = scene_.contact.restitution;
-  encounter_ = FindEncounter(contact_, scene_);
+  encounter_ = FindEncounter(contact_, scene_, stop_);
   if (!encounter_) {
     out_.words = "no two bodies meet by themselves";
     return out_;
@@ -272,9 +274,9 @@ const char* MeaningOf(ContactClass contact_class) {
   LOG(FATAL) << "no such class";
 }
 
-ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene) {
+ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop) {
   if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.words = std::move(why_not)};
-  return Recogniser(contact, scene).Run();
+  return Recogniser(contact, scene, stop).Run();
 }
 
 }  // namespace saltus

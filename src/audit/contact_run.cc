@@ -134,8 +134,9 @@ bool PairMotion::Rests(std::span<const double> x) const {
   return -Speed(x) <= kRestingSteps * simulator_.step() * std::abs(Dot(NormalAt(x), acceleration_));
 }
 
-std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene) {
+std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene, const StopRequest& stop) {
   const std::unique_ptr<Simulator> model = MakeSimulator(contact, scene, Precision::kDouble);
+  model->set_stop(stop);
   const std::vector<double> control = InitialControl(scene, model->num_steps());
   if (!model->Rollout(InitialState(scene), control)) return std::nullopt;
   const auto state = [&](int k) {
@@ -166,11 +167,14 @@ std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& sc
   return std::nullopt;
 }
 
-ContactRunner::ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h)
+ContactRunner::ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h,
+                             const StopRequest& stop)
     : scene_(scene),
       encounter_(encounter),
       simulator_(MakeSimulator(contact, OneStep(contact, scene, h), Precision::kDouble)),
-      motion_(*simulator_, FreeFlightOf(*simulator_), encounter.pair, encounter.force) {}
+      motion_(*simulator_, FreeFlightOf(*simulator_), encounter.pair, encounter.force) {
+  simulator_->set_stop(stop);
+}
 
 ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) const {
   ContactRun run;
@@ -181,6 +185,7 @@ ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) con
   double closing = 0, largest = 0, sum = 0;
   int felt = 0, at_rest = 0;
   for (; run.steps < kMostSteps && !run.ends; ++run.steps) {
+    if (simulator_->stopped()) return {};
     const std::vector<double>& x = past.back();
     touches.clear();
     simulator_->Step(x, encounter_.force, next, &touches);

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "saltus/audit/audit.h"
+
 namespace saltus {
 namespace {
 
@@ -50,16 +52,18 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
           largest);
     }
   }
-  CHECK_LE(static_cast<int>(given.control.size()), exact.num_steps);
+  const int intervals = given.intervals > 0 ? given.intervals : exact.num_steps;
+  CHECK_LE(static_cast<int>(given.control.size()), intervals);
+  const std::vector<double> control = CoarsenControl(exact.gradient.control, exact.num_steps, intervals);
   double largest = 0;
-  for (double entry : exact.gradient.control) largest = std::max(largest, std::abs(entry));
+  for (double entry : control) largest = std::max(largest, std::abs(entry));
   for (size_t k = 0; k < given.control.size(); ++k) {
     CHECK_LE(static_cast<int>(given.control[k].size()), scene.num_controlled());
     for (size_t c = 0; c < given.control[k].size(); ++c) {
       add(given.control[k][c],
           "u",
           "[" + std::to_string(k) + "] " + scene.bodies[scene.control.bodies[c]].name,
-          &exact.gradient.control[2 * (k * scene.num_controlled() + c)],
+          &control[2 * (k * scene.num_controlled() + c)],
           largest);
     }
   }

@@ -10,20 +10,24 @@ namespace saltus {
 namespace {
 
 // Loss, events and the adjoint's gradient.
-void FillIn(std::unique_ptr<Simulator> simulator, ModelGradient* result) {
+void FillIn(std::unique_ptr<Simulator> simulator, const StopRequest& stop, ModelGradient* result) {
   SingleShooting shooting(std::move(simulator));
+  shooting.set_stop(stop);
   result->num_steps = shooting.simulator().num_steps();
   if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
     const std::string why = shooting.simulator().WhyFailed();
     result->reason = why.empty() ? "the loss is not finite" : "the rollout fails: " + why;
+    if (shooting.stopped()) result->reason = kStopped;
     return;
   }
   result->events = EventsOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
 }
 
-// The estimate about the initial guess; false if a sample is not finite.
-bool Estimate(SmoothedGradient smoothed, std::vector<double>* gradient, std::vector<double>* standard_error) {
+// The estimate about the initial guess; false if a sample is not finite, or it was stopped.
+bool Estimate(SmoothedGradient smoothed, const StopRequest& stop, std::vector<double>* gradient,
+              std::vector<double>* standard_error) {
+  smoothed.set_stop(stop);
   gradient->resize(smoothed.num_variables());
   standard_error->resize(smoothed.num_variables());
   return smoothed.Evaluate(smoothed.initial_guess(), 0, *gradient, *standard_error);
@@ -42,11 +46,12 @@ std::vector<double> PerDisc(const Scene& scene, const std::vector<double>& varia
   return initial;
 }
 
-bool Smooth(const Scene& scene, Precision precision, int threads, ModelGradient* result) {
+bool Smooth(const Scene& scene, Precision precision, int threads, const StopRequest& stop, ModelGradient* result) {
   using Variables = SmoothedGradient::Variables;
   const Surrogate& surrogate = *result->surrogate;
   std::vector<double> gradient, standard_error;
   if (!Estimate({result->contact, scene, precision, surrogate, threads, Variables::kInitialState},
+                stop,
                 &gradient,
                 &standard_error)) {
     return false;
@@ -57,22 +62,25 @@ bool Smooth(const Scene& scene, Precision precision, int threads, ModelGradient*
   if (scene.control.bodies.empty()) return true;
   Scene controlled = scene;
   controlled.optimize = Optimize::kControl;
-  return Estimate(
-      {result->contact, controlled, precision, surrogate, threads}, &result->gradient.control, &result->control_error);
+  return Estimate({result->contact, controlled, precision, surrogate, threads},
+                  stop,
+                  &result->gradient.control,
+                  &result->control_error);
 }
 
 }  // namespace
 
-ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision) {
+ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
+                              const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
   result.reason = WhyNotApplicable(contact, scene);
-  if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), &result);
+  if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), stop, &result);
   return result;
 }
 
 ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
-                               const Surrogate& surrogate, int threads) {
+                               const Surrogate& surrogate, int threads, const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
   result.surrogate = surrogate;
@@ -80,9 +88,11 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   if (result.ok()) result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
-  FillIn(MakeSimulator(ContactWith(surrogate, contact), scene, precision), &result);
+  FillIn(MakeSimulator(ContactWith(surrogate, contact), scene, precision), stop, &result);
   if (!result.ok() || !surrogate.smooths()) return result;
-  if (!Smooth(scene, precision, threads, &result)) result.reason = "the rollout of a sample is not finite";
+  if (!Smooth(scene, precision, threads, stop, &result)) {
+    result.reason = stop && stop() ? kStopped : "the rollout of a sample is not finite";
+  }
   return result;
 }
 

@@ -25,10 +25,11 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // The loss of a model as a function of some of its variables.
 class Loss {
  public:
-  Loss(std::string_view contact, const Scene& scene, SingleShooting::Variables variables)
-      : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables),
-        gradient_(shooting_.num_variables()),
-        ok_(shooting_.Evaluate(shooting_.initial_guess(), &value_, gradient_.data())) {}
+  Loss(std::string_view contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop)
+      : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables), gradient_(shooting_.num_variables()) {
+    shooting_.set_stop(stop);
+    ok_ = shooting_.Evaluate(shooting_.initial_guess(), &value_, gradient_.data());
+  }
 
   bool ok() const { return ok_; }
   int num_variables() const { return shooting_.num_variables(); }
@@ -48,7 +49,7 @@ class Loss {
   SingleShooting shooting_;
   double value_ = 0;
   std::vector<double> gradient_;
-  bool ok_;
+  bool ok_ = false;
 };
 
 // The speed that a disc has at most in the last rollout, m/s.
@@ -108,10 +109,10 @@ OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
 
 }  // namespace
 
-OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& scene) {
+OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& scene, const StopRequest& stop) {
   OwnDifferences worst;
   if (!WhyNotApplicable(contact, scene).empty()) return worst;
-  Loss by_state(contact, scene, SingleShooting::Variables::kInitialState);
+  Loss by_state(contact, scene, SingleShooting::Variables::kInitialState, stop);
   if (!by_state.ok()) return worst;
   const double T = scene.duration;
   const Simulator& simulator = by_state.shooting().simulator();
@@ -139,7 +140,7 @@ OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& 
   if (scene.control.bodies.empty()) return worst;
   Scene controlled = scene;
   controlled.optimize = Optimize::kControl;
-  Loss by_control(contact, controlled, SingleShooting::Variables::kOfScene);
+  Loss by_control(contact, controlled, SingleShooting::Variables::kOfScene, stop);
   for (int n = 0; n < kDirections && by_control.ok(); ++n) {
     std::vector<double> row(2 * scene.num_controlled()), direction(by_control.num_variables());
     for (double& entry : row) entry = sign();

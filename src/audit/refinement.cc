@@ -165,13 +165,14 @@ void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
 // Adds one level after the other to a study.
 class Study {
  public:
-  Study(std::string_view contact, const Scene& scene, const RefinementOptions& options, RefinementStudy* out)
-      : contact_(contact), scene_(scene), options_(options), out_(*out) {
+  Study(std::string_view contact, const Scene& scene, const RefinementOptions& options, const StopRequest& stop,
+        RefinementStudy* out)
+      : contact_(contact), scene_(scene), options_(options), stop_(stop), out_(*out) {
     out_.intervals = NumIntervals(scene);
     unit_ = out_.intervals * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
     Scene coarse = scene;
     coarse.steps = out_.intervals;
-    const std::optional<ModelGradient> exact = ExactGradientOf(coarse);
+    const std::optional<ModelGradient> exact = ExactGradientOf(coarse, stop);
     if (!exact) {
       out_.reason = "there is no exact gradient";
       return;
@@ -206,7 +207,7 @@ class Study {
       Scene refined = scene_;
       refined.steps = unit_ * (base + sample);
       log_steps += std::log(refined.steps) / options_.samples;
-      const ModelGradient gradient = ComputeGradient(contact_, refined, Precision::kDouble);
+      const ModelGradient gradient = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
       if (!gradient.ok()) {
         out_.reason = "with " + std::to_string(refined.steps) + " steps, " + gradient.reason;
         return false;
@@ -242,6 +243,7 @@ class Study {
   std::string contact_;
   const Scene& scene_;
   const RefinementOptions& options_;
+  const StopRequest& stop_;
   RefinementStudy& out_;
   int unit_ = 1;
   int touches_ = 0;  // at the first level
@@ -370,11 +372,12 @@ const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
   return nullptr;
 }
 
-RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options) {
+RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options,
+                                const StopRequest& stop) {
   RefinementStudy study;
   study.reason = WhyNotApplicable(contact, scene);
   if (!study.ok()) return study;
-  Study run(contact, scene, options, &study);
+  Study run(contact, scene, options, stop, &study);
   if (!study.ok()) return study;
   const int levels = std::max<int>(options.levels, kTail);
   for (int level = 0; level < levels || (level < options.most_levels && run.Undecided()); ++level) {

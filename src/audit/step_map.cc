@@ -43,7 +43,7 @@ StepMap Run(const Simulator& simulator, std::span<const double> begin, const For
   std::vector<Touch> touches;
   StepLinearization linearization;
   Eigen::MatrixXd A;
-  for (int k = 0; k < steps; ++k) {
+  for (int k = 0; k < steps && !(k > 0 && simulator.stopped()); ++k) {
     force(k, u);
     if (bodies != nullptr) {
       simulator.Linearize(x, u, /*with_parameters=*/false, &linearization);

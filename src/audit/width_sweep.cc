@@ -34,11 +34,13 @@ struct Direction {
 // The loss of a model as a function of one variable.
 class Line {
  public:
-  explicit Line(std::unique_ptr<Simulator> simulator)
+  Line(std::unique_ptr<Simulator> simulator, const StopRequest& stop)
       : simulator_(std::move(simulator)),
         initial_(InitialState(simulator_->scene())),
         control_(InitialControl(simulator_->scene(), simulator_->num_steps())),
-        final_(simulator_->state_size()) {}
+        final_(simulator_->state_size()) {
+    simulator_->set_stop(stop);
+  }
 
   const Simulator& simulator() const { return *simulator_; }
 
@@ -208,7 +210,8 @@ std::string WidthSweepStudy::Summary() const {
   return text;
 }
 
-WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options) {
+WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options,
+                            const StopRequest& stop) {
   WidthSweepStudy study;
   study.reason = WhyNotApplicable(contact, scene);
   if (!study.ok()) return study;
@@ -216,14 +219,15 @@ WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const 
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   refined.steps = scene.steps * std::clamp<int>(kMostSteps / scene.steps, 1, options.refine) +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-  const ModelGradient own = ComputeGradient(contact, refined, Precision::kDouble);
+  const ModelGradient own = ComputeGradient(contact, refined, Precision::kDouble, stop);
   if (!own.ok()) {
     study.reason = own.reason;
     return study;
   }
-  Line line(MakeSimulator(contact, refined, Precision::kDouble));
+  Line line(MakeSimulator(contact, refined, Precision::kDouble), stop);
   const double speed = std::max(line.LargestSpeed(), 1e-9);
   for (const Direction& direction : DirectionsOf(scene, speed, line.simulator().step())) {
+    if (line.simulator().stopped()) return study;
     WidthSweep& sweep = study.sweeps.emplace_back();
     sweep.quantity = direction.quantity;
     sweep.entry = direction.entry;

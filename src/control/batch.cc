@@ -25,6 +25,10 @@ void Batch::set_memory_limit(std::size_t bytes) {
   for (const std::unique_ptr<SingleShooting>& shooting : shootings_) shooting->set_memory_limit(bytes);
 }
 
+void Batch::set_stop(const StopRequest& stop) {
+  for (const std::unique_ptr<SingleShooting>& shooting : shootings_) shooting->set_stop(stop);
+}
+
 void Batch::Evaluate(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
   const size_t size = num_variables();
   CHECK_EQ(points.size(), losses.size() * size);

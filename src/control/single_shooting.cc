@@ -102,7 +102,7 @@ bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* g
   if (simulator_->precision() == Precision::kFloat) {
     for (int i = 0; i < num_variables(); ++i) gradient[i] = static_cast<float>(gradient[i]);
   }
-  return true;
+  return !stopped();
 }
 
 bool SingleShooting::EvaluateTerminal(std::span<const double> z, double* residuals, double* jacobian) {
@@ -110,8 +110,9 @@ bool SingleShooting::EvaluateTerminal(std::span<const double> z, double* residua
   const int rows = NumTerminalResiduals(scene().objective);
   TerminalResiduals(scene().objective, final_, simulator_->body_size(), {residuals, static_cast<size_t>(rows)});
   if (!std::isfinite(LossOfLastRollout(z))) return false;
-  if (jacobian != nullptr) TerminalJacobian(jacobian);
-  return true;
+  if (jacobian == nullptr) return true;
+  TerminalJacobian(jacobian);
+  return !stopped();
 }
 
 void SingleShooting::TerminalJacobian(double* jacobian) {
@@ -131,7 +132,7 @@ bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensit
   simulator_->Adjoint(cotangent_, /*with_parameters=*/true, gradient);
   ++num_adjoints_;
   AddEffortGradient(scene().objective, ControlIn(z), simulator_->step(), gradient->control);
-  return true;
+  return !stopped();
 }
 
 }  // namespace saltus

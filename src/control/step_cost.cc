@@ -28,6 +28,7 @@ StepCost::StepCost(std::shared_ptr<const Simulator> simulator) : simulator_(std:
 }
 
 bool StepCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  if (simulator_->stopped()) return false;
   const int size = simulator_->state_size();
   const bool controlled = simulator_->num_controlled() > 0;
   const std::span<const double> x(parameters[0], size);

@@ -3,11 +3,10 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <array>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 
 namespace saltus {
 namespace {
@@ -51,13 +50,24 @@ Status WriteFileAtomically(const std::string& path, std::string_view contents) {
   return error;
 }
 
-StatusOr<std::string> ReadFile(const std::string& path) {
-  errno = 0;
-  std::ifstream stream(path, std::ios::binary);
-  if (!stream) return SystemError(path, "cannot read");
-  std::string contents{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
-  if (stream.bad()) return SystemError(path, "cannot read");
-  return contents;
+StatusOr<std::string> ReadFile(const std::string& path, std::size_t most) {
+  const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) return SystemError(path, "cannot read");
+  std::string contents;
+  std::array<char, 1 << 16> buffer;
+  for (;;) {
+    const ssize_t size = read(file, buffer.data(), buffer.size());
+    if (size < 0 && errno == EINTR) continue;
+    if (size > 0) contents.append(buffer.data(), static_cast<std::size_t>(size));
+    if (size > 0 && contents.size() <= most) continue;
+    const Status error = size < 0 ? SystemError(path, "cannot read") : Status();
+    close(file);
+    if (!error.ok()) return error;
+    if (contents.size() > most) {
+      return Status::Error(path + ": has more than " + std::to_string(most) + " bytes");
+    }
+    return contents;
+  }
 }
 
 }  // namespace saltus

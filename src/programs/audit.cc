@@ -5,6 +5,7 @@
 
 #include <cstdlib>
 #include <iostream>
+#include <new>
 #include <optional>
 
 #include "programs/audit_files.h"
@@ -13,6 +14,7 @@
 #include "programs/parallel.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/io/interrupt.h"
 
 DEFINE_bool(width_sweep, false,
             "audit gradients by differences of every width too (always done where there is no exact gradient)");
@@ -22,17 +24,42 @@ DEFINE_string(given, "",
 namespace saltus {
 namespace {
 
+constexpr char kOutOfMemory[] = "out of memory";
+
+// An audit that has nothing to say but why.
+ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
+  ModelAudit audit;
+  audit.gradient.contact = contact;
+  audit.gradient.reason = reason;
+  audit.interrupted = reason == kStopped;
+  return audit;
+}
+
+// The exact gradient, as a job like the others: it may take long too.
+std::optional<ModelGradient> FindReference(const Request& request, Progress* progress) {
+  using Reference = std::optional<ModelGradient>;
+  const auto found =
+      ComputeAll<Reference>({"exact gradient"}, 1, progress, [scene = request.scene](int, const SayNote&, const auto&) {
+        return ExactGradientOf(scene, InterruptGuard::Interrupted);
+      });
+  return found.results[0].value_or(std::nullopt);
+}
+
 // The gradient in --given beside the reference.
 struct GivenAudit {
   std::string name;
   std::vector<GivenEntry> entries;
 };
 
-std::optional<GivenAudit> AuditGiven(const Request& request, const AuditReport& report) {
+std::optional<GivenGradient> ReadGiven(const Request& request) {
   if (FLAGS_given.empty()) return std::nullopt;
-  if (!report.reference) throw InputError("--given: the scene has no exact gradient to compare with");
-  const GivenGradient given = ReadGivenGradient(FLAGS_given, request.scene);
-  return GivenAudit{given.name, JudgeGiven(request.scene, given, *report.reference)};
+  return ReadGivenGradient(FLAGS_given, request.scene);
+}
+
+std::optional<GivenAudit> AuditGiven(const Request& request, const std::optional<GivenGradient>& given,
+                                     const AuditReport& report) {
+  if (!given || !report.reference) return std::nullopt;
+  return GivenAudit{given->name, JudgeGiven(request.scene, *given, *report.reference)};
 }
 
 Json GivenToJson(const GivenAudit& audit) {
@@ -56,10 +83,7 @@ bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
   return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
 }
 
-AuditReport RunAudit(const Request& request) {
-  AuditReport report;
-  report.reference = ExactGradientOf(request.scene);
-  report.models.resize(request.contacts.size());
+AuditReport RunAudit(const Request& request, bool needs_reference) {
   AuditOptions options;
   options.width_sweep = FLAGS_width_sweep;
   options.surrogate = request.options.surrogate;
@@ -67,10 +91,28 @@ AuditReport RunAudit(const Request& request) {
     throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
   }
   if (request.contacts.size() == 1) options.threads = request.threads;
-  Progress progress(request.progress, stderr, "audit " + request.scene.name, request.contacts.size());
-  RunJobs(request.contacts.size(), request.threads, &progress, [&](int i) {
-    report.models[i] = AuditModel(request.contacts[i], request.scene, request.precision, report.reference, options);
-  });
+  options.stop = InterruptGuard::Interrupted;
+  Progress progress(request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size());
+  AuditReport report;
+  report.reference = FindReference(request, &progress);
+  if (needs_reference && !report.reference && !InterruptGuard::Interrupted()) {
+    throw InputError("--given: the scene has no exact gradient to compare with");
+  }
+  const auto audits = ComputeAll<ModelAudit>(
+      request.contacts,
+      request.threads,
+      &progress,
+      [request, reference = report.reference, options](int i, const SayNote&, const auto&) {
+        try {
+          return AuditModel(request.contacts[i], request.scene, request.precision, reference, options);
+        } catch (const std::bad_alloc&) {
+          return WithoutGradient(request.contacts[i], kOutOfMemory);
+        }
+      });
+  for (size_t i = 0; i < audits.results.size(); ++i) {
+    if (!audits.started[i]) continue;
+    report.models.push_back(audits.results[i].value_or(WithoutGradient(request.contacts[i], kStopped)));
+  }
   return report;
 }
 
@@ -89,6 +131,9 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   }
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) std::cout << audit.gradient.contact << ": " << audit.gradient.reason << "\n";
+    if (audit.gradient.ok() && audit.interrupted) {
+      std::cout << audit.gradient.contact << ": interrupted; there is no more than its gradient\n";
+    }
     if (audit.attribution && !audit.attribution->sequence.empty()) {
       std::cout << audit.gradient.contact << ": " << audit.attribution->sequence << "\n";
     }
@@ -97,11 +142,12 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
 }
 
 int AuditExitCode(const Request& request, const AuditReport& report) {
-  bool failed = false;
+  bool failed = report.models.size() < request.contacts.size();
   for (const ModelAudit& audit : report.models) {
+    failed = failed || audit.interrupted;
     if (audit.gradient.ok()) continue;
     const bool not_applicable = IsNotApplicable(audit.gradient, request.scene);
-    if (not_applicable && report.models.size() == 1) {
+    if (not_applicable && request.contacts.size() == 1) {
       std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
       return kWrongInput;
     }
@@ -119,20 +165,27 @@ int AuditMain(int argc, char** argv) {
       [] {
         Request request;
         if (!ReadRequest({}, &request)) return kDone;
-        const AuditReport report = RunAudit(request);
-        const std::optional<GivenAudit> given = AuditGiven(request, report);
-        if (request.json) {
-          Json document = AuditToJson(request, report);
-          if (given) document["given"] = GivenToJson(*given);
-          PrintJson(document, request.precision);
-        } else {
-          PrintAuditTable(request, report);
-          if (given) {
-            std::cout << given->name << ": " << VerdictToString(WorstOf(given->entries)) << "\n\n"
-                      << GivenTable(given->entries).ToText(WantsColour()) << std::endl;
+        const std::optional<GivenGradient> gradient = ReadGiven(request);
+        const InterruptGuard guard;
+        const AuditReport report = RunAudit(request, gradient.has_value());
+        const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
+        const auto write = [&] {
+          if (!request.output_dir.empty()) WriteAuditFiles(request, report);
+        };
+        const auto print = [&] {
+          if (request.json) {
+            Json document = AuditToJson(request, report);
+            if (given) document["given"] = GivenToJson(*given);
+            PrintJson(document, request.precision);
+          } else {
+            PrintAuditTable(request, report);
+            if (given) {
+              std::cout << given->name << ": " << VerdictToString(WorstOf(given->entries)) << "\n\n"
+                        << GivenTable(given->entries).ToText(WantsColour()) << std::endl;
+            }
           }
-        }
-        if (!request.output_dir.empty()) WriteAuditFiles(request, report);
+        };
+        WriteAndPrint(write, print);
         return AuditExitCode(request, report);
       });
 }

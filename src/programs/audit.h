@@ -7,13 +7,16 @@
 
 namespace saltus {
 
-AuditReport RunAudit(const Request& request);
+// Interruption (SIGINT, under an InterruptGuard) leaves out the models that were not begun; those that were at work are
+// `interrupted`. Throws InputError if there is no exact gradient but there should be.
+AuditReport RunAudit(const Request& request, bool needs_reference = false);
 Json AuditToJson(const Request& request, const AuditReport& report);
 // Gradients and verdicts as tables on stdout, in colour on a terminal.
 void PrintAuditTable(const Request& request, const AuditReport& report);
 // Whether the model cannot take the scene, or has no such surrogate; else a gradient that is not ok has failed.
 bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene);
-// Wrong input if the only model asked for cannot take the scene; failed if a rollout was not finite.
+// Wrong input if the only model asked for cannot take the scene; failed if a rollout was not finite, or if models are
+// missing.
 int AuditExitCode(const Request& request, const AuditReport& report);
 
 // `saltus_audit`.

@@ -1,4 +1,6 @@
 // The audit as JSON, under the keys that the README promises.
+#include <algorithm>
+
 #include "programs/audit.h"
 #include "programs/surrogate_flags.h"
 
@@ -81,10 +83,13 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
   AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
-    item["termination"] = IsNotApplicable(audit.gradient, scene) ? "not_applicable" : "failed";
+    item["termination"] = audit.interrupted                        ? "interrupted"
+                          : IsNotApplicable(audit.gradient, scene) ? "not_applicable"
+                                                                   : "failed";
     item["reason"] = audit.gradient.reason;
     return item;
   }
+  if (audit.interrupted) item["termination"] = "interrupted";
   item["loss"] = NumberToJson(audit.gradient.loss);
   item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
   if (!audit.gradient.initial_error.empty()) {
@@ -141,6 +146,11 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
   Json audits = Json::array();
   for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));
   document["audits"] = std::move(audits);
+  const bool interrupted = report.models.size() < request.contacts.size() ||
+                           std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) {
+                             return audit.interrupted;
+                           });
+  if (interrupted) document["interrupted"] = true;
   return document;
 }
 

@@ -4,6 +4,7 @@
 
 #include "programs/parallel.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -21,7 +22,7 @@ void RunSolver(Experiment* experiment, size_t which) {
   options.iterations = kIterations;
   options.learning_rate = experiment->learning_rate;
   options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
-  options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
+  options.stop = InterruptGuard::Interrupted;
   SolvedRun& run = experiment->runs[which];
   run.report = Solve(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
   if (!run.report.losses.empty()) {
@@ -85,17 +86,21 @@ void Experiments::Add(const std::string& problem, double friction, const std::st
 bool Experiments::Run(int threads, ProgressMode mode) {
   // One job a gradient and one a solver.
   std::vector<std::function<void()>> jobs;
+  std::vector<std::string> names;
   for (Experiment& experiment : experiments_) {
     jobs.push_back([&experiment] {
-      experiment.gradient = ComputeGradient(experiment.contact, experiment.scene, experiment.precision);
+      experiment.gradient =
+          ComputeGradient(experiment.contact, experiment.scene, experiment.precision, InterruptGuard::Interrupted);
     });
+    const std::string name = experiment.scene.name + " " + experiment.contact;
+    names.push_back(name);
     for (size_t i = 0; i < experiment.solvers.size(); ++i) {
       jobs.push_back([&experiment, i] { RunSolver(&experiment, i); });
+      names.push_back(name + " " + experiment.solvers[i]);
     }
   }
-  const InterruptGuard guard;
   Progress progress(mode, stderr, "experiments", jobs.size());
-  return RunJobs(jobs.size(), threads, &progress, [&](int i) { jobs[i](); }) == static_cast<int>(jobs.size());
+  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) { jobs[i](); });
 }
 
 const Experiment* Experiments::Find(const std::string& problem, double friction, const std::string& contact,

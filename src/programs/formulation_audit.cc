@@ -12,6 +12,7 @@
 #include "programs/thread_time.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -114,19 +115,24 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
   AuditOptions options;
   options.refinement.samples = kSamples;
   options.attribution = false;
-  const InterruptGuard guard;
+  options.stop = InterruptGuard::Interrupted;
+  std::vector<std::string> names, costs;
+  for (int i = 0; i < count; ++i) {
+    names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[i / tasks_.size()]);
+  }
+  for (const Results& results : tasks_) costs.push_back("times of " + results.task.scene.name);
   Progress progress(mode, stderr, "all formulations", count + tasks_.size());
-  const int audited = RunJobs(count, threads, &progress, [&](int i) {
+  const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const size_t model = i / tasks_.size();
     Results& results = tasks_[i % tasks_.size()];
     results.report.models[model] =
         AuditModel(contacts_[model], results.task.scene, Precision::kDouble, results.report.reference, options);
   });
-  if (audited < count) return false;
+  if (!audited) return false;
   // On one thread, so that nothing else of this program disturbs.
-  return RunJobs(static_cast<int>(tasks_.size()), 1, &progress, [&](int i) {
-           tasks_[i].costs = MeasureCosts(contacts_, tasks_[i].task.scene);
-         }) == static_cast<int>(tasks_.size());
+  return RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
+    tasks_[i].costs = MeasureCosts(contacts_, tasks_[i].task.scene);
+  });
 }
 
 double FormulationAudit::ErrorByInitialState(const Results& results, size_t model) const {

@@ -43,14 +43,14 @@ void WriteVelocityRun(const Experiment& experiment, const SolveReport& report, c
                                  {{"loss", LossArray(report)},
                                   {"init_vel", {{static_cast<int64_t>(report.iterates.size()), 2}, velocities}},
                                   {"last_traj", {{static_cast<int64_t>(trajectory.size() / 2), 2}, trajectory}}});
-  if (!status.ok()) throw InputError(status.message());
+  if (!status.ok()) throw OutputError(status.message());
 }
 
 void WriteControlRun(const SolveReport& report, const std::string& path) {
   const Status status = WriteNpz(
       path,
       {{"loss", LossArray(report)}, {"ctrls", {{static_cast<int64_t>(report.control.size() / 2), 2}, report.control}}});
-  if (!status.ok()) throw InputError(status.message());
+  if (!status.ok()) throw OutputError(status.message());
 }
 
 // As Python prints a float: 100.0.

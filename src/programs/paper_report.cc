@@ -12,7 +12,7 @@ void AddFigure(const std::vector<PaperFigure>& figures, const std::string& name,
   for (const PaperFigure& figure : figures) {
     if (figure.name != name) continue;
     const Status status = report->AddFigure(figure.figure, figure.caption);
-    if (!status.ok()) throw InputError(status.message());
+    if (!status.ok()) throw OutputError(status.message());
   }
 }
 
@@ -126,7 +126,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddPublishedTable(rows, "L4DC", &report);
 
   const Status status = report.Write(output_dir + "/report.html");
-  if (!status.ok()) throw InputError(status.message());
+  if (!status.ok()) throw OutputError(status.message());
 }
 
 }  // namespace saltus

@@ -6,6 +6,7 @@
 #include "programs/audit.h"
 #include "programs/launches.h"
 #include "programs/solve.h"
+#include "saltus/io/interrupt.h"
 
 namespace saltus {
 
@@ -14,23 +15,25 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
   return RunMain(argc, argv, "Gradients and optimisation of " + name + ". Defaults are those of the paper.", [&] {
     Request request;
     if (!ReadRequest(defaults, &request)) return kDone;
+    const InterruptGuard guard;
     const AuditReport audit = RunAudit(request);
-    std::vector<SolvedRun> runs;
-    if (!request.solvers.empty()) runs = SolveAll(request);
-    const std::vector<LaunchSolution> launches = FindLaunches(request.scene);
+    SolvedRuns solved;
+    if (!request.solvers.empty()) solved = SolveAll(request);
+    std::vector<LaunchSolution> launches;
+    if (!InterruptGuard::Interrupted()) launches = FindLaunches(request.scene);
     if (request.json) {
-      Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, runs)}};
+      Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
       if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
       PrintJson(document, request.precision);
     } else {
       PrintAuditTable(request, audit);
-      if (!runs.empty()) PrintSolveTable(request, runs);
+      if (!solved.runs.empty()) PrintSolveTable(request, solved);
       if (!launches.empty()) {
         std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
                   << LaunchTable(launches).ToText();
       }
     }
-    return std::max(AuditExitCode(request, audit), SolveExitCode(runs));
+    return std::max(AuditExitCode(request, audit), SolveExitCode(solved));
   });
 }
 

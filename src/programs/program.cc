@@ -1,11 +1,18 @@
 #include "programs/program.h"
 
+#include <fcntl.h>
 #include <gflags/gflags.h>
 #include <glog/logging.h>
+#include <unistd.h>
 
+#include <atomic>
+#include <cerrno>
 #include <cmath>
+#include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <iostream>
+#include <new>
 #include <sstream>
 #include <thread>
 
@@ -118,6 +125,36 @@ double Finite(const char* flag, double value) {
   return value;
 }
 
+constexpr size_t kMostFlagBytes = 1 << 20;
+constexpr int kDeepestFlagFile = 16;
+
+// gflags reads flag files to their end, whatever they are, and files that name themselves until it crashes.
+void CheckFlagFile(const std::string& argument, int depth) {
+  static constexpr char kFlag[] = "-flagfile=";
+  const size_t dash = argument.find_first_not_of(" \t");
+  if (dash == std::string::npos) return;
+  const size_t start = argument.compare(dash, 2, "--") == 0 ? dash + 1 : dash;
+  if (argument.compare(start, sizeof kFlag - 1, kFlag) != 0) return;
+  for (const std::string& path : Split(argument.substr(start + sizeof kFlag - 1))) {
+    if (depth == kDeepestFlagFile) throw InputError("--flagfile=" + path + ": flag files that name each other?");
+    std::error_code unknown;
+    if (std::filesystem::is_fifo(path, unknown)) continue;  // can be read only once
+    const StatusOr<std::string> text = ReadFile(path, kMostFlagBytes);
+    if (!text.ok()) throw InputError("--flagfile=" + text.status().message());
+    std::stringstream lines(*text);
+    for (std::string line; std::getline(lines, line);) CheckFlagFile(line, depth + 1);
+  }
+}
+
+void CheckFlagFiles(int argc, char** argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string argument = argv[i];
+    if (argument == "--") return;
+    const bool apart = (argument == "--flagfile" || argument == "-flagfile") && i + 1 < argc;
+    CheckFlagFile(apart ? argument + "=" + argv[i + 1] : argument, 0);
+  }
+}
+
 void ApplyFlags(Scene* scene) {
   if (IsGiven("steps")) scene->steps = FLAGS_steps;
   if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
@@ -129,24 +166,77 @@ void ApplyFlags(Scene* scene) {
   }
 }
 
+std::atomic<bool> end_without_waiting{false};
+
+// A program started with a standard stream closed would get its number for the first file it opens, and print into it.
+void OccupyStandardStreams() {
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    // Not to be written to: what is printed is lost, and has to be seen to be.
+    if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) (void)open("/dev/null", O_RDONLY);
+  }
+}
+
+// The exit code once all has been printed.
+int FinishOutput(int code) {
+  errno = 0;
+  std::cout.flush();
+  const bool flushed = std::fflush(stdout) == 0;
+  if (flushed && std::cout && std::ferror(stdout) == 0) return code;
+  std::cerr << "error: standard output took not all that was printed"
+            << (errno == 0 ? "" : std::string(": ") + std::strerror(errno)) << std::endl;
+  return code == kDone ? kAnswerFailed : code;
+}
+
+int RunBody(const std::function<int()>& body) {
+  const auto fail = [](const std::string& message, int code) {
+    std::cerr << "error: " << message << std::endl;
+    return code;
+  };
+  try {
+    return body();
+  } catch (const InputError& error) {
+    return fail(error.what(), kWrongInput);
+  } catch (const std::bad_alloc&) {
+    return fail("out of memory", kAnswerFailed);
+  } catch (const std::exception& error) {
+    return fail(error.what(), kAnswerFailed);
+  }
+}
+
 }  // namespace
 
 int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body) {
+  OccupyStandardStreams();
   google::InitGoogleLogging(argv[0]);
   FLAGS_logtostderr = true;
   gflags::SetUsageMessage(usage);
   gflags::SetVersionString(SALTUS_VERSION);
   google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
-  gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
-  google::gflags_exitfunc = [](int) { std::exit(kDone); };
-  gflags::HandleCommandLineHelpFlags();
-  try {
+  const int code = RunBody([&] {
+    CheckFlagFiles(argc, argv);
+    gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
+    google::gflags_exitfunc = [](int) { std::exit(FinishOutput(kDone)); };
+    gflags::HandleCommandLineHelpFlags();
     if (argc > 1) throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
     return body();
-  } catch (const InputError& error) {
-    std::cerr << "error: " << error.what() << std::endl;
-    return kWrongInput;
+  });
+  if (end_without_waiting) EndProgram(code);
+  return FinishOutput(code);
+}
+
+void EndWithoutWaiting() { end_without_waiting = true; }
+
+void EndProgram(int code) { _exit(FinishOutput(code)); }
+
+void WriteAndPrint(const std::function<void()>& write, const std::function<void()>& print) {
+  std::optional<OutputError> unwritten;
+  try {
+    write();
+  } catch (const OutputError& error) {
+    unwritten = error;
   }
+  print();
+  if (unwritten) throw *unwritten;
 }
 
 bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
@@ -231,7 +321,7 @@ void MakeDirectory(const std::string& path) {
 
 void WriteTextFile(const std::string& path, const std::string& text) {
   const Status status = WriteFileAtomically(path, text);
-  if (!status.ok()) throw InputError(status.message());
+  if (!status.ok()) throw OutputError(status.message());
 }
 
 }  // namespace saltus

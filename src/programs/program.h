@@ -44,8 +44,24 @@ struct Request {
   ProgressMode progress = ProgressMode::kAuto;
 };
 
-// Parses flags, runs `body` and turns what it throws into exit codes. `usage` is shown by --help.
+// Results could not be written. RunMain turns it into exit code 1.
+struct OutputError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Parses flags, runs `body` and turns what it throws into exit codes. `usage` is shown by --help. If standard output
+// did not take all that was printed, that is an error too.
 int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body);
+
+// Makes RunMain end the process without waiting for threads that are at work still.
+void EndWithoutWaiting();
+
+// Ends the process so, at once.
+[[noreturn]] void EndProgram(int code);
+
+// Calls both, and then throws the OutputError of the first, if any: where files cannot be written the tables are still
+// printed.
+void WriteAndPrint(const std::function<void()>& write, const std::function<void()>& print);
 
 // Reads the common flags. Throws InputError. If --contact=list, --solver=list or --surrogate=list is given, prints the
 // list and returns false: the program is done.
@@ -69,7 +85,7 @@ double DefaultLearningRate(const Scene& scene);
 // Creates the directory and its parents if need be. Throws InputError.
 void MakeDirectory(const std::string& path);
 
-// Writes a whole file. Throws InputError if it cannot.
+// Writes a whole file. Throws OutputError if it cannot.
 void WriteTextFile(const std::string& path, const std::string& text);
 
 }  // namespace saltus

@@ -3,6 +3,7 @@
 #include <gflags/gflags.h>
 
 #include <chrono>
+#include <functional>
 #include <iostream>
 #include <optional>
 
@@ -16,6 +17,7 @@
 #include "programs/solver_comparison.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/io/interrupt.h"
 
 DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
 DEFINE_string(data_dir, SALTUS_DATA_DIR, "directory of published.csv");
@@ -34,17 +36,26 @@ FormulationAudit AuditFormulations(const Experiments& experiments) {
                           std::move(contacts));
 }
 
-void WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const std::string& output_dir) {
+// False if interrupted.
+bool WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const std::string& output_dir) {
   std::vector<const PaperFigure*> all;
   for (const std::vector<PaperFigure>& some : figures) {
     for (const PaperFigure& figure : some) all.push_back(&figure);
   }
   Progress progress(ProgressFromFlags(), stderr, "figures", all.size());
-  RunJobs(static_cast<int>(all.size()), ThreadsFromFlags(), &progress, [&](int i) {
+  std::vector<std::string> names;
+  for (const PaperFigure* figure : all) names.push_back(figure->name);
+  return RunJobs(names, ThreadsFromFlags(), &progress, [&](int i, const SayNote&) {
     const std::string path = output_dir + "/" + all[i]->name;
     const Status status = WriteFigure(all[i]->figure, path + ".svg", path + ".png");
-    if (!status.ok()) throw InputError(status.message());
+    if (!status.ok()) throw OutputError(status.message());
   });
+}
+
+// Does what cannot ask for interrupts itself. False if interrupted.
+bool RunStage(const std::string& name, const std::function<void()>& work) {
+  Progress progress(ProgressFromFlags(), stderr, name, 1);
+  return RunJobs({name}, 1, &progress, [&](int, const SayNote&) { work(); });
 }
 
 int Reproduce() {
@@ -54,10 +65,8 @@ int Reproduce() {
   MakeDirectory(output_dir);
   std::vector<PublishedRow> rows = ReadPublished(FLAGS_data_dir + "/published.csv");
   Experiments experiments(FLAGS_problems_dir);
-  if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) {
-    std::cerr << "interrupted" << std::endl;
-    return kAnswerFailed;
-  }
+  const InterruptGuard guard;
+  if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
   const double experiment_seconds = elapsed();
   using Others = SolverComparison::Others;
@@ -65,24 +74,24 @@ int Reproduce() {
                         : FLAGS_all_formulations ? Others::kQuick
                                                  : Others::kNone;
   SolverComparison comparison(experiments, others);
-  if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) {
-    std::cerr << "interrupted" << std::endl;
-    return kAnswerFailed;
-  }
+  if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   std::optional<FormulationAudit> formulations;
   if (FLAGS_all_formulations) {
     formulations = AuditFormulations(experiments);
-    if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) {
-      std::cerr << "interrupted" << std::endl;
-      return kAnswerFailed;
-    }
+    if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   }
-  CompareWithPublished(experiments, &rows);
-  WriteNotebookFiles(experiments, output_dir);
-  std::vector<PaperFigure> figures = MakePaperFigures(experiments);
-  if (formulations) figures.push_back(formulations->ToFigure());
-  WriteFigures({figures, comparison.Figures()}, output_dir);
-  WritePaperReport(experiments, rows, figures, comparison, formulations, experiment_seconds, output_dir);
+  std::vector<PaperFigure> figures;
+  const bool compared = RunStage("comparison with the published values", [&] {
+    CompareWithPublished(experiments, &rows);
+    WriteNotebookFiles(experiments, output_dir);
+    figures = MakePaperFigures(experiments);
+    if (formulations) figures.push_back(formulations->ToFigure());
+  });
+  if (!compared || !WriteFigures({figures, comparison.Figures()}, output_dir)) return kAnswerFailed;
+  const bool written = RunStage("report", [&] {
+    WritePaperReport(experiments, rows, figures, comparison, formulations, experiment_seconds, output_dir);
+  });
+  if (!written) return kAnswerFailed;
 
   const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());

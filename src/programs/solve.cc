@@ -2,16 +2,49 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <iostream>
+#include <new>
+#include <sstream>
 
 #include "programs/parallel.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/io/interrupt.h"
 #include "saltus/io/npz.h"
 #include "saltus/io/table.h"
 
 namespace saltus {
 namespace {
+
+constexpr double kWorse = 1e-9;       // relative: losses differ by more than rounding
+constexpr double kOpenDefect = 1e-9;  // m, m/s
+constexpr size_t kMostNamed = 6;      // runs in one line
+
+// Whether a loss is less than another by more than rounding.
+bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
+
+double LargestDefect(const SolveReport& report) {
+  if (report.defects.empty()) return 0;
+  const std::vector<double>& last = report.defects.back();
+  return *std::max_element(last.begin(), last.end());
+}
+
+// What the table has to say of a run.
+std::string Remark(const SolveReport& report) {
+  std::ostringstream text;
+  const auto add = [&](const auto&... parts) {
+    if (text.tellp() > 0) text << "; ";
+    (text << ... << parts);
+  };
+  if (!report.reason.empty()) add(report.reason);
+  if (report.losses.empty()) return text.str();
+  if (IsLess(report.initial_loss, report.final_loss)) add("ends worse than it began");
+  if (report.best && IsLess(report.best->loss, report.final_loss)) {
+    add("best ", Cell(report.best->loss).Display(10), " after ", report.best->iteration, " iterations");
+  }
+  return text.str();
+}
 
 void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) {
   for (const SolvedRun& run : runs) {
@@ -27,6 +60,14 @@ void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) 
       arrays["control"] = {{intervals, controlled, 2}, report.control};
       if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
     }
+    if (report.best && !report.best->initial_state.empty()) {
+      arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
+      arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
+      if (controlled > 0) {
+        const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
+        arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+      }
+    }
     if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
     if (!report.standard_error.empty()) {
       arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
@@ -34,16 +75,28 @@ void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) 
     const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
                              report.solver + FileSuffix(report.surrogate) + ".npz";
     const Status status = WriteNpz(path, arrays);
-    if (!status.ok()) throw InputError(status.message());
+    if (!status.ok()) throw OutputError(status.message());
   }
 }
 
+SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
+                        const std::string& reason) {
+  SolvedRun run;
+  run.report.solver = solver;
+  run.report.contact = contact;
+  run.report.termination = termination;
+  run.report.reason = reason;
+  return run;
+}
+
+// Keeps the run as it is before it is checked.
 SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std::string& contact, Precision precision,
-                        const SolverOptions& options) {
+                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep) {
   SolvedRun run;
   run.report = Solve(solver, {scene, contact, precision}, options);
   const SolveReport& report = run.report;
   if (report.losses.empty()) return run;
+  keep(run);
   run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
   run.certificate = report.certificate;
   if (!run.certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
@@ -54,37 +107,56 @@ SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std
 
 }  // namespace
 
-std::vector<SolvedRun> SolveAll(const Request& request) {
-  struct Job {
+SolvedRuns SolveAll(const Request& request) {
+  struct Task {
     std::string contact, solver;
   };
-  std::vector<Job> jobs;
+  std::vector<Task> tasks;
+  std::vector<std::string> names;
   const auto is_exact = [](const std::string& contact) { return FindContactModel(contact)->event_driven; };
   const bool any_exact = std::any_of(request.contacts.begin(), request.contacts.end(), is_exact);
   for (const std::string& contact : request.contacts) {
     for (const std::string& solver : request.solvers) {
       if (FindSolver(solver)->exact_only && any_exact && !is_exact(contact)) continue;
-      jobs.push_back({contact, solver});
+      tasks.push_back({contact, solver});
+      names.push_back(contact + " " + solver);
     }
   }
-  const int count = static_cast<int>(jobs.size());
-  std::vector<SolvedRun> runs(count);
-  const InterruptGuard guard;
-  Progress progress(request.progress, stderr, "solve " + request.scene.name, count);
-  RunJobs(count, request.threads, &progress, [&](int i) {
-    SolverOptions options = request.options;
-    if (count == 1) options.threads = request.threads;
-    options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
-    options.status = [&](const std::string& note) { progress.Advance(0, note); };
-    runs[i] = SolveAndCheck(request.scene, jobs[i].solver, jobs[i].contact, request.precision, options);
-  });
-  std::erase_if(runs, [](const SolvedRun& run) { return run.report.solver.empty(); });
-  return runs;
+  Progress progress(request.progress, stderr, "solve " + request.scene.name, static_cast<int64_t>(tasks.size()));
+  const auto done = ComputeAll<SolvedRun>(
+      names, request.threads, &progress, [request, tasks](int i, const SayNote& say, const auto& keep) {
+        const auto& [contact, solver] = tasks[i];
+        SolverOptions options = request.options;
+        if (tasks.size() == 1) options.threads = request.threads;
+        options.stop = InterruptGuard::Interrupted;
+        options.status = say;
+        try {
+          return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+        } catch (const std::bad_alloc&) {
+          return WithoutLosses(solver, contact, Termination::kFailed, "out of memory");
+        }
+      });
+  SolvedRuns solved;
+  solved.interrupted = !done.complete;
+  for (size_t i = 0; i < tasks.size(); ++i) {
+    if (!done.started[i]) continue;
+    solved.runs.push_back(
+        done.results[i].value_or(WithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
+    solved.interrupted |= solved.runs.back().report.termination == Termination::kInterrupted;
+  }
+  return solved;
 }
 
-Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
+std::string WhyNoAnswer(const SolveReport& report) {
+  if (report.termination == Termination::kNotApplicable) return "";
+  if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
+  if (LargestDefect(report) > kOpenDefect) return "open defects";
+  return IsLess(report.initial_loss, report.final_loss) ? "ends worse than it began" : "";
+}
+
+Json SolveToJson(const Request& request, const SolvedRuns& solved) {
   Json list = Json::array();
-  for (const SolvedRun& run : runs) {
+  for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     Json item = {{"contact", report.contact}, {"solver", report.solver}};
     AddBias(report.contact, report.surrogate, &item);
@@ -96,9 +168,10 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["iterations"] = report.iterations;
       item["evaluations"] = report.evaluations;
       item["seconds"] = report.seconds;
-      if (!report.defects.empty()) {
-        const std::vector<double>& defects = report.defects.back();
-        item["defect"] = NumberToJson(*std::max_element(defects.begin(), defects.end()));
+      if (!report.defects.empty()) item["defect"] = NumberToJson(LargestDefect(report));
+      if (report.best) {
+        item["best_loss"] = NumberToJson(report.best->loss);
+        item["best_iteration"] = report.best->iteration;
       }
     }
     item["termination"] = TerminationToString(report.termination);
@@ -109,16 +182,25 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["control"] = ControlToJson(request.scene, report.control);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
       if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
+      if (report.best && !report.best->initial_state.empty()) {
+        item["best_velocity"] = VectorsToJson(report.best->initial_state, 2);
+        item["best_control"] = ControlToJson(request.scene, report.best->control);
+        if (request.scene.optimize == Optimize::kPosition) {
+          item["best_position"] = VectorsToJson(report.best->initial_state, 0);
+        }
+      }
       if (run.certificate) item["certificate"] = CertificateToJson(*run.certificate);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
     }
     list.push_back(std::move(item));
   }
-  return {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
+  Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
+  if (solved.interrupted) document["interrupted"] = true;
+  return document;
 }
 
-void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs) {
+void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
   Table table({{"contact"},
                {"solver"},
                {"initial loss", 10},
@@ -129,7 +211,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                {"seconds", 3},
                {"termination"},
                {"remark"}});
-  for (const SolvedRun& run : runs) {
+  for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.losses.empty()) {
       table.AddRow({LabelOf(report.contact, report.surrogate),
@@ -153,26 +235,33 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                   report.evaluations,
                   report.seconds,
                   TerminationToString(report.termination),
-                  report.reason});
+                  Remark(report)});
   }
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
 }
 
-int SolveExitCode(const std::vector<SolvedRun>& runs) {
+int SolveExitCode(const SolvedRuns& solved) {
+  const std::vector<SolvedRun>& runs = solved.runs;
   const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
     return run.report.termination == Termination::kNotApplicable;
   });
-  if (!runs.empty() && none) {
+  if (!runs.empty() && none && !solved.interrupted) {
     std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
               << runs[0].report.reason << std::endl;
     return kWrongInput;
   }
+  size_t failed = 0;
+  std::string named;
   for (const SolvedRun& run : runs) {
-    if (run.report.termination == Termination::kFailed || run.report.termination == Termination::kInterrupted) {
-      return kAnswerFailed;
-    }
+    const std::string why = WhyNoAnswer(run.report);
+    if (why.empty() || ++failed > kMostNamed) continue;
+    named += (failed == 1 ? "" : ", ") + run.report.contact + " " + run.report.solver + ": " + why;
   }
-  return kDone;
+  if (failed > kMostNamed) named += " and " + std::to_string(failed - kMostNamed) + " more";
+  if (failed > 0) {
+    std::cerr << "no answer from " << failed << " of " << runs.size() << " runs (" << named << ")" << std::endl;
+  }
+  return failed > 0 || solved.interrupted ? kAnswerFailed : kDone;
 }
 
 int SolveMain(int argc, char** argv) {
@@ -182,14 +271,20 @@ int SolveMain(int argc, char** argv) {
         if (!ReadRequest({}, &request)) return kDone;
         if (request.solvers.empty())
           throw InputError("--solver=none leaves nothing to do; expected at least one solver");
-        const std::vector<SolvedRun> runs = SolveAll(request);
-        if (!request.output_dir.empty()) WriteSolutions(request, runs);
-        if (request.json) {
-          PrintJson(SolveToJson(request, runs), request.precision);
-        } else {
-          PrintSolveTable(request, runs);
-        }
-        return SolveExitCode(runs);
+        const InterruptGuard guard;
+        const SolvedRuns solved = SolveAll(request);
+        const auto write = [&] {
+          if (!request.output_dir.empty()) WriteSolutions(request, solved.runs);
+        };
+        const auto print = [&] {
+          if (request.json) {
+            PrintJson(SolveToJson(request, solved), request.precision);
+          } else {
+            PrintSolveTable(request, solved);
+          }
+        };
+        WriteAndPrint(write, print);
+        return SolveExitCode(solved);
       });
 }
 

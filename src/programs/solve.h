@@ -2,6 +2,7 @@
 #pragma once
 
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "programs/json_output.h"
@@ -18,13 +19,21 @@ struct SolvedRun {
 
 // Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
 // number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
-// Interruption (SIGINT) leaves the runs that were not started out.
-std::vector<SolvedRun> SolveAll(const Request& request);
+// Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.
+struct SolvedRuns {
+  std::vector<SolvedRun> runs;
+  bool interrupted = false;  // some are missing, or were at work
+};
+SolvedRuns SolveAll(const Request& request);
 
-Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs);
-void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs);
-// The exit code: wrong input if the only run asked for is not applicable, failed if a run failed.
-int SolveExitCode(const std::vector<SolvedRun>& runs);
+// Why a run is no answer, in a few words: it did not converge, its defects are open, or it ends worse than it began.
+// Empty if it is one, and for what is not applicable.
+std::string WhyNoAnswer(const SolveReport& report);
+
+Json SolveToJson(const Request& request, const SolvedRuns& solved);
+void PrintSolveTable(const Request& request, const SolvedRuns& solved);
+// The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
+int SolveExitCode(const SolvedRuns& solved);
 
 // `saltus_solve`.
 int SolveMain(int argc, char** argv);

@@ -11,6 +11,7 @@
 #include "programs/thread_time.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/exact/two_disc_optimum.h"
+#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -80,7 +81,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   options.learning_rate = DefaultLearningRate(scene);
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
-  options.callback = [](int, double) { return !InterruptGuard::Interrupted(); };
+  options.stop = InterruptGuard::Interrupted;
   run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
   const SolveReport& report = run->report;
   if (report.losses.empty()) return;
@@ -176,19 +177,20 @@ void SolverComparison::PlanOthers(Others others) {
 
 bool SolverComparison::Run(int threads, ProgressMode mode) {
   std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
+  std::vector<std::string> names;
   for (Task* task : {&others_, &strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
     for (SolvedRun& run : task->runs) {
-      if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
+      if (!run.report.losses.empty()) continue;
+      jobs.push_back({&task->scene, &run});
+      names.push_back(task->scene.name + " " + run.report.contact + " " + run.report.solver);
     }
   }
-  const InterruptGuard guard;
   Progress progress(mode, stderr, "comparison of solvers", jobs.size());
-  const int done = RunJobs(jobs.size(), threads, &progress, [&](int i) {
+  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const auto& [scene, run] = jobs[i];
     const bool slow = slow_.count(run->report.contact) > 0;
     SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
   });
-  return done == static_cast<int>(jobs.size());
 }
 
 std::vector<CaptionedTable> SolverComparison::Tables() const {

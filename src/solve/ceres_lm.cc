@@ -41,7 +41,7 @@ class ShootingCost final : public ceres::CostFunction {
     if (!finite_) return false;
     std::copy(residuals_.begin(), residuals_.end(), residuals);
     if (jacobians != nullptr) EvaluateJacobians(jacobians);
-    return true;
+    return !shooting_->stopped();
   }
 
   int num_jacobians() const { return num_jacobians_; }

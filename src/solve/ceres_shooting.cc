@@ -26,11 +26,12 @@ struct End {
   int num_jacobians = 0;
 };
 
-// After a stall at decision variables z.
-End MoveAlongNodes(SolveRun* run, int iterations, End stall, double loss, std::vector<double>* z) {
-  NodeSearch search(run, *z, loss);
+// After a stall at decision variables z with that loss; replaces both.
+End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::vector<double>* z) {
+  NodeSearch search(run, *z, *loss);
   if (!search.Run(iterations)) return stall;
   *z = search.z();
+  *loss = search.loss();
   End end{Termination::kNoProgress, "", stall.num_jacobians + search.num_jacobians()};
   std::optional<NodeSearch::Balance> balance;
   if (search.interrupted()) {
@@ -65,12 +66,13 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
           summary.message,
           summary.num_jacobian_evaluations};
 
+  std::optional<double> final_loss;
   const bool kinks = shooting.simulator().traits().event_driven && request.scene.optimize == Optimize::kControl;
   if (kinks && end.termination == Termination::kNoProgress && shooting.Evaluate(z, &loss, nullptr)) {
-    end = MoveAlongNodes(&run, options.iterations - (run.num_recorded() - 1), end, loss, &z);
+    end = MoveAlongNodes(&run, options.iterations - (run.num_recorded() - 1), end, &loss, &z);
+    final_loss = loss;
   }
   std::vector<std::vector<double>> defects;
-  std::optional<double> final_loss;
   if (shooting.Evaluate(z, &loss, nullptr)) {
     final_loss = loss;
     const Simulator& simulator = shooting.simulator();

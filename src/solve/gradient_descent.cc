@@ -21,6 +21,36 @@ void Update(double learning_rate, const std::vector<double>& gradient, std::vect
   }
 }
 
+// The best iterate so far; copied only when the descent leaves it.
+class Best {
+ public:
+  // `last` is the iterate before.
+  void Meet(double loss, int iteration, const std::vector<double>& last) {
+    if (iteration == 0 || loss < best_.loss) {
+      best_.loss = loss;
+      best_.iteration = iteration;
+    } else if (best_.iteration == iteration - 1) {
+      z_ = last;
+    }
+    last_ = iteration;
+  }
+
+  SolveReport AddTo(SolveReport report, const SingleShooting& shooting) {
+    if (last_ < 0) return report;
+    if (best_.iteration < last_) {
+      best_.initial_state = shooting.InitialStateAt(z_);
+      best_.control = shooting.ControlAt(z_);
+    }
+    report.best = std::move(best_);
+    return report;
+  }
+
+ private:
+  BestIterate best_;
+  std::vector<double> z_;
+  int last_ = -1;
+};
+
 SolveReport Fail(SolveRun* run, const char* what, int iteration, const std::vector<double>& z) {
   return run->Finish(
       z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
@@ -32,13 +62,12 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
   std::optional<SmoothedGradient> smoothed;
   smoothed.emplace(request.contact, request.scene, request.precision, *options.surrogate, options.threads);
   smoothed->set_memory_limit(options.memory_limit);
+  smoothed->set_stop(options.stop);
   return smoothed;
 }
 
-}  // namespace
-
-SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
-  SolveRun run("gd", request, options);
+SolveReport Descend(SolveRun* descent, const SolveRequest& request, const SolverOptions& options, Best* best) {
+  SolveRun& run = *descent;
   std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
   const auto update = request.precision == Precision::kFloat ? Update<float> : Update<double>;
   std::vector<double> z = run.shooting().initial_guess();
@@ -49,6 +78,7 @@ SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOpti
     if (!run.shooting().Evaluate(z, &loss, more && !smoothed ? gradient.data() : nullptr)) {
       return Fail(&run, "loss", k, last);
     }
+    best->Meet(loss, k, last);
     if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);
     if (!more) break;
     if (smoothed) {
@@ -61,6 +91,15 @@ SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOpti
   }
   const bool rests = options.iterations > 0 && z == last;
   return run.Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
+}
+
+}  // namespace
+
+SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("gd", request, options);
+  Best best;
+  SolveReport report = Descend(&run, request, options, &best);
+  return best.AddTo(std::move(report), run.shooting());
 }
 
 }  // namespace saltus

@@ -129,6 +129,7 @@ class ModeSearch {
 
   // Asks without recording an iteration.
   bool Continue() const {
+    if (run_.options().stop && run_.options().stop()) return false;
     const auto& callback = run_.options().callback;
     return !callback || callback(static_cast<int>(run_.report().losses.size()) - 1, best_loss_);
   }

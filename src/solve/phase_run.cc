@@ -32,6 +32,7 @@ std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
 bool PhaseRun::Record(double loss) {
   report_.losses.push_back(loss);
   const int iteration = static_cast<int>(report_.losses.size()) - 1;
+  if (options_.stop && options_.stop()) interrupted_ = true;
   if (options_.callback && !options_.callback(iteration, loss)) interrupted_ = true;
   return !interrupted_;
 }

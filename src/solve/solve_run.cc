@@ -9,6 +9,7 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
       options_(options),
       shooting_(MakeSimulator(ContactWith(options.surrogate, request.contact), request.scene, request.precision)) {
   shooting_.set_memory_limit(options.memory_limit);
+  shooting_.set_stop(options.stop);
   report_.contact = request.contact;
   report_.solver = solver;
   report_.surrogate = options.surrogate;
@@ -22,11 +23,17 @@ void SolveRun::RecordEstimate(std::vector<double> standard_error) {
 bool SolveRun::Record(double loss, std::span<const double> z) {
   report_.losses.push_back(loss);
   if (options_.keep_iterates) report_.iterates.emplace_back(z.begin(), z.end());
+  if (shooting_.stopped()) return false;
   return !options_.callback || options_.callback(num_recorded() - 1, loss);
 }
 
 SolveReport SolveRun::Finish(std::span<const double> z, Termination termination, std::string reason,
                              std::optional<double> final_loss) {
+  // Stopped in the middle of an iteration, an algorithm sees evaluations that fail.
+  if (shooting_.stopped() && termination != Termination::kConverged) {
+    termination = Termination::kInterrupted;
+    reason.clear();
+  }
   report_.termination = termination;
   report_.reason = std::move(reason);
   const std::string why = termination == Termination::kFailed ? shooting_.simulator().WhyFailed() : "";

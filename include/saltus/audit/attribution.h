@@ -50,7 +50,8 @@ struct Attribution {
   bool ok() const { return reason.empty(); }
 };
 
-// At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason.
-Attribution AttributeError(std::string_view contact, const Scene& scene);
+// At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason. What
+// was stopped is of no use.
+Attribution AttributeError(std::string_view contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

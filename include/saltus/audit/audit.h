@@ -46,6 +46,8 @@ struct AuditOptions {
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;  // for its samples
+  // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
+  StopRequest stop = nullptr;
 };
 
 struct ModelAudit {
@@ -60,6 +62,7 @@ struct ModelAudit {
   std::optional<ContactRecognition> recognition;  // if there is a gradient
   std::optional<OwnDifferences> own;              // likewise, unless it is biased
   std::string not_comparable;                     // why verdict is kNotApplicable
+  bool interrupted = false;                       // before all that was asked for was found; the verdict may be missing
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;
@@ -81,7 +84,7 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
 // discs do not spin, and friction turns the model's. Empty if the two can be compared. Precondition: the name is known.
 std::string WhyNotComparable(std::string_view contact, const Scene& scene);
 
-// The exact gradient of a scene, or nothing.
-std::optional<ModelGradient> ExactGradientOf(const Scene& scene);
+// The exact gradient of a scene, or nothing; nothing too if it was stopped.
+std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

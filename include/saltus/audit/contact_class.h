@@ -27,6 +27,7 @@
 #include <string>
 #include <string_view>
 
+#include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -60,7 +61,7 @@ struct ContactRecognition {
   std::optional<double> velocity_from_position;              // h dv'/dx, as h falls
 };
 
-// Where the model cannot take the scene, `words` says why.
-ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene);
+// Where the model cannot take the scene, `words` says why. What was stopped is of no use.
+ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -14,7 +14,8 @@ struct GivenGradient {
   std::string name;
   double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
   std::vector<std::optional<Vec2d>> position, velocity;    // per disc of the scene
-  std::vector<std::vector<std::optional<Vec2d>>> control;  // per step and controlled disc
+  std::vector<std::vector<std::optional<Vec2d>>> control;  // per control interval and controlled disc
+  int intervals = 0;                                       // of the control, equal parts of the horizon; 0: one a step
 };
 
 struct GivenEntry {
@@ -25,7 +26,7 @@ struct GivenEntry {
   Verdict verdict = Verdict::kUnknown;
 };
 
-// Precondition: `exact` is ok and of the scene; lists are no longer than its.
+// Precondition: `exact` is ok and of the scene; lists are no longer than its, and its steps a multiple of `intervals`.
 std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact);
 
 // The worst verdict of all; kUnknown if there are no entries.

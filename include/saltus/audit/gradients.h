@@ -29,12 +29,14 @@ struct ModelGradient {
   bool ok() const { return reason.empty(); }
 };
 
-// An unknown model and a wrong scene are reasons too.
-ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision);
+// An unknown model and a wrong scene are reasons too. Here and below, one that was stopped has the reason kStopped.
+ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
+                              const StopRequest& stop = nullptr);
+inline constexpr char kStopped[] = "interrupted";
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
 // each as a whole. A surrogate that is not valid is a reason too.
 ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
-                               const Surrogate& surrogate, int threads = 1);
+                               const Surrogate& surrogate, int threads = 1, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

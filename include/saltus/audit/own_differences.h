@@ -25,7 +25,8 @@ struct OwnDifferences {
   double gradient = 0, difference = 0;
 };
 
-// Undecided where the model cannot take the scene.
-OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& scene);
+// Undecided where the model cannot take the scene. What was stopped is of no use.
+OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& scene,
+                                         const StopRequest& stop = nullptr);
 
 }  // namespace saltus

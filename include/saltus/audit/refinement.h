@@ -86,7 +86,8 @@ struct RefinementStudy {
   const QuantityStudy* Find(Quantity quantity) const;
 };
 
-// Where the model cannot take the scene, that is the reason.
-RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {});
+// Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
+RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {},
+                                const StopRequest& stop = nullptr);
 
 }  // namespace saltus

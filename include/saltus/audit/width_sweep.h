@@ -58,7 +58,8 @@ struct WidthSweepStudy {
   std::string Summary() const;
 };
 
-// Where the model cannot take the scene, that is the reason.
-WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {});
+// Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
+WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {},
+                            const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -24,6 +24,8 @@ class Batch {
 
   // As Simulator::set_memory_limit, for each thread.
   void set_memory_limit(std::size_t bytes);
+  // As Simulator::set_stop; a loss whose rollout was stopped is NaN.
+  void set_stop(const StopRequest& stop);
 
   int num_variables() const { return shootings_.front()->num_variables(); }
   const std::vector<double>& initial_guess() const { return shootings_.front()->initial_guess(); }

@@ -29,6 +29,9 @@ class SingleShooting {
   const Simulator& simulator() const { return *simulator_; }
   // As Simulator::set_memory_limit.
   void set_memory_limit(std::size_t bytes) { simulator_->set_memory_limit(bytes); }
+  // As Simulator::set_stop and stopped(); what returns false "if not finite" does so too if it was stopped.
+  void set_stop(StopRequest stop) { simulator_->set_stop(std::move(stop)); }
+  bool stopped() const { return simulator_->stopped(); }
   int num_variables() const { return static_cast<int>(guess_.size()); }
   const std::vector<double>& initial_guess() const { return guess_; }
 
@@ -41,7 +44,8 @@ class SingleShooting {
   // adjoint a residual. The effort is not among them. False as above. Precondition: the objective is a sum of squares.
   bool EvaluateTerminal(std::span<const double> z, double* residuals, double* jacobian);
 
-  // That Jacobian where the last evaluation, which returned true, has been: without another rollout.
+  // That Jacobian where the last evaluation, which returned true, has been: without another rollout. Without meaning if
+  // stopped().
   void TerminalJacobian(double* jacobian);
 
   // The loss at z and its derivatives with respect to everything: initial state, control (effort included), parameters.

@@ -34,12 +34,13 @@ class SmoothedGradient {
                    int threads = 1, Variables variables = Variables::kOfScene);
 
   void set_memory_limit(std::size_t bytes) { batch_.set_memory_limit(bytes); }
+  void set_stop(const StopRequest& stop) { batch_.set_stop(stop); }
   int num_variables() const { return batch_.num_variables(); }
   const std::vector<double>& initial_guess() const { return batch_.initial_guess(); }
 
   // The estimate at z, from normals with the seed of that iteration, and the standard error of each component
   // (num_variables() numbers each). With segments, zeroth order gives all steps of a segment their mean. False if the
-  // loss of a sample is not finite.
+  // loss of a sample is not finite, or if it was stopped.
   bool Evaluate(std::span<const double> z, int iteration, std::span<double> gradient, std::span<double> standard_error);
 
  private:

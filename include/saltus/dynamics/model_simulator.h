@@ -106,6 +106,7 @@ class ModelSimulator final : public Simulator {
         failure_ = work_->failure;
         return false;
       }
+      if (stopped()) return false;
     }
     if (!AllFinite(trajectory_.At(num_steps_))) failure_.emplace();
     return !failure_;
@@ -133,6 +134,7 @@ class ModelSimulator final : public Simulator {
       const int begin = FirstTouch(trajectory_.begin(w), end);
       Reload(w, begin, end);
       while (end > begin) {
+        if (stopped()) return;
         const int k = touches_[end - 1].step;
         const int first = FirstTouch(k, end);
         PullBackStep(k, first, end, out);
@@ -343,7 +345,7 @@ class ModelSimulator final : public Simulator {
     FindLargestAccelerations(begin, end, &work.push);
     work.broad_phase.SetAccelerations(work.push);
     work.force.assign(num_bodies(), Vec2<S>::Zero());
-    for (int k = begin; k < end;) {
+    for (int k = begin; k < end && !stopped();) {
       const int quiet = work.broad_phase.Find(Flat(trajectory_.At(k).data()), kSize, &work.candidates);
       if (work.candidates.empty()) {
         const int steps = std::min(quiet, end - k);

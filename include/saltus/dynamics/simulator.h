@@ -10,11 +10,13 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
@@ -23,6 +25,10 @@
 namespace saltus {
 
 enum class Precision { kDouble, kFloat };
+
+// Asked at short intervals by what may compute for long: true to make it stop. Once true it must stay so. It is asked
+// from every thread that computes.
+using StopRequest = std::function<bool()>;
 
 // A contact that took effect in step `step` of a rollout.
 struct StepTouch {
@@ -107,7 +113,7 @@ class Simulator {
 
   // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite, if the
   // iterations of a step do not arrive, or if the model breaks its contract (contact_model.h); then neither Adjoint nor
-  // states after that step may be asked for.
+  // states after that step may be asked for. False too if it was stopped; then nothing may.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
   // Why the last rollout returned false, with the model, the step and the disc; empty if it returned true.
   std::string WhyFailed() const;
@@ -131,6 +137,11 @@ class Simulator {
   std::size_t memory_limit() const { return memory_limit_; }
   // The smallest limit that can be kept, in bytes.
   virtual std::size_t LeastMemory() const = 0;
+
+  // Rollouts and adjoints ask in every step with contact, and then leave their results half done. Who computes many
+  // steps by Step or Linearize asks stopped().
+  void set_stop(StopRequest stop) { stop_ = std::move(stop); }
+  bool stopped() const { return stop_ && stop_(); }
 
   // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization. What
   // makes a rollout fail makes `next` not a number. Thread-safe among themselves.
@@ -161,6 +172,7 @@ class Simulator {
   int num_steps_;
   std::size_t memory_limit_ = std::size_t{1} << 30;
   std::optional<Failure> failure_;  // of the last rollout
+  StopRequest stop_;
 };
 
 // The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).

@@ -48,6 +48,8 @@ struct SolverOptions {
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
   std::function<bool(int iteration, double loss)> callback = nullptr;
+  // Interrupts too, but in the middle of an iteration: what the last whole one has reached is reported.
+  StopRequest stop = nullptr;
   // Called by solvers that take long with what they are at, for a person.
   std::function<void(const std::string&)> status = nullptr;
 };
@@ -57,6 +59,14 @@ struct LocalOptimum {
   ContactSequence sequence;
   double loss = 0;
   std::vector<double> times;  // of the impacts, s
+};
+
+// The iterate of least loss, of a solver that returns another.
+struct BestIterate {
+  double loss = 0;
+  int iteration = 0;                  // after how many it was met
+  std::vector<double> initial_state;  // B x 4; this and the control are left out if it is the one that is returned
+  std::vector<double> control;        // K x C x 2
 };
 
 // Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
@@ -71,6 +81,7 @@ struct SolveReport {
   double final_loss = 0;                      // at `initial_state` and `control`, under the contact model
   std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
   std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
+  std::optional<BestIterate> best;            // of gradient descent, which returns its last iterate
   int iterations = 0;
   int evaluations = 0;  // gradients (or Jacobians) computed
   double seconds = 0;

@@ -26,8 +26,8 @@ class SweepCluster {
   // outlive the executor, this object too.
   virtual std::unique_ptr<SweepExecutor> Share(const SweepStudy& study, LocalExecutor* local) = 0;
 
-  // On other ranks: computes what rank 0 asks for until it is done.
-  virtual void Serve(const SweepStudy& study, LocalExecutor* local) = 0;
+  // On other ranks: computes what rank 0 asks for until it is done. False if rank 0 is gone.
+  virtual bool Serve(const SweepStudy& study, LocalExecutor* local) = 0;
 
   // On other ranks: computes nothing; rank 0 logs why, unless the same keeps it from working too.
   virtual void Decline(const std::string& why) = 0;

@@ -7,10 +7,12 @@
 #include <array>
 #include <deque>
 #include <functional>
+#include <list>
 #include <map>
 #include <optional>
 #include <set>
 #include <thread>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -19,10 +21,12 @@ using Clock = std::chrono::steady_clock;
 using std::chrono::microseconds;
 
 // Everyone says something at least every kHeartbeat: the one thread of a rank only passes messages on, its workers
-// compute. Rank 0 may be silent for longer, while it looks for the points that are missing.
+// compute. Rank 0 may be silent for longer before it first hands out points, while it looks for those that are missing,
+// and a little longer later, while its disk is busy.
 constexpr std::chrono::milliseconds kHeartbeat(500);
 constexpr std::chrono::seconds kSilence(5);
-constexpr std::chrono::minutes kSilenceOfRank0(5);
+constexpr std::chrono::seconds kSilenceOfRank0(10);
+constexpr std::chrono::minutes kFirstSilenceOfRank0(5);
 
 enum Tag {
   kHello,     // a rank joins: how many points at a time, and of which study
@@ -58,11 +62,25 @@ struct Message {
   std::string bytes;
 };
 
-void Send(int rank, Tag tag, const std::string& bytes) {
-  MPI_Send(bytes.data(), static_cast<int>(bytes.size()), MPI_BYTE, rank, tag, MPI_COMM_WORLD);
-}
+// How long it has been since another rank was heard. Time in which this process did not run itself (the machine slept,
+// the job was stopped) does not count: the message may be there by now.
+class Silence {
+ public:
+  void Heard() { length_ = Clock::duration::zero(); }
+  // To be called over and over.
+  Clock::duration Length() {
+    const Clock::time_point now = Clock::now();
+    length_ += std::min<Clock::duration>(now - std::exchange(looked_, now), kMostBetweenLooks);
+    return length_;
+  }
 
-// A message that has arrived, if any.
+ private:
+  static constexpr std::chrono::milliseconds kMostBetweenLooks{200};
+  Clock::time_point looked_ = Clock::now();
+  Clock::duration length_{};
+};
+
+// A message that has arrived, if any. Any call makes MPI move messages that are under way.
 std::optional<Message> Receive() {
   int arrived = 0;
   MPI_Status status;
@@ -111,7 +129,7 @@ class ClusterExecutor : public SweepExecutor {
     CHECK_GT(rank, 0);
     away_[point] = rank;
     --ranks_[rank].room;
-    Send(rank, kPoint, PackPoint(point));
+    cluster_.Send(rank, kPoint, PackPoint(point));
   }
 
   std::vector<FinishedPoint> Wait(microseconds timeout) override {
@@ -222,7 +240,7 @@ class ClusterExecutor : public SweepExecutor {
     if (Clock::now() - said_alive_ < kHeartbeat) return;
     said_alive_ = Clock::now();
     for (size_t rank = 1; rank < ranks_.size(); ++rank) {
-      if (!ranks_[rank].lost) Send(static_cast<int>(rank), kAlive, "");
+      if (!ranks_[rank].lost) cluster_.SayAlive(static_cast<int>(rank));
     }
   }
 
@@ -265,6 +283,46 @@ MpiCluster::~MpiCluster() {
     AwaitDismissal();
   }
   if (complete_) MPI_Finalize();
+  // Else messages to those who are gone may be under way for ever: MPI keeps what is not its own until the process
+  // ends.
+  if (!complete_) new std::list<Outgoing>(std::move(outgoing_));
+}
+
+void MpiCluster::Send(int rank, int tag, std::string bytes) {
+  ForgetSent();
+  Outgoing& message = outgoing_.emplace_back();
+  message.rank = rank;
+  message.bytes = std::move(bytes);
+  MPI_Isend(message.bytes.data(),
+            static_cast<int>(message.bytes.size()),
+            MPI_BYTE,
+            rank,
+            tag,
+            MPI_COMM_WORLD,
+            &message.request);
+}
+
+void MpiCluster::SayAlive(int rank) {
+  ForgetSent();
+  // What has not been taken yet will do.
+  const bool waits =
+      std::any_of(outgoing_.begin(), outgoing_.end(), [&](const Outgoing& message) { return message.rank == rank; });
+  if (!waits) Send(rank, kAlive, "");
+}
+
+void MpiCluster::ForgetSent() {
+  outgoing_.remove_if([](Outgoing& message) {
+    int sent = 0;
+    // An error ends it too: who should have had it is gone.
+    return MPI_Test(&message.request, &sent, MPI_STATUS_IGNORE) != MPI_SUCCESS || sent != 0;
+  });
+}
+
+void MpiCluster::SendRest() {
+  const Clock::time_point end = Clock::now() + kSilence;
+  for (Patience patience; !outgoing_.empty() && Clock::now() < end; std::this_thread::sleep_for(patience.Next())) {
+    ForgetSent();
+  }
 }
 
 void MpiCluster::Dismiss(const std::set<int>& lost) {
@@ -287,17 +345,21 @@ void MpiCluster::Dismiss(const std::set<int>& lost) {
   for (int rank = 1; rank < size_; ++rank) {
     Send(rank, complete_ ? kFinalize : kLeave, "");
   }
+  SendRest();
 }
 
 void MpiCluster::AwaitDismissal() {
-  Clock::time_point heard = Clock::now();
-  for (Patience patience; Clock::now() - heard < kSilenceOfRank0;) {
+  Silence silence;
+  const Clock::duration most = dismissed_ ? Clock::duration(kSilenceOfRank0) : Clock::duration(kFirstSilenceOfRank0);
+  for (Patience patience; !rank_0_lost_;) {
     const std::optional<Message> message = Receive();
+    ForgetSent();
     if (!message) {
+      rank_0_lost_ = silence.Length() > most;
       std::this_thread::sleep_for(patience.Next());
       continue;
     }
-    heard = Clock::now();
+    silence.Heard();
     if (message->tag == kStop) Send(0, kBye, "");
     complete_ = message->tag == kFinalize;
     if (message->tag == kFinalize || message->tag == kLeave) return;
@@ -309,17 +371,21 @@ std::unique_ptr<SweepExecutor> MpiCluster::Share(const SweepStudy& study, LocalE
   return std::make_unique<ClusterExecutor>(study, this, local);
 }
 
-void MpiCluster::Serve(const SweepStudy& study, LocalExecutor* local) {
+bool MpiCluster::Serve(const SweepStudy& study, LocalExecutor* local) {
   Send(0, kHello, Hello(study, local->size()));
-  Clock::time_point said = Clock::now(), heard = said;
+  Clock::time_point said = Clock::now();
+  Silence silence;
+  Clock::duration most = kFirstSilenceOfRank0;
   Patience patience;
   std::deque<int64_t> waiting;
-  while (Clock::now() - heard < kSilenceOfRank0) {
+  for (;;) {
     while (const std::optional<Message> message = Receive()) {
-      heard = Clock::now();
+      silence.Heard();
+      most = kSilenceOfRank0;
       if (message->tag == kStop) {
+        dismissed_ = true;
         Send(0, kBye, "");
-        return;
+        return true;
       }
       if (message->tag == kPoint) waiting.push_back(UnpackPoint(message->bytes));
       patience.Reset();
@@ -330,8 +396,13 @@ void MpiCluster::Serve(const SweepStudy& study, LocalExecutor* local) {
       said = Clock::now();
       patience.Reset();
     }
+    if (silence.Length() > most) {
+      rank_0_lost_ = true;
+      LOG(ERROR) << "rank 0 is silent: rank " << rank_ << " ends; what it was computing is lost";
+      return false;
+    }
     if (Clock::now() - said < kHeartbeat) continue;
-    Send(0, kAlive, "");
+    SayAlive(0);
     said = Clock::now();
   }
 }

@@ -34,15 +34,6 @@ NpyArray ColumnArray(const std::vector<StoredPoint>& points, size_t column) {
   return array;
 }
 
-// "point 3 (stiffness=100, contact=event)"
-std::string PlaceOf(const SweepStudy& study, const StoredPoint& point) {
-  std::string values;
-  for (size_t i = 0; i < study.options().size(); ++i) {
-    values += (i > 0 ? ", " : "") + study.options()[i] + "=" + ToCell(point.result.row[i]).Exact();
-  }
-  return "point " + std::to_string(point.point) + " (" + values + ")";
-}
-
 struct Reason {
   std::string text;
   int64_t count = 0;
@@ -70,6 +61,15 @@ std::vector<Reason> Reasons(const std::vector<StoredPoint>& points) {
 }
 
 }  // namespace
+
+std::string PlaceOf(const SweepStudy& study, int64_t point) {
+  const SweepRow row = study.Values(point);
+  std::string values;
+  for (size_t i = 0; i < row.size(); ++i) {
+    values += (i > 0 ? ", " : "") + study.options()[i] + "=" + ToCell(row[i]).Exact();
+  }
+  return "point " + std::to_string(point) + " (" + values + ")";
+}
 
 std::vector<StoredPoint> AllPoints(const SweepStore& store) {
   std::vector<StoredPoint> points;
@@ -118,7 +118,7 @@ std::string Summary(const SweepStudy& study, const std::vector<StoredPoint>& poi
   const std::vector<Reason> reasons = Reasons(points);
   for (size_t i = 0; i < std::min(reasons.size(), kMostReasons); ++i) {
     text += "  " + std::to_string(reasons[i].count) + " x " + reasons[i].text + "; first at " +
-            PlaceOf(study, *reasons[i].first) + "\n";
+            PlaceOf(study, reasons[i].first->point) + "\n";
   }
   if (reasons.size() > kMostReasons) {
     text += "  and " + std::to_string(reasons.size() - kMostReasons) + " reasons more\n";

@@ -17,6 +17,9 @@ struct StoredPoint {
   PointResult result;
 };
 
+// "point 3 (stiffness=100, contact=event)"
+std::string PlaceOf(const SweepStudy& study, int64_t point);
+
 // In ascending order.
 std::vector<StoredPoint> AllPoints(const SweepStore& store);
 

@@ -44,7 +44,7 @@ PointResult SolvePoint(const Request& request, double seconds, PointResult resul
   const Clock::time_point deadline =
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
   SolverOptions options = request.options;
-  if (seconds > 0) options.callback = [&](int, double) { return Clock::now() < deadline; };
+  if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
   const SolveReport report =
       Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
   result.status = StatusOf(report.termination);

@@ -19,8 +19,9 @@ struct Shard {
 // The points of a part that are not stored yet, in ascending order.
 std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store);
 
-// Computes and stores `points` until all are stored or the program is interrupted. Returns the store's error, if it
-// takes no more.
-Status RunPoints(const std::vector<int64_t>& points, SweepExecutor* executor, SweepStore* store, Progress* progress);
+// Computes and stores `points` until all are stored or the program is interrupted. The progress names the point that
+// takes longest. Returns the store's error, if it takes no more.
+Status RunPoints(const SweepStudy& study, const std::vector<int64_t>& points, SweepExecutor* executor,
+                 SweepStore* store, Progress* progress);
 
 }  // namespace saltus

@@ -69,8 +69,8 @@ T OrInputError(StatusOr<T> result) {
   return std::move(*result);
 }
 
-void OrInputError(const Status& status) {
-  if (!status.ok()) throw InputError(status.message());
+void OrOutputError(const Status& status) {
+  if (!status.ok()) throw OutputError(status.message());
 }
 
 std::string ShardName(Shard shard) {
@@ -102,23 +102,31 @@ void MergeShards(const SweepStudy& study, SweepStore* store) {
   }
 }
 
-void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
-  const Table table = SweepTable(study, points);
-  if (study.request().json) {
-    PrintJson(SweepJson(study, points), study.request().precision);
-  } else {
-    std::cout << table.ToCsv() << std::flush;
-  }
+void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points, const Table& table,
+                const std::string& base) {
   const std::string& directory = study.request().output_dir;
   if (directory.empty()) return;
   WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
-  OrInputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
+  OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
+  if (InterruptGuard::Interrupted()) return;  // figures take seconds
   for (const SweepFigure& figure : MakeSweepFigures(study, points)) {
     const std::string path = directory + "/" + base + "." + figure.name;
     const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
     // The results stand without figures: gnuplot may be missing.
     if (!status.ok()) LOG(WARNING) << path << ": " << status.message();
   }
+}
+
+void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
+  const Table table = SweepTable(study, points);
+  WriteAndPrint([&] { WriteFiles(study, points, table, base); },
+                [&] {
+                  if (study.request().json) {
+                    PrintJson(SweepJson(study, points), study.request().precision);
+                  } else {
+                    std::cout << table.ToCsv() << std::flush;
+                  }
+                });
 }
 
 // Writes what there is and says how it went.
@@ -134,6 +142,7 @@ int Report(const SweepStudy& study, const SweepStore& store, Shard shard) {
       })) {
     std::cerr << Summary(study, points);
   }
+  if (missing > 0 && InterruptGuard::Interrupted()) std::cerr << "interrupted; ";
   if (missing > 0) std::cerr << missing << " points are missing; the same command goes on with them" << std::endl;
   return missing == 0 && some_done ? kDone : kAnswerFailed;
 }
@@ -161,7 +170,7 @@ int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
     SweepExecutor* executor = shared == nullptr ? &local : shared.get();
     Progress progress(
         study.request().progress, stderr, "sweep " + study.request().scene.name, static_cast<int64_t>(points.size()));
-    OrInputError(RunPoints(points, executor, &store, &progress));
+    OrOutputError(RunPoints(study, points, executor, &store, &progress));
   }
   return Report(study, store, shard);
 }
@@ -173,8 +182,7 @@ int RunRank(SweepCluster* cluster) {
   const SweepStudy study(request, ParseSweep(FLAGS_sweep, request.scene));
   if (cluster == nullptr || cluster->rank() == 0) return RunSweep(study, cluster);
   LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
-  cluster->Serve(study, &local);
-  return kDone;
+  return cluster->Serve(study, &local) ? kDone : kAnswerFailed;
 }
 
 }  // namespace

@@ -331,6 +331,24 @@ TEST_F(SweepOnRanksTest, WrongInputIsSaidOnceAndEndsAllRanks) {
   EXPECT_EQ(outcome.errors.find("found 'colour'", first + 1), std::string::npos);
 }
 
+TEST_F(SweepOnRanksTest, WithoutRankZeroTheOthersEnd) {
+  const std::string ids = testing::TempDir() + "/sweep_orphan_" + std::to_string(getpid());
+  for (const char* rank : {".0", ".1", ".2"}) std::filesystem::remove(ids + rank);
+  // Weeks of work.
+  const std::string sweep =
+      " --contact=direct_toi --solver=gd --iterations=1000000000 --sweep='stiffness=1:300:lin:300' --progress=none "
+      "--threads=1";
+  Background program(OnRanks(3, WithProcessIds(Command(sweep), ids), "OMPI_MCA_orte_enable_recovery=1"));
+  ASSERT_TRUE(WaitUntil([&] { return std::filesystem::exists(Store()); }));
+  const pid_t others[] = {ReadProcessId(ids + ".1"), ReadProcessId(ids + ".2")};
+  EXPECT_EQ(kill(ReadProcessId(ids + ".0"), SIGKILL), 0);
+  for (const pid_t rank : others) {
+    EXPECT_TRUE(WaitUntil([&] { return kill(rank, 0) != 0; }, 100s)) << "spins on";
+    kill(rank, SIGKILL);
+  }
+  EXPECT_NE(program.Wait(), 0);
+}
+
 #endif
 
 }  // namespace

@@ -1,0 +1,85 @@
+// Solvers that are told to stop in the middle of an iteration.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+// True from the question after the first `most` on.
+StopRequest StopAfter(int64_t most) {
+  return [most, asked = std::make_shared<std::atomic<int64_t>>(0)] { return ++*asked > most; };
+}
+
+double LossAt(const SolveRequest& request, const std::vector<double>& control) {
+  SingleShooting shooting(MakeSimulator(request.contact, request.scene, request.precision));
+  double loss = std::nan("");
+  shooting.Evaluate(control, &loss, nullptr);
+  return loss;
+}
+
+class InterruptedTest : public testing::TestWithParam<std::string> {
+ protected:
+  void StopEverywhere(const std::string& contact);
+};
+
+TEST_P(InterruptedTest, ReportsTheLastWholeIterateWheneverItIsStopped) {
+  for (const std::string contact : {"event", "direct_toi"}) {
+    if (contact == "event" || !FindSolver(GetParam())->exact_only) StopEverywhere(contact);
+  }
+}
+
+void InterruptedTest::StopEverywhere(const std::string& contact) {
+  const SolverEntry& solver = *FindSolver(GetParam());
+  SolveRequest request{ProblemScene("two_balls"), contact};
+  request.scene.steps = 48;
+  int interrupted = 0, with_progress = 0;
+  for (int64_t most = 0; most < 3'000'000; most += 1 + most / 2) {
+    SolverOptions options;
+    options.iterations = 20;
+    options.learning_rate = 10;
+    options.stop = StopAfter(most);
+    const SolveReport report = Solve(solver.name, request, options);
+    ASSERT_NE(report.termination, Termination::kFailed) << most << ": " << report.reason;
+    if (report.termination != Termination::kInterrupted) break;
+    ++interrupted;
+    if (report.losses.empty()) continue;
+    with_progress += report.losses.size() > 1;
+    EXPECT_EQ(report.initial_loss, report.losses.front());
+    EXPECT_EQ(report.iterations, static_cast<int>(report.losses.size()) - 1);
+    if (solver.exact_only) continue;  // their control has other intervals
+    EXPECT_NEAR(LossAt(request, report.control), report.final_loss, 1e-12 * report.initial_loss) << most;
+  }
+  EXPECT_GT(interrupted, 3);
+  if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") EXPECT_GT(with_progress, 0);
+}
+
+std::vector<std::string> Names() {
+  std::vector<std::string> names;
+  for (const SolverEntry& solver : AllSolvers()) names.emplace_back(solver.name);
+  return names;
+}
+INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](const auto& info) { return info.param; });
+
+TEST(Interrupted, SmoothedGradientsStopInTheMiddleOfTheirSamples) {
+  SolverOptions options;
+  options.learning_rate = 10;
+  options.surrogate = Surrogate{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.1, .samples = 1'000'000};
+  options.threads = 2;
+  options.stop = StopAfter(1000);
+  const SolveReport report = Solve("gd", {ProblemScene("two_balls"), "direct"}, options);
+  EXPECT_EQ(report.termination, Termination::kInterrupted);
+  EXPECT_EQ(report.losses.size(), 1u);
+}
+
+}  // namespace
+}  // namespace saltus
