@@ -10,6 +10,7 @@
 #include "audit/contact_run.h"
 #include "audit/statistics.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -273,7 +274,8 @@ const char* MeaningOf(ContactClass contact_class) {
 }
 
 ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene) {
-  return Recogniser(contact, scene).Run();
+  const Scene natural = InNaturalUnits(scene);
+  return Recogniser(contact, natural).Run();
 }
 
 }  // namespace saltus

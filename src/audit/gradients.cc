@@ -5,6 +5,7 @@
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -65,6 +66,7 @@ bool Smooth(const Scene& scene, Precision precision, int threads, ModelGradient*
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision) {
   ModelGradient result;
   result.contact = contact;
+  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), &result);
   return result;
@@ -75,6 +77,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   CHECK(WhyNotValid(surrogate).empty()) << WhyNotValid(surrogate);
   ModelGradient result;
   result.contact = contact;
+  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.surrogate = surrogate;
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);

@@ -34,6 +34,7 @@ bool HasBiasedDerivative(std::string_view model);
 // Why `model` cannot simulate `scene`; empty if it can. Precondition: the name is known.
 std::string WhyNotApplicable(std::string_view model, const Scene& scene);
 
+// Takes and gives numbers in the scene's units, whatever those the model works in (physics/units.h).
 // Preconditions: nothing is wrong with the name, the scene is valid, and WhyNotApplicable is empty.
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision);
 
