@@ -16,11 +16,12 @@
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
 
-constexpr double kTouching = 1e-11;  // m, overlap that is none
+constexpr double kTouching = 1e-11;  // overlap that is none
 constexpr int kLongest = 1024;       // steps of one interval; a contact that lasts longer is cut
 constexpr int kMargin = 2;           // steps by which an interval may grow to find the exact impact
 // How much smaller steps are when asking whether a force is resolved, at most and at least.
@@ -411,7 +412,10 @@ std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& e
                   finer,
                   100 * fine_error / coarse_error);
   } else {
-    std::snprintf(text, sizeof text, "contact is soft: it lasts %.2g s, and smaller steps do not help", lasts * h());
+    std::snprintf(text,
+                  sizeof text,
+                  "contact is soft: it lasts %.2g s, and smaller steps do not help",
+                  lasts * h() * scene_.units.time);
   }
   return text;
 }
@@ -497,8 +501,9 @@ const char* BlockToString(Block block) {
   LOG(FATAL) << "no such block";
 }
 
-Attribution AttributeError(std::string_view contact, const Scene& scene, const StopRequest& stop) {
-  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
+Attribution AttributeError(std::string_view contact, const Scene& given, const StopRequest& stop) {
+  if (std::string why_not = WhyNotApplicable(contact, given); !why_not.empty()) return {.reason = std::move(why_not)};
+  const Scene scene = InNaturalUnits(given);
   Attribution own = Attributor(contact, scene, stop).Run();
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.

@@ -10,14 +10,19 @@
 
 #include "saltus/dynamics/registry.h"
 #include "saltus/exact/closed_forms.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
 
+// In natural units, up to those of the loss.
 Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
+  const Units& units = gradient.natural;
   std::vector<double> all = gradient.gradient.initial;
-  const std::vector<double> control = CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals);
-  all.insert(all.end(), control.begin(), control.end());
+  for (size_t i = 0; i < all.size(); ++i) all[i] *= i % 4 < 2 ? units.length : units.speed();
+  for (double entry : CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals)) {
+    all.push_back(entry * units.force());
+  }
   return Eigen::Map<Eigen::VectorXd>(all.data(), all.size());
 }
 
@@ -25,6 +30,7 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
   ModelGradient gradient;
   gradient.contact = "closed form";
   gradient.num_steps = scene.steps;
+  gradient.natural = NaturalUnits(scene);
   gradient.loss = closed_form.loss;
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Vec2d& p = closed_form.gradient.position[i];
@@ -160,7 +166,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   CHECK_EQ(g.size(), reference.size()) << "the gradients are of different scenes";
   const double scale = reference.norm();
   GradientError error;
-  error.relative = scale > 0 ? (g - reference).norm() / scale : (g - reference).norm();
+  error.relative = (g - reference).norm() / (scale > 0 ? scale : exact.natural.loss);
   const double cosine = g.dot(reference) / (g.norm() * scale);
   error.angle = std::isfinite(cosine) ? std::acos(std::clamp(cosine, -1.0, 1.0)) : 0.0;
   if (!gradient.initial_error.empty()) error.in_standard_errors = DeviationInStandardErrors(gradient, exact);

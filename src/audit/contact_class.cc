@@ -10,6 +10,7 @@
 #include "audit/contact_run.h"
 #include "audit/statistics.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -276,7 +277,8 @@ const char* MeaningOf(ContactClass contact_class) {
 
 ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop) {
   if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.words = std::move(why_not)};
-  return Recogniser(contact, scene, stop).Run();
+  const Scene natural = InNaturalUnits(scene);
+  return Recogniser(contact, natural, stop).Run();
 }
 
 }  // namespace saltus

@@ -5,6 +5,7 @@
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -74,6 +75,7 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
                               const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
+  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), stop, &result);
   return result;
@@ -83,6 +85,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
                                const Surrogate& surrogate, int threads, const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
+  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.surrogate = surrogate;
   result.reason = WhyNotValid(surrogate);
   if (result.ok()) result.reason = WhyNotApplicable(contact, scene);

@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "audit/statistics.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -297,6 +299,26 @@ const char* QuantityToString(Quantity quantity) {
   LOG(FATAL) << "no such quantity";
 }
 
+double GradientFactor(Quantity quantity, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  switch (quantity) {
+    case Quantity::kPosition:
+      return by.loss / by.length;
+    case Quantity::kVelocity:
+      return by.loss / by.speed;
+    case Quantity::kControl:
+      return by.loss / by.force;
+    case Quantity::kRestitution:
+    case Quantity::kFriction:
+      return by.loss;
+    case Quantity::kMass:
+      return by.loss / by.mass;
+    case Quantity::kGravity:
+      return by.loss / by.acceleration;
+  }
+  LOG(FATAL) << "no such quantity";
+}
+
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals) {
   std::vector<std::string> names;
   const auto add_vector = [&](const std::string& prefix, const std::string& suffix) {
@@ -374,9 +396,18 @@ const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
 
 RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options,
                                 const StopRequest& stop) {
+  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    RefinementStudy study = StudyRefinement(contact, natural, options, stop);
+    for (QuantityStudy& quantity : study.quantities) {
+      const double by = GradientFactor(quantity.quantity, natural.units, scene.units);
+      quantity.exact = Multiplied(std::move(quantity.exact), by);
+      quantity.finest = Multiplied(std::move(quantity.finest), by);
+    }
+    return study;
+  }
   RefinementStudy study;
-  study.reason = WhyNotApplicable(contact, scene);
-  if (!study.ok()) return study;
   Study run(contact, scene, options, stop, &study);
   if (!study.ok()) return study;
   const int levels = std::max<int>(options.levels, kTail);

@@ -6,11 +6,13 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <utility>
 
 #include "audit/statistics.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -159,6 +161,17 @@ double GradientAlong(const Direction& direction, const ModelGradient& gradient, 
   return sum;
 }
 
+void Convert(const Units& from, const Units& to, WidthSweep* sweep) {
+  const double by = GradientFactor(sweep->quantity, from, to);
+  for (double* slope : {&sweep->gradient, &sweep->narrow, &sweep->wide, &sweep->narrow_spread, &sweep->wide_spread}) {
+    *slope *= by;
+  }
+  sweep->slopes = Multiplied(std::move(sweep->slopes), by);
+  const double width = UnitFactors(from, to).loss / by;
+  sweep->grid_width *= width;
+  sweep->widths = Multiplied(std::move(sweep->widths), width);
+}
+
 }  // namespace
 
 const char* WidthFindingToString(WidthFinding finding) {
@@ -212,9 +225,14 @@ std::string WidthSweepStudy::Summary() const {
 
 WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options,
                             const StopRequest& stop) {
+  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    WidthSweepStudy study = SweepWidths(contact, natural, options, stop);
+    for (WidthSweep& sweep : study.sweeps) Convert(natural.units, scene.units, &sweep);
+    return study;
+  }
   WidthSweepStudy study;
-  study.reason = WhyNotApplicable(contact, scene);
-  if (!study.ok()) return study;
   Scene refined = scene;
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   refined.steps = scene.steps * std::clamp<int>(kMostSteps / scene.steps, 1, options.refine) +

@@ -6,6 +6,7 @@
 
 #include "flight.h"
 #include "saltus/control/objective.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -421,6 +422,16 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
 
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors by(scene.units, natural.units);
+    return InUnits(Certify(natural,
+                           ConvertStates(initial, scene.units, natural.units),
+                           Multiplied(control, by.force),
+                           Multiplied(durations, by.time)),
+                   natural.units,
+                   scene.units);
+  }
   Certificate certificate;
   const ExactRun exact = SimulateExactly(scene, initial, control, durations);
   certificate.reason = WhyNotCertify(scene, exact);
@@ -432,6 +443,20 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   }
   const Flight flight(scene, initial, control, lengths, exact);
   return Certifier(scene, control, flight, lengths.size()).Run(exact);
+}
+
+Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  for (ImpactCertificate& impact : certificate.impacts) {
+    impact.time *= by.time;
+    impact.speed *= by.speed;
+    impact.multiplier *= by.loss / by.length;
+  }
+  for (std::optional<double>* gradient :
+       {&certificate.gradient_early, &certificate.gradient_late, &certificate.gradient_combined}) {
+    if (*gradient) **gradient *= by.loss / by.force;
+  }
+  return certificate;
 }
 
 void Judge(Certificate* certificate) {

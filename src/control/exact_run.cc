@@ -7,6 +7,7 @@
 
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -70,6 +71,17 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
 
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations) {
+  if (!scene.units.natural) {  // once for all parts
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors to(scene.units, natural.units);
+    ExactRun run = SimulateExactly(natural,
+                                   ConvertStates(initial, scene.units, natural.units),
+                                   Multiplied(control, to.force),
+                                   Multiplied(durations, to.time));
+    if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
+    for (Event& event : run.events) event.time /= to.time;
+    return run;
+  }
   ExactRun run;
   const ModelTraits* exact = ExactModel();
   if (exact == nullptr) {

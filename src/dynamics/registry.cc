@@ -9,7 +9,9 @@
 #include <utility>
 #include <variant>
 
+#include "dynamics/converted_simulator.h"
 #include "dynamics/registry_entry.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -92,6 +94,18 @@ std::vector<OptionValue> OptionsIn(std::string_view name) {
   return std::get<std::vector<OptionValue>>(std::move(options));
 }
 
+// The scene in the units in which the model works: SI, for the constants of its source, with the origin near; or, of an
+// event-driven model, whose thresholds are all the constants it has, natural ones.
+Scene AsSeenBy(const RegistryEntry& entry, const Scene& scene) {
+  const Units natural = NaturalUnits(scene);
+  if (entry.traits.event_driven) return InUnits(scene, natural);
+  return InUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
+}
+
+bool SameNumbers(const Units& a, const Units& b) {
+  return a.length == b.length && a.time == b.time && a.mass == b.mass && a.origin == b.origin;
+}
+
 std::vector<ModelTraits> CollectTraits() {
   std::vector<ModelTraits> traits;
   for (const RegistryEntry& entry : Entries()) traits.push_back(entry.traits);
@@ -136,14 +150,18 @@ std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
   if (std::string wrong = WhatIsWrongWith(model); !wrong.empty()) return wrong;
   if (const std::optional<SceneError> error = ValidateStructure(scene))
     return "the scene is wrong: " + error->ToString();
-  return Entry(model).why_not_applicable(scene);
+  const RegistryEntry& entry = Entry(model);
+  return entry.why_not_applicable(AsSeenBy(entry, scene));
 }
 
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision) {
   const std::string why_not = WhyNotApplicable(model, scene);
   CHECK(why_not.empty()) << model << ": " << why_not;
   const RegistryEntry& entry = Entry(model);
-  return entry.make(scene, precision, OptionsIn(model));
+  const Scene seen = AsSeenBy(entry, scene);
+  const bool same = SameNumbers(seen.units, scene.units);
+  std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(model));
+  return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));
 }
 
 }  // namespace saltus

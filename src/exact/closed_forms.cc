@@ -5,6 +5,7 @@
 
 #include "flow.h"
 #include "polynomial.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -227,10 +228,34 @@ std::optional<ClosedForm> TwoDiscs(const Scene& scene, std::string* why_not) {
   return form;
 }
 
+ClosedForm Convert(ClosedForm form, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  form.terminal = ConvertLoss(form.terminal, from, to);
+  form.running *= by.loss;
+  form.loss = ConvertLoss(form.loss, from, to);
+  for (Vec2d& position : form.position) position = ConvertPosition(position, from, to);
+  for (Vec2d& velocity : form.velocity) velocity *= by.speed;
+  ExactGradient& gradient = form.gradient;
+  for (Vec2d& entry : gradient.position) entry *= by.loss / by.length;
+  for (Vec2d& entry : gradient.velocity) entry *= by.loss / by.speed;
+  for (std::vector<Vec2d>& step : gradient.control) {
+    for (Vec2d& entry : step) entry *= by.loss / by.force;
+  }
+  gradient.restitution *= by.loss;
+  gradient.friction *= by.loss;
+  for (ExactEvent& event : form.events) event.time *= by.time;
+  return form;
+}
+
 }  // namespace
 
 std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not) {
   if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const std::optional<ClosedForm> form = EvaluateClosedForm(natural, why_not);
+    return form ? std::optional(Convert(*form, natural.units, scene.units)) : std::nullopt;
+  }
   for (const Body& body : scene.bodies) {
     if (body.fixed) return Refuse(why_not, "a disc is fixed");
   }

@@ -5,7 +5,7 @@
 namespace saltus::exact_internal {
 namespace {
 
-constexpr double kSameTime = 1e-12;  // s
+constexpr double kSameTime = 1e-12;
 
 struct NextHit {
   int plane = -1;

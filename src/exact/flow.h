@@ -13,8 +13,9 @@
 
 namespace saltus::exact_internal {
 
-inline constexpr double kTouching = 1e-12;  // m, the overlap that a valid scene may start with
-inline constexpr double kGrazing = 1e-9;    // m/s, slower approaches have no usable derivative
+// In natural units, as all that closed forms work on (physics/units.h).
+inline constexpr double kTouching = 1e-12;  // the overlap that a valid scene may start with
+inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no usable derivative
 
 // What ValidateStructure says of a scene; empty if nothing is wrong with it.
 inline std::string WhatIsWrongWith(const Scene& scene) {

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 
+#include "saltus/physics/units.h"
 #include "two_disc_core.h"
 
 namespace saltus {
@@ -138,10 +139,33 @@ std::optional<GridOptimum> MakeOptimum(const Scene& scene, TwoDiscSequence seque
   return o;
 }
 
+GridOptimum Convert(GridOptimum o, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  for (double* loss : {&o.loss, &o.terminal, &o.running}) *loss *= by.loss;
+  o.impact_time *= by.time;
+  o.striker_velocity *= by.speed;
+  for (Vec2d& force : o.control) force *= by.force;
+  if (o.plane_time) *o.plane_time *= by.time;
+  o.residual *= by.loss / by.force;
+  return o;
+}
+
+// What `find` finds for the scene in its natural units, in those of the scene.
+template <typename Find>
+std::optional<GridOptimum> FindInNaturalUnits(const Scene& scene, const Find& find) {
+  const Scene natural = InNaturalUnits(scene);
+  const std::optional<GridOptimum> optimum = find(natural);
+  return optimum ? std::optional(Convert(*optimum, natural.units, scene.units)) : std::nullopt;
+}
+
 }  // namespace
 
 std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSequence sequence, int node,
                                                 std::string* why_not) {
+  if (!scene.units.natural) {
+    return FindInNaturalUnits(
+        scene, [&](const Scene& natural) { return OptimizeWithImpactAt(natural, sequence, node, why_not); });
+  }
   const std::optional<Grid> grid = MakeGrid(scene, sequence, why_not);
   if (!grid) return std::nullopt;
   CHECK(node >= 2 && node < scene.steps) << "no such node for an impact: " << node;
@@ -151,6 +175,9 @@ std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSeque
 }
 
 std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+  if (!scene.units.natural) {
+    return FindInNaturalUnits(scene, [&](const Scene& natural) { return FindGridOptimum(natural, sequence, why_not); });
+  }
   const std::optional<Grid> grid = MakeGrid(scene, sequence, why_not);
   if (!grid) return std::nullopt;
   int best_node = 0;

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "flow.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -109,6 +110,16 @@ const char* WhyNotLaunch(const Scene& scene) {
 }  // namespace
 
 std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits, std::string* why_not) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors by(natural.units, scene.units);
+    std::vector<LaunchSolution> solutions = FindLaunchSolutions(natural, max_hits, why_not);
+    for (LaunchSolution& solution : solutions) {
+      solution.velocity *= by.speed;
+      for (ExactEvent& event : solution.events) event.time *= by.time;
+    }
+    return solutions;
+  }
   constexpr int kLattice = 3;  // starts to either side, per direction
   std::vector<LaunchSolution> solutions;
   if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) {

@@ -6,7 +6,7 @@
 namespace saltus::exact_internal {
 namespace {
 
-constexpr double kClear = 1e-11;  // m: overlap below this is rounding
+constexpr double kClear = 1e-11;  // overlap below this is rounding
 
 Vec2d Mirror(const Plane& plane, double radius, const Vec2d& p) {
   const Vec2d n = plane.normal.normalized();

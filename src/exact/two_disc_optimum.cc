@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "saltus/physics/units.h"
 #include "two_disc_core.h"
 
 namespace saltus {
@@ -94,6 +95,28 @@ std::optional<TwoDiscOptimum> Candidate(const Scene& scene, TwoDiscSequence sequ
   return o;
 }
 
+TwoDiscOptimum Convert(TwoDiscOptimum o, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  for (double* loss : {&o.loss, &o.terminal, &o.running}) *loss *= by.loss;
+  o.impact_time *= by.time;
+  o.striker_velocity *= by.speed;
+  o.impact_speed *= by.speed;
+  o.control_start *= by.force;
+  o.control_slope *= by.force / by.time;
+  o.target_velocity *= by.speed;
+  o.target_final = ConvertPosition(o.target_final, from, to);
+  if (o.plane_time) *o.plane_time *= by.time;
+  for (TwoDiscCostate* costate : {&o.costate_start, &o.costate_before, &o.costate_after}) {
+    for (Vec2d& entry : costate->position) entry *= by.loss / by.length;
+    for (Vec2d& entry : costate->velocity) entry *= by.loss / by.speed;
+  }
+  for (double* rate : {&o.hamiltonian_start, &o.hamiltonian_before, &o.hamiltonian_after, &o.kink_slope}) {
+    *rate *= by.loss / by.time;
+  }
+  o.curvature *= by.loss / (by.time * by.time);
+  return o;
+}
+
 }  // namespace
 
 Vec2d TwoDiscOptimum::Control(double t) const {
@@ -102,6 +125,11 @@ Vec2d TwoDiscOptimum::Control(double t) const {
 }
 
 std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(natural, sequence, why_not);
+    return optimum ? std::optional(Convert(*optimum, natural.units, scene.units)) : std::nullopt;
+  }
   constexpr int kTimes = 16;
   constexpr int kAngles = 12;
   const auto problem = exact_internal::MakeTwoDiscProblem(scene, sequence, why_not);

@@ -9,6 +9,8 @@
 #include <string_view>
 #include <unordered_map>
 
+#include "saltus/physics/units.h"
+
 namespace saltus {
 namespace {
 
@@ -18,11 +20,11 @@ struct Range {
   double low, high;
   const char* expected;
 };
-constexpr Range kAny{-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e12"};
-constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive number, 1e-12 to 1e12"};
+constexpr Range kAny{-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e24"};
+constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive number, 1e-24 to 1e24"};
 // Parts of a horizon may be shorter than a whole one.
-constexpr Range kAboveZero{std::numeric_limits<double>::min(), kLargestMagnitude, "a positive number, up to 1e12"};
-constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e12"};
+constexpr Range kAboveZero{std::numeric_limits<double>::min(), kLargestMagnitude, "a positive number, up to 1e24"};
+constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e24"};
 constexpr Range kFraction{0, 1, "a number from 0 to 1"};
 
 std::string ToText(double value) {
@@ -169,7 +171,7 @@ class Rules {
       Vector(At("planes", i, "normal"), plane.normal);
       const double length = std::hypot(plane.normal[0], plane.normal[1]);
       Expect(length >= kSmallestPositive, At("planes", i, "normal"), [&] {
-        return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-12";
+        return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-24";
       });
     }
   }
@@ -221,6 +223,7 @@ class Rules {
   }
 
   void CheckOverlap() {
+    tolerance_ = kOverlapTolerance * NaturalUnits(scene_).length;
     for (std::size_t i = 0; i < scene_.bodies.size(); ++i) {
       for (std::size_t j = 0; j < i && !error_; ++j) CheckApart(i, j);
       for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
@@ -248,14 +251,19 @@ class Rules {
   }
 
   void Overlap(std::size_t body, const char* list, std::size_t other, const std::string& name, double depth) {
-    Expect(depth <= kOverlapTolerance, At("bodies", body, "position"), [&] {
+    // Positions are rounded when they are written; a difference of two, and its length, by as much again.
+    const double rounding =
+        8 * std::numeric_limits<double>::epsilon() * scene_.bodies[body].position.cwiseAbs().maxCoeff();
+    const double tolerance = std::max(tolerance_, rounding);
+    Expect(depth <= tolerance, At("bodies", body, "position"), [&] {
       return "found an overlap of " + ToText(depth) + " m with " + At(list, other).ToString() + " (" + name +
-             ") at the start, expected at most 1e-12 m";
+             ") at the start, expected at most " + ToText(tolerance) + " m";
     });
   }
 
   const Scene& scene_;
   const bool all_;
+  double tolerance_ = 0;                        // m, of overlaps
   std::unordered_map<std::string, Key> names_;  // of bodies and planes
   std::optional<SceneError> error_;
 };

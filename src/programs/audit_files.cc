@@ -130,7 +130,8 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
       low = std::min({low, sweep.narrow, sweep.wide});
       high = std::max({high, sweep.narrow, sweep.wide});
     }
-    const double margin = std::max(0.25 * (high - low), 1e-6);
+    const double size = std::max(std::abs(low), std::abs(high));
+    const double margin = size > 0 ? std::max(0.25 * (high - low), 1e-6 * size) : 1;
     panel.y = {.label = "slope", .min = low - margin, .max = high + margin};
     figure.panels.push_back(std::move(panel));
   }

@@ -347,7 +347,7 @@ PaperFigure SolverComparison::Defects() const {
     Panel panel;
     panel.title = contact;
     panel.x.label = "time (s)";
-    panel.y.label = "largest component of a step's defect (m or m/s)";
+    panel.y.label = "largest component of a step's defect (of the scene's length or speed)";
     panel.y.log = true;
     panel.y.min = 1e-6;
     const auto& rounds = run->report.defects;

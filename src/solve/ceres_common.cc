@@ -1,6 +1,7 @@
 #include "ceres_common.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -21,6 +22,25 @@ Termination Judge(const CeresOutcome& outcome) {
   return outcome.type == ceres::NO_CONVERGENCE ? Termination::kIterationLimit : Termination::kNoProgress;
 }
 
+// What Ceres says of itself is about its own thresholds.
+std::string Describe(Termination termination, const CeresOutcome& outcome) {
+  switch (termination) {
+    case Termination::kConverged:
+      return "the gradient has vanished";
+    case Termination::kIterationLimit:
+      return "the gradient has not vanished within the iterations allowed";
+    case Termination::kNoProgress:
+      return outcome.type == ceres::FAILURE ? "no descent was found, though the gradient has not vanished"
+                                            : "steps no longer lower the loss, though the gradient has not vanished";
+    case Termination::kFailed:
+      return "no step was found that has a finite loss and derivatives";
+    case Termination::kInterrupted:
+    case Termination::kNotApplicable:
+      return "";
+  }
+  return "";
+}
+
 }  // namespace
 
 double GivenEffort(const SingleShooting& shooting) {
@@ -38,7 +58,7 @@ ceres::CallbackReturnType RecordIteration::operator()(const ceres::IterationSumm
   return Record(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
 }
 
-Termination RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
+End RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
   const Termination termination = Judge(outcome);
   if (termination != Termination::kInterrupted) {
     for (size_t i = run->num_recorded(); i < outcome.iterations.size(); ++i) record->Record(outcome.iterations[i]);
@@ -46,12 +66,12 @@ Termination RecordEnd(SolveRun* run, RecordIteration* record, std::span<const do
   // Where the gradient vanishes at the initial guess, the line search solver reports no iteration at all.
   double loss = 0;
   if (run->num_recorded() == 0 && run->shooting().Evaluate(z, &loss, nullptr)) run->Record(loss, z);
-  return termination;
+  return {termination, Describe(termination, outcome)};
 }
 
 SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
-  const Termination termination = RecordEnd(run, record, z, outcome);
-  return run->Finish(z, termination, outcome.message);
+  auto [termination, words] = RecordEnd(run, record, z, outcome);
+  return run->Finish(z, termination, std::move(words));
 }
 
 }  // namespace saltus

@@ -13,7 +13,8 @@
 namespace saltus {
 
 // Tolerances so tight that in smooth problems rounding alone stops Ceres; whether that was a minimum is judged by
-// Conclude.
+// Conclude. Solvers work in natural units (physics/units.h), in which losses and variables are about 1, as Ceres'
+// own constants suppose.
 inline constexpr double kGradientTolerance = 1e-10;
 inline constexpr double kFunctionTolerance = 1e-16;
 inline constexpr double kParameterTolerance = 1e-15;
@@ -48,7 +49,6 @@ class RecordIteration final : public ceres::IterationCallback {
 // How Ceres ended.
 struct CeresOutcome {
   ceres::TerminationType type;
-  const std::string& message;
   std::span<const ceres::IterationSummary> iterations;
   bool failure_is_stall;  // FAILURE at a later iterate means that no descent was found
 };
@@ -56,10 +56,16 @@ struct CeresOutcome {
 // The effort of a control that is not optimized: a constant that Ceres does not see.
 double GivenEffort(const SingleShooting& shooting);
 
+// How a run ended, and why in words.
+struct End {
+  Termination termination;
+  std::string words;
+};
+
 // Records what the callback was not shown of a run that ends at z, and says how it ended. Converged means that the
 // gradient has vanished. A tolerance on steps or losses says no such thing: where the loss has a kink, steps shrink
 // until it is met.
-Termination RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
+End RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
 // Does so, and writes the report.
 SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);

@@ -11,7 +11,7 @@
 namespace saltus {
 namespace {
 
-constexpr double kClosed = 1e-9;           // m, m/s: a defect below is closed
+constexpr double kClosed = 1e-9;           // a defect below is closed
 constexpr double kLastWeight = 1e8;        // mu grows no further
 constexpr double kGrowth = 10;             // of mu
 constexpr double kShrinkage = 0.25;        // of the largest defect; where less is reached, mu grows

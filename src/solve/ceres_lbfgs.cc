@@ -50,7 +50,7 @@ SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& 
   const ceres::GradientProblem problem(new Loss(&run.shooting()));
   ceres::GradientProblemSolver::Summary summary;
   ceres::Solve(ceres_options, problem, z.data(), &summary);
-  return Conclude(&run, &record, z, {summary.termination_type, summary.message, summary.iterations, true});
+  return Conclude(&run, &record, z, {summary.termination_type, summary.iterations, true});
 }
 
 }  // namespace saltus

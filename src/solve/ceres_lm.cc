@@ -142,8 +142,7 @@ SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& opt
   ceres_options.callbacks = {&record};
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options, &problem, &summary);
-  SolveReport report =
-      Conclude(&run, &record, z, {summary.termination_type, summary.message, summary.iterations, false});
+  SolveReport report = Conclude(&run, &record, z, {summary.termination_type, summary.iterations, false});
   report.evaluations = terminal->num_jacobians();
   return report;
 }

@@ -20,19 +20,14 @@ std::string Describe(const NodeSearch& search, const std::optional<NodeSearch::B
   return text.str();
 }
 
-struct End {
-  Termination termination;
-  std::string reason;
-  int num_jacobians = 0;
-};
-
 // After a stall at decision variables z with that loss; replaces both.
-End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::vector<double>* z) {
+End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::vector<double>* z, int* num_jacobians) {
   NodeSearch search(run, *z, *loss);
   if (!search.Run(iterations)) return stall;
   *z = search.z();
   *loss = search.loss();
-  End end{Termination::kNoProgress, "", stall.num_jacobians + search.num_jacobians()};
+  *num_jacobians += search.num_jacobians();
+  End end{Termination::kNoProgress, ""};
   std::optional<NodeSearch::Balance> balance;
   if (search.interrupted()) {
     end.termination = Termination::kInterrupted;
@@ -43,7 +38,7 @@ End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::
     const bool stationary = balance && balance->theta >= 0 && balance->theta <= 1 && balance->residual < kBalanced;
     if (stationary) end.termination = Termination::kConverged;
   }
-  end.reason = Describe(search, balance);
+  end.words = Describe(search, balance);
   return end;
 }
 
@@ -62,14 +57,13 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
       &run, [&problem](double) { return problem.loss(); }, &problem.z());
   const ceres::Solver::Summary summary = problem.Minimize(options.iterations, kFunctionTolerance, {&record});
   z = problem.z();
-  End end{RecordEnd(&run, &record, z, {summary.termination_type, summary.message, summary.iterations, false}),
-          summary.message,
-          summary.num_jacobian_evaluations};
+  int num_jacobians = summary.num_jacobian_evaluations;
+  End end = RecordEnd(&run, &record, z, {summary.termination_type, summary.iterations, false});
 
   std::optional<double> final_loss;
   const bool kinks = shooting.simulator().traits().event_driven && request.scene.optimize == Optimize::kControl;
   if (kinks && end.termination == Termination::kNoProgress && shooting.Evaluate(z, &loss, nullptr)) {
-    end = MoveAlongNodes(&run, options.iterations - (run.num_recorded() - 1), end, &loss, &z);
+    end = MoveAlongNodes(&run, options.iterations - (run.num_recorded() - 1), end, &loss, &z, &num_jacobians);
     final_loss = loss;
   }
   std::vector<std::vector<double>> defects;
@@ -78,8 +72,8 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
     const Simulator& simulator = shooting.simulator();
     defects.push_back(LargestDefects(simulator, StatesOf(simulator), shooting.ControlAt(z)));
   }
-  SolveReport report = run.Finish(z, end.termination, end.reason, final_loss);
-  report.evaluations = end.num_jacobians;
+  SolveReport report = run.Finish(z, end.termination, end.words, final_loss);
+  report.evaluations = num_jacobians;
   report.defects = std::move(defects);
   return report;
 }

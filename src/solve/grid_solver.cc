@@ -20,9 +20,9 @@ std::optional<GridOptimum> FindBest(const Scene& scene, std::string* why_not) {
   return best;
 }
 
-std::string Describe(const GridOptimum& optimum) {
+std::string Describe(const Units& units, const GridOptimum& optimum) {
   std::ostringstream text;
-  text << "impact on node " << optimum.node << " at " << optimum.impact_time
+  text << "impact on node " << optimum.node << " at " << optimum.impact_time * units.time
        << " s; one-sided gradients balance at theta " << optimum.theta << ", to " << optimum.residual;
   return text.str();
 }
@@ -54,7 +54,8 @@ SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions&
   }
   run.Record(loss, z);
   const bool stationary = optimum->theta >= 0 && optimum->theta <= 1 && optimum->residual < 1e-12;
-  return run.Finish(z, stationary ? Termination::kConverged : Termination::kNoProgress, Describe(*optimum));
+  return run.Finish(
+      z, stationary ? Termination::kConverged : Termination::kNoProgress, Describe(request.scene.units, *optimum));
 }
 
 }  // namespace saltus

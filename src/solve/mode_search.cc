@@ -9,6 +9,7 @@
 #include <string>
 
 #include "phase_run.h"
+#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
@@ -147,7 +148,8 @@ class ModeSearch {
 
   void Say(const ContactSequence& sequence) const {
     if (!run_.options().status) return;
-    run_.options().status(std::to_string(solves_) + " sequences, best " + std::to_string(best_loss_) + ", now " +
+    run_.options().status(std::to_string(solves_) + " sequences, best " +
+                          std::to_string(ConvertLoss(best_loss_, scene_.units, {})) + ", now " +
                           ContactSequenceToString(scene_, sequence));
   }
 

@@ -15,6 +15,7 @@
 #include "phase_solution.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
+#include "solve_units.h"
 
 namespace saltus {
 namespace {
@@ -58,7 +59,7 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
-      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent, false, true},
+      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent, false, true, true},
       {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotSingleShooting, SolveByCeresLbfgs},
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
@@ -83,9 +84,18 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   const SolverEntry* entry = FindSolver(solver);
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
-  if (reason.empty()) reason = entry->why_not(request);
+  SolveRequest converted = request;
+  if (reason.empty()) {
+    Units units = NaturalUnits(request.scene);
+    if (entry->any_units) units = {.origin = units.origin, .loss_at_origin = units.loss_at_origin};
+    converted.scene = InUnits(request.scene, units);
+    reason = entry->why_not(converted);
+  }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
-  if (reason.empty()) return entry->solve(request, options);
+  if (reason.empty()) {
+    const SolverOptions own = OptionsFor(converted.scene, options);
+    return InSiUnits(converted.scene, entry->solve(converted, own));
+  }
   SolveReport report;
   report.contact = request.contact;
   report.solver = solver;

@@ -326,7 +326,7 @@ TEST(LoadSceneFile, NamesTheFileInErrors) {
   std::filesystem::remove(path);
   ASSERT_TRUE(std::holds_alternative<SceneFileError>(result));
   EXPECT_EQ(std::get<SceneFileError>(result).ToString(),
-            path + ":8: bodies[0].mass: found 0, expected a positive number, 1e-12 to 1e12");
+            path + ":8: bodies[0].mass: found 0, expected a positive number, 1e-24 to 1e24");
 }
 
 }  // namespace

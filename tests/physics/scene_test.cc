@@ -52,13 +52,13 @@ const std::vector<Breach>& Breaches() {
       {"duration", [](Scene* s) { s->duration = -1; }},
       {"duration", [](Scene* s) { s->duration = kNan; }},
       {"duration", [](Scene* s) { s->duration = kInfinity; }},
-      {"duration", [](Scene* s) { s->duration = 1e-13; }},
-      {"duration", [](Scene* s) { s->duration = 1.1e12; }},
+      {"duration", [](Scene* s) { s->duration = 1e-25; }},
+      {"duration", [](Scene* s) { s->duration = 1.1e24; }},
       {"steps", [](Scene* s) { s->steps = 0; }},
       {"steps", [](Scene* s) { s->steps = -5; }},
       {"steps", [](Scene* s) { s->steps = kMaxSteps + 1; }},
       {"gravity[0]", [](Scene* s) { s->gravity[0] = kNan; }},
-      {"gravity[1]", [](Scene* s) { s->gravity[1] = -1.1e12; }},
+      {"gravity[1]", [](Scene* s) { s->gravity[1] = -1.1e24; }},
       {"bodies", [](Scene* s) { s->bodies.clear(); }},
       {"bodies[1].name", [](Scene* s) { s->bodies[1].name = ""; }},
       {"bodies[1].name", [](Scene* s) { s->bodies[1].name = "two words"; }},
@@ -81,7 +81,7 @@ const std::vector<Breach>& Breaches() {
        }},
       {"planes[0].normal",
        [](Scene* s) {
-         s->planes[0].normal = {1e-200, 1e-13};
+         s->planes[0].normal = {1e-200, 1e-25};
        }},
       {"planes[0].normal[1]", [](Scene* s) { s->planes[0].normal[1] = kInfinity; }},
       {"contact.restitution", [](Scene* s) { s->contact.restitution = 1.0001; }},
@@ -180,12 +180,22 @@ Scene OnTheGround(double depth) {
 }
 
 TEST(Validate, AllowsOverlapUpToTheTolerance) {
+  constexpr double kTolerance = 8e-12;  // m; the scene's length is 8 m
   EXPECT_FALSE(Validate(Touching(0)));
-  EXPECT_FALSE(Validate(Touching(0.9e-12)));
-  EXPECT_TRUE(Validate(Touching(1.1e-12)));
+  EXPECT_FALSE(Validate(Touching(0.9 * kTolerance)));
+  EXPECT_TRUE(Validate(Touching(1.1 * kTolerance)));
   EXPECT_FALSE(Validate(OnTheGround(0)));
-  EXPECT_FALSE(Validate(OnTheGround(0.9e-12)));
-  EXPECT_TRUE(Validate(OnTheGround(1.1e-12)));
+  EXPECT_FALSE(Validate(OnTheGround(0.9 * kTolerance)));
+  EXPECT_TRUE(Validate(OnTheGround(1.1 * kTolerance)));
+}
+
+TEST(Validate, AllowsWhatRoundingMakesOfTouchingDiscsFarFromTheOrigin) {
+  Scene scene = Touching(0);
+  for (Body& body : scene.bodies) body.position += Vec2d(2e7, -3e7);
+  scene.planes.clear();
+  EXPECT_FALSE(Validate(scene));
+  scene.bodies[1].position -= 1e-6 * Vec2d(0.6, 0.8);
+  EXPECT_TRUE(Validate(scene));
 }
 
 TEST(Validate, MeasuresHeightAlongTheNormalisedNormal) {

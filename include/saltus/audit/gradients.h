@@ -16,6 +16,7 @@ struct ModelGradient {
   std::string contact;
   std::string reason;  // why there is none: the model cannot take the scene, or its rollout fails, and where
   int num_steps = 0;   // K of the control's shape
+  Units natural = {};  // of the scene, in which entries of different quantities can be compared
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times

@@ -45,6 +45,8 @@ const char* QuantityToString(Quantity quantity);
 // Precondition: the gradient's number of steps is a multiple of `intervals`.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
+// Of derivatives of the loss by that quantity in the units `from`: multiply by it to have them in `to`.
+double GradientFactor(Quantity quantity, const Units& from, const Units& to);
 
 struct RefinementOptions {
   int levels = 7;               // at least 4 are run

@@ -79,6 +79,9 @@ const char* ScopeToString(Certificate::Scope scope);
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {});
 
+// The same certificate in other units; its residuals have none.
+Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
+
 // From the four residuals, and the thetas, to verdict and reason.
 void Judge(Certificate* certificate);
 

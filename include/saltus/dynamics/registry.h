@@ -35,6 +35,7 @@ bool HasBiasedDerivative(std::string_view model);
 // or the model's own reason. Empty if it can.
 std::string WhyNotApplicable(std::string_view model, const Scene& scene);
 
+// Takes and gives numbers in the scene's units, whatever those the model works in (physics/units.h).
 // Precondition: WhyNotApplicable is empty.
 std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision);
 

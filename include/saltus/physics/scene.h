@@ -1,4 +1,5 @@
-// The nouns: what stands in a scene, what acts on it, and what is to be minimised. Plain doubles, SI units.
+// The nouns: what stands in a scene, what acts on it, and what is to be minimised. Plain doubles, SI units unless
+// Scene::units says otherwise.
 //
 // Accepted numbers: every one is finite and of magnitude at most kLargestMagnitude; those that must be positive (and
 // the length of a normal) are at least kSmallestPositive. Within these bounds dt, inverse masses, accelerations, free
@@ -13,10 +14,10 @@
 
 namespace saltus {
 
-inline constexpr double kLargestMagnitude = 1e12;
-inline constexpr double kSmallestPositive = 1e-12;
+inline constexpr double kLargestMagnitude = 1e24;
+inline constexpr double kSmallestPositive = 1e-24;
 inline constexpr int kMaxSteps = 10'000'000;
-inline constexpr double kOverlapTolerance = 1e-12;  // m, allowed at the start
+inline constexpr double kOverlapTolerance = 1e-12;  // of the scene's length (units.h), allowed at the start
 
 // A disc. A fixed disc never moves: its velocity is zero, and its mass is not used.
 struct Body {
@@ -81,6 +82,24 @@ struct Objective {
   bool operator==(const Objective&) const = default;
 };
 
+// Of what a scene's numbers are multiples: powers of two in SI units, so that going from one set of units to another
+// changes no bit. Units that are not named follow: that of a speed is length / time.
+struct Units {
+  double length = 1;             // m
+  double time = 1;               // s
+  double mass = 1;               // kg
+  double loss = 1;               // of the loss
+  Vec2d origin = Vec2d::Zero();  // m; where the position [0, 0] is
+  double loss_at_origin = 0;     // the loss where it is 0: linear terms measure positions from the origin
+  bool natural = false;          // those that belong to the scene (units.h)
+
+  double speed() const { return length / time; }
+  double acceleration() const { return speed() / time; }
+  double force() const { return mass * acceleration(); }
+
+  bool operator==(const Units&) const = default;
+};
+
 // What the solvers may change.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
 
@@ -101,6 +120,7 @@ struct Scene {
   // For kVelocity and kPosition: whose, at least one; else not used. Indices of bodies that are not fixed, without
   // repetition.
   std::vector<int> free;
+  Units units = {};  // SI in every scene that users give
 
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
@@ -119,8 +139,9 @@ struct SceneError {
 
 // The first rule that `scene` breaks, or nothing. Checked: numbers (see the top), ranges as stated above, names that
 // are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for (kNone
-// needs neither), and no overlap above kOverlapTolerance at the start between discs or of a disc with a plane (two
-// fixed discs may overlap, and a fixed disc may reach into a plane). Quadratic in the number of bodies.
+// needs neither), and no overlap above kOverlapTolerance, and above what rounding makes of positions far from the
+// origin, at the start between discs or of a disc with a plane (two fixed discs may overlap, and a fixed disc may reach
+// into a plane). Quadratic in the number of bodies.
 std::optional<SceneError> Validate(const Scene& scene);
 
 // The first of those rules that `scene` breaks and a simulation relies on: numbers, ranges and indices. Names, what is

@@ -86,8 +86,9 @@ struct SolveReport {
   int evaluations = 0;  // gradients (or Jacobians) computed
   double seconds = 0;
   std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
-  // Step shooting: of each step, the largest component of its defect (m or m/s); one vector each time that defects were
-  // looked at, the last one at the solution. The loss is that of a rollout, whatever they are.
+  // Step shooting: of each step, the largest component of its defect, a multiple of the scene's natural length or speed
+  // (units.h); one vector each time that defects were looked at, the last one at the solution. The loss is that of a
+  // rollout, whatever they are.
   std::vector<std::vector<double>> defects;
   std::vector<double> initial_state;       // B x 4
   std::vector<double> control;             // K x C x 2
@@ -104,6 +105,7 @@ struct SolverEntry {
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
   bool exact_only = false;       // takes the event-driven contact model and no other
   bool takes_surrogate = false;  // needs no more of a gradient than a direction
+  bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
 };
 
 const std::vector<SolverEntry>& AllSolvers();

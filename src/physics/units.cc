@@ -1,0 +1,196 @@
+#include "saltus/physics/units.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace saltus {
+namespace {
+
+constexpr double kFar = 64;  // lengths from the origin; the origin moves by multiples of it
+
+// 2^n nearest to x on a logarithmic scale, n = floor(log2(x sqrt(2))) exactly; 1 for what is not positive.
+double NearestPower(double x) { return x > 0 ? std::ldexp(1.0, std::ilogb(x * std::numbers::sqrt2)) : 1.0; }
+
+// The same for sqrt(square).
+double NearestPowerOfRoot(double square) {
+  if (!(square > 0)) return 1;
+  const int twice = std::ilogb(2 * square);
+  return std::ldexp(1.0, (twice - (twice % 2 + 2) % 2) / 2);
+}
+
+struct Extent {
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  void Include(double from, double to) {
+    low = std::min(low, from);
+    high = std::max(high, to);
+  }
+  double size() const { return high > low ? high - low : 0; }
+  double middle() const { return high >= low ? low + 0.5 * (high - low) : 0; }
+};
+
+bool IsPositionTarget(const TerminalTerm& term) {
+  return term.quantity == TerminalTerm::Quantity::kPosition && !term.component;
+}
+
+// In one direction.
+Extent ExtentOf(const Scene& scene, int axis) {
+  Extent extent;
+  for (const Body& body : scene.bodies) {
+    extent.Include(body.position[axis] - body.radius, body.position[axis] + body.radius);
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (IsPositionTarget(term)) extent.Include(term.target[axis], term.target[axis]);
+  }
+  return extent;
+}
+
+double LengthOf(const Scene& scene) {
+  double length = std::max(ExtentOf(scene, 0).size(), ExtentOf(scene, 1).size());
+  for (const Plane& plane : scene.planes) {
+    const Vec2d normal = plane.normal.normalized();
+    for (const Body& body : scene.bodies) {
+      if (!body.fixed) length = std::max(length, std::abs(Dot(normal, Vec2d(body.position - plane.point))));
+    }
+  }
+  return NearestPower(length);
+}
+
+double MassOf(const Scene& scene) {
+  double mass = 0;
+  for (int body : scene.control.bodies) mass = std::max(mass, scene.bodies[body].mass);
+  for (size_t i = 0; scene.control.bodies.empty() && i < scene.bodies.size(); ++i) {
+    if (!scene.bodies[i].fixed) mass = std::max(mass, scene.bodies[i].mass);
+  }
+  return NearestPower(mass);
+}
+
+double SpeedOf(const Scene& scene, double length) {
+  const double mean = length / scene.duration;
+  double square = mean * mean, gravity = scene.gravity.norm(), acceleration = gravity;
+  for (const Body& body : scene.bodies) square = std::max(square, body.velocity.squaredNorm());
+  for (size_t i = 0; i < scene.control.bodies.size(); ++i) {
+    const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
+    acceleration = std::max(acceleration, gravity + push);
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool velocity = term.quantity == TerminalTerm::Quantity::kVelocity && !term.component;
+    if (velocity) square = std::max(square, term.target.squaredNorm());
+  }
+  return NearestPowerOfRoot(std::max(square, acceleration * length));
+}
+
+// Of scenes in any units, whose size is 1 then.
+double LossOf(const Scene& scene, const Units& units) {
+  double loss = 0;
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
+    const double size = position ? units.length : units.speed();
+    loss = std::max(loss, std::abs(term.weight) * (term.component ? size : size * size));
+  }
+  if (!scene.control.bodies.empty()) {
+    // The force that moves the mass by the length in the duration.
+    const double force = units.mass * units.length / (scene.duration * scene.duration);
+    loss = std::max(loss, scene.objective.effort * force * force * scene.duration);
+  }
+  return NearestPower(loss);
+}
+
+}  // namespace
+
+UnitFactors::UnitFactors(const Units& from, const Units& to)
+    : length(from.length / to.length),
+      time(from.time / to.time),
+      mass(from.mass / to.mass),
+      loss(from.loss / to.loss),
+      speed(from.speed() / to.speed()),
+      acceleration(from.acceleration() / to.acceleration()),
+      force(from.force() / to.force()) {}
+
+Units NaturalUnits(const Scene& scene) {
+  if (scene.units.natural) return scene.units;
+  // In the scene's own first.
+  Units units;
+  units.length = LengthOf(scene);
+  units.mass = MassOf(scene);
+  units.time = units.length / SpeedOf(scene, units.length);
+  units.loss = LossOf(scene, units);
+  const double far = kFar * units.length;
+  for (int axis = 0; axis < 2; ++axis) units.origin[axis] = far * std::round(ExtentOf(scene, axis).middle() / far);
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool linear = term.quantity == TerminalTerm::Quantity::kPosition && term.component;
+    if (linear) units.loss_at_origin += term.weight * units.origin[*term.component];
+  }
+  const Units& given = scene.units;
+  units.length *= given.length;
+  units.mass *= given.mass;
+  units.time *= given.time;
+  units.loss *= given.loss;
+  units.origin = given.origin + given.length * units.origin;
+  units.loss_at_origin = given.loss_at_origin + given.loss * units.loss_at_origin;
+  units.natural = true;
+  return units;
+}
+
+Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to) {
+  Vec2d moved = from.length * position;
+  if (from.origin != to.origin) moved = (moved + from.origin) - to.origin;
+  return moved / to.length;
+}
+
+double ConvertLoss(double loss, const Units& from, const Units& to) {
+  return (loss * from.loss + (from.loss_at_origin - to.loss_at_origin)) / to.loss;
+}
+
+std::vector<double> ConvertStates(std::vector<double> states, const Units& from, const Units& to) {
+  const double speed = UnitFactors(from, to).speed;
+  for (size_t i = 0; i + 4 <= states.size(); i += 4) {
+    const Vec2d position = ConvertPosition({states[i], states[i + 1]}, from, to);
+    states[i] = position[0];
+    states[i + 1] = position[1];
+    states[i + 2] *= speed;
+    states[i + 3] *= speed;
+  }
+  return states;
+}
+
+std::vector<double> Multiplied(std::vector<double> numbers, double factor) {
+  for (double& number : numbers) number *= factor;
+  return numbers;
+}
+
+Scene InUnits(const Scene& scene, const Units& units) {
+  const UnitFactors by(scene.units, units);
+  const auto convert_position = [&](Vec2d* position) { *position = ConvertPosition(*position, scene.units, units); };
+  Scene out = scene;
+  out.units = units;
+  out.duration *= by.time;
+  out.gravity *= by.acceleration;
+  for (Body& body : out.bodies) {
+    body.radius *= by.length;
+    body.mass *= by.mass;
+    convert_position(&body.position);
+    body.velocity *= by.speed;
+  }
+  for (Plane& plane : out.planes) convert_position(&plane.point);
+  out.contact.stiffness *= by.force / by.length;
+  out.contact.damping *= by.force / by.speed;
+  for (Vec2d& force : out.control.initial) force *= by.force;
+  for (TerminalTerm& term : out.objective.terminal) {
+    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
+    const double size = position ? by.length : by.speed;
+    if (position && !term.component) {
+      convert_position(&term.target);
+    } else if (!term.component) {
+      term.target *= by.speed;
+    }
+    term.weight *= by.loss / (term.component ? size : size * size);
+  }
+  out.objective.effort *= by.loss / (by.force * by.force * by.time);
+  return out;
+}
+
+Scene InNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : InUnits(scene, NaturalUnits(scene)); }
+
+}  // namespace saltus
