@@ -109,7 +109,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       item["control"] = ControlToJson(request.scene, report.control);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
       if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
-      if (run.certificate) item["certificate"] = CertificateToJson(*run.certificate);
+      if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
     }
