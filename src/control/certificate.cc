@@ -4,12 +4,16 @@
 #include <array>
 #include <cmath>
 
+#include "condensed.h"
 #include "flight.h"
 #include "saltus/control/objective.h"
+#include "saltus/physics/time_grid.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
+
+constexpr int kMostFunctionals = 400;  // of the control, by which the motion knows it: dense matrices of that size
 
 struct Costate {
   double time = 0;
@@ -47,8 +51,9 @@ struct Jump {
 
 class Certifier {
  public:
-  Certifier(const Scene& scene, const std::vector<double>& control, const Flight& flight, size_t num_intervals)
-      : scene_(scene), control_(control), flight_(flight), num_intervals_(num_intervals) {
+  Certifier(const Scene& scene, const std::vector<double>& control, const Flight& flight,
+            const std::vector<double>& lengths)
+      : scene_(scene), control_(control), flight_(flight), lengths_(lengths) {
     pushed_.assign(scene.num_bodies(), -1);
     for (int c = 0; c < scene.num_controlled(); ++c) pushed_[scene.control.bodies[c]] = c;
     arcs_.resize(scene.num_controlled());
@@ -68,6 +73,10 @@ class Certifier {
     Scale(&result);
     GridGradients(&result);
     Judge(&result);
+    if (result.IsStationary()) {
+      FindCurvature(&result);
+      Judge(&result);
+    }
     return result;
   }
 
@@ -99,11 +108,13 @@ class Certifier {
     arcs_[c].push_back(FitArc(c, begin, static_cast<int>(flight_.pieces().size())));
   }
 
-  // The least-squares line through the forces on pieces [begin, end), those of one interval taken together.
+  // The least-squares line through the forces on pieces [begin, end), those of one interval taken together. Intervals
+  // that an impact of the disc cuts serve both of its sides, and count only if there are hardly any others.
   Arc FitArc(int c, int begin, int end) const {
     struct Sample {
       double start, length;
       Vec2d force;
+      bool whole;
     };
     std::vector<Sample> samples;
     for (int i = begin; i < end; ++i) {
@@ -111,15 +122,19 @@ class Certifier {
       if (i > begin && piece.interval == flight_.pieces()[i - 1].interval) {
         samples.back().length += piece.duration;
       } else {
-        samples.push_back({piece.start, piece.duration, Force(c, piece.interval)});
+        samples.push_back({piece.start, piece.duration, Force(c, piece.interval), false});
       }
+      samples.back().whole = samples.back().length > (1 - kNodeMargin) * lengths_[piece.interval];
     }
     Arc arc;
     if (samples.empty()) return arc;
     arc.begin = samples.front().start;
     arc.end = samples.back().start + samples.back().length;
+    const auto whole = [](const Sample& sample) { return sample.whole; };
+    const bool all = std::count_if(samples.begin(), samples.end(), whole) < 2;
     double length = 0, spread = 0;
     for (const Sample& s : samples) {
+      if (!all && !s.whole) continue;
       length += s.length;
       arc.middle += s.length * (s.start + 0.5 * s.length);
       arc.mean += s.length * s.force;
@@ -127,6 +142,7 @@ class Certifier {
     arc.middle /= length;
     arc.mean /= length;
     for (const Sample& s : samples) {
+      if (!all && !s.whole) continue;
       const double t = s.start + 0.5 * s.length - arc.middle;
       spread += s.length * t * t;
       arc.slope += s.length * t * (s.force - arc.mean);
@@ -328,54 +344,46 @@ class Certifier {
             jump.MultiplierAt(flight_.pieces()[next].acceleration, hit.impact.speed)};
   }
 
-  // The gradient's largest component if the multiplier of each impact lies at theta between late (0) and early (1).
-  double LargestGradient(const std::vector<double>& theta) const {
-    std::vector<Costate> now = TerminalCostates();
-    std::vector<Vec2d> gradient(num_intervals_ * scene_.num_controlled(), Vec2d::Zero());
-    for (int j = num_hits(); j >= 0; --j) {
-      const auto [begin, end] = PiecesOf(j);
-      for (int i = begin; i < end; ++i) {
-        const Flight::Piece& piece = flight_.pieces()[i];
-        for (int c = 0; c < scene_.num_controlled(); ++c) {
-          const int body = scene_.control.bodies[c];
-          const Vec2d costate = now[body].At(piece.start + 0.5 * piece.duration).velocity;
-          gradient[piece.interval * scene_.num_controlled() + c] +=
-              piece.duration * (costate / scene_.bodies[body].mass + 2 * effort() * Force(c, piece.interval));
-        }
-      }
-      if (j == 0) break;
-      const Flight::Hit& hit = flight_.hits()[j - 1];
-      std::array<Costate, 2> after;
-      after[0] = now[hit.contact.a].At(hit.time);
-      if (!hit.contact.plane) after[1] = now[hit.contact.b].At(hit.time);
-      const Jump jump = MakeJump(hit, after);
-      const auto [early, late] = OneSidedMultipliers(j - 1, jump);
-      const double multiplier = theta[j - 1] * early + (1 - theta[j - 1]) * late;
-      for (int side = 0; side < 2; ++side) {
-        if (jump.body[side] < 0) continue;
-        now[jump.body[side]] = jump.before[side];
-        now[jump.body[side]].position += (side == 0 ? 1 : -1) * multiplier * hit.impact.normal;
-      }
-    }
-    double largest = 0;
-    for (const Vec2d& g : gradient) largest = std::max(largest, g.cwiseAbs().maxCoeff());
-    return largest;
-  }
+  using Thetas = std::vector<std::optional<double>>;
 
   void GridGradients(Certificate* result) const {
-    std::vector<double> early(num_hits(), 0.5), late = early, combined = early;
+    Thetas early(num_hits()), late = early, combined = early;
     bool any = false;
     for (int k = 0; k < num_hits(); ++k) {
       if (!result->impacts[k].theta) continue;
       any = true;
       early[k] = 1;
       late[k] = 0;
-      combined[k] = *result->impacts[k].theta;
+      combined[k] = result->impacts[k].theta;
     }
+    const auto condensed = [&](Thetas thetas) {
+      return CondensedLoss(scene_, flight_, control_, lengths_, std::move(thetas));
+    };
+    result->gradient = condensed(combined).RelativeGradient();
     if (!any) return;
-    result->gradient_early = LargestGradient(early);
-    result->gradient_late = LargestGradient(late);
-    result->gradient_combined = LargestGradient(combined);
+    const auto largest = [&](Thetas thetas) {
+      return condensed(std::move(thetas)).Gradient().lpNorm<Eigen::Infinity>();
+    };
+    result->gradient_early = largest(std::move(early));
+    result->gradient_late = largest(std::move(late));
+    result->gradient_combined = largest(std::move(combined));
+  }
+
+  void FindCurvature(Certificate* result) const {
+    constexpr double kNearlyZero = 1e-6, kRounding = 1e-10;
+    Thetas held(num_hits());
+    if (result->verdict == Certificate::Verdict::kStationaryOnGrid) {
+      for (int k = 0; k < num_hits(); ++k) held[k] = result->impacts[k].theta;
+    }
+    const CondensedLoss loss(scene_, flight_, control_, lengths_, std::move(held));
+    if (loss.num_functionals() > kMostFunctionals) return;
+    const CondensedLoss::Curvature found = loss.SmallestCurvature();
+    const double flat = kNearlyZero + kRounding * found.largest;
+    using enum Curvature::Kind;
+    Curvature& curvature = result->curvature.emplace();
+    curvature.kind = found.smallest > flat ? kMinimum : found.smallest < -flat ? kSaddle : kFlat;
+    curvature.smallest = found.smallest;
+    curvature.direction.assign(found.direction.begin(), found.direction.end());
   }
 
   // From absolute residuals to relative ones.
@@ -399,7 +407,7 @@ class Certifier {
   const Scene& scene_;
   const std::vector<double>& control_;
   const Flight& flight_;
-  size_t num_intervals_;
+  const std::vector<double>& lengths_;  // of the control intervals, s
   std::vector<int> pushed_;             // by body: its place among the pushed ones, or -1
   std::vector<std::vector<Arc>> arcs_;  // of each pushed disc
   std::vector<Costate> now_;            // of every disc, carried backwards; used for those that are not pushed
@@ -442,7 +450,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
     lengths.assign(intervals, scene.duration / intervals);
   }
   const Flight flight(scene, initial, control, lengths, exact);
-  return Certifier(scene, control, flight, lengths.size()).Run(exact);
+  return Certifier(scene, control, flight, lengths).Run(exact);
 }
 
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
@@ -456,6 +464,10 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
        {&certificate.gradient_early, &certificate.gradient_late, &certificate.gradient_combined}) {
     if (*gradient) **gradient *= by.loss / by.force;
   }
+  // Its square integrates to 1, whatever the unit of force.
+  if (certificate.curvature) {
+    for (double& force : certificate.curvature->direction) force /= std::sqrt(by.time);
+  }
   return certificate;
 }
 
@@ -465,38 +477,70 @@ void Judge(Certificate* certificate) {
                                                                     {certificate->transversality, "transversality"},
                                                                     {certificate->hamiltonian, "the Hamiltonian"}}};
   using enum Certificate::Verdict;
-  certificate->verdict = kOptimal;
+  certificate->verdict = kStationary;
   certificate->reason.clear();
   double worst = kCertificateTolerance;
   for (const auto& [residual, name] : residuals) {
     if (residual <= worst) continue;
-    if (name == residuals[3].second && certificate->verdict == kOptimal) {
-      bool between = true;  // the two one-sided gradients
-      for (const ImpactCertificate& impact : certificate->impacts) {
-        const bool kept = std::abs(impact.hamiltonian) <= kCertificateTolerance;
-        between = between && (kept || (impact.theta && *impact.theta >= 0 && *impact.theta <= 1));
-      }
-      if (between) {
-        certificate->verdict = kOptimalOnGrid;
-        continue;
-      }
-    }
-    certificate->verdict = kNotOptimal;
+    certificate->verdict = kNotStationary;
     certificate->reason = std::string(name) + " is off most";
     worst = residual;
+  }
+  if (certificate->verdict == kNotStationary && certificate->gradient && *certificate->gradient <= kCertificateTolerance) {
+    const auto between = [](const ImpactCertificate& impact) {  // the two one-sided gradients
+      return !impact.theta || (*impact.theta >= 0 && *impact.theta <= 1);
+    };
+    if (std::all_of(certificate->impacts.begin(), certificate->impacts.end(), between)) {
+      certificate->verdict = kStationaryOnGrid;
+      certificate->reason.clear();
+    }
+  }
+  if (!certificate->IsStationary() || !certificate->curvature) return;
+  if (certificate->IsSaddle()) {
+    certificate->reason = "a saddle: the loss falls along the direction of the smallest curvature, both ways";
+  } else if (certificate->curvature->kind == Curvature::Kind::kFlat) {
+    certificate->reason = "the curvature is nearly zero along one direction: perhaps no minimum";
   }
 }
 
 const char* VerdictToString(Certificate::Verdict verdict) {
   switch (verdict) {
-    case Certificate::Verdict::kOptimal:
-      return "optimal";
-    case Certificate::Verdict::kOptimalOnGrid:
-      return "optimal_on_grid";
-    case Certificate::Verdict::kNotOptimal:
-      return "not_optimal";
+    case Certificate::Verdict::kStationary:
+      return "stationary";
+    case Certificate::Verdict::kStationaryOnGrid:
+      return "stationary_on_grid";
+    case Certificate::Verdict::kNotStationary:
+      return "not_stationary";
     case Certificate::Verdict::kNotApplicable:
       return "not_applicable";
+  }
+  return "";
+}
+
+const char* CurvatureToString(Curvature::Kind kind) {
+  switch (kind) {
+    case Curvature::Kind::kMinimum:
+      return "minimum";
+    case Curvature::Kind::kSaddle:
+      return "saddle";
+    case Curvature::Kind::kFlat:
+      return "flat";
+  }
+  return "";
+}
+
+std::string VerdictInWords(const Certificate& certificate) {
+  const bool decided = certificate.curvature && certificate.curvature->kind != Curvature::Kind::kFlat;
+  const std::string what = decided ? CurvatureToString(certificate.curvature->kind) : "stationary";
+  switch (certificate.verdict) {
+    case Certificate::Verdict::kStationary:
+      return what;
+    case Certificate::Verdict::kStationaryOnGrid:
+      return what + " on the grid";
+    case Certificate::Verdict::kNotStationary:
+      return "not stationary";
+    case Certificate::Verdict::kNotApplicable:
+      return "";
   }
   return "";
 }

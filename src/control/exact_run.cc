@@ -19,9 +19,10 @@ const ModelTraits* ExactModel() {
   return nullptr;
 }
 
-// Runs `scene` for control intervals of one length from `x` (B x 4) on, which becomes the state at the end.
-bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, double start,
-                       std::vector<double>* x, ExactRun* run) {
+// Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the state
+// at the end.
+bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, int first,
+                       double start, std::vector<double>* x, ExactRun* run) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
   CHECK_EQ(simulator->state_size(), static_cast<int>(x->size()));
   if (!simulator->Rollout(*x, control)) {
@@ -35,6 +36,7 @@ bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::ve
   }
   for (const StepTouch& at : EventTouches(*simulator)) {
     run->contacts.push_back(at.touch.candidate);
+    run->places.push_back({first + at.step, at.touch.time});
     if (at.touch.kind != ContactKind::kImpact) run->only_impacts = false;
   }
   run->loss += EffortLoss(scene.objective, control, simulator->step());
@@ -98,7 +100,7 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
 
   std::vector<double> x = initial;
   if (durations.empty()) {
-    if (!RunEqualIntervals(exact->name, part, control, 0, &x, &run)) return run;
+    if (!RunEqualIntervals(exact->name, part, control, 0, 0, &x, &run)) return run;
   } else {
     double start = 0;
     for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
@@ -108,7 +110,7 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
       part.duration = part.steps * durations[begin];
       const size_t width = 2 * scene.num_controlled();
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
-      if (!RunEqualIntervals(exact->name, part, rows, start, &x, &run)) return run;
+      if (!RunEqualIntervals(exact->name, part, rows, static_cast<int>(begin), start, &x, &run)) return run;
       start += part.duration;
     }
   }

@@ -4,10 +4,10 @@
 
 #include <algorithm>
 
+#include "saltus/physics/time_grid.h"
+
 namespace saltus {
 namespace {
-
-constexpr double kNodeMargin = 1e-9;  // of the interval: an impact this near to a node is on it
 
 DiscStates After(const Flight::Piece& piece, double s) {
   DiscStates x = piece.at_start;
@@ -57,13 +57,12 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
       if (to - now > margin) pieces_.push_back(piece);
       now = to;
     };
-    const bool last = k + 1 == durations.size();
-    while (next < run.events.size() && (last || run.events[next].time < start + h - margin)) {
+    while (next < run.places.size() && run.places[next].interval == static_cast<int>(k)) {
       const Candidate& c = run.contacts[next];
-      const double at = std::clamp(run.events[next].time - start, now, h);
+      const double at = std::clamp(run.places[next].time, now, h);
       fly_to(at);
       const ImpactLaw law = MakeImpactLaw(scene, c);
-      Hit hit{start + at, c, static_cast<int>(pieces_.size()), at <= margin, x, {}};
+      Hit hit{start + at, c, static_cast<int>(pieces_.size()), IsOnNode(at, h), x, {}};
       const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
       hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other);
       x.v[c.a] += law.inverse_mass_a * hit.impact.impulse;

@@ -57,8 +57,9 @@ Json EventsToJson(const std::vector<Event>& events) {
   return list;
 }
 
-Json CertificateToJson(const Certificate& certificate) {
-  Json item = {{"verdict", VerdictToString(certificate.verdict)}};
+Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
+  // Whatever loss a solver has minimized, the conditions are those of the exact one.
+  Json item = {{"of", "exact_loss"}, {"verdict", VerdictToString(certificate.verdict)}};
   if (!certificate.reason.empty()) item["reason"] = certificate.reason;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable) return item;
   item["scope"] = ScopeToString(certificate.scope);
@@ -67,6 +68,12 @@ Json CertificateToJson(const Certificate& certificate) {
   item["costate_jump"] = NumberToJson(certificate.costate_jump);
   item["hamiltonian"] = NumberToJson(certificate.hamiltonian);
   item["transversality"] = NumberToJson(certificate.transversality);
+  if (certificate.gradient) item["gradient"] = NumberToJson(*certificate.gradient);
+  if (certificate.curvature) {
+    item["curvature"] = {{"kind", CurvatureToString(certificate.curvature->kind)},
+                         {"smallest", NumberToJson(certificate.curvature->smallest)},
+                         {"direction", ControlToJson(scene, certificate.curvature->direction)}};
+  }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {
     Json entry = {{"time", NumberToJson(impact.time)},

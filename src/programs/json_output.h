@@ -22,7 +22,7 @@ Json EventsToJson(const std::vector<Event>& events);
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 
 // The conditions of the minimum principle, see saltus/control/certificate.h.
-Json CertificateToJson(const Certificate& certificate);
+Json CertificateToJson(const Scene& scene, const Certificate& certificate);
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
 

@@ -189,7 +189,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
           item["best_position"] = VectorsToJson(report.best->initial_state, 0);
         }
       }
-      if (run.certificate) item["certificate"] = CertificateToJson(*run.certificate);
+      if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
     }

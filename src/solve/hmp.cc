@@ -104,7 +104,10 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
   if (!IsRealized(scene, trial.exact, sequence, times)) {
     return run.Finish(trial, loss, Termination::kNoProgress, WhyNotRealized(scene, trial.exact, sequence));
   }
-  run.report().certificate = CertifyRoot(phases, root, trial.exact);
+  Certificate certificate = CertifyRoot(phases, root, trial.exact);
+  certificate.curvature = Certify(scene, InitialState(scene), trial.control, trial.durations).curvature;
+  Judge(&certificate);
+  run.report().certificate = std::move(certificate);
   if (root.residual > kResidualTolerance * root.scale) {
     return run.Finish(trial, loss, Termination::kNoProgress, "the conditions are not met");
   }

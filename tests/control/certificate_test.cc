@@ -32,7 +32,7 @@ Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
 }
 
 void ExpectOptimal(const Certificate& certificate) {
-  EXPECT_EQ(certificate.verdict, Verdict::kOptimal) << certificate.reason;
+  EXPECT_EQ(certificate.verdict, Verdict::kStationary) << certificate.reason;
   EXPECT_LT(certificate.stationarity, 1e-6);
   EXPECT_LT(certificate.costate_jump, 1e-6);
   EXPECT_LT(certificate.hamiltonian, 1e-6);
@@ -90,7 +90,7 @@ TEST(Certificate, RejectsOneControlChangedByOnePercent) {
     SolveReport report = Optimum(scene);
     report.control[2 * interval] *= 1.01;
     const Certificate certificate = CertifyReport(scene, report);
-    EXPECT_EQ(certificate.verdict, Verdict::kNotOptimal) << interval;
+    EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << interval;
     EXPECT_FALSE(certificate.reason.empty());
   }
 }
@@ -99,7 +99,7 @@ TEST(Certificate, RejectsGradientDescent) {
   const Scene scene = ProblemScene("two_balls");
   for (const char* contact : {"event", "direct_toi"}) {
     const SolveReport report = Solve("gd", {scene, contact}, {.iterations = 1000, .learning_rate = 10});
-    EXPECT_EQ(CertifyReport(scene, report).verdict, Verdict::kNotOptimal) << contact;
+    EXPECT_EQ(CertifyReport(scene, report).verdict, Verdict::kNotStationary) << contact;
   }
 }
 
@@ -128,7 +128,7 @@ TEST(Certificate, NamesTheConditionThatFails) {
   EXPECT_LT(certificate.costate_jump, 1e-9);
   EXPECT_LT(certificate.transversality, 1e-9);
   EXPECT_GT(certificate.hamiltonian, 1e-3);
-  EXPECT_EQ(certificate.verdict, Verdict::kNotOptimal);  // theta is not in [0, 1]
+  EXPECT_EQ(certificate.verdict, Verdict::kNotStationary);  // theta is not in [0, 1]
 }
 
 TEST(Certificate, FindsTheThetaOfGridOptima) {
@@ -144,7 +144,7 @@ TEST(Certificate, FindsTheThetaOfGridOptima) {
     std::vector<double> control;
     for (const Vec2d& u : optimum->control) control.insert(control.end(), {u[0], u[1]});
     const Certificate certificate = Certify(scene, InitialState(scene), control);
-    EXPECT_EQ(certificate.verdict, Verdict::kOptimalOnGrid) << certificate.reason;
+    EXPECT_EQ(certificate.verdict, Verdict::kStationaryOnGrid) << certificate.reason;
     ASSERT_TRUE(certificate.impacts[0].theta);
     EXPECT_NEAR(*certificate.impacts[0].theta, row.theta, 1e-9);
     EXPECT_GT(*certificate.gradient_early, 1e-6);

@@ -40,7 +40,7 @@ TEST_P(TwoDiscs, HmpMeetsTheReferenceToRounding) {
   ASSERT_EQ(report.certificate->impacts.size(), 1u);
   EXPECT_NEAR(report.certificate->impacts[0].time, GetParam().time, 1e-12);
   EXPECT_NEAR(report.certificate->impacts[0].speed, GetParam().speed, 1e-12);
-  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kOptimal);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary);
   EXPECT_LT(report.certificate->hamiltonian, 1e-12);
   const ExactRun exact = Resimulate(scene, report);
   ASSERT_EQ(exact.events.size(), 1u);
@@ -188,16 +188,16 @@ TEST_P(General, TwoMethodsAgree) {
 // The certificate knows nothing of phases: it reads the costates off the control and the exact motion.
 TEST_P(General, BothAreCertified) {
   const Scene& scene = GetParam().scene;
-  EXPECT_EQ(SolveCase(GetParam(), "hmp").certificate->verdict, Certificate::Verdict::kOptimal);
+  EXPECT_EQ(SolveCase(GetParam(), "hmp").certificate->verdict, Certificate::Verdict::kStationary);
   const SolveReport report = SolveCase(GetParam(), "ceres_event");
   const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
-  EXPECT_EQ(certificate.verdict, Certificate::Verdict::kOptimal) << certificate.reason;
+  EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
   EXPECT_LT(certificate.costate_jump, 1e-6);
   EXPECT_LT(certificate.hamiltonian, 1e-6);
   SolveReport changed = report;
   changed.control[report.control.size() / 8 * 2] *= 1.01;
   EXPECT_EQ(Certify(scene, changed.initial_state, changed.control, changed.durations).verdict,
-            Certificate::Verdict::kNotOptimal);
+            Certificate::Verdict::kNotStationary);
 }
 
 // The control found is better than its neighbours, judged by exact simulation alone.

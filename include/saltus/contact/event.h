@@ -10,7 +10,7 @@
 // Discs do not spin. Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse,
 // that is the saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
 //
-// Rules, with the thresholds of event_disc.h:
+// Rules, with the thresholds of event_disc.h and kNodeMargin of time_grid.h:
 //
 // Order. Events are resolved one by one: the earliest first, of several at the same time the first candidate (discs by
 //   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A

@@ -3,11 +3,11 @@
 
 #include "saltus/contact/contact_model.h"
 #include "saltus/contact/event_roots.h"
+#include "saltus/physics/time_grid.h"
 
 namespace saltus::internal {
 
-// The thresholds that event.h states.
-inline constexpr double kNodeMargin = 1e-10;    // of the step
+// The thresholds that event.h states, besides kNodeMargin (time_grid.h).
 inline constexpr double kRoundingGap = 1e-14;   // m
 inline constexpr double kContactGap = 1e-10;    // m
 inline constexpr double kSlowSpeed = 1e-6;      // m/s

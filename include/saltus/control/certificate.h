@@ -1,4 +1,5 @@
-// Whether a control is optimal: how well it meets each condition of the hybrid minimum principle.
+// Whether a control is optimal: how well it meets each condition of the hybrid minimum principle, and whether the loss
+// is curved upwards there.
 //
 // The control is constant on intervals; in exact dynamics it has some impacts, which cut the time into phases, and the
 // flight of each pushed disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
@@ -44,21 +45,44 @@ struct ImpactCertificate {
   std::optional<double> theta;  // if the force jumps there
 };
 
+// The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
+// along eps d from a stationary control the loss gains effort * curvature * eps^2.
+struct Curvature {
+  enum class Kind {
+    kMinimum,  // positive along all: a local minimum along the sequence of impacts
+    kSaddle,   // negative along one: no minimum
+    kFlat,     // nearly zero along one: undecided
+  };
+  Kind kind = Kind::kFlat;
+  double smallest = 0;            // at most 1 as long as there are more controls than the motion notices
+  std::vector<double> direction;  // K x C x 2, N; its largest component is positive
+};
+
 struct Certificate {
   enum class Verdict {
-    kOptimal,        // all conditions hold
-    kOptimalOnGrid,  // all but the Hamiltonian's, and every theta lies in [0, 1]
-    kNotOptimal,
+    kStationary,        // all conditions hold
+    kStationaryOnGrid,  // not so, but the gradient on the given intervals vanishes, each theta being in [0, 1]
+    kNotStationary,
     kNotApplicable,
   };
   Verdict verdict = Verdict::kNotApplicable;
-  std::string reason;  // which condition fails worst, or why there is nothing to certify
+  // Which condition fails worst, that it is no minimum though all hold, or why there is nothing to certify.
+  std::string reason;
 
   double stationarity = 0;
   double costate_jump = 0;
   double hamiltonian = 0;
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
+
+  // Of the loss by the control on the given intervals, combined with the thetas: its largest component, each divided by
+  // the length of its interval, as a part of the largest of effort or costates.
+  std::optional<double> gradient;
+
+  // Where the verdict is stationary or stationary on the grid; not with so many impacts that it would take long.
+  std::optional<Curvature> curvature;
+  bool IsStationary() const { return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid; }
+  bool IsSaddle() const { return curvature && curvature->kind == Curvature::Kind::kSaddle; }
 
   // With an impact on a node of a fixed grid: largest component of the gradients of the loss by the control as if all
   // impacts on nodes were early, late, and of their combination with the thetas, 1/N.
@@ -70,9 +94,14 @@ struct Certificate {
   int sequences_searched = 0;
 };
 
-// "optimal", "optimal_on_grid", "not_optimal", "not_applicable"; "local", "best_of_searched".
+// "stationary", "stationary_on_grid", "not_stationary", "not_applicable"; "local", "best_of_searched"; "minimum",
+// "saddle", "flat".
 const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
+const char* CurvatureToString(Curvature::Kind kind);
+
+// Verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
+std::string VerdictInWords(const Certificate& certificate);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
 // none. Where these or the scene are wrong, the certificate is kNotApplicable and says so.
@@ -82,7 +111,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
 // The same certificate in other units; its residuals have none.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
-// From the four residuals, and the thetas, to verdict and reason.
+// From the residuals, the thetas and the curvature to verdict and reason.
 void Judge(Certificate* certificate);
 
 }  // namespace saltus

@@ -16,6 +16,12 @@ struct ExactRun {
   double loss = 0;
   std::vector<Event> events;
   std::vector<Candidate> contacts;  // of the events, by indices of the scene
+  // Of the events: the control interval, and the time since its start, s.
+  struct Place {
+    int interval = 0;
+    double time = 0;
+  };
+  std::vector<Place> places;
   bool only_impacts = true;         // no event is a resting or grazing contact
 };
 // Shapes: initial is B x 4; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that sum up to

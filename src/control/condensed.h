@@ -1,0 +1,109 @@
+// The loss as a function of the control alone, along the impacts that a flight has: states and impact times are
+// eliminated, the times by the implicit function theorem. Along these impacts it is smooth.
+//
+// The motion knows the control by few numbers s = F u, linear in it. Of each pushed disc on each of its legs, from one
+// of its impacts to the next, over which it flies for a fixed time S with pieces of lengths l_i, middles t_i from the
+// start:
+//
+//   the velocity and the way that it gains,   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m,
+//
+// and the force at each impact whose time varies: the time shifts by dt, and with it the force just before acts for dt
+// longer and that just after for dt less (together, of an impact inside an interval, nothing). So with interval lengths
+// M the loss is
+//
+//   L(u) = effort u^T M u + G(F u),   second derivative   2 effort M + F^T G'' F:
+//
+// that of the effort and a part whose rank is a few times the impacts, whatever the number of intervals. G' comes from
+// costates carried backwards through the impacts (impact.h), G'' from the same sweep in Jets.
+//
+// An impact on a node, where the force jumps, is either followed by that boundary of the two intervals, for the discs
+// that take part; or it is held on the node, by a multiplier between those of the two one-sided gradients. Held impacts
+// restrict directions to those along which they stay on their nodes, to first order.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "flight.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+class CondensedLoss {
+ public:
+  // `theta`, by impact: the weight of the gradient as if the impact were early, if it is held on its node; an empty
+  // vector holds none. The flight must outlive the object and be that of `control` on intervals of `lengths`.
+  CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
+                std::span<const double> lengths, std::vector<std::optional<double>> theta = {});
+
+  // Of F.
+  int num_functionals() const { return static_cast<int>(values_.size()); }
+
+  // By the control, K x C x 2, 1/N. With impacts held it is that of the Lagrangian.
+  Eigen::VectorXd Gradient() const;
+  // Its largest entry per second, as a part of the largest entry of either side, effort and costates.
+  double RelativeGradient() const;
+
+  // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort alone, and its
+  // direction (K x C x 2).
+  struct Curvature {
+    double smallest = 1, largest = 1;
+    Eigen::VectorXd direction;
+  };
+  Curvature SmallestCurvature() const;
+
+  // 2 effort M + F^T G'' F, for tests.
+  Eigen::MatrixXd DenseHessian() const;
+
+ private:
+  // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end).
+  struct Leg {
+    int body = 0;
+    double begin = 0, end = 0;  // s
+    int functional = -1;        // of the first of its four; -1: not pushed
+  };
+  struct Side {
+    int body = -1;  // -1: a plane or a fixed disc
+    int leg_before = -1, leg_after = -1;
+    int force_before = -1, force_after = -1;  // functionals: the forces of the intervals that end and start there
+  };
+  // A component of F u: `weights` of the forces, along one axis, of a pushed disc from interval `first` on.
+  struct Functional {
+    int column = 0;  // 2 c + axis
+    int first = 0;
+    std::vector<double> weights;
+  };
+
+  int AddLeg(int body, int from_hit, int to_hit);
+  int AddForce(int body, int interval);
+  void AddFunctionals(int body, int first, const std::vector<double>& weights);
+  std::pair<int, int> IntervalsAt(int hit) const;
+  // Derivatives of G by F u where that is s; and the gaps at impacts that are held (in order), unless null.
+  template <typename T>
+  void Sweep(const T* s, T* gradient, T* gaps) const;
+  // G'', and the derivatives of the gaps of held impacts, a row each.
+  void SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd* gaps) const;
+  Eigen::VectorXd Transposed(const Eigen::VectorXd& s) const;  // F^T s
+  Eigen::MatrixXd Gram() const;                                // F M^-1 F^T
+  double Length(Eigen::Index i) const { return lengths_[i / width_]; }
+
+  const Scene& scene_;
+  const Flight& flight_;
+  std::span<const double> control_, lengths_;
+  std::vector<std::optional<double>> theta_;
+  int width_;                // 2 C
+  std::vector<int> pushed_;  // by body: its place among the pushed ones, or -1
+  std::vector<double> nodes_;
+  std::vector<int> interval_at_;  // by hit: that which it lies in or starts; see IntervalsAt
+  std::vector<Leg> legs_;
+  std::vector<int> first_leg_, last_leg_;  // by body; -1 if it is fixed
+  std::vector<std::array<Side, 2>> sides_;
+  std::vector<Functional> functionals_;
+  std::vector<double> values_;  // F u
+  int num_held_ = 0;
+};
+
+}  // namespace saltus
