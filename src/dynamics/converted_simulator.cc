@@ -28,10 +28,15 @@ class ConvertedSimulator final : public Simulator {
     control_.resize(control.size());
     for (std::size_t i = 0; i < control.size(); ++i) control_[i] = to_inner_.force * control[i];
     inner_->set_memory_limit(memory_limit_);
-    const bool finite = inner_->Rollout(initial_, control_);
+    inner_->set_stop(stop_);
+    inner_->set_tie_order(tie_order_);
+    const bool ok = inner_->Rollout(initial_, control_);
+    failure_ = FailureOf(*inner_);
     touches_ = inner_->touches();
     for (StepTouch& at : touches_) ConvertTime(&at.touch);
-    return finite;
+    ties_ = inner_->ties();
+    for (StepTie& tie : ties_) tie.contact.time *= to_outer_.time;
+    return ok;
   }
 
   void GetState(int k, std::span<double> x) const override {

@@ -1,7 +1,12 @@
 #include "saltus/dynamics/events.h"
 
+#include <algorithm>
+#include <cstdio>
 #include <map>
+#include <set>
 #include <tuple>
+
+#include "saltus/contact/event_ties.h"
 
 namespace saltus {
 
@@ -33,6 +38,63 @@ std::vector<Event> EventsOf(const Simulator& simulator) {
                       at.touch.mode});
   }
   return events;
+}
+
+std::vector<Tie> TiesOf(const Simulator& simulator) {
+  struct Group {
+    double time;
+    std::set<std::tuple<bool, int, int>> contacts;
+    std::set<std::pair<bool, int>> bodies;  // planes last
+  };
+  const Scene& scene = simulator.scene();
+  const std::vector<StepTie>& tied = simulator.ties();
+  std::vector<Group> groups;
+  for (size_t begin = 0, end = 0; begin < tied.size(); begin = end) {
+    Group group{tied[begin].step * simulator.step() + tied[begin].contact.time, {}, {}};
+    for (; end < tied.size() && tied[end].step == tied[begin].step && tied[end].contact.tie == tied[begin].contact.tie;
+         ++end) {
+      const Candidate& c = tied[end].contact.candidate;
+      group.contacts.insert({c.plane, c.a, c.b});
+      group.bodies.insert({{false, c.a}, {c.plane, c.b}});
+    }
+    // A tie on a node of the time grid is met on both of its sides.
+    const auto meets = [&](const Group& other) {
+      if (group.time - other.time > internal::kTieTime * simulator.step()) return false;
+      return std::any_of(group.bodies.begin(), group.bodies.end(), [&](const std::pair<bool, int>& body) {
+        return !body.first && !scene.bodies[body.second].fixed && other.bodies.count(body) > 0;
+      });
+    };
+    const auto same = std::find_if(groups.begin(), groups.end(), meets);
+    if (same == groups.end()) {
+      groups.push_back(std::move(group));
+    } else {
+      same->contacts.merge(group.contacts);
+      same->bodies.merge(group.bodies);
+    }
+  }
+  std::vector<Tie> ties;
+  for (const Group& group : groups) {
+    Tie& tie = ties.emplace_back(Tie{group.time, {}, static_cast<int>(group.contacts.size())});
+    for (const auto& [plane, i] : group.bodies) {
+      tie.bodies.push_back(plane ? scene.planes[i].name : scene.bodies[i].name);
+    }
+  }
+  std::stable_sort(ties.begin(), ties.end(), [](const Tie& l, const Tie& r) { return l.time < r.time; });
+  return ties;
+}
+
+std::string TiesToString(const std::vector<Tie>& ties) {
+  if (ties.empty()) return "";
+  const std::vector<std::string>& bodies = ties[0].bodies;
+  std::string text = "the order of the impacts of ";
+  for (size_t i = 0; i < bodies.size(); ++i) {
+    text += (i == 0 ? "" : i + 1 < bodies.size() ? ", " : " and ") + bodies[i];
+  }
+  char time[32];
+  std::snprintf(time, sizeof time, "%.6g", ties[0].time);
+  text += std::string(" at ") + time + " s decides";
+  if (ties.size() > 1) text += ", and " + std::to_string(ties.size() - 1) + " more";
+  return text;
 }
 
 }  // namespace saltus

@@ -120,6 +120,14 @@ struct Touch {
   ContactKind kind = ContactKind::kImpact;
 };
 
+// A contact that takes part in a tie: impacts at the same time, connected through discs that move, of which the one
+// that comes first decides what follows.
+struct TiedContact {
+  Candidate candidate;
+  double time = 0;  // s, since the start of the step; of the first impact
+  int tie = 0;      // number of the tie within the step
+};
+
 // Vectors that a step finds by iteration, in the order in which it needs them. A derivative depends only on where an
 // iteration ends (implicit function theorem), so a step that is taken again with Jets recalls what was found in values.
 class SolveRecord {
@@ -168,6 +176,8 @@ struct StepInput {
   std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
   SolveRecord* solved = nullptr;          // if given, the step recalls from it what it needs iterations for
   std::string_view* failure = nullptr;    // if given, the step says there why it has no result
+  std::vector<TiedContact>* ties = nullptr;  // if given, the step appends ties; only event-driven models know them
+  int tie_order = 0;                         // in which order they take tied impacts (event_ties.h); 0: their own
 
   // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
   // may depend on values only.

@@ -15,7 +15,10 @@
 // Order. Events are resolved one by one: the earliest first, of several at the same time the first candidate (discs by
 //   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A
 //   row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both walls. Derivatives
-//   are those of this order. After kMaxEvents in one step impacts have no restitution.
+//   are those of this order, even where another order of impacts at the same time leads to the same velocities: there
+//   the loss may have a kink. After kMaxEvents in one step impacts have no restitution.
+// Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
+//   (event_ties.h says within which tolerances).
 // Grid nodes. An impact in the last kNodeMargin of a step belongs to the next step, which starts with it: its
 //   derivative is the one-sided one with that step's force on both sides of the impact.
 // Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; closing, they meet

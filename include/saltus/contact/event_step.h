@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "saltus/contact/event_press.h"
+#include "saltus/contact/event_ties.h"
 
 namespace saltus::internal {
 
@@ -26,6 +27,7 @@ class EventStep {
         limit_(in.h * (1 - kNodeMargin)),
         discs_(in.scratch),
         pairs_(in.candidates.size(), in.scratch),
+        tied_(in.scratch),
         group_(in) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
@@ -77,6 +79,7 @@ class EventStep {
     bool curved = false;     // its discs move around each other while held, or did
     bool stopping = false;   // held, and its next event is that sliding ends
     int reported_mode = -1;  // of the last report as a sustained contact
+    double tied = -kNever;   // s, when it was last looked at as a part of a tie
   };
 
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
@@ -160,7 +163,7 @@ class EventStep {
     }
     const Approach approach = ApproachAt(c, time);
     if (approach.speed < -kSlowSpeed) {
-      Impact(c, ImpactTime(c, time));
+      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(c, ImpactTime(c, time));
       return;
     }
     const T slow_time = SlowTime(c, time, approach);
@@ -261,6 +264,90 @@ class EventStep {
     const Vec2<T> impulse = Scale(normal_impulse, at.normal) + Scale(tangential_impulse, tangent);
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
     in_.Report(c, mode, TimeInStep(time));
+  }
+
+  // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
+  // impacts have been taken, in the order that was asked for.
+  bool ResolveTie(int q, double time) {
+    if (in_.ties == nullptr && in_.tie_order == 0) return false;
+    if (time - pairs_[q].tied <= kTieTime * in_.h) return false;
+    FindTied(q, time);
+    if (tied_.size() < 2) return false;
+    for (int r : tied_) pairs_[r].tied = time;
+    if constexpr (std::is_same_v<T, double>) {
+      if (in_.ties != nullptr && OrderMatters(time)) ReportTie(time);
+    }
+    if (in_.tie_order == 0) return false;
+    ArrangeTie(in_.tie_order, tied_);
+    TakeTied(time);
+    return true;
+  }
+
+  // Pair q and all that meet at `time` and are connected with it through discs that move, in the order of the pairs.
+  void FindTied(int q, double time) {
+    tied_.assign(1, q);
+    for (std::size_t k = 0; k < tied_.size(); ++k) {
+      const Candidate c = CandidateOf(tied_[k]);
+      for (int r = 0; r < num_pairs(); ++r) {
+        const Candidate& d = CandidateOf(r);
+        const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+        if (!shares(c.a) && (c.plane || !shares(c.b))) continue;
+        if (std::find(tied_.begin(), tied_.end(), r) != tied_.end()) continue;
+        const double distance = in_.ContactDistance(d), size = distance + MotionAt(d.a, time).p.template lpNorm<1>();
+        if (MeetsNow(ApproachAt(d, time), distance, size, in_.h)) tied_.push_back(r);
+      }
+    }
+    std::sort(tied_.begin(), tied_.end());
+  }
+
+  // The impacts among tied_, which lists them in order of preference.
+  void TakeTied(double time) {
+    const bool inelastic = inelastic_;
+    const auto closes = [&](int r) { return ApproachAt(CandidateOf(r), time).speed < -kSlowSpeed; };
+    const auto hit = [&](int r) {
+      ++order_;
+      Impact(CandidateOf(r), ImpactTime(CandidateOf(r), time));
+    };
+    if (!TakeInOrder(tied_, kMostTiedImpacts, closes, hit)) {
+      inelastic_ = true;
+      TakeInOrder(tied_, kMostTiedImpacts, closes, hit);
+    }
+    inelastic_ = inelastic;
+  }
+
+  // Tries the orders, and takes everything back.
+  bool OrderMatters(double time) {
+    const std::pmr::vector<int> tied(tied_, in_.scratch);
+    const std::pmr::vector<EventDisc<T>> discs(discs_, in_.scratch);
+    const std::pmr::vector<Pair> pairs(pairs_, in_.scratch);
+    std::pmr::vector<EventDisc<T>> outcome(discs_, in_.scratch);
+    const int order = order_;
+    const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
+    double fastest = 0;
+    for (int r : tied_) fastest = std::max(fastest, -ApproachAt(CandidateOf(r), time).speed);
+    const double same = kTieSpeed * fastest + kTieSlowSpeed;
+
+    bool matters = false;
+    for (int k = 1; k <= NumTieOrders(static_cast<int>(tied.size())) && !matters; ++k) {
+      tied_ = tied;
+      ArrangeTie(k, tied_);
+      TakeTied(time);
+      if (k == 1) outcome = discs_;
+      for (std::size_t i = 0; i < discs_.size(); ++i) {
+        matters = matters || (outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
+      }
+      discs_ = discs;
+      pairs_ = pairs;
+      order_ = order;
+      if (in_.touches != nullptr) in_.touches->resize(touches);
+    }
+    tied_ = tied;
+    return matters;
+  }
+
+  void ReportTie(double time) const {
+    const int tie = in_.ties->empty() ? 0 : in_.ties->back().tie + 1;
+    for (int r : tied_) in_.ties->push_back({CandidateOf(r), TimeInStep(T(time)), tie});
   }
 
   // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
@@ -389,6 +476,7 @@ class EventStep {
   double limit_;  // s, events after it are left to the next step
   std::pmr::vector<EventDisc<T>> discs_;
   std::pmr::vector<Pair> pairs_;
+  std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   int order_ = 0;
   bool inelastic_ = false;
   Group group_;

@@ -15,11 +15,26 @@ struct Event {
   ContactMode mode = ContactMode::kFrictionless;
 };
 
+// Impacts at the same time that are connected through discs that move, where another order of them leads to other
+// velocities: what follows is that of one order, and the loss jumps here.
+struct Tie {
+  double time = 0;                  // s, since the start
+  std::vector<std::string> bodies;  // all that take part: discs in scene order, then planes
+  int num_contacts = 0;
+};
+
 // The touches of the simulator's last rollout that are events, in order of time: impacts, and the beginnings of
 // contacts that press for a while (in each of their modes). Empty for models that resolve no impact times.
 std::vector<StepTouch> EventTouches(const Simulator& simulator);
 
 // The same, by name.
 std::vector<Event> EventsOf(const Simulator& simulator);
+
+// The ambiguous ties of the simulator's last rollout, in order of time. Empty for models that resolve no impact times.
+std::vector<Tie> TiesOf(const Simulator& simulator);
+
+// "the order of the impacts of a, b and c at 0.5 s decides", of the first of the ties and how many there are more.
+// Empty if there is none.
+std::string TiesToString(const std::vector<Tie>& ties);
 
 }  // namespace saltus

@@ -87,6 +87,7 @@ class ModelSimulator final : public Simulator {
     trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
     Expand(initial, trajectory_.Checkpoint(0).data());
     touches_.clear();
+    ties_.clear();
     ForgetTouchedStates(0);
     all_recorded_ = true;
     failure_.reset();
@@ -100,6 +101,7 @@ class ModelSimulator final : public Simulator {
       CopyControl(w, control);
       RunWindow(w, [&](int k) {
         for (const Touch& touch : work_->touches) touches_.push_back({k, touch});
+        for (const TiedContact& contact : work_->ties) ties_.push_back({k, contact});
         RecordTouchedStates(k);
       });
       if (work_->failure) {
@@ -226,6 +228,7 @@ class ModelSimulator final : public Simulator {
     std::vector<BodyConstants<S>> bodies;
     std::vector<Candidate> candidates;
     std::vector<Touch> touches;
+    std::vector<TiedContact> ties;
     std::vector<S> after, before;  // cotangents
     SolveRecord solved;
     std::string_view failure;
@@ -239,6 +242,7 @@ class ModelSimulator final : public Simulator {
     ScratchMemory scratch;
     std::vector<Candidate> candidates;
     std::vector<Touch> touches;
+    std::vector<TiedContact> ties;
     std::vector<Vec2<S>> force;
     std::vector<double> push;
     Islands islands;
@@ -392,6 +396,7 @@ class ModelSimulator final : public Simulator {
   void StepScene(int k, std::span<const State> x, std::span<State> next, Workspace* work) const {
     FreeFlight(model_, Input(*work), x, next);
     work->touches.clear();
+    work->ties.clear();
     work->solved.Clear();
     work->islands.Find(work->candidates, fixed_);
     for (int q = 0; q < work->islands.size() && !work->failure; ++q) StepIsland(k, q, x, next, work);
@@ -405,9 +410,11 @@ class ModelSimulator final : public Simulator {
     LocalScene& local = work->local;
     local.next.resize(island.size());
     local.touches.clear();
+    local.ties.clear();
     local.solved.Clear();
     StepInput<S> in = LocalInput(*work);
     in.touches = &local.touches;
+    in.ties = &local.ties;
     model_.Step(in, std::span<const State>(local.x), std::span<State>(local.next));
     work->scratch.Release();
     CheckStep(
@@ -421,9 +428,12 @@ class ModelSimulator final : public Simulator {
       if (!fixed_[island[i]]) next[island[i]] = local.next[i];
     }
     for (Touch touch : local.touches) {
-      touch.candidate.a = island[touch.candidate.a];
-      if (!touch.candidate.plane) touch.candidate.b = island[touch.candidate.b];
+      touch.candidate = InScene(touch.candidate, island);
       work->touches.push_back(touch);
+    }
+    const int ties = work->ties.empty() ? 0 : work->ties.back().tie + 1;
+    for (const TiedContact& contact : local.ties) {
+      work->ties.push_back({InScene(contact.candidate, island), contact.time, ties + contact.tie});
     }
   }
 
@@ -466,7 +476,8 @@ class ModelSimulator final : public Simulator {
             .planes = planes_,
             .force = work.force,
             .candidates = work.candidates,
-            .scratch = &work.scratch};
+            .scratch = &work.scratch,
+            .tie_order = tie_order_};
   }
   StepInput<S> LocalInput(Workspace& work) const {
     StepInput<S> in = Input(work);
@@ -480,7 +491,9 @@ class ModelSimulator final : public Simulator {
   }
   // The first of the local scene's pairs, in the numbers of the whole scene.
   static Candidate FirstPair(const LocalScene& local, std::span<const int> island) {
-    const Candidate& c = local.candidates[0];
+    return InScene(local.candidates[0], island);
+  }
+  static Candidate InScene(const Candidate& c, std::span<const int> island) {
     return {island[c.a], c.plane ? c.b : island[c.b], c.plane};
   }
 

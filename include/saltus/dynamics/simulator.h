@@ -36,6 +36,12 @@ struct StepTouch {
   Touch touch;  // disc and plane indices of the scene
 };
 
+// A contact that was tied in step `step` of a rollout.
+struct StepTie {
+  int step = 0;
+  TiedContact contact;  // disc and plane indices of the scene
+};
+
 // Derivatives of one number with respect to the parameters of the scene.
 struct ParameterGradient {
   double restitution = 0;
@@ -121,6 +127,8 @@ class Simulator {
   // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
   virtual void GetState(int k, std::span<double> x) const = 0;
   virtual const std::vector<StepTouch>& touches() const = 0;
+  // Of the last rollout: impacts whose order decided what followed, in order of steps. Those of one tie stand together.
+  const std::vector<StepTie>& ties() const { return ties_; }
 
   // The gradient of a function of the final state of the last rollout, by the adjoint: `cotangent` is its derivative
   // with respect to state K (state_size() numbers). Cost: less than a rollout, linear in steps and discs; discs that
@@ -135,6 +143,9 @@ class Simulator {
   // LeastMemory(), about 2 sqrt(K) states. Takes effect with the next rollout.
   void set_memory_limit(std::size_t bytes) { memory_limit_ = bytes; }
   std::size_t memory_limit() const { return memory_limit_; }
+  // In which order event-driven models take tied impacts: 0, their own, or one of those of event_ties.h. Of the latter
+  // only values are of use, not derivatives. Takes effect with the next rollout.
+  void set_tie_order(int order) { tie_order_ = order; }
   // The smallest limit that can be kept, in bytes.
   virtual std::size_t LeastMemory() const = 0;
 
@@ -167,12 +178,17 @@ class Simulator {
   Simulator(const Scene& scene, Precision precision, int grid_steps)
       : scene_(scene), precision_(precision), num_steps_(scene.steps / grid_steps) {}
 
+  // Of a simulator that another one is made of.
+  static const std::optional<Failure>& FailureOf(const Simulator& simulator) { return simulator.failure_; }
+
   Scene scene_;
   Precision precision_;
   int num_steps_;
   std::size_t memory_limit_ = std::size_t{1} << 30;
   std::optional<Failure> failure_;  // of the last rollout
   StopRequest stop_;
+  std::vector<StepTie> ties_;
+  int tie_order_ = 0;
 };
 
 // The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).
