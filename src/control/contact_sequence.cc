@@ -1,22 +1,60 @@
 #include "saltus/control/contact_sequence.h"
 
-#include <optional>
+#include <algorithm>
+#include <unordered_map>
+#include <utility>
 
 namespace saltus {
 namespace {
 
-std::string PairToString(const Scene& scene, const Candidate& c) {
-  return scene.bodies[c.a].name + "-" + (c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name);
+std::string Names(const Scene& scene, const Candidate& c, const char* between = " and ") {
+  return scene.bodies[c.a].name + between + (c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name);
 }
 
-// The pair that `text` names. Names may have hyphens themselves, so the pairs are written out rather than the text cut.
-std::optional<Candidate> FindPair(const Scene& scene, const std::string& text) {
-  for (const Candidate& c : AllPairs(scene)) {
-    const std::string& a = scene.bodies[c.a].name;
-    const std::string& b = c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name;
-    if (text == a + "-" + b || text == b + "-" + a) return c;
+std::string PairToString(const Scene& scene, const Candidate& c) { return Names(scene, c, "-"); }
+
+struct Thing {
+  int index = 0;
+  bool plane = false;
+};
+using ThingOfName = std::unordered_map<std::string_view, Thing>;
+
+ThingOfName NamesIn(const Scene& scene) {
+  ThingOfName things;
+  for (int i = 0; i < scene.num_bodies(); ++i) things.emplace(scene.bodies[i].name, Thing{i, false});
+  for (size_t j = 0; j < scene.planes.size(); ++j) {
+    things.emplace(scene.planes[j].name, Thing{static_cast<int>(j), true});
   }
-  return std::nullopt;
+  return things;
+}
+
+// Every pair that `text` may name: names may have hyphens themselves.
+ContactSequence FindPairs(const Scene& scene, const ThingOfName& things, std::string_view text) {
+  ContactSequence found;
+  for (size_t hyphen = text.find('-'); hyphen != std::string_view::npos; hyphen = text.find('-', hyphen + 1)) {
+    const auto first = things.find(text.substr(0, hyphen)), second = things.find(text.substr(hyphen + 1));
+    if (first == things.end() || second == things.end()) continue;
+    Thing a = first->second, b = second->second;
+    if (a.plane || (!b.plane && a.index > b.index)) std::swap(a, b);
+    if (a.plane || (!b.plane && a.index == b.index)) continue;
+    const bool moves = !scene.bodies[a.index].fixed || (!b.plane && !scene.bodies[b.index].fixed);
+    if (!moves) continue;
+    const Candidate pair{a.index, b.index, b.plane};
+    if (std::find(found.begin(), found.end(), pair) == found.end()) found.push_back(pair);
+  }
+  return found;
+}
+
+// The pairs of a scene, or the first of very many.
+std::string ListPairs(const Scene& scene) {
+  constexpr size_t kMost = 50;
+  std::string list;
+  const ContactSequence pairs = AllPairs(scene);
+  for (size_t i = 0; i < std::min(pairs.size(), kMost); ++i) {
+    list += (list.empty() ? "" : ", ") + PairToString(scene, pairs[i]);
+  }
+  if (list.empty()) return "pairs, of which this scene has none";
+  return list + (pairs.size() > kMost ? ", ..." : "");
 }
 
 }  // namespace
@@ -39,17 +77,20 @@ ContactSequence AllPairs(const Scene& scene) {
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence) {
   sequence->clear();
   if (text == "none") return "";
+  const ThingOfName things = NamesIn(scene);
   while (true) {
     const size_t comma = text.find(',');
     const std::string pair(text.substr(0, comma));
-    const std::optional<Candidate> found = FindPair(scene, pair);
-    if (!found) {
-      std::string known;
-      for (const Candidate& c : AllPairs(scene)) known += (known.empty() ? "" : ", ") + PairToString(scene, c);
+    const ContactSequence found = FindPairs(scene, things, pair);
+    if (found.empty()) {
       return "'" + pair + "' is no pair that can collide; expected 'none' or a comma-separated list of " +
-             (known.empty() ? "pairs, of which this scene has none" : known);
+             ListPairs(scene);
     }
-    sequence->push_back(*found);
+    if (found.size() > 1) {
+      return "'" + pair + "' could be " + Names(scene, found[0]) + ", or " + Names(scene, found[1]) +
+             "; expected names with one reading (try them the other way round)";
+    }
+    sequence->push_back(found[0]);
     if (comma == std::string_view::npos) return "";
     text.remove_prefix(comma + 1);
   }

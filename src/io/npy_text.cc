@@ -55,6 +55,7 @@ NpyText EncodeNpyText(const std::vector<std::string>& texts) {
 std::optional<std::vector<std::string>> DecodeNpyText(const NpyText& text) {
   const size_t width = static_cast<size_t>(text.width);
   const size_t entry = width * sizeof(char32_t);
+  if (text.bytes.empty()) return std::vector<std::string>();  // whatever the width, for which there may be no memory
   if (text.bytes.size() % entry != 0) return std::nullopt;
   std::vector<std::string> texts(text.bytes.size() / entry);
   std::u32string wide(width, U'\0');

@@ -3,6 +3,7 @@
 #include <glog/logging.h>
 #include <zip.h>
 
+#include <algorithm>
 #include <bit>
 #include <charconv>
 #include <cstring>
@@ -11,7 +12,6 @@
 #include <memory>
 #include <numeric>
 #include <optional>
-#include <regex>
 #include <string_view>
 #include <type_traits>
 
@@ -63,14 +63,55 @@ std::string Header(std::string_view descriptor, const std::vector<int64_t>& shap
   return header + dictionary;
 }
 
-std::optional<std::vector<int64_t>> ParseShape(const std::string& tuple) {
-  static const std::regex number("[0-9]+");
+// What a header says. Read by hand: std::regex needs stack for every character.
+struct HeaderFields {
+  std::string_view descriptor, shape;
+  bool fortran_order = false;
+};
+
+// Takes `prefix` off the front of `text`, if it stands there.
+bool Take(std::string_view prefix, std::string_view* text) {
+  if (!text->starts_with(prefix)) return false;
+  text->remove_prefix(prefix.size());
+  return true;
+}
+
+// Takes what stands before `mark`, and the mark.
+std::string_view TakeUntil(char mark, std::string_view* text) {
+  const size_t end = std::min(text->find(mark), text->size());
+  const std::string_view taken = text->substr(0, end);
+  text->remove_prefix(std::min(end + 1, text->size()));
+  return taken;
+}
+
+// {'descr': '...', 'fortran_order': False, 'shape': (...), } and spaces up to the end of the line.
+std::optional<HeaderFields> ParseHeader(std::string_view text) {
+  HeaderFields fields;
+  if (!Take("{'descr': '", &text)) return std::nullopt;
+  fields.descriptor = TakeUntil('\'', &text);
+  if (!Take(", 'fortran_order': ", &text)) return std::nullopt;
+  fields.fortran_order = Take("True", &text);
+  if (!fields.fortran_order && !Take("False", &text)) return std::nullopt;
+  if (!Take(", 'shape': (", &text)) return std::nullopt;
+  fields.shape = TakeUntil(')', &text);
+  if (fields.shape.find_first_not_of("0123456789, ") != std::string_view::npos) return std::nullopt;
+  Take(",", &text);
+  if (!Take(" }", &text) || !text.ends_with('\n')) return std::nullopt;
+  if (text.find_first_not_of(' ') != text.size() - 1) return std::nullopt;
+  return fields;
+}
+
+// The numbers between the brackets.
+std::optional<std::vector<int64_t>> ParseShape(std::string_view text) {
+  constexpr std::string_view kDigits = "0123456789";
   std::vector<int64_t> shape;
-  for (std::sregex_iterator it(tuple.begin(), tuple.end(), number), end; it != end; ++it) {
-    const std::string digits = it->str();
+  for (size_t at = text.find_first_of(kDigits); at != std::string_view::npos; at = text.find_first_of(kDigits)) {
+    text.remove_prefix(at);
     int64_t dimension = 0;
-    if (std::from_chars(digits.data(), digits.data() + digits.size(), dimension).ec != std::errc()) return std::nullopt;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), dimension);
+    if (error != std::errc()) return std::nullopt;
     shape.push_back(dimension);
+    text.remove_prefix(static_cast<size_t>(end - text.data()));
   }
   return shape;
 }
@@ -174,16 +215,14 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
   }
   const size_t length = static_cast<unsigned char>(bytes[8]) + 256u * static_cast<unsigned char>(bytes[9]);
   if (bytes.size() < kPrefix + length) return Status::Error("NPY header is cut off");
-  const std::string header = bytes.substr(kPrefix, length);
-  static const std::regex pattern(
-      R"(\{'descr': '([^']*)', 'fortran_order': (True|False), 'shape': (\([0-9, ]*\)),? \} *\n)");
-  std::smatch match;
-  if (!std::regex_match(header, match, pattern)) return Status::Error("NPY header not understood: " + header);
-  if (match[2] == "True") return Status::Error("NPY data in Fortran order");
-  std::optional<std::vector<int64_t>> shape = ParseShape(match[3]);
-  if (!shape) return Status::Error("NPY shape out of range: " + match[3].str());
+  const std::string_view header = std::string_view(bytes).substr(kPrefix, length);
+  const std::optional<HeaderFields> fields = ParseHeader(header);
+  if (!fields) return Status::Error("NPY header not understood: " + std::string(header));
+  if (fields->fortran_order) return Status::Error("NPY data in Fortran order");
+  std::optional<std::vector<int64_t>> shape = ParseShape(fields->shape);
+  if (!shape) return Status::Error("NPY shape out of range: (" + std::string(fields->shape) + ")");
   const std::string_view data = std::string_view(bytes).substr(kPrefix + length);
-  const std::string descriptor = match[1];
+  const std::string descriptor(fields->descriptor);
   if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(*shape), data);
   if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(*shape), data);
   if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(*shape), data);

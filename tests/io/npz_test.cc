@@ -121,6 +121,24 @@ class NpzTest : public testing::Test {
   std::string path_ = testing::TempDir() + "npz_test.npz";
 };
 
+// Neither as much memory as a header asks for nor as much stack as it is long.
+TEST(NpyTest, AHeaderCostsNoMoreThanItsBytes) {
+  const auto with_header = [](const std::string& header) {
+    std::string bytes("\x93NUMPY\x01\x00", 8);
+    bytes += static_cast<char>(header.size() & 0xff);
+    bytes += static_cast<char>(header.size() >> 8);
+    return bytes + header;
+  };
+  EXPECT_FALSE(DecodeNpy(with_header("{'descr': '" + std::string(65000, 'x'))).ok());
+  EXPECT_FALSE(
+      DecodeNpy(with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (" + std::string(60000, '1') + "), }\n"))
+          .ok());
+  const StatusOr<NpyArray> none =
+      DecodeNpy(with_header("{'descr': '<U2000000000', 'fortran_order': False, 'shape': (0,), }\n"));
+  ASSERT_TRUE(none.ok()) << none.status().message();
+  EXPECT_EQ(none->shape, std::vector<int64_t>{0});
+}
+
 TEST_F(NpzTest, RoundTripsEveryTypeAndShape) {
   const double infinity = std::numeric_limits<double>::infinity();
   const NpzArrays arrays = {{"loss", {{3}, std::vector<double>{0.1, -infinity, 5e-324}}},

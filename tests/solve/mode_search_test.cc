@@ -109,6 +109,28 @@ TEST(ContactSequence, ReadsPairsInAnyOrder) {
   EXPECT_TRUE(sequence.empty());
 }
 
+TEST(ContactSequence, TwoReadingsAreRefused) {
+  Scene scene = ProblemScene("multiple_collisions");
+  scene.bodies[0].name = "a-b";
+  scene.bodies[1].name = "c";
+  scene.planes[0].name = "b-c";
+  scene.bodies.push_back({.name = "a", .radius = 0.1, .position = {0, -9}});
+  ContactSequence sequence;
+  EXPECT_THAT(ParseContactSequence(scene, "a-b-c", &sequence), HasSubstr("'a-b-c' could be a and b-c, or a-b and c"));
+  EXPECT_EQ(ParseContactSequence(scene, "c-a-b,b-c-a", &sequence), "");
+  EXPECT_EQ(sequence, (ContactSequence{{0, 1, false}, {2, 0, true}}));
+}
+
+TEST(ContactSequence, FixedDiscsAndPlanesDoNotCollide) {
+  Scene scene = ProblemScene("multiple_collisions");
+  scene.bodies[1].fixed = true;
+  ContactSequence sequence;
+  EXPECT_EQ(ParseContactSequence(scene, "target-striker", &sequence), "");
+  for (const char* text : {"target-ceiling", "ceiling-target", "ceiling-ceiling", "striker-striker"}) {
+    EXPECT_THAT(ParseContactSequence(scene, text, &sequence), HasSubstr("no pair that can collide")) << text;
+  }
+}
+
 TEST(ContactSequence, SaysWhatIsWrong) {
   const Scene scene = ProblemScene("multiple_collisions");
   ContactSequence sequence;

@@ -88,12 +88,11 @@ std::optional<BodyField> FindBodyField(const std::string& name, const Scene& sce
   return found;
 }
 
-// The initial force on a body, if it is controlled.
-Vec2d* FindForce(int body, Scene* scene) {
-  for (size_t i = 0; i < scene->control.bodies.size(); ++i) {
-    if (scene->control.bodies[i] == body) return &scene->control.initial[i];
-  }
-  return nullptr;
+// Where the initial force on a body stands in the control; -1 if it is not controlled.
+int FindForce(int body, const Scene& scene) {
+  const std::vector<int>& bodies = scene.control.bodies;
+  const auto found = std::find(bodies.begin(), bodies.end(), body);
+  return found == bodies.end() ? -1 : static_cast<int>(found - bodies.begin());
 }
 
 bool IsForce(const std::string& field) { return field == "force_x" || field == "force_y"; }
@@ -117,7 +116,9 @@ void SetBodyField(const BodyField& found, double value, Scene* scene) {
   if (const BodyOption* option = FindBodyNumber(found.field)) {
     option->set(value, &scene->bodies[found.body]);
   } else {
-    (*CHECK_NOTNULL(FindForce(found.body, scene)))[found.field == "force_x" ? 0 : 1] = value;
+    const int force = FindForce(found.body, *scene);
+    CHECK_GE(force, 0);
+    scene->control.initial[force][found.field == "force_x" ? 0 : 1] = value;
   }
 }
 
@@ -128,9 +129,8 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
   if (const NumberOption* option = FindNumber(name)) return option->kind;
   const std::optional<BodyField> found = FindBodyField(name, scene);
   if (!found) return std::nullopt;
-  Scene copy = scene;
   const bool known =
-      FindBodyNumber(found->field) != nullptr || (IsForce(found->field) && FindForce(found->body, &copy) != nullptr);
+      FindBodyNumber(found->field) != nullptr || (IsForce(found->field) && FindForce(found->body, scene) >= 0);
   return known ? std::optional(kReal) : std::nullopt;
 }
 

@@ -14,8 +14,8 @@
 namespace saltus {
 namespace {
 
-constexpr double kMostValues = 1e6;      // of one range
-constexpr double kLargestInteger = 1e9;  // that an int holds
+constexpr int64_t kMostValues = 1'000'000;  // of all ranges of a sweep: few characters can ask for many
+constexpr double kLargestInteger = 1e9;     // that an int holds
 
 std::string Join(const std::vector<std::string>& names) {
   std::string list;
@@ -216,9 +216,16 @@ class SpecParser {
     if (count < 1 || count > kMostValues || count != std::floor(count)) {
       FailAt(count_token.place, count_token.text, "a whole number in 1..1000000");
     }
+    values_left_ -= static_cast<int64_t>(count);
+    if (values_left_ < 0) {
+      FailAt(count_token.place, count_token.text, "at most 1000000 values in all ranges; more of them in a file (@)");
+    }
     const bool log = scale.text == "log";
     if (log && !(first > 0)) FailAt(first_token.place, first_token.text, "a number > 0, as the range is logarithmic");
     if (log && !(last > 0)) FailAt(last_token.place, last_token.text, "a number > 0, as the range is logarithmic");
+    if (!std::isfinite(log ? last / first : last - first) || (log && last / first == 0)) {
+      FailAt(last_token.place, last_token.text, "a number closer to " + first_token.text);
+    }
     AddRange(first, last, log, static_cast<int>(count), first_token, block);
   }
 
@@ -287,6 +294,7 @@ class SpecParser {
   const std::string& text_;
   const Scene& scene_;
   size_t at_ = 0;
+  int64_t values_left_ = kMostValues;  // of ranges
   std::set<std::string> used_;
 };
 

@@ -216,6 +216,25 @@ TEST(SweepPoint, TravelsAsBytesWithoutLosingBits) {
   EXPECT_TRUE(std::signbit(std::get<double>(DecodePointResult(Encode(result)).row[1])));
 }
 
+// A limit that is over at once stops a solver where it first looks at the clock.
+TEST(SweepPoint, AStoppedPointHoldsWhatItHasReached) {
+  Request request = Study().request();
+  request.contacts = {"direct_toi"};
+  request.solvers = {"gd"};
+  request.options.learning_rate = 10;
+  request.options.iterations = 1'000'000'000;
+  const SweepStudy study(request, ParseSweep("friction=0", request.scene));
+  const PointResult result = ComputePoint(study, 0, 1e-9);
+  EXPECT_EQ(result.status, PointStatus::kFailed);
+  const auto column = [&](const std::string& name) {
+    return result.row.at(std::find(study.columns().begin(), study.columns().end(), name) - study.columns().begin());
+  };
+  EXPECT_EQ(column("termination"), SweepValue("failed"));
+  EXPECT_EQ(column("reason"), SweepValue("stopped at the time limit of 1e-09 s"));
+  EXPECT_NEAR(ToNumber(column("initial_loss")), 2.0585, 1e-4);  // as published
+  EXPECT_EQ(column("final_loss"), column("initial_loss"));
+}
+
 TEST(SweepPoint, AnImpossiblePointFailsWithKeyAndReason) {
   const SweepStudy study = Study("restitution=0.5,1.5");
   const PointResult result = ComputePoint(study, 1, 0);

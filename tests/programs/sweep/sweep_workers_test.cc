@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <csignal>
@@ -25,6 +26,14 @@ std::map<int64_t, WorkerPool::Result> RunAll(int tasks, WorkerPool* pool) {
     }
   }
   return results;
+}
+
+// Precondition: the pool is idle.
+WorkerPool::Result RunOne(int64_t task, WorkerPool* pool) {
+  pool->Start(task);
+  std::vector<WorkerPool::Result> results;
+  while (results.empty()) results = pool->Wait(10s);
+  return results.at(0);
 }
 
 TEST(WorkerPool, AnswersEveryTask) {
@@ -65,21 +74,25 @@ TEST(WorkerPool, StopsWhatTakesTooLong) {
     while (task == 1) pause();
     return std::string("fine");
   });
-  const std::map<int64_t, WorkerPool::Result> results = RunAll(6, &pool);
+  std::map<int64_t, WorkerPool::Result> results = RunAll(6, &pool);
   ASSERT_EQ(results.size(), 6u);
-  for (const auto& [task, result] : results) {
-    EXPECT_EQ(result.end, task == 1 ? WorkerPool::End::kTooLate : WorkerPool::End::kAnswered) << task;
+  EXPECT_EQ(results.at(1).end, WorkerPool::End::kTooLate);
+  for (auto& [task, result] : results) {
+    // On a machine that is busy enough anything is late: then once more.
+    while (task != 1 && result.end == WorkerPool::End::kTooLate) result = RunOne(task, &pool);
+    if (task != 1) EXPECT_EQ(result.end, WorkerPool::End::kAnswered) << task;
   }
 }
 
 TEST(WorkerPool, ReplacesAnIdleWorkerThatWasKilled) {
   WorkerPool pool(1, 0, [](int64_t) { return std::to_string(getpid()); });
-  const pid_t first = std::stoi(RunAll(1, &pool).at(0).text);
+  const pid_t first = std::stoi(RunOne(0, &pool).text);
   ASSERT_EQ(kill(first, SIGKILL), 0);
-  usleep(50'000);
-  const std::map<int64_t, WorkerPool::Result> results = RunAll(1, &pool);
-  ASSERT_EQ(results.at(0).end, WorkerPool::End::kAnswered) << results.at(0).text;
-  EXPECT_NE(results.at(0).text, std::to_string(first));
+  siginfo_t end;
+  ASSERT_EQ(waitid(P_PID, static_cast<id_t>(first), &end, WEXITED | WNOWAIT), 0);  // it is gone; the pool has to see it
+  const WorkerPool::Result result = RunOne(0, &pool);
+  ASSERT_EQ(result.end, WorkerPool::End::kAnswered) << result.text;
+  EXPECT_NE(result.text, std::to_string(first));
 }
 
 TEST(WorkerPool, WaitEndsWithItsTime) {

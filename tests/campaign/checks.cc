@@ -1,0 +1,258 @@
+#include "campaign/checks.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+#include <optional>
+#include <span>
+
+#include "contact/random_scene.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/registry.h"
+
+namespace saltus::campaign {
+namespace {
+
+constexpr double kTolerance = 1e-9;  // of the scene's length, energy or momentum
+
+struct Differences {
+  double width;      // m, m/s, N
+  double smooth;     // how well extrapolations must agree, of the size of the derivative
+  double agreement;  // and the gradient with them
+};
+constexpr Differences kAtImpacts{4e-6, 1e-6, 1e-5};
+constexpr Differences kAtRest{4e-3, 1e-2, 2e-2};
+constexpr double kSmallestDerivative = 1e-3;  // what the tolerances are at least relative to
+
+Vec2d PositionOf(std::span<const double> x, int i) { return {x[4 * i], x[4 * i + 1]}; }
+Vec2d VelocityOf(std::span<const double> x, int i) { return {x[4 * i + 2], x[4 * i + 3]}; }
+
+// The largest overlap of discs with each other or with planes, m.
+double LargestOverlap(const Scene& scene, std::span<const double> x) {
+  double overlap = 0;
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    const Body& body = scene.bodies[i];
+    for (int j = 0; j < i; ++j) {
+      if (body.fixed && scene.bodies[j].fixed) continue;
+      const double distance = (PositionOf(x, i) - PositionOf(x, j)).norm();
+      overlap = std::max(overlap, body.radius + scene.bodies[j].radius - distance);
+    }
+    for (const Plane& plane : scene.planes) {
+      if (body.fixed) continue;
+      const double height = Dot(plane.normal, Vec2d(PositionOf(x, i) - plane.point)) / plane.normal.norm();
+      overlap = std::max(overlap, body.radius - height);
+    }
+  }
+  return overlap;
+}
+
+// Of the box around all discs at the start, m.
+double Size(const Scene& scene) {
+  Vec2d low = scene.bodies[0].position, high = low;
+  for (const Body& body : scene.bodies) {
+    low = low.cwiseMin(Vec2d(body.position.array() - body.radius));
+    high = high.cwiseMax(Vec2d(body.position.array() + body.radius));
+  }
+  return (high - low).norm();
+}
+
+class SceneCheck {
+ public:
+  SceneCheck(const Scene& scene, std::uint32_t seed)
+      : scene_(scene),
+        random_(~seed),
+        simulator_(MakeSimulator("event", scene, Precision::kDouble)),
+        initial_(InitialState(scene)),
+        control_(InitialControl(scene, simulator_->num_steps())),
+        force_(static_cast<size_t>(scene.num_bodies()), scene.gravity) {
+    for (int i = 0; i < scene.num_bodies(); ++i) force_[i] = scene.bodies[i].mass * scene.gravity;
+    for (int c = 0; c < scene.num_controlled(); ++c) force_[scene.control.bodies[c]] += scene.control.initial[c];
+  }
+
+  Counts Run(bool gradient) {
+    if (!simulator_->Rollout(initial_, control_)) {
+      Fail("a state is not finite");
+      return counts_;
+    }
+    CountTouches();
+    CheckStates();
+    if (gradient) CheckGradient();
+    return counts_;
+  }
+
+ private:
+  void Count(const std::string& what, int64_t number = 1) { counts_[what] += number; }
+  void Fail(const std::string& what) { Count(kFailure + what); }
+
+  void CountTouches() {
+    const std::vector<StepTouch>& touches = simulator_->touches();
+    int impacts = 0;
+    for (size_t k = 0; k < touches.size(); ++k) {
+      impacts += touches[k].touch.kind == ContactKind::kImpact;
+      lasting_ |= touches[k].touch.kind == ContactKind::kSustained;
+      grazing_ |= touches[k].touch.kind == ContactKind::kGrazing;
+      for (size_t j = k; j-- > 0 && TimeOf(touches[k]) - TimeOf(touches[j]) <= kTolerance * scene_.duration;) {
+        tied_ |= ShareADisc(touches[j].touch.candidate, touches[k].touch.candidate);
+      }
+    }
+    Count("impacts", impacts);
+    if (impacts > 0) Count("scenes with impacts");
+    if (lasting_) Count("scenes with rest or sliding");
+    if (grazing_) Count("scenes with grazing");
+    if (tied_) Count("scenes with events of one disc at the same time");
+    if (scene_.contact.friction > 0) Count("scenes with friction");
+  }
+
+  double TimeOf(const StepTouch& touch) const { return touch.step * simulator_->step() + touch.touch.time; }
+
+  // Not counting the same pair twice, nor fixed discs, which nothing changes.
+  bool ShareADisc(const Candidate& c, const Candidate& d) const {
+    if (c == d) return false;
+    const auto has = [&](const Candidate& e, int i) { return e.a == i || (!e.plane && e.b == i); };
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (!scene_.bodies[i].fixed && has(c, i) && has(d, i)) return true;
+    }
+    return false;
+  }
+
+  void CheckStates() {
+    std::vector<double> x(static_cast<size_t>(simulator_->state_size()));
+    double overlap = 0, growth = 0, largest = 0, before = 0, momentum_error = 0, momentum_scale = 0;
+    Vec2d momentum_at_start = Vec2d::Zero(), pushed = Vec2d::Zero();
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (!scene_.bodies[i].fixed) pushed += force_[i];
+    }
+    for (int k = 0; k <= simulator_->num_steps(); ++k) {
+      simulator_->GetState(k, x);
+      if (!std::all_of(x.begin(), x.end(), [](double value) { return std::isfinite(value); })) {
+        return Fail("a state is not finite");
+      }
+      overlap = std::max(overlap, LargestOverlap(scene_, x));
+      double energy = 0, scale = 0;
+      Vec2d momentum = Vec2d::Zero();
+      for (int i = 0; i < scene_.num_bodies(); ++i) {
+        const Body& body = scene_.bodies[i];
+        if (body.fixed) continue;
+        const double kinetic = 0.5 * body.mass * VelocityOf(x, i).squaredNorm();
+        const double potential = -Dot(force_[i], Vec2d(PositionOf(x, i) - body.position));
+        energy += kinetic + potential;
+        scale += kinetic + std::abs(potential);
+        momentum += body.mass * VelocityOf(x, i);
+        momentum_scale = std::max(momentum_scale, body.mass * VelocityOf(x, i).norm());
+      }
+      largest = std::max(largest, scale);
+      if (k > 0) growth = std::max(growth, energy - before);
+      before = energy;
+      if (k == 0) momentum_at_start = momentum;
+      const Vec2d expected = momentum_at_start + k * simulator_->step() * pushed;
+      momentum_error = std::max(momentum_error, (momentum - expected).norm());
+    }
+    if (!(overlap <= kTolerance * Size(scene_))) Fail("overlap above 1e-9");
+    if (!(growth <= kTolerance * largest)) Fail(growth <= 1e-6 * largest ? "energy grows above 1e-9" : "energy grows");
+    const bool isolated = scene_.planes.empty() &&
+                          std::none_of(scene_.bodies.begin(), scene_.bodies.end(), [](auto& b) { return b.fixed; });
+    if (isolated && !(momentum_error <= kTolerance * momentum_scale)) Fail("momentum changes");
+  }
+
+  std::optional<double> Loss(std::span<const double> initial, std::span<const double> control) {
+    if (!simulator_->Rollout(initial, control)) return std::nullopt;
+    std::vector<double> end(static_cast<size_t>(simulator_->state_size()));
+    simulator_->GetState(simulator_->num_steps(), end);
+    return TerminalLoss(scene_.objective, end, 4);
+  }
+
+  void CheckGradient() {
+    std::vector<double> end(static_cast<size_t>(simulator_->state_size())), cotangent(end.size());
+    simulator_->GetState(simulator_->num_steps(), end);
+    TerminalGradient(scene_.objective, end, 4, cotangent);
+    Sensitivity gradient;
+    simulator_->Adjoint(cotangent, false, &gradient);
+    const auto finite = [](const std::vector<double>& values) {
+      return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+    };
+    Count("gradients");
+    if (!finite(gradient.initial) || !finite(gradient.control)) return Fail("gradient is not finite");
+    const double loss = TerminalLoss(scene_.objective, end, 4);
+    Compare("position", 0, gradient, loss);
+    Compare("velocity", 2, gradient, loss);
+    if (!control_.empty()) Compare("control", -1, gradient, loss);
+  }
+
+  // One side of a directional derivative, or why there is none.
+  struct Side {
+    std::optional<double> slope;
+    std::string why;
+  };
+
+  Side Slope(const std::vector<double>& initial, const std::vector<double>& control, double sign, double loss,
+             double size, const Differences& differences) {
+    std::array<double, 3> slopes;
+    double width = differences.width;
+    for (double& slope : slopes) {
+      std::vector<double> x = initial_, u = control_;
+      for (size_t i = 0; i < x.size(); ++i) x[i] += sign * width * initial[i];
+      for (size_t i = 0; i < u.size(); ++i) u[i] += sign * width * control[i];
+      if (LargestOverlap(scene_, x) > kOverlapTolerance) return {{}, "discs would overlap"};
+      const std::optional<double> moved = Loss(x, u);
+      if (!moved) return {{}, "not finite"};
+      slope = sign * (*moved - loss) / width;
+      width /= 2;
+    }
+    const double coarse = 2 * slopes[1] - slopes[0], fine = 2 * slopes[2] - slopes[1];
+    if (!(std::abs(fine - coarse) <= differences.smooth * (size + std::abs(fine)))) return {{}, "not smooth"};
+    return {fine, ""};
+  }
+
+  // Along a random direction of the entries offset, offset + 1 of each disc's initial state; -1 for the control.
+  void Compare(const std::string& name, int offset, const Sensitivity& gradient, double loss) {
+    std::vector<double> initial(initial_.size()), control(control_.size());
+    double slope = 0, size = 0;
+    const auto choose = [&](double* entry, double derivative) {
+      *entry = random_.Uniform(-1, 1);
+      slope += derivative * *entry;
+      size += std::abs(derivative * *entry);
+    };
+    for (int i = 0; i < scene_.num_bodies() && offset >= 0; ++i) {
+      if (scene_.bodies[i].fixed) continue;
+      for (int j = 4 * i + offset; j < 4 * i + offset + 2; ++j) choose(&initial[j], gradient.initial[j]);
+    }
+    for (size_t k = 0; k < control.size() && offset < 0; ++k) choose(&control[k], gradient.control[k]);
+    size = std::max(size, kSmallestDerivative);
+
+    const Differences& differences = lasting_ ? kAtRest : kAtImpacts;
+    const std::array<Side, 2> sides = {Slope(initial, control, 1, loss, size, differences),
+                                       Slope(initial, control, -1, loss, size, differences)};
+    int agree = 0, disagree = 0;
+    for (const Side& side : sides) {
+      if (!side.slope) continue;
+      const double tolerance = differences.agreement * (size + std::abs(*side.slope));
+      (std::abs(*side.slope - slope) <= tolerance ? agree : disagree) += 1;
+    }
+    const std::string about = "gradient by " + name + ": ";
+    const std::string where = lasting_ ? " (rest or sliding)" : "";
+    const bool undefined = grazing_ || tied_;
+    if (agree == 2) return Count(about + "agrees on both sides" + where);
+    if (agree == 1 && disagree == 0) {
+      return Count(about + "agrees on one side; the other: " + (sides[0].slope ? sides[1].why : sides[0].why) + where);
+    }
+    if (agree == 0 && disagree == 0) return Count(about + "left out: " + sides[0].why + " on either side" + where);
+    if (undefined) return Count(about + "left out: differs at " + (grazing_ ? "a grazing contact" : "a tie"));
+    if (agree == 1 && lasting_) return Count(about + "agrees with one side of a kink" + where);
+    Fail(about + (agree == 1 ? "a kink" : "disagrees") + where);
+  }
+
+  const Scene& scene_;
+  testing::RandomScenes random_;
+  std::unique_ptr<Simulator> simulator_;
+  std::vector<double> initial_, control_;
+  std::vector<Vec2d> force_;  // of gravity and control, on each disc
+  Counts counts_;
+  bool lasting_ = false, grazing_ = false, tied_ = false;
+};
+
+}  // namespace
+
+Counts Check(const Scene& scene, std::uint32_t seed, bool gradient) { return SceneCheck(scene, seed).Run(gradient); }
+
+}  // namespace saltus::campaign

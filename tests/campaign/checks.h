@@ -1,0 +1,30 @@
+// What must hold of a simulation by exact events, whatever the scene.
+#pragma once
+
+#include <map>
+#include <string>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus::campaign {
+
+// How much of what was met in a scene: numbers by what they count. Keys that begin with kFailure count failures.
+using Counts = std::map<std::string, int64_t>;
+inline constexpr char kFailure[] = "FAILED ";
+
+// Simulates the scene with the contact model `event`, and checks that
+//   - every state is finite,
+//   - nothing overlaps by more than 1e-9 of the scene's size,
+//   - energy, that of gravity and of the constant forces included, never grows by more than 1e-9 of the largest,
+//   - without planes and fixed discs forces alone change the momentum;
+// and with `gradient`, that the gradient agrees with differences of the loss, along a random direction each of initial
+// positions, velocities and the control. Differences are one-sided, on both sides, at three widths h, h/2, h/4, and
+// extrapolated; where extrapolations disagree, other events happen within the difference, and nothing is compared on
+// that side. Neither is a side on which discs would overlap at the start. Where contact lasts, velocities below the
+// model's threshold are cut off: there h and the tolerances are larger.
+//
+// A gradient that disagrees is a failure, unless several impacts of one disc at the same time, or a grazing one, leave
+// the derivative undefined: such are counted by that reason.
+Counts Check(const Scene& scene, std::uint32_t seed, bool gradient);
+
+}  // namespace saltus::campaign

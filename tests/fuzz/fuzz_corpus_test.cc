@@ -1,0 +1,31 @@
+// What fuzzing has found, and what it starts from, once more: nothing that was mended breaks again.
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "fuzz/targets.h"
+#include "saltus/io/file.h"
+
+namespace saltus {
+namespace {
+
+class FuzzCorpus : public testing::TestWithParam<fuzz::Target> {};
+
+TEST_P(FuzzCorpus, IsReadOrRefused) {
+  int files = 0;
+  const std::string folder = std::string(SALTUS_SOURCE_DIR "/tests/fuzz/corpus/") + GetParam().name;
+  for (const auto& file : std::filesystem::directory_iterator(folder)) {
+    SCOPED_TRACE(file.path());
+    GetParam().run(ReadFile(file.path()).value());
+    ++files;
+  }
+  EXPECT_GT(files, 0);
+}
+
+TEST_P(FuzzCorpus, NothingIsReadOrRefused) { GetParam().run(""); }
+
+INSTANTIATE_TEST_SUITE_P(Targets, FuzzCorpus, testing::ValuesIn(fuzz::kTargets),
+                         [](const auto& target) { return std::string(target.param.name); });
+
+}  // namespace
+}  // namespace saltus

@@ -1,0 +1,40 @@
+// What is fuzzed: every reader of text or files that a user hands to a program.
+//
+// A target takes any bytes. It must come back, in time and without a leak, and checks on the way what must hold of what
+// was read. scripts/fuzz.sh feeds the targets by libFuzzer, corpus_test.cc feeds them what is kept in corpus/<name>/.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus::fuzz {
+
+void ReadsScene(std::string_view bytes);     // a scene file
+void ReadsSweep(std::string_view bytes);     // --sweep
+void ReadsPoints(std::string_view bytes);    // the file of --sweep=@file
+void ReadsGiven(std::string_view bytes);     // the file of --given
+void ReadsSequence(std::string_view bytes);  // --sequence
+void ReadsNpy(std::string_view bytes);       // an array as in the members of an NPZ file
+void ReadsNpz(std::string_view bytes);       // an NPZ file
+
+struct Target {
+  const char* name;
+  void (*run)(std::string_view bytes);
+};
+inline constexpr Target kTargets[] = {{"scene", ReadsScene},
+                                      {"sweep", ReadsSweep},
+                                      {"points", ReadsPoints},
+                                      {"given", ReadsGiven},
+                                      {"sequence", ReadsSequence},
+                                      {"npy", ReadsNpy},
+                                      {"npz", ReadsNpz}};
+
+// What the text refers to: four discs, one of them fixed and two pushed, and a plane; some names have hyphens and dots.
+const Scene& ExampleScene();
+
+// The path of a file in memory with these contents, until the next call.
+std::string FileWith(std::string_view bytes);
+
+}  // namespace saltus::fuzz
