@@ -7,6 +7,7 @@
 #include "saltus/audit/audit.h"
 #include "saltus/control/certificate.h"
 #include "saltus/control/exact_run.h"
+#include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/exact/closed_forms.h"
 #include "saltus/exact/grid_optimum.h"

@@ -47,7 +47,8 @@ class EventStep {
   // GCC 12 cannot flatten it as a whole.
   [[gnu::noinline]] void Run() {
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
-    for (int count = 0; count < 2 * kMaxEvents; ++count) {
+    int count = 0;
+    for (; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
       if (q < 0) break;
@@ -58,6 +59,7 @@ class EventStep {
       }
       for (EventDisc<T>& disc : discs_) disc.dirty = false;
     }
+    if (count == 2 * kMaxEvents) in_.Fail("there is no end of events");
     CloseCurvedContacts();
   }
 

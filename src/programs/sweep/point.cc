@@ -95,7 +95,8 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     return result;
   }
   SweepValue error;
-  if (const std::optional<ModelGradient> exact = ExactGradientOf(request.scene)) {
+  const std::string not_comparable = WhyNotComparable(request.contacts[0], request.scene);
+  if (const auto exact = not_comparable.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
     error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
   }
   Append({FiniteOrNothing(gradient.loss),
@@ -108,7 +109,7 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
     Append({FiniteOrNothing(norm)}, &result.row);
   }
-  Append({std::string()}, &result.row);
+  Append({not_comparable}, &result.row);
   return result;
 }
 
