@@ -169,9 +169,6 @@ int AuditMain(int argc, char** argv) {
         const InterruptGuard guard;
         const AuditReport report = RunAudit(request, gradient.has_value());
         const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
-        const auto write = [&] {
-          if (!request.output_dir.empty()) WriteAuditFiles(request, report);
-        };
         const auto print = [&] {
           if (request.json) {
             Json document = AuditToJson(request, report);
@@ -185,7 +182,7 @@ int AuditMain(int argc, char** argv) {
             }
           }
         };
-        WriteAndPrint(write, print);
+        WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
         return AuditExitCode(request, report);
       });
 }

@@ -7,6 +7,7 @@
 
 #include "programs/audit_tables.h"
 #include "programs/surrogate_flags.h"
+#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -141,6 +142,7 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
 }
 
 void WriteAuditFiles(const Request& request, const AuditReport& report) {
+  if (request.output_dir.empty()) return;
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
   const std::string path = request.output_dir + "/" + request.scene.name + FileSuffix(surrogate);
   if (surrogate) {
@@ -153,12 +155,13 @@ void WriteAuditFiles(const Request& request, const AuditReport& report) {
   WriteTextFile(path + "_contacts.csv", ContactTable(report).ToCsv());
   WriteTextFile(path + "_classes.csv", ClassTable(report).ToCsv());
   WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
-  const Figure refinement = RefinementFigure(request.scene, report);
-  if (!refinement.panels.empty()) WriteFigureFiles(refinement, path + "_refinement");
   const bool swept =
       std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) { return audit.widths; });
+  if (swept) WriteTextFile(path + "_widths.csv", SlopeTable(report).ToCsv());
+  if (InterruptGuard::Interrupted()) return;
+  const Figure refinement = RefinementFigure(request.scene, report);
+  if (!refinement.panels.empty()) WriteFigureFiles(refinement, path + "_refinement");
   if (!swept) return;
-  WriteTextFile(path + "_widths.csv", SlopeTable(report).ToCsv());
   const Figure widths = WidthFigure(request.scene, report);
   if (!widths.panels.empty()) WriteFigureFiles(widths, path + "_widths");
 }

@@ -19,7 +19,7 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report);
 
 // Writes <scene>_{gradients,refinement,contacts}.csv and <scene>_refinement.{svg,png}, and with a width sweep
 // <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
-// InputError if it cannot.
+// OutputError if it cannot. Writes nothing without --output_dir, and no figures, which take long, after an interrupt.
 void WriteAuditFiles(const Request& request, const AuditReport& report);
 
 }  // namespace saltus

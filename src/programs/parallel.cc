@@ -28,6 +28,7 @@ std::atomic<bool> interrupt_said{false};  // once is enough, whatever else is le
 struct Board {
   struct Entry {
     std::string name, note;
+    // A job that comes back after an interrupt is not done: it may have been cut short.
     bool started = false, done = false;
     Clock::time_point start;
   };
@@ -79,7 +80,7 @@ void Work(Board* board) {
       thrown = std::current_exception();
     }
     lock.lock();
-    entry.done = true;
+    entry.done = !InterruptGuard::Interrupted();
     if (thrown && !board->thrown) board->thrown = thrown;
     board->changed.notify_all();
   }
@@ -109,21 +110,18 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
     return std::count_if(board->entries.begin(), board->entries.end(), [](const auto& entry) { return entry.done; });
   };
   Clock::time_point give_up = Clock::time_point::max();
-  int64_t reported = 0, done_before = 0;
-  std::string interrupted_at;
+  int64_t reported = 0;
   while (board->threads > 0 && Clock::now() < give_up) {
     board->changed.wait_for(lock, kLook);
-    if (InterruptGuard::Interrupted() && give_up == Clock::time_point::max()) {
-      give_up = Clock::now() + kGrace;
-      interrupted_at = board->AtWork();
-      done_before = num_done();
-    }
+    if (InterruptGuard::Interrupted()) give_up = std::min(give_up, Clock::now() + kGrace);
     const int64_t done = num_done();
     progress->Advance(done - std::exchange(reported, done), board->AtWork());
   }
   JobsEnd end;
   for (const Board::Entry& entry : board->entries) end.started.push_back(entry.started);
-  end.complete = num_done() == static_cast<int64_t>(names.size());
+  const int64_t done = num_done();
+  end.complete = done == static_cast<int64_t>(names.size());
+  const std::string at_work = board->AtWork();
   end.abandoned = board->threads > 0;
   const std::exception_ptr thrown = board->thrown;
   lock.unlock();
@@ -134,10 +132,10 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
       worker.join();
     }
   }
-  if (InterruptGuard::Interrupted() && (!end.complete || !interrupted_at.empty()) && !interrupt_said.exchange(true)) {
+  if (InterruptGuard::Interrupted() && !end.complete && !interrupt_said.exchange(true)) {
     progress->Finish();
-    std::cerr << "interrupted" << (interrupted_at.empty() ? "" : " at " + interrupted_at) << "; " << done_before
-              << " of " << names.size() << " were done" << std::endl;
+    std::cerr << "interrupted" << (at_work.empty() ? "" : " at " + at_work) << "; " << done << " of " << names.size()
+              << " were done" << std::endl;
   }
   if (end.abandoned) EndWithoutWaiting();
   if (thrown) std::rethrow_exception(thrown);

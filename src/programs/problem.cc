@@ -4,6 +4,7 @@
 #include <iostream>
 
 #include "programs/audit.h"
+#include "programs/audit_files.h"
 #include "programs/launches.h"
 #include "programs/solve.h"
 #include "saltus/io/interrupt.h"
@@ -21,18 +22,25 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     if (!request.solvers.empty()) solved = SolveAll(request);
     std::vector<LaunchSolution> launches;
     if (!InterruptGuard::Interrupted()) launches = FindLaunches(request.scene);
-    if (request.json) {
-      Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
-      if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
-      PrintJson(document, request.precision);
-    } else {
-      PrintAuditTable(request, audit);
-      if (!solved.runs.empty()) PrintSolveTable(request, solved);
-      if (!launches.empty()) {
-        std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
-                  << LaunchTable(launches).ToText();
+    const auto write = [&] {
+      WriteAuditFiles(request, audit);
+      WriteSolutions(request, solved);
+    };
+    const auto print = [&] {
+      if (request.json) {
+        Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
+        if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
+        PrintJson(document, request.precision);
+      } else {
+        PrintAuditTable(request, audit);
+        if (!solved.runs.empty()) PrintSolveTable(request, solved);
+        if (!launches.empty()) {
+          std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
+                    << LaunchTable(launches).ToText();
+        }
       }
-    }
+    };
+    WriteAndPrint(write, print);
     return std::max(AuditExitCode(request, audit), SolveExitCode(solved));
   });
 }

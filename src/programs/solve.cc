@@ -46,39 +46,6 @@ std::string Remark(const SolveReport& report) {
   return text.str();
 }
 
-void WriteSolutions(const Request& request, const std::vector<SolvedRun>& runs) {
-  for (const SolvedRun& run : runs) {
-    const SolveReport& report = run.report;
-    if (report.losses.empty()) continue;
-    const int64_t bodies = request.scene.num_bodies();
-    const int64_t controlled = request.scene.num_controlled();
-    NpzArrays arrays;
-    arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
-    arrays["initial_state"] = {{bodies, 4}, report.initial_state};
-    if (controlled > 0) {
-      const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
-      arrays["control"] = {{intervals, controlled, 2}, report.control};
-      if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
-    }
-    if (report.best && !report.best->initial_state.empty()) {
-      arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
-      arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
-      if (controlled > 0) {
-        const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
-        arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
-      }
-    }
-    if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
-    if (!report.standard_error.empty()) {
-      arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
-    }
-    const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
-                             report.solver + FileSuffix(report.surrogate) + ".npz";
-    const Status status = WriteNpz(path, arrays);
-    if (!status.ok()) throw OutputError(status.message());
-  }
-}
-
 SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
                         const std::string& reason) {
   SolvedRun run;
@@ -149,6 +116,7 @@ SolvedRuns SolveAll(const Request& request) {
 
 std::string WhyNoAnswer(const SolveReport& report) {
   if (report.termination == Termination::kNotApplicable) return "";
+  if (report.termination == Termination::kFailed) return "failed, " + report.reason;
   if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
   if (LargestDefect(report) > kOpenDefect) return "open defects";
   return IsLess(report.initial_loss, report.final_loss) ? "ends worse than it began" : "";
@@ -240,6 +208,40 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
 }
 
+void WriteSolutions(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty()) continue;
+    const int64_t bodies = request.scene.num_bodies();
+    const int64_t controlled = request.scene.num_controlled();
+    NpzArrays arrays;
+    arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
+    arrays["initial_state"] = {{bodies, 4}, report.initial_state};
+    if (controlled > 0) {
+      const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
+      arrays["control"] = {{intervals, controlled, 2}, report.control};
+      if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
+    }
+    if (report.best && !report.best->initial_state.empty()) {
+      arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
+      arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
+      if (controlled > 0) {
+        const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
+        arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+      }
+    }
+    if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
+    if (!report.standard_error.empty()) {
+      arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+    }
+    const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
+                             report.solver + FileSuffix(report.surrogate) + ".npz";
+    const Status status = WriteNpz(path, arrays);
+    if (!status.ok()) throw OutputError(status.message());
+  }
+}
+
 int SolveExitCode(const SolvedRuns& solved) {
   const std::vector<SolvedRun>& runs = solved.runs;
   const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
@@ -273,9 +275,6 @@ int SolveMain(int argc, char** argv) {
           throw InputError("--solver=none leaves nothing to do; expected at least one solver");
         const InterruptGuard guard;
         const SolvedRuns solved = SolveAll(request);
-        const auto write = [&] {
-          if (!request.output_dir.empty()) WriteSolutions(request, solved.runs);
-        };
         const auto print = [&] {
           if (request.json) {
             PrintJson(SolveToJson(request, solved), request.precision);
@@ -283,7 +282,7 @@ int SolveMain(int argc, char** argv) {
             PrintSolveTable(request, solved);
           }
         };
-        WriteAndPrint(write, print);
+        WriteAndPrint([&] { WriteSolutions(request, solved); }, print);
         return SolveExitCode(solved);
       });
 }

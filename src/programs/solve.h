@@ -32,6 +32,8 @@ std::string WhyNoAnswer(const SolveReport& report);
 
 Json SolveToJson(const Request& request, const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
+// Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
+void WriteSolutions(const Request& request, const SolvedRuns& solved);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
 
