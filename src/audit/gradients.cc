@@ -11,13 +11,15 @@ namespace saltus {
 namespace {
 
 // Loss, events and the adjoint's gradient.
-void FillIn(std::unique_ptr<Simulator> simulator, ModelGradient* result) {
-  SingleShooting shooting(std::move(simulator));
+void FillIn(std::string_view contact, const Scene& scene, Precision precision, ModelGradient* result) {
+  const Scene near = NearOrigin(scene);
+  SingleShooting shooting(MakeSimulator(contact, near, precision));
   result->num_steps = shooting.simulator().num_steps();
   if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
     result->reason = "the rollout is not finite";
     return;
   }
+  result->loss = ConvertLoss(result->loss, near.units, scene.units);
   result->events = EventsOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
 }
@@ -42,7 +44,8 @@ std::vector<double> PerDisc(const Scene& scene, const std::vector<double>& varia
   return initial;
 }
 
-bool Smooth(const Scene& scene, Precision precision, int threads, ModelGradient* result) {
+bool Smooth(const Scene& given, Precision precision, int threads, ModelGradient* result) {
+  const Scene scene = NearOrigin(given);
   using Variables = SmoothedGradient::Variables;
   const Surrogate& surrogate = *result->surrogate;
   std::vector<double> gradient, standard_error;
@@ -68,7 +71,7 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   result.contact = contact;
   result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.reason = WhyNotApplicable(contact, scene);
-  if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), &result);
+  if (result.ok()) FillIn(contact, scene, precision, &result);
   return result;
 }
 
@@ -82,7 +85,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
-  FillIn(MakeSimulator(ContactWith(surrogate, contact), scene, precision), &result);
+  FillIn(ContactWith(surrogate, contact), scene, precision, &result);
   if (!result.ok() || !surrogate.smooths()) return result;
   if (!Smooth(scene, precision, threads, &result)) result.reason = "the rollout of a sample is not finite";
   return result;

@@ -191,6 +191,14 @@ Scene InUnits(const Scene& scene, const Units& units) {
   return out;
 }
 
+Scene NearOrigin(const Scene& scene) {
+  const Units natural = NaturalUnits(scene);
+  Units units = scene.units;
+  units.origin = natural.origin;
+  units.loss_at_origin = natural.loss_at_origin;
+  return InUnits(scene, units);
+}
+
 Scene InNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : InUnits(scene, NaturalUnits(scene)); }
 
 }  // namespace saltus

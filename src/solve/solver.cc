@@ -61,9 +61,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   const SolverEntry* entry = FindSolver(solver);
   CHECK(entry != nullptr) << "unknown solver " << solver;
   SolveRequest converted = request;
-  Units units = NaturalUnits(request.scene);
-  if (entry->any_units) units = {.origin = units.origin, .loss_at_origin = units.loss_at_origin};
-  converted.scene = InUnits(request.scene, units);
+  converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
   std::string reason = WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = entry->why_not(converted);
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
