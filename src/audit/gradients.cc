@@ -11,8 +11,10 @@ namespace saltus {
 namespace {
 
 // Loss, events and the adjoint's gradient.
-void FillIn(std::unique_ptr<Simulator> simulator, const StopRequest& stop, ModelGradient* result) {
-  SingleShooting shooting(std::move(simulator));
+void FillIn(std::string_view contact, const Scene& scene, Precision precision, const StopRequest& stop,
+            ModelGradient* result) {
+  const Scene near = NearOrigin(scene);
+  SingleShooting shooting(MakeSimulator(contact, near, precision));
   shooting.set_stop(stop);
   result->num_steps = shooting.simulator().num_steps();
   if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
@@ -21,6 +23,7 @@ void FillIn(std::unique_ptr<Simulator> simulator, const StopRequest& stop, Model
     if (shooting.stopped()) result->reason = kStopped;
     return;
   }
+  result->loss = ConvertLoss(result->loss, near.units, scene.units);
   result->events = EventsOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
 }
@@ -47,7 +50,8 @@ std::vector<double> PerDisc(const Scene& scene, const std::vector<double>& varia
   return initial;
 }
 
-bool Smooth(const Scene& scene, Precision precision, int threads, const StopRequest& stop, ModelGradient* result) {
+bool Smooth(const Scene& given, Precision precision, int threads, const StopRequest& stop, ModelGradient* result) {
+  const Scene scene = NearOrigin(given);
   using Variables = SmoothedGradient::Variables;
   const Surrogate& surrogate = *result->surrogate;
   std::vector<double> gradient, standard_error;
@@ -77,7 +81,7 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   result.contact = contact;
   result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.reason = WhyNotApplicable(contact, scene);
-  if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), stop, &result);
+  if (result.ok()) FillIn(contact, scene, precision, stop, &result);
   return result;
 }
 
@@ -91,7 +95,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   if (result.ok()) result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
-  FillIn(MakeSimulator(ContactWith(surrogate, contact), scene, precision), stop, &result);
+  FillIn(ContactWith(surrogate, contact), scene, precision, stop, &result);
   if (!result.ok() || !surrogate.smooths()) return result;
   if (!Smooth(scene, precision, threads, stop, &result)) {
     result.reason = stop && stop() ? kStopped : "the rollout of a sample is not finite";

@@ -10,12 +10,15 @@ namespace {
 
 constexpr double kFar = 64;  // lengths from the origin; the origin moves by multiples of it
 
-// 2^n nearest to x on a logarithmic scale, n = floor(log2(x sqrt(2))) exactly; 1 for what is not positive.
-double NearestPower(double x) { return x > 0 ? std::ldexp(1.0, std::ilogb(x * std::numbers::sqrt2)) : 1.0; }
+// Numbers from which a scale can be found; without any it is 1.
+bool IsSize(double x) { return x > 0 && x < std::numeric_limits<double>::infinity(); }
+
+// 2^n nearest to x on a logarithmic scale, n = floor(log2(x sqrt(2))) exactly.
+double NearestPower(double x) { return IsSize(x) ? std::ldexp(1.0, std::ilogb(x * std::numbers::sqrt2)) : 1.0; }
 
 // The same for sqrt(square).
 double NearestPowerOfRoot(double square) {
-  if (!(square > 0)) return 1;
+  if (!IsSize(square)) return 1;
   const int twice = std::ilogb(2 * square);
   return std::ldexp(1.0, (twice - (twice % 2 + 2) % 2) / 2);
 }
@@ -189,6 +192,14 @@ Scene InUnits(const Scene& scene, const Units& units) {
   }
   out.objective.effort *= by.loss / (by.force * by.force * by.time);
   return out;
+}
+
+Scene NearOrigin(const Scene& scene) {
+  const Units natural = NaturalUnits(scene);
+  Units units = scene.units;
+  units.origin = natural.origin;
+  units.loss_at_origin = natural.loss_at_origin;
+  return InUnits(scene, units);
 }
 
 Scene InNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : InUnits(scene, NaturalUnits(scene)); }

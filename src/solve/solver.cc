@@ -86,9 +86,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
-    Units units = NaturalUnits(request.scene);
-    if (entry->any_units) units = {.origin = units.origin, .loss_at_origin = units.loss_at_origin};
-    converted.scene = InUnits(request.scene, units);
+    converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
     reason = entry->why_not(converted);
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);

@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "rescaled_scene.h"
+
 namespace saltus {
 namespace {
 
@@ -190,9 +192,7 @@ TEST(Validate, AllowsOverlapUpToTheTolerance) {
 }
 
 TEST(Validate, AllowsWhatRoundingMakesOfTouchingDiscsFarFromTheOrigin) {
-  Scene scene = Touching(0);
-  for (Body& body : scene.bodies) body.position += Vec2d(2e7, -3e7);
-  scene.planes.clear();
+  Scene scene = Rescaled(Touching(0), {.name = "", .shift = {2e7, -3e7}});
   EXPECT_FALSE(Validate(scene));
   scene.bodies[1].position -= 1e-6 * Vec2d(0.6, 0.8);
   EXPECT_TRUE(Validate(scene));

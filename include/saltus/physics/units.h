@@ -37,6 +37,9 @@ Scene InUnits(const Scene& scene, const Units& units);
 // The same scene in its natural units; itself if it is in natural units already. Precondition as above.
 Scene InNaturalUnits(const Scene& scene);
 
+// The same scene in the units it has, but for the origin: that of its natural ones.
+Scene NearOrigin(const Scene& scene);
+
 // Its natural units.
 Units NaturalUnits(const Scene& scene);
 
