@@ -1,6 +1,7 @@
 #include "phase_minimum.h"
 
 #include <ceres/dynamic_autodiff_cost_function.h>
+#include <ceres/manifold.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
@@ -13,17 +14,20 @@ namespace {
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
 constexpr double kFreeRadius = 100;  // ... if it was not cut short by a trust region smaller than this
+constexpr double kProgress = 1e-6;   // of the cost: while steps gain more, no touch has stopped them
 
 struct Constraints {
   double weight = 0;                // of the loss, 1/m^2
   std::vector<double> multipliers;  // by impact
   std::vector<bool> approaching;    // by impact: it must stay so, as it was at the start
+  std::vector<bool> touching;       // by impact: its normal velocity is held at zero
+  std::vector<bool> blocked;        // by impact: a step would have made its sides part
 };
 
 // Square roots of the loss, then of weight/2 (gap + multiplier/weight)^2 for each gap.
 class Residuals {
  public:
-  Residuals(const EventPhases* phases, const Constraints* constraints) : phases_(phases), constraints_(constraints) {}
+  Residuals(const EventPhases* phases, Constraints* constraints) : phases_(phases), constraints_(constraints) {}
 
   int size() const {
     int gaps = 0;
@@ -36,7 +40,9 @@ class Residuals {
     Path<T> path;
     if (!phases_->Unroll(z[0], &path)) return false;
     for (int k = 0; k < phases_->num_impacts(); ++k) {
-      if (constraints_->approaching[k] && !(path.impacts[k].impact.speed < 0.0)) return false;
+      if (!constraints_->approaching[k] || path.impacts[k].impact.speed < 0.0) continue;
+      constraints_->blocked[k] = true;
+      return false;
     }
     phases_->LossResiduals(path, residuals);
     residuals += phases_->num_loss_residuals();
@@ -50,7 +56,7 @@ class Residuals {
 
  private:
   const EventPhases* phases_;
-  const Constraints* constraints_;
+  Constraints* constraints_;
 };
 
 double LargestGap(const EventPhases& phases, const Path<double>& path) {
@@ -62,11 +68,15 @@ double LargestGap(const EventPhases& phases, const Path<double>& path) {
 // Stops Ceres when told to, or when an undamped step gains nothing any more.
 class Watch final : public ceres::IterationCallback {
  public:
-  Watch(const EventPhases& phases, const PhaseMinimumOptions& options, const std::vector<double>* z)
-      : phases_(phases), options_(options), z_(z) {}
+  Watch(const EventPhases& phases, const PhaseMinimumOptions& options, Constraints* constraints,
+        const std::vector<double>* z)
+      : phases_(phases), options_(options), constraints_(constraints), z_(z) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
     if (summary.iteration == 0 && started_) return ceres::SOLVER_CONTINUE;  // another round
+    if (summary.cost_change > kProgress * summary.cost) {
+      constraints_->blocked.assign(phases_.num_impacts(), false);
+    }
     radius_ = summary.trust_region_radius;
     flat_ =
         summary.iteration > 0 && summary.step_is_successful && summary.cost_change <= kFlat * summary.cost && IsFree();
@@ -88,6 +98,7 @@ class Watch final : public ceres::IterationCallback {
  private:
   const EventPhases& phases_;
   const PhaseMinimumOptions& options_;
+  Constraints* constraints_;
   const std::vector<double>* z_;
   double radius_ = 0;
   int iterations_ = 0;
@@ -103,7 +114,37 @@ ceres::Solver::Options CeresOptions(int iterations) {
   options.function_tolerance = 0;
   options.parameter_tolerance = 1e-15;
   options.update_state_every_iteration = true;  // the callback reads it
+  options.max_num_consecutive_invalid_steps = 20;
   return options;
+}
+
+// Holds those impacts at a touch that have stopped a minimization that ends at z. False if there are none.
+bool HoldTouches(const EventPhases& phases, Constraints* constraints, std::vector<double>* z) {
+  bool any = false;
+  for (int k = 0; k < phases.num_impacts(); ++k) {
+    if (!constraints->blocked[k] || !phases.IsSteered(k)) continue;
+    any = true;
+    constraints->touching[k] = true;
+    constraints->approaching[k] = constraints->blocked[k] = false;
+    (*z)[phases.SpeedIndex(k)] = 0;
+  }
+  return any;
+}
+
+// Whether no held impact had better close: to first order, by its own variable alone.
+bool KeepTouching(const EventPhases& phases, const Constraints& constraints, const std::vector<double>& z) {
+  Path<double> path;
+  if (!phases.Unroll(z.data(), &path)) return false;
+  const double loss = phases.Loss(path);
+  for (int k = 0; k < phases.num_impacts(); ++k) {
+    if (!constraints.touching[k]) continue;
+    std::vector<double> closing = z;
+    const PhaseImpact<double>& impact = path.impacts[k];
+    closing[phases.SpeedIndex(k)] = -1e-6 * (std::abs(impact.impact.sliding) + phases.law(k).reach / impact.time);
+    if (!phases.Unroll(closing.data(), &path) || phases.Loss(path) < loss) return false;
+    phases.Unroll(z.data(), &path);
+  }
+  return true;
 }
 
 }  // namespace
@@ -119,7 +160,10 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     result.loss = phases.Loss(path);
     return result;
   }
-  Constraints constraints{.multipliers = result.multipliers, .approaching = {}};
+  Constraints constraints;
+  constraints.multipliers = result.multipliers;
+  constraints.touching.assign(phases.num_impacts(), false);
+  constraints.blocked = constraints.touching;
   for (const auto& impact : path.impacts) constraints.approaching.push_back(impact.impact.speed < 0);
   // A gap of a tenth of the contact distance costs as much as the loss at the start.
   double reach = 0;
@@ -132,7 +176,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   cost->SetNumResiduals(residuals.size());
   ceres::Problem problem;
   problem.AddResidualBlock(cost, nullptr, z.data());
-  Watch watch(phases, options, &z);
+  Watch watch(phases, options, &constraints, &z);
   double last_gap = LargestGap(phases, path);
   constexpr int kMostRounds = 30;
   for (int round = 0; round < kMostRounds; ++round) {
@@ -141,10 +185,21 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, &problem, &summary);
     result.jacobians += summary.num_jacobian_evaluations;
-    if (summary.termination_type == ceres::FAILURE || !phases.Unroll(z.data(), &path)) return result;
+    if (!phases.Unroll(z.data(), &path)) return result;
+    const bool stopped = watch.interrupted() || watch.iterations() >= options.iterations;
+    const bool flat = watch.flat() || (summary.termination_type == ceres::CONVERGENCE && watch.IsFree());
+    if (!flat && !stopped && HoldTouches(phases, &constraints, &z)) {
+      std::vector<int> held;
+      for (int k = 0; k < phases.num_impacts(); ++k) {
+        if (constraints.touching[k]) held.push_back(phases.SpeedIndex(k));
+      }
+      problem.SetManifold(z.data(), new ceres::SubsetManifold(phases.num_variables(), held));
+      result.touches = true;
+      continue;
+    }
+    if (summary.termination_type == ceres::FAILURE) return result;
     result.gap = LargestGap(phases, path);
-    const bool flat = summary.termination_type == ceres::CONVERGENCE && watch.IsFree();
-    result.converged = (watch.flat() || flat) && result.gap <= options.gap_tolerance;
+    result.converged = flat && result.gap <= options.gap_tolerance;
     if (result.converged || watch.interrupted() || watch.iterations() >= options.iterations) break;
     if (residuals.size() == phases.num_loss_residuals()) break;  // nothing to be constrained
     for (int k = 0; k < phases.num_impacts(); ++k) {
@@ -153,6 +208,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     if (round > 0 && result.gap > 0.1 * last_gap) constraints.weight *= 10;
     last_gap = result.gap;
   }
+  if (result.touches) result.converged = result.converged && KeepTouching(phases, constraints, z);
   result.valid = true;
   result.interrupted = watch.interrupted();
   result.loss = phases.Loss(path);
