@@ -52,6 +52,13 @@ SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std
   return run;
 }
 
+// A solver has converged on the loss under its contact model, which says little of the exact one.
+std::string TerminationInWords(const SolveReport& report) {
+  const bool elsewhere =
+      report.termination == Termination::kConverged && !FindContactModel(report.contact)->event_driven;
+  return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
+}
+
 }  // namespace
 
 std::vector<SolvedRun> SolveAll(const Request& request) {
@@ -102,6 +109,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
       }
     }
     item["termination"] = TerminationToString(report.termination);
+    if (report.termination == Termination::kConverged) item["converged_under"] = report.contact;
     if (!report.reason.empty()) item["reason"] = report.reason;
     if (!report.losses.empty()) {
       item["events"] = EventsToJson(run.exact.events);
@@ -128,6 +136,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                {"gradients"},
                {"seconds", 3},
                {"termination"},
+               {"exact loss is at"},
                {"remark"}});
   for (const SolvedRun& run : runs) {
     const SolveReport& report = run.report;
@@ -141,6 +150,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                     "",
                     "",
                     TerminationToString(report.termination),
+                    "",
                     report.reason});
       continue;
     }
@@ -152,7 +162,8 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                   report.iterations,
                   report.evaluations,
                   report.seconds,
-                  TerminationToString(report.termination),
+                  TerminationInWords(report),
+                  run.certificate ? VerdictInWords(*run.certificate) : "",
                   report.reason});
   }
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;

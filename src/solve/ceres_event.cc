@@ -38,11 +38,10 @@ SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& 
     run.report().certificate = CertifyTrial(scene, solution.trial);
     if (!run.report().certificate->IsSaddle()) break;
     const auto aside = LeaveSaddle(scene, solution.trial, *run.report().certificate->curvature);
-    if (!aside) break;
+    if (aside.empty()) break;
     run.report().certificate.reset();
     saddle = solution.trial;
-    minimum.iterations = options.iterations - static_cast<int>(run.report().losses.size());
-    solution = SolveFrom(scene, *aside, minimum);
+    solution = SolveFrom(scene, aside, minimum);
     jacobians += solution.minimum.jacobians;
   }
   run.report().evaluations = jacobians;

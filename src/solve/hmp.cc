@@ -119,7 +119,7 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
     return attempt;
   }
   attempt.certificate = CertifyRoot(phases, root, attempt.trial.exact);
-  attempt.certificate->curvature = CertifyTrial(scene, attempt.trial).curvature;
+  attempt.certificate->curvature = CurvatureAt(scene, InitialState(scene), attempt.trial.control, attempt.trial.durations);
   Judge(&*attempt.certificate);
   if (root.residual > kResidualTolerance * root.scale) {
     attempt.reason = "the conditions are not met";
@@ -141,13 +141,18 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
   Attempt attempt = SolveFrom(run.guess(), sequence, &run);
   for (int saddles = 0; saddles < kMostSaddles && attempt.termination == Termination::kConverged; ++saddles) {
     if (!attempt.certificate->IsSaddle()) break;
-    const std::optional<Trial> aside = LeaveSaddle(scene, attempt.trial, *attempt.certificate->curvature);
-    if (!aside) break;
-    Attempt next{*aside, aside->exact.loss, Termination::kNoProgress, "from there nothing better was found", std::nullopt};
-    if (aside->exact.only_impacts) {
-      Attempt found = SolveFrom(*aside, aside->exact.contacts, &run);
+    const std::vector<Trial> aside = LeaveSaddle(scene, attempt.trial, *attempt.certificate->curvature);
+    if (aside.empty()) break;
+    Attempt next;
+    next.trial = aside.front();
+    next.loss = next.trial.exact.loss;
+    next.termination = Termination::kNoProgress;
+    next.reason = "from there nothing better was found";
+    for (const Trial& trial : aside) {
+      if (!trial.exact.only_impacts) continue;
+      Attempt found = SolveFrom(trial, trial.exact.contacts, &run);
       const bool ended = found.termination != Termination::kFailed && found.trial.exact.ok;
-      if (ended && found.trial.exact.loss <= aside->exact.loss) next = std::move(found);
+      if (ended && found.trial.exact.loss <= next.trial.exact.loss) next = std::move(found);
     }
     next.reason = DescribeSaddle(attempt.trial, next.reason);
     attempt = std::move(next);

@@ -141,14 +141,14 @@ class ModeSearch {
   bool LeftAsSaddle(const Trial& trial) {
     const Certificate certificate = CertifyTrial(scene_, trial);
     if (!certificate.IsSaddle()) return false;
-    const std::optional<Trial> aside = LeaveSaddle(scene_, trial, *certificate.curvature);
-    if (!aside) return false;
-    Meet(*aside, "");
-    if (aside->exact.only_impacts) {
-      const ContactSequence& met = aside->exact.contacts;
-      Queue(aside->exact.loss, met, GuessFrom(scene_, FlightOf(scene_, *aside), met));
+    const std::vector<Trial> aside = LeaveSaddle(scene_, trial, *certificate.curvature);
+    for (const Trial& motion : aside) {
+      Meet(motion, "");
+      if (!motion.exact.only_impacts) continue;
+      const ContactSequence& met = motion.exact.contacts;
+      Queue(motion.exact.loss, met, GuessFrom(scene_, FlightOf(scene_, motion), met));
     }
-    return true;
+    return !aside.empty();
   }
 
   // Asks without recording an iteration.

@@ -152,7 +152,7 @@ std::string DescribeSaddle(const Trial& saddle, const std::string& then) {
   return text.str();
 }
 
-std::optional<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
   constexpr int kLargest = 4, kLengths = 24;  // powers of two
   // Of the control, in the mean over time; or a force that moves a disc by its radius.
   double size = 0;
@@ -165,8 +165,8 @@ std::optional<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const C
     const Body& disc = scene.bodies[body];
     size = std::max(size, disc.mass * disc.radius * std::pow(scene.duration, -1.5));
   }
-  std::optional<Trial> best;
-  double least = trial.exact.loss - 1e-12 * std::abs(trial.exact.loss);
+  std::vector<Trial> better;
+  const double least = trial.exact.loss - 1e-12 * std::abs(trial.exact.loss);
   for (int power = kLargest; power > kLargest - kLengths; --power) {
     for (const double sign : {1.0, -1.0}) {
       Trial moved = trial;
@@ -175,9 +175,15 @@ std::optional<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const C
       }
       moved.exact = SimulateExactly(scene, InitialState(scene), moved.control, moved.durations);
       if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
-      least = moved.exact.loss;
-      best = std::move(moved);
+      better.push_back(std::move(moved));
     }
+  }
+  std::stable_sort(
+      better.begin(), better.end(), [](const Trial& a, const Trial& b) { return a.exact.loss < b.exact.loss; });
+  std::vector<Trial> best;
+  for (Trial& candidate : better) {
+    const auto same = [&](const Trial& known) { return known.exact.contacts == candidate.exact.contacts; };
+    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
   }
   return best;
 }
@@ -260,7 +266,7 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
     for (int k = 0; k < phases.num_impacts(); ++k) times[k] = path.impacts[k].time;
     phases.Control(path, &solution.trial.control, &solution.trial.durations);
     std::vector<int> better = DistributeIntervals(scene, sequence, times);
-    if (!minimum.converged || better == intervals) break;
+    if (!minimum.converged || minimum.touches || better == intervals) break;
     intervals = std::move(better);
   }
   solution.valid = true;
@@ -269,21 +275,26 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
   return solution;
 }
 
-PhaseSolution SolveFrom(const Scene& scene, const Trial& trial, const PhaseMinimumOptions& options) {
-  PhaseSolution solution;
-  if (trial.exact.only_impacts && options.iterations > 0) {
+PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options) {
+  PhaseSolution best;
+  best.sequence = trials.front().exact.contacts;
+  best.valid = best.realized = best.only_given = best.minimum.valid = true;
+  best.trial = trials.front();
+  best.minimum.loss = best.trial.exact.loss;
+  int jacobians = 0, iterations = 0;
+  for (const Trial& trial : trials) {
+    if (!trial.exact.only_impacts) continue;
     const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, trial), trial.exact.contacts);
-    solution = SolveAlong(scene, trial.exact.contacts, guess, options);
+    PhaseSolution solution = SolveAlong(scene, trial.exact.contacts, guess, options);
+    jacobians += solution.minimum.jacobians;
+    iterations = std::max(iterations, solution.minimum.iterations);
+    if (solution.minimum.interrupted) best.minimum.interrupted = true;
+    if (!solution.valid || !solution.trial.exact.ok) continue;
+    if (solution.trial.exact.loss <= best.trial.exact.loss) best = std::move(solution);
   }
-  if (solution.valid && solution.trial.exact.ok && solution.trial.exact.loss <= trial.exact.loss) return solution;
-  PhaseSolution given;
-  given.sequence = trial.exact.contacts;
-  given.valid = given.realized = given.only_given = true;
-  given.trial = trial;
-  given.minimum = std::move(solution.minimum);
-  given.minimum.converged = given.minimum.touches = false;
-  given.minimum.loss = trial.exact.loss;
-  return given;
+  best.minimum.jacobians = jacobians;
+  best.minimum.iterations = iterations;
+  return best;
 }
 
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {

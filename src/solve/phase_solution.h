@@ -58,14 +58,15 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 
-// From a trial on, along its own impacts; not worse than it.
-PhaseSolution SolveFrom(const Scene& scene, const Trial& trial, const PhaseMinimumOptions& options);
+// From each of some trials on, along its own impacts, with that many iterations each: the best solution. It is not worse
+// than any of the trials; `jacobians` counts all. Precondition: there is a trial.
+PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options);
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
-// Leaves a saddle: the best control met, by exact simulation, on a search of steps of many lengths to both sides along a
-// direction of negative curvature. Nothing if none is better than `trial` by more than rounding.
-std::optional<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
+// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature. Of
+// those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
 inline constexpr int kMostSaddles = 5;  // left one after the other
 // Remarks for a person: that it was left, and what came after.
 std::string DescribeSaddle(const Trial& saddle, const std::string& then);
