@@ -146,6 +146,7 @@ class ModeSearch {
       Meet(motion, "");
       if (!motion.exact.only_impacts) continue;
       const ContactSequence& met = motion.exact.contacts;
+      --starts_[KeyOf(met)];  // whatever it has been tried from
       Queue(motion.exact.loss, met, GuessFrom(scene_, FlightOf(scene_, motion), met));
     }
     return !aside.empty();

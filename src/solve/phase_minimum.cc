@@ -14,14 +14,15 @@ namespace {
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
 constexpr double kFreeRadius = 100;  // ... if it was not cut short by a trust region smaller than this
-constexpr double kProgress = 1e-6;   // of the cost: while steps gain more, no touch has stopped them
+constexpr int kBlockedSteps = 4;     // one after the other, after which an impact that stops them is held at a touch
 
 struct Constraints {
   double weight = 0;                // of the loss, 1/m^2
   std::vector<double> multipliers;  // by impact
   std::vector<bool> approaching;    // by impact: it must stay so, as it was at the start
   std::vector<bool> touching;       // by impact: its normal velocity is held at zero
-  std::vector<bool> blocked;        // by impact: a step would have made its sides part
+  std::vector<bool> blocked;        // by impact: since the last step that was taken, one would have parted its sides
+  bool may_touch = true;
 };
 
 // Square roots of the loss, then of weight/2 (gap + multiplier/weight)^2 for each gap.
@@ -74,9 +75,7 @@ class Watch final : public ceres::IterationCallback {
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
     if (summary.iteration == 0 && started_) return ceres::SOLVER_CONTINUE;  // another round
-    if (summary.cost_change > kProgress * summary.cost) {
-      constraints_->blocked.assign(phases_.num_impacts(), false);
-    }
+    if (summary.step_is_successful) CountBlocked();
     radius_ = summary.trust_region_radius;
     flat_ =
         summary.iteration > 0 && summary.step_is_successful && summary.cost_change <= kFlat * summary.cost && IsFree();
@@ -86,7 +85,8 @@ class Watch final : public ceres::IterationCallback {
       if (options_.callback && !options_.callback(phases_.Loss(path))) interrupted_ = true;
     }
     started_ = true;
-    return interrupted_ || flat_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+    const bool blocked = constraints_->may_touch && blocked_steps_ >= kBlockedSteps;
+    return interrupted_ || flat_ || blocked ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
   int iterations() const { return iterations_; }
@@ -96,12 +96,18 @@ class Watch final : public ceres::IterationCallback {
   bool interrupted() const { return interrupted_; }
 
  private:
+  void CountBlocked() {
+    std::vector<bool>& blocked = constraints_->blocked;
+    blocked_steps_ = std::find(blocked.begin(), blocked.end(), true) == blocked.end() ? 0 : blocked_steps_ + 1;
+    if (!constraints_->may_touch || blocked_steps_ < kBlockedSteps) blocked.assign(blocked.size(), false);
+  }
+
   const EventPhases& phases_;
   const PhaseMinimumOptions& options_;
   Constraints* constraints_;
   const std::vector<double>* z_;
   double radius_ = 0;
-  int iterations_ = 0;
+  int iterations_ = 0, blocked_steps_ = 0;
   bool started_ = false, flat_ = false, interrupted_ = false;
 };
 
@@ -121,6 +127,7 @@ ceres::Solver::Options CeresOptions(int iterations) {
 // Holds those impacts at a touch that have stopped a minimization that ends at z. False if there are none.
 bool HoldTouches(const EventPhases& phases, Constraints* constraints, std::vector<double>* z) {
   bool any = false;
+  if (!constraints->may_touch) return false;
   for (int k = 0; k < phases.num_impacts(); ++k) {
     if (!constraints->blocked[k] || !phases.IsSteered(k)) continue;
     any = true;
@@ -131,20 +138,26 @@ bool HoldTouches(const EventPhases& phases, Constraints* constraints, std::vecto
   return any;
 }
 
-// Whether no held impact had better close: to first order, by its own variable alone.
-bool KeepTouching(const EventPhases& phases, const Constraints& constraints, const std::vector<double>& z) {
-  Path<double> path;
-  if (!phases.Unroll(z.data(), &path)) return false;
-  const double loss = phases.Loss(path);
+// Makes those held impacts close again, slowly, that had better do so, to first order; none is held from then on. False
+// if there are none.
+bool ReleaseTouches(const EventPhases& phases, Constraints* constraints, std::vector<double>* z) {
+  Path<double> path, closing;
+  if (!phases.Unroll(z->data(), &path)) return false;
+  bool any = false;
   for (int k = 0; k < phases.num_impacts(); ++k) {
-    if (!constraints.touching[k]) continue;
-    std::vector<double> closing = z;
+    if (!constraints->touching[k]) continue;
     const PhaseImpact<double>& impact = path.impacts[k];
-    closing[phases.SpeedIndex(k)] = -1e-6 * (std::abs(impact.impact.sliding) + phases.law(k).reach / impact.time);
-    if (!phases.Unroll(closing.data(), &path) || phases.Loss(path) < loss) return false;
-    phases.Unroll(z.data(), &path);
+    const double speed = std::abs(impact.impact.sliding) + phases.law(k).reach / impact.time;
+    double& variable = (*z)[phases.SpeedIndex(k)];
+    variable = -1e-6 * speed;
+    const bool better = phases.Unroll(z->data(), &closing) && phases.Loss(closing) < phases.Loss(path);
+    variable = better ? -1e-3 * speed : 0.0;
+    any = any || better;
+    constraints->touching[k] = !better;
+    constraints->approaching[k] = better;
   }
-  return true;
+  if (any) constraints->may_touch = false;
+  return any;
 }
 
 }  // namespace
@@ -178,6 +191,14 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   problem.AddResidualBlock(cost, nullptr, z.data());
   Watch watch(phases, options, &constraints, &z);
   double last_gap = LargestGap(phases, path);
+  const auto hold = [&] {
+    std::vector<int> held;
+    for (int k = 0; k < phases.num_impacts(); ++k) {
+      if (constraints.touching[k]) held.push_back(phases.SpeedIndex(k));
+    }
+    result.touches = !held.empty();
+    problem.SetManifold(z.data(), result.touches ? new ceres::SubsetManifold(phases.num_variables(), held) : nullptr);
+  };
   constexpr int kMostRounds = 30;
   for (int round = 0; round < kMostRounds; ++round) {
     ceres::Solver::Options ceres_options = CeresOptions(options.iterations - watch.iterations());
@@ -189,17 +210,17 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     const bool stopped = watch.interrupted() || watch.iterations() >= options.iterations;
     const bool flat = watch.flat() || (summary.termination_type == ceres::CONVERGENCE && watch.IsFree());
     if (!flat && !stopped && HoldTouches(phases, &constraints, &z)) {
-      std::vector<int> held;
-      for (int k = 0; k < phases.num_impacts(); ++k) {
-        if (constraints.touching[k]) held.push_back(phases.SpeedIndex(k));
-      }
-      problem.SetManifold(z.data(), new ceres::SubsetManifold(phases.num_variables(), held));
-      result.touches = true;
+      hold();
       continue;
     }
     if (summary.termination_type == ceres::FAILURE) return result;
     result.gap = LargestGap(phases, path);
     result.converged = flat && result.gap <= options.gap_tolerance;
+    if (result.converged && result.touches && ReleaseTouches(phases, &constraints, &z)) {
+      result.converged = false;
+      hold();
+      continue;
+    }
     if (result.converged || watch.interrupted() || watch.iterations() >= options.iterations) break;
     if (residuals.size() == phases.num_loss_residuals()) break;  // nothing to be constrained
     for (int k = 0; k < phases.num_impacts(); ++k) {
@@ -208,7 +229,6 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     if (round > 0 && result.gap > 0.1 * last_gap) constraints.weight *= 10;
     last_gap = result.gap;
   }
-  if (result.touches) result.converged = result.converged && KeepTouching(phases, constraints, z);
   result.valid = true;
   result.interrupted = watch.interrupted();
   result.loss = phases.Loss(path);
