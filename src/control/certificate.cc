@@ -15,6 +15,21 @@ namespace {
 
 constexpr int kMostFunctionals = 400;  // of the control, by which the motion knows it: dense matrices of that size
 
+using Thetas = std::vector<std::optional<double>>;  // by impact
+
+std::optional<Curvature> FindCurvature(const CondensedLoss& loss) {
+  constexpr double kNearlyZero = 1e-6, kRounding = 1e-10;
+  if (loss.num_functionals() > kMostFunctionals) return std::nullopt;
+  const CondensedLoss::Curvature found = loss.SmallestCurvature();
+  const double flat = kNearlyZero + kRounding * found.largest;
+  using enum Curvature::Kind;
+  Curvature curvature;
+  curvature.kind = found.smallest > flat ? kMinimum : found.smallest < -flat ? kSaddle : kFlat;
+  curvature.smallest = found.smallest;
+  curvature.direction.assign(found.direction.begin(), found.direction.end());
+  return curvature;
+}
+
 struct Costate {
   double time = 0;
   Vec2d position = Vec2d::Zero(), velocity = Vec2d::Zero();
@@ -74,7 +89,11 @@ class Certifier {
     GridGradients(&result);
     Judge(&result);
     if (result.IsStationary()) {
-      FindCurvature(&result);
+      Thetas held(num_hits());
+      if (result.verdict == Certificate::Verdict::kStationaryOnGrid) {
+        for (int k = 0; k < num_hits(); ++k) held[k] = result.impacts[k].theta;
+      }
+      result.curvature = FindCurvature(CondensedLoss(scene_, flight_, control_, lengths_, std::move(held)));
       Judge(&result);
     }
     return result;
@@ -344,8 +363,6 @@ class Certifier {
             jump.MultiplierAt(flight_.pieces()[next].acceleration, hit.impact.speed)};
   }
 
-  using Thetas = std::vector<std::optional<double>>;
-
   void GridGradients(Certificate* result) const {
     Thetas early(num_hits()), late = early, combined = early;
     bool any = false;
@@ -356,46 +373,41 @@ class Certifier {
       late[k] = 0;
       combined[k] = result->impacts[k].theta;
     }
-    const auto condensed = [&](Thetas thetas) {
-      return CondensedLoss(scene_, flight_, control_, lengths_, std::move(thetas));
+    const auto gradient = [&](Thetas thetas) {
+      return CondensedLoss(scene_, flight_, control_, lengths_, std::move(thetas)).Gradient();
     };
-    result->gradient = condensed(combined).RelativeGradient();
+    const Eigen::VectorXd of_combined = gradient(std::move(combined));
+    result->gradient = RelativeGradient(of_combined);
     if (!any) return;
-    const auto largest = [&](Thetas thetas) {
-      return condensed(std::move(thetas)).Gradient().lpNorm<Eigen::Infinity>();
-    };
-    result->gradient_early = largest(std::move(early));
-    result->gradient_late = largest(std::move(late));
-    result->gradient_combined = largest(std::move(combined));
+    result->gradient_early = gradient(std::move(early)).lpNorm<Eigen::Infinity>();
+    result->gradient_late = gradient(std::move(late)).lpNorm<Eigen::Infinity>();
+    result->gradient_combined = of_combined.lpNorm<Eigen::Infinity>();
   }
 
-  void FindCurvature(Certificate* result) const {
-    constexpr double kNearlyZero = 1e-6, kRounding = 1e-10;
-    Thetas held(num_hits());
-    if (result->verdict == Certificate::Verdict::kStationaryOnGrid) {
-      for (int k = 0; k < num_hits(); ++k) held[k] = result->impacts[k].theta;
+  // The largest costates of either kind, of all discs; over the whole time one kind makes the other.
+  double PositionScale() const { return std::max(largest_position_, largest_velocity_ / scene_.duration); }
+  double VelocityScale() const { return PositionScale() * scene_.duration; }
+
+  // The gradient by each force as what is left of 2 effort m u + lambda_v in the mean over its interval: the largest.
+  double RelativeGradient(const Eigen::VectorXd& gradient) const {
+    double largest = 0;
+    const int width = 2 * scene_.num_controlled();
+    for (Eigen::Index i = 0; i < gradient.size(); ++i) {
+      const double mass = scene_.bodies[scene_.control.bodies[i % width / 2]].mass;
+      largest = std::max(largest, mass / lengths_[i / width] * std::abs(gradient[i]));
     }
-    const CondensedLoss loss(scene_, flight_, control_, lengths_, std::move(held));
-    if (loss.num_functionals() > kMostFunctionals) return;
-    const CondensedLoss::Curvature found = loss.SmallestCurvature();
-    const double flat = kNearlyZero + kRounding * found.largest;
-    using enum Curvature::Kind;
-    Curvature& curvature = result->curvature.emplace();
-    curvature.kind = found.smallest > flat ? kMinimum : found.smallest < -flat ? kSaddle : kFlat;
-    curvature.smallest = found.smallest;
-    curvature.direction.assign(found.direction.begin(), found.direction.end());
+    return largest > 0 ? largest / VelocityScale() : 0.0;
   }
 
   // From absolute residuals to relative ones.
   void Scale(Certificate* result) const {
     const auto ratio = [](double residual, double scale) { return residual == 0 ? 0.0 : residual / scale; };
-    result->stationarity = ratio(result->stationarity, largest_velocity_);
+    result->stationarity = ratio(result->stationarity, VelocityScale());
     result->transversality =
-        std::max(ratio(transversality_[0], largest_position_), ratio(transversality_[1], largest_velocity_));
+        std::max(ratio(transversality_[0], PositionScale()), ratio(transversality_[1], VelocityScale()));
     for (size_t i = 0; i < jump_impact_.size(); ++i) {
       double* jump = &result->impacts[jump_impact_[i]].jump;
-      *jump =
-          std::max({*jump, ratio(jump_position_[i], largest_position_), ratio(jump_velocity_[i], largest_velocity_)});
+      *jump = std::max({*jump, ratio(jump_position_[i], PositionScale()), ratio(jump_velocity_[i], VelocityScale())});
     }
     for (ImpactCertificate& impact : result->impacts) {
       impact.hamiltonian = ratio(impact.hamiltonian, largest_hamiltonian_);
@@ -426,6 +438,13 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   return "";
 }
 
+std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
+                                    const std::vector<double>& durations) {
+  if (!durations.empty()) return durations;
+  const size_t intervals = control.size() / (2 * scene.num_controlled());
+  return std::vector<double>(intervals, scene.duration / intervals);
+}
+
 }  // namespace
 
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
@@ -444,11 +463,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   const ExactRun exact = SimulateExactly(scene, initial, control, durations);
   certificate.reason = WhyNotCertify(scene, exact);
   if (!certificate.reason.empty()) return certificate;
-  std::vector<double> lengths = durations;
-  if (lengths.empty()) {
-    const size_t intervals = control.size() / (2 * scene.num_controlled());
-    lengths.assign(intervals, scene.duration / intervals);
-  }
+  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   const Flight flight(scene, initial, control, lengths, exact);
   return Certifier(scene, control, flight, lengths).Run(exact);
 }
@@ -469,6 +484,15 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
     for (double& force : certificate.curvature->direction) force /= std::sqrt(by.time);
   }
   return certificate;
+}
+
+std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
+                                     const std::vector<double>& control, const std::vector<double>& durations) {
+  const ExactRun exact = SimulateExactly(scene, initial, control, durations);
+  if (!WhyNotCertify(scene, exact).empty()) return std::nullopt;
+  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
+  const Flight flight(scene, initial, control, lengths, exact);
+  return FindCurvature(CondensedLoss(scene, flight, control, lengths));
 }
 
 void Judge(Certificate* certificate) {

@@ -299,17 +299,6 @@ Eigen::VectorXd CondensedLoss::Gradient() const {
   return gradient;
 }
 
-double CondensedLoss::RelativeGradient() const {
-  const Eigen::VectorXd gradient = Gradient();
-  double largest = 0, scale = 0;
-  for (Eigen::Index i = 0; i < gradient.size(); ++i) {
-    const double of_effort = 2 * scene_.objective.effort * control_[i], sum = gradient[i] / Length(i);
-    largest = std::max(largest, std::abs(sum));
-    scale = std::max({scale, std::abs(of_effort), std::abs(sum - of_effort)});
-  }
-  return scale > 0 ? largest / scale : 0.0;
-}
-
 void CondensedLoss::SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd* gaps) const {
   using Jet = StepJet<double>;
   const int n = num_functionals();

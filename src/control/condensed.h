@@ -44,8 +44,6 @@ class CondensedLoss {
 
   // By the control, K x C x 2, 1/N. With impacts held it is that of the Lagrangian.
   Eigen::VectorXd Gradient() const;
-  // Its largest entry per second, as a part of the largest entry of either side, effort and costates.
-  double RelativeGradient() const;
 
   // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort alone, and its
   // direction (K x C x 2).

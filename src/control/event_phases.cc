@@ -48,15 +48,19 @@ std::vector<double> EventPhases::Variables(std::span<const double> times, std::s
     if (!IsSteered(k)) continue;
     const Candidate& c = sequence_[k];
     const State& x = before[k];
+    Vec2d normal = c.plane ? planes_[c.b].normal : Vec2d(x.p[c.a] - x.p[c.b]);
+    Vec2d w = x.v[c.a];
     if (c.plane) {
-      *at++ = Dot(Perpendicular(planes_[c.b].normal), x.p[c.a]);
+      *at++ = Dot(Perpendicular(normal), x.p[c.a]);
     } else {
-      const Vec2d d = x.p[c.a] - x.p[c.b];
-      *at++ = std::atan2(d[1], d[0]);
+      const double angle = std::atan2(normal[1], normal[0]);
+      *at++ = angle;
+      normal = {std::cos(angle), std::sin(angle)};
+      w -= x.v[c.b];
     }
-    const int first = IsPushed(c.a) ? c.a : c.b;
-    at = std::copy_n(x.v[first].data(), 2, at);
-    if (first == c.a && PushesB(k)) std::copy_n(x.v[c.b].data(), 2, std::copy_n(x.p[c.b].data(), 2, at));
+    *at++ = Dot(normal, w);
+    *at++ = Dot(Perpendicular(normal), w);
+    if (IsPushed(c.a) && PushesB(k)) std::copy_n(x.v[c.b].data(), 2, std::copy_n(x.p[c.b].data(), 2, at));
   }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (!IsAimed(i)) continue;

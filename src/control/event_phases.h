@@ -10,7 +10,7 @@
 // length s_j that the arc spans, if u is taken at their middles and V = S^3/12 - sum_j s_j^3 / (12 n_j^2). Either way
 // the loss is a sum of squares of a handful of variables: impact times, the states of pushed discs before their impacts
 // and at the end. Their positions are written so that they touch; only impacts without a pushed disc leave a gap to
-// be closed.
+// be closed. Their velocities are written relative to the other side, along the normal and along the tangent.
 //
 // A disc that nothing pushes, or that has done its work (no term of the objective, no impact to come), flies freely.
 #pragma once
@@ -85,6 +85,9 @@ class EventPhases {
   bool IsAimed(int body) const { return aim_index_[body] >= 0; }
   // The variable that is the time of impact k.
   int TimeIndex(int k) const { return index_[k]; }
+  // The variable that is the relative velocity along the normal at impact k, negative if closing. Precondition:
+  // IsSteered(k).
+  int SpeedIndex(int k) const { return index_[k] + 2; }
 
   // The path of variables z; false if an impact is not later than the one before.
   template <typename T>
@@ -193,24 +196,27 @@ void EventPhases::PlaceSteered(int k, const T* z, const Knot<T>& other, std::arr
   Knot<T>&a = (*knots)[0], &b = (*knots)[1];
   if (c.plane) {
     const HalfPlane<double>& plane = planes_[c.b];
-    a.p = (plane.normal * (plane.offset + reach)).template cast<T>() + Scale(at[0], Perpendicular(plane.normal));
-    a.v = {at[1], at[2]};
+    const Vec2d along = Perpendicular(plane.normal);
+    a.p = (plane.normal * (plane.offset + reach)).template cast<T>() + Scale(at[0], along);
+    a.v = Scale(at[1], plane.normal) + Scale(at[2], along);
     return;
   }
   const Vec2<T> normal(cos(at[0]), sin(at[0]));
+  const Vec2<T> w = Scale(at[1], normal) + Scale(at[2], Perpendicular(normal));  // of a relative to b
   if (!IsPushed(c.a)) {
     b.p = other.p - Scale(reach, normal);
-    b.v = {at[1], at[2]};
+    b.v = other.v - w;
     return;
   }
-  a.v = {at[1], at[2]};
   if (IsPushed(c.b)) {
     b.p = {at[3], at[4]};
     b.v = {at[5], at[6]};
-    a.p = b.p + Scale(reach, normal);
   } else {
-    a.p = other.p + Scale(reach, normal);
+    b.p = other.p;
+    b.v = other.v;
   }
+  a.p = b.p + Scale(reach, normal);
+  a.v = b.v + w;
 }
 
 template <typename T>

@@ -72,6 +72,13 @@ SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std
   return run;
 }
 
+// A solver has converged on the loss under its contact model, which says little of the exact one.
+std::string TerminationInWords(const SolveReport& report) {
+  const bool elsewhere =
+      report.termination == Termination::kConverged && !FindContactModel(report.contact)->event_driven;
+  return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
+}
+
 }  // namespace
 
 SolvedRuns SolveAll(const Request& request) {
@@ -143,6 +150,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       }
     }
     item["termination"] = TerminationToString(report.termination);
+    if (report.termination == Termination::kConverged) item["converged_under"] = report.contact;
     if (!report.reason.empty()) item["reason"] = report.reason;
     if (!report.losses.empty()) {
       item["events"] = EventsToJson(run.exact.events);
@@ -178,6 +186,7 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                {"gradients"},
                {"seconds", 3},
                {"termination"},
+               {"exact loss is at"},
                {"remark"}});
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
@@ -191,6 +200,7 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                     "",
                     "",
                     TerminationToString(report.termination),
+                    "",
                     report.reason});
       continue;
     }
@@ -202,7 +212,8 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                   report.iterations,
                   report.evaluations,
                   report.seconds,
-                  TerminationToString(report.termination),
+                  TerminationInWords(report),
+                  run.certificate ? VerdictInWords(*run.certificate) : "",
                   Remark(report)});
   }
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;

@@ -65,6 +65,72 @@ bool WriteControl(const Scene& scene, const ContactSequence& sequence, const std
   return true;
 }
 
+// How a solve along one sequence has ended.
+struct Attempt {
+  Trial trial;
+  double loss = 0;  // in continuous time
+  Termination termination = Termination::kFailed;
+  std::string reason;
+  std::optional<Certificate> certificate;
+};
+
+Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun* run) {
+  const Scene& scene = run->scene();
+  const auto fail = [&](Termination termination, const std::string& reason) {
+    return Attempt{start, start.exact.loss, termination, reason, std::nullopt};
+  };
+  const EventPhases phases(scene, sequence);
+  const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, start), sequence);
+  PhaseMinimumOptions minimum_options;
+  minimum_options.iterations = run->options().iterations;
+  minimum_options.callback = [&](double loss) { return run->Record(loss); };
+  const PhaseMinimum minimum =
+      MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), minimum_options);
+  run->report().evaluations += minimum.jacobians;
+  if (minimum.interrupted) return fail(Termination::kInterrupted, "");
+  if (!minimum.valid) {
+    return fail(Termination::kFailed, "no path along " + ContactSequenceToString(scene, sequence) + " to start from");
+  }
+  HmpRoot root;
+  root.z = minimum.z;
+  if (!minimum.touches) {
+    root = FindHmpRoot(phases, minimum.z, run->options().iterations);
+    run->report().evaluations += root.jacobians;
+  }
+  Path<double> path;
+  if (!(root.valid || minimum.touches) || !phases.Unroll(root.z.data(), &path)) {
+    return fail(Termination::kFailed, "Newton's method has left the paths along the sequence");
+  }
+  PhaseSolution solution;
+  solution.sequence = sequence;
+  solution.minimum = minimum;
+  Attempt attempt;
+  attempt.loss = phases.Loss(path);
+  run->Record(attempt.loss);
+  std::vector<double> times;
+  for (const PhaseImpact<double>& impact : path.impacts) times.push_back(impact.time);
+  if (!WriteControl(scene, sequence, root.z, times, &attempt.trial)) {
+    return fail(Termination::kFailed, "there are too few steps to write the control down");
+  }
+  solution.trial = attempt.trial;
+  attempt.termination = Termination::kNoProgress;
+  if (minimum.touches || !IsRealized(scene, attempt.trial.exact, sequence, times)) {
+    attempt.reason = WhyNotOptimal(scene, solution);
+    return attempt;
+  }
+  attempt.certificate = CertifyRoot(phases, root, attempt.trial.exact);
+  attempt.certificate->curvature = CurvatureAt(scene, InitialState(scene), attempt.trial.control, attempt.trial.durations);
+  Judge(&*attempt.certificate);
+  if (root.residual > kResidualTolerance * root.scale) {
+    attempt.reason = "the conditions are not met";
+  } else if (std::abs(attempt.loss - minimum.loss) > kSameLoss * std::abs(attempt.loss)) {
+    attempt.reason = "the conditions are met at a point that is no minimum";
+  } else {
+    attempt.termination = Termination::kConverged;
+  }
+  return attempt;
+}
+
 }  // namespace
 
 SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options) {
@@ -72,49 +138,27 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
   const Scene& scene = run.scene();
   const ContactSequence sequence = SequenceFor(options, run.guess());
   if (auto refused = run.WhyNot(sequence)) return *refused;
-  const auto fail = [&](Termination termination, const std::string& reason) {
-    return run.Finish(run.guess(), run.guess().exact.loss, termination, reason);
-  };
-
-  const EventPhases phases(scene, sequence);
-  const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, run.guess()), sequence);
-  PhaseMinimumOptions minimum_options;
-  minimum_options.iterations = options.iterations;
-  minimum_options.callback = [&](double loss) { return run.Record(loss); };
-  const PhaseMinimum minimum =
-      MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), minimum_options);
-  if (minimum.interrupted) return fail(Termination::kInterrupted, "");
-  if (!minimum.valid) {
-    return fail(Termination::kFailed, "no path along " + ContactSequenceToString(scene, sequence) + " to start from");
+  Attempt attempt = SolveFrom(run.guess(), sequence, &run);
+  for (int saddles = 0; saddles < kMostSaddles && attempt.termination == Termination::kConverged; ++saddles) {
+    if (!attempt.certificate->IsSaddle()) break;
+    const std::vector<Trial> aside = LeaveSaddle(scene, attempt.trial, *attempt.certificate->curvature);
+    if (aside.empty()) break;
+    Attempt next;
+    next.trial = aside.front();
+    next.loss = next.trial.exact.loss;
+    next.termination = Termination::kNoProgress;
+    next.reason = "from there nothing better was found";
+    for (const Trial& trial : aside) {
+      if (!trial.exact.only_impacts) continue;
+      Attempt found = SolveFrom(trial, trial.exact.contacts, &run);
+      const bool ended = found.termination != Termination::kFailed && found.trial.exact.ok;
+      if (ended && found.trial.exact.loss <= next.trial.exact.loss) next = std::move(found);
+    }
+    next.reason = DescribeSaddle(attempt.trial, next.reason);
+    attempt = std::move(next);
   }
-  const HmpRoot root = FindHmpRoot(phases, minimum.z, options.iterations);
-  Path<double> path;
-  if (!root.valid || !phases.Unroll(root.z.data(), &path)) {
-    return fail(Termination::kFailed, "Newton's method has left the paths along the sequence");
-  }
-  run.report().evaluations = minimum.jacobians + root.jacobians;
-  const double loss = phases.Loss(path);
-  run.Record(loss);
-  std::vector<double> times;
-  for (const PhaseImpact<double>& impact : path.impacts) times.push_back(impact.time);
-  Trial trial;
-  if (!WriteControl(scene, sequence, root.z, times, &trial)) {
-    return fail(Termination::kFailed, "there are too few steps to write the control down");
-  }
-  if (!IsRealized(scene, trial.exact, sequence, times)) {
-    return run.Finish(trial, loss, Termination::kNoProgress, WhyNotRealized(scene, trial.exact, sequence));
-  }
-  Certificate certificate = CertifyRoot(phases, root, trial.exact);
-  certificate.curvature = Certify(scene, InitialState(scene), trial.control, trial.durations).curvature;
-  Judge(&certificate);
-  run.report().certificate = std::move(certificate);
-  if (root.residual > kResidualTolerance * root.scale) {
-    return run.Finish(trial, loss, Termination::kNoProgress, "the conditions are not met");
-  }
-  if (std::abs(loss - minimum.loss) > kSameLoss * std::abs(loss)) {
-    return run.Finish(trial, loss, Termination::kNoProgress, "the conditions are met at a point that is no minimum");
-  }
-  return run.Finish(trial, loss, Termination::kConverged);
+  run.report().certificate = std::move(attempt.certificate);
+  return run.Finish(attempt.trial, attempt.loss, attempt.termination, std::move(attempt.reason));
 }
 
 }  // namespace saltus

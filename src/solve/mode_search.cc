@@ -58,6 +58,7 @@ class ModeSearch {
 
   SolveReport Search(const ContactSequence& first) {
     best_loss_ = run_.guess().exact.loss;
+    best_trial_ = run_.guess();
     const Flight guess = FlightOf(scene_, run_.guess());
     Queue(best_loss_, first, GuessFrom(scene_, guess, first));
     if (run_.options().search) QueueNeighbours(run_.guess());
@@ -112,11 +113,13 @@ class ModeSearch {
     options.callback = [&](double) { return Continue(); };
     const PhaseSolution solution = SolveAlong(scene_, task.sequence, task.guess, options, kLossChange);
     Say(task.sequence);
-    if (!solution.valid || !solution.trial.exact.ok || !solution.trial.exact.only_impacts) return;
+    if (!solution.valid || !solution.trial.exact.ok) return;
+    Meet(solution.trial, solution.minimum.touches ? WhyNotOptimal(scene_, solution) : "");
+    if (!solution.trial.exact.only_impacts) return;
     jacobians_ += solution.minimum.jacobians;
-    if (solution.optimal()) Keep(solution);
+    if (solution.optimal() && !LeftAsSaddle(solution.trial)) Keep(solution);
     if (!run_.options().search) {
-      if (!solution.optimal()) failure_ = WhyNotRealized(scene_, solution.trial.exact, task.sequence);
+      if (!solution.optimal()) failure_ = WhyNotOptimal(scene_, solution);
       return;
     }
     const ContactSequence& met = solution.trial.exact.contacts;
@@ -126,6 +129,28 @@ class ModeSearch {
     }
     const double rounded = std::round(loss / (kSameLoss * best_loss_));
     if (expanded_.emplace(KeyOf(met), rounded).second) QueueNeighbours(solution.trial);
+  }
+
+  // A motion that is no optimum, or none yet, but may be better than all.
+  void Meet(const Trial& trial, const std::string& remark) {
+    if (!(trial.exact.loss < best_trial_.exact.loss)) return;
+    best_trial_ = trial;
+    best_remark_ = remark;
+  }
+
+  // If this stationary motion is a saddle, goes on from beside it.
+  bool LeftAsSaddle(const Trial& trial) {
+    const Certificate certificate = CertifyTrial(scene_, trial);
+    if (!certificate.IsSaddle()) return false;
+    const std::vector<Trial> aside = LeaveSaddle(scene_, trial, *certificate.curvature);
+    for (const Trial& motion : aside) {
+      Meet(motion, "");
+      if (!motion.exact.only_impacts) continue;
+      const ContactSequence& met = motion.exact.contacts;
+      --starts_[KeyOf(met)];  // whatever it has been tried from
+      Queue(motion.exact.loss, met, GuessFrom(scene_, FlightOf(scene_, motion), met));
+    }
+    return !aside.empty();
   }
 
   // Asks without recording an iteration.
@@ -158,17 +183,17 @@ class ModeSearch {
         found_.begin(), found_.end(), [](const Found& a, const Found& b) { return a.optimum.loss < b.optimum.loss; });
     for (const Found& found : found_) run_.report().optima.push_back(found.optimum);
     run_.report().evaluations = jacobians_;
-    if (found_.empty()) {
+    const double none_better = (1 - kSameLoss) * (found_.empty() ? 0.0 : found_.front().optimum.loss);
+    if (found_.empty() || best_trial_.exact.loss < none_better) {
       if (end == Termination::kConverged) end = Termination::kNoProgress;
-      return run_.Finish(run_.guess(),
-                         run_.guess().exact.loss,
-                         end,
-                         failure_.empty() ? "no sequence searched has an optimum" : failure_);
+      std::string reason = best_remark_.empty() ? failure_ : best_remark_;
+      if (reason.empty()) reason = found_.empty() ? "no sequence searched has an optimum" : "no optimum found is better";
+      return run_.Finish(best_trial_, best_trial_.exact.loss, end, std::move(reason));
     }
     const Found& best = found_.front();
-    Certificate certificate = Certify(scene_, InitialState(scene_), best.trial.control, best.trial.durations);
+    Certificate certificate = CertifyTrial(scene_, best.trial);
     certificate.sequences_searched = static_cast<int>(tried_.size());
-    if (run_.options().search && end != Termination::kInterrupted) {
+    if (run_.options().search && end != Termination::kInterrupted && !certificate.IsSaddle()) {
       certificate.scope = Certificate::Scope::kBestOfSearched;
     }
     run_.report().certificate = std::move(certificate);
@@ -187,6 +212,8 @@ class ModeSearch {
   std::set<Key> tried_;
   std::set<std::pair<Key, double>> expanded_;  // motions whose neighbours are queued: sequence and loss
   std::vector<Found> found_;
+  Trial best_trial_;         // of all motions met, the guess included
+  std::string best_remark_;  // why it is no optimum
   double best_loss_ = 0;
   int number_ = 0, solves_ = 0, jacobians_ = 0;
   std::string failure_;

@@ -7,22 +7,24 @@
 namespace saltus {
 namespace {
 
-constexpr double kOnNode = 1e-2;        // of a step: an impact as near as this is on the node
 constexpr double kImprovement = 1e-12;  // of the loss; less is none
 constexpr int kIterationsPerNode = 20;  // of Ceres
 constexpr int kPolishes = 10;           // times that the best nodes are solved again, from where they ended
 constexpr double kTolerance = 1e-14;    // relative change of the cost that ends them
 constexpr double kAside = 1e-7;         // of the radius: the gap at the node where one-sided gradients are taken
 
-// Impacts on a node that a later step could avoid or an earlier one bring about.
-std::vector<Arrival> ImpactsOnNodes(const Simulator& simulator) {
-  std::vector<Arrival> arrivals;
+// The impacts, each with its nearest node, the nearest first. Nodes that no force could change are left out.
+std::vector<Arrival> ImpactsByNearness(const Simulator& simulator) {
+  std::vector<std::pair<double, Arrival>> found;
   for (const StepTouch& touch : simulator.touches()) {
     if (touch.touch.time < 0 || touch.touch.kind != ContactKind::kImpact) continue;
     const double nodes = touch.step + touch.touch.time / simulator.step();
     const int node = static_cast<int>(std::lround(nodes));
-    if (std::abs(nodes - node) < kOnNode && node >= 2) arrivals.push_back({node, touch.touch.candidate});
+    if (node >= 2) found.push_back({std::abs(nodes - node), {node, touch.touch.candidate}});
   }
+  std::stable_sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::vector<Arrival> arrivals;
+  for (const auto& [distance, arrival] : found) arrivals.push_back(arrival);
   return arrivals;
 }
 
@@ -49,9 +51,10 @@ bool NodeSearch::Run(int iterations) {
   iterations_left_ = iterations;
   double loss = 0;
   if (!run_->shooting().Evaluate(z_, &loss, nullptr)) return false;
-  arrivals_ = ImpactsOnNodes(run_->shooting().simulator());
+  arrivals_ = ImpactsByNearness(run_->shooting().simulator());
   if (arrivals_.empty()) return false;
-  TryNodes(arrivals_);
+  // A run has stalled where some of them are about to cross a node: as many of the nearest as make the loss better.
+  while (!TryNodes(arrivals_) && arrivals_.size() > 1) arrivals_.pop_back();
   for (bool better = true; better;) {
     better = false;
     for (size_t i = 0; i < arrivals_.size(); ++i) {

@@ -16,7 +16,7 @@ class NodeSearch {
   // times.
   NodeSearch(SolveRun* run, const std::vector<double>& z, double loss);
 
-  // True if there was an impact on a node. Each iteration of Ceres is recorded with the best loss so far; `iterations`
+  // True if there was an impact. Each iteration of Ceres is recorded with the best loss so far; `iterations`
   // are allowed in all.
   bool Run(int iterations);
 

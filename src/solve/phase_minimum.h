@@ -1,5 +1,6 @@
 // The least loss along a given collision sequence, by Ceres: Levenberg-Marquardt on the few variables of EventPhases.
-// Gaps that no pushed disc closes by itself are constraints, met by an augmented Lagrangian.
+// Gaps that no pushed disc closes by itself are constraints, met by an augmented Lagrangian. An impact must close: where
+// the loss falls until the two sides only touch, that impact is held at a touch, and the rest is minimized.
 #pragma once
 
 #include <functional>
@@ -14,6 +15,7 @@ struct PhaseMinimum {
   bool valid = false;      // there is a path; all else is filled
   bool converged = false;  // the loss does not fall any more and the gaps are closed
   bool interrupted = false;
+  bool touches = false;  // at some impact the normal velocity is zero: the loss has a kink there
   double loss = 0;
   double gap = 0;                   // m, the largest
   std::vector<double> multipliers;  // of the gaps, by impact; 0 for those closed by construction

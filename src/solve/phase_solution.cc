@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <sstream>
 
 #include "hmp_roots.h"
 #include "saltus/dynamics/registry.h"
@@ -141,6 +142,52 @@ bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& 
   return true;
 }
 
+Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
+  return Certify(scene, InitialState(scene), trial.control, trial.durations);
+}
+
+std::string DescribeSaddle(const Trial& saddle, const std::string& then) {
+  std::ostringstream text;
+  text << "left a saddle of loss " << saddle.exact.loss << (then.empty() ? "" : "; ") << then;
+  return text.str();
+}
+
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
+  constexpr int kLargest = 4, kLengths = 24;  // powers of two
+  // Of the control, in the mean over time; or a force that moves a disc by its radius.
+  double size = 0;
+  const size_t width = 2 * scene.num_controlled();
+  for (size_t i = 0; i < trial.control.size(); ++i) {
+    size += trial.durations[i / width] * trial.control[i] * trial.control[i];
+  }
+  size = std::sqrt(size);
+  for (int body : scene.control.bodies) {
+    const Body& disc = scene.bodies[body];
+    size = std::max(size, disc.mass * disc.radius * std::pow(scene.duration, -1.5));
+  }
+  std::vector<Trial> better;
+  const double least = trial.exact.loss - 1e-12 * std::abs(trial.exact.loss);
+  for (int power = kLargest; power > kLargest - kLengths; --power) {
+    for (const double sign : {1.0, -1.0}) {
+      Trial moved = trial;
+      for (size_t i = 0; i < moved.control.size(); ++i) {
+        moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
+      }
+      moved.exact = SimulateExactly(scene, InitialState(scene), moved.control, moved.durations);
+      if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
+      better.push_back(std::move(moved));
+    }
+  }
+  std::stable_sort(
+      better.begin(), better.end(), [](const Trial& a, const Trial& b) { return a.exact.loss < b.exact.loss; });
+  std::vector<Trial> best;
+  for (Trial& candidate : better) {
+    const auto same = [&](const Trial& known) { return known.exact.contacts == candidate.exact.contacts; };
+    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
+  }
+  return best;
+}
+
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
   if (!run.ok) return run.reason;
   if (!run.only_impacts) return "discs rest on or graze each other or a plane";
@@ -148,6 +195,15 @@ std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const Contac
   const std::string met = ContactSequenceToString(scene, run.contacts);
   if (planned == met) return "along " + planned + " impacts come at other times than planned";
   return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
+}
+
+std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution) {
+  const std::string along = ContactSequenceToString(scene, solution.sequence);
+  if (solution.only_given) return "along " + along + " nothing better was found";
+  if (solution.minimum.touches) {
+    return "the best motion along " + along + " only touches, where the loss has a kink: no condition of optimality is checked";
+  }
+  return WhyNotRealized(scene, solution.trial.exact, solution.sequence);
 }
 
 bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum) {
@@ -180,7 +236,7 @@ PhaseMinimum SolveOnIntervals(const EventPhases& phases, std::vector<double> z, 
   PhaseMinimum minimum = MinimizeLoss(phases, std::move(z), options);
   bool steered = true;
   for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
-  if (minimum.valid && !minimum.interrupted && !(steered && minimum.converged)) {
+  if (minimum.valid && !minimum.interrupted && !minimum.touches && !(steered && minimum.converged)) {
     minimum.converged = false;
     Polish(phases, loss_change, &minimum);
   }
@@ -210,13 +266,35 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
     for (int k = 0; k < phases.num_impacts(); ++k) times[k] = path.impacts[k].time;
     phases.Control(path, &solution.trial.control, &solution.trial.durations);
     std::vector<int> better = DistributeIntervals(scene, sequence, times);
-    if (!minimum.converged || better == intervals) break;
+    if (!minimum.converged || minimum.touches || better == intervals) break;
     intervals = std::move(better);
   }
   solution.valid = true;
   solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);
   solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
   return solution;
+}
+
+PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options) {
+  PhaseSolution best;
+  best.sequence = trials.front().exact.contacts;
+  best.valid = best.realized = best.only_given = best.minimum.valid = true;
+  best.trial = trials.front();
+  best.minimum.loss = best.trial.exact.loss;
+  int jacobians = 0, iterations = 0;
+  for (const Trial& trial : trials) {
+    if (!trial.exact.only_impacts) continue;
+    const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, trial), trial.exact.contacts);
+    PhaseSolution solution = SolveAlong(scene, trial.exact.contacts, guess, options);
+    jacobians += solution.minimum.jacobians;
+    iterations = std::max(iterations, solution.minimum.iterations);
+    if (solution.minimum.interrupted) best.minimum.interrupted = true;
+    if (!solution.valid || !solution.trial.exact.ok) continue;
+    if (solution.trial.exact.loss <= best.trial.exact.loss) best = std::move(solution);
+  }
+  best.minimum.jacobians = jacobians;
+  best.minimum.iterations = iterations;
+  return best;
 }
 
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {

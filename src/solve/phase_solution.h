@@ -2,6 +2,7 @@
 // really happens.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -44,6 +45,7 @@ struct PhaseSolution {
   PhaseMinimum minimum;
   Trial trial;            // the control found
   bool realized = false;  // its impacts are those of the sequence and no others
+  bool only_given = false;  // the trial is that which it was to start from: nothing better was found
   bool optimal() const { return valid && minimum.converged && realized; }
 };
 // Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
@@ -56,11 +58,26 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 
+// From each of some trials on, along its own impacts, with that many iterations each: the best solution. It is not worse
+// than any of the trials; `jacobians` counts all. Precondition: there is a trial.
+PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options);
+
+Certificate CertifyTrial(const Scene& scene, const Trial& trial);
+
+// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature. Of
+// those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
+inline constexpr int kMostSaddles = 5;  // left one after the other
+// Remarks for a person: that it was left, and what came after.
+std::string DescribeSaddle(const Trial& saddle, const std::string& then);
+
 // Whether the exact run has these impacts, at these times, and no others.
 bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
                 const std::vector<double>& times);
 // For a person: where the exact run departs from the sequence.
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
+// For a person: why a solution whose minimum touches, or that is not realized, is no optimum.
+std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution);
 
 // The sequence that the options ask for; that of the initial guess unless one is given.
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess);

@@ -54,6 +54,20 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
   return WhyNotApplicable(surrogate, request.contact, request.scene);
 }
 
+// Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
+void Confirm(const SolveRequest& request, SolveReport* report) {
+  const Scene& scene = request.scene;
+  if (report->termination != Termination::kConverged || !FindContactModel(request.contact)->event_driven) return;
+  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
+  if (!report->certificate) {
+    report->certificate = Certify(scene, report->initial_state, report->control, report->durations);
+  }
+  const Certificate& certificate = *report->certificate;
+  if (certificate.verdict != Certificate::Verdict::kNotStationary && !certificate.IsSaddle()) return;
+  report->termination = Termination::kNoProgress;
+  report->reason += (report->reason.empty() ? "" : "; ") + certificate.reason;
+}
+
 }  // namespace
 
 const std::vector<SolverEntry>& AllSolvers() {
@@ -90,11 +104,14 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
     reason = entry->why_not(converted);
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
+
+  SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
-    return InSiUnits(converted.scene, entry->solve(converted, own));
+    report = entry->solve(converted, own);
+    Confirm(converted, &report);
+    return InSiUnits(converted.scene, std::move(report));
   }
-  SolveReport report;
   report.contact = request.contact;
   report.solver = solver;
   report.surrogate = options.surrogate;

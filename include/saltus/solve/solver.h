@@ -69,6 +69,9 @@ struct BestIterate {
   std::vector<double> control;        // K x C x 2
 };
 
+// kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of the
+// certificate apply, they hold as well, and it is no saddle.
+//
 // Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
 // one may have no losses, if the initial guess already has none.
 struct SolveReport {
@@ -93,7 +96,7 @@ struct SolveReport {
   std::vector<double> initial_state;       // B x 4
   std::vector<double> control;             // K x C x 2
   std::vector<double> durations;           // of the K control intervals, s; none if they are equal
-  std::optional<Certificate> certificate;  // of solvers that certify themselves
+  std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
 };
 
