@@ -134,7 +134,14 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene) {
   for (const ModelTraits& traits : AllContactModels()) {
     if (!traits.event_driven) continue;
     ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble);
-    if (exact.ok()) return exact;
+    if (exact.ok()) {
+      if (!exact.ambiguous.empty()) {
+        const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps));
+        exact.ambiguous = run.ambiguous;
+        exact.spread = run.spread;
+      }
+      return exact;
+    }
   }
   if (const std::optional<ClosedForm> closed_form = EvaluateClosedForm(scene))
     return FromClosedForm(*closed_form, scene);
@@ -149,6 +156,7 @@ const ContactError* ModelAudit::FirstWrong() const {
 std::string ModelAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
+  if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
   // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
   if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
                       recognition->contact_class == ContactClass::kDepthFeedback)) {
@@ -170,6 +178,13 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
   audit.gradient = options.surrogate ? ComputeSurrogate(contact, scene, precision, *options.surrogate, options.threads)
                                      : ComputeGradient(contact, scene, precision);
   if (!audit.gradient.ok()) return audit;
+  if (reference && !reference->ambiguous.empty()) {
+    audit.verdict = Verdict::kAmbiguous;
+    audit.ambiguous = reference->ambiguous;
+    audit.spread = reference->spread;
+    if (options.width_sweep) audit.widths = SweepWidths(contact, scene, options.widths);
+    return audit;
+  }
   if (options.surrogate) {
     if (reference) audit.error = CompareGradients(audit.gradient, *reference);
     audit.verdict = Verdict::kBiased;

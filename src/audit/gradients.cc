@@ -18,6 +18,7 @@ void FillIn(std::unique_ptr<Simulator> simulator, ModelGradient* result) {
     return;
   }
   result->events = EventsOf(shooting.simulator());
+  result->ambiguous = TiesOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
 }
 

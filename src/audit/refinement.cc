@@ -126,6 +126,8 @@ int Badness(Verdict verdict) {
       return 4;
     case Verdict::kWrongSign:
       return 5;
+    case Verdict::kAmbiguous:
+      return 6;
   }
   LOG(FATAL) << "no such verdict";
 }
@@ -157,6 +159,11 @@ class Study {
     const std::optional<ModelGradient> exact = ExactGradientOf(coarse);
     if (!exact) {
       out_.reason = "there is no exact gradient";
+      return;
+    }
+    if (!exact->ambiguous.empty()) {
+      out_.reason = TiesToString(exact->ambiguous);
+      out_.verdict = Verdict::kAmbiguous;
       return;
     }
     for (Quantity quantity : QuantitiesOf(scene)) {
@@ -248,6 +255,8 @@ const char* VerdictToString(Verdict verdict) {
       return "unknown";
     case Verdict::kBiased:
       return "biased";
+    case Verdict::kAmbiguous:
+      return "ambiguous";
   }
   LOG(FATAL) << "no such verdict";
 }

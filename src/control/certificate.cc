@@ -425,6 +425,8 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   const ExactRun exact = SimulateExactly(scene, initial, control, durations);
   certificate.reason = WhyNotCertify(scene, exact);
   if (!certificate.reason.empty()) return certificate;
+  JudgeTies(exact.ambiguous, &certificate);
+  if (certificate.verdict == Certificate::Verdict::kAmbiguous) return certificate;
   std::vector<double> lengths = durations;
   if (lengths.empty()) {
     const size_t intervals = control.size() / (2 * scene.num_controlled());
@@ -462,6 +464,13 @@ void Judge(Certificate* certificate) {
   }
 }
 
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate) {
+  if (ambiguous.empty()) return;
+  certificate->verdict = Certificate::Verdict::kAmbiguous;
+  certificate->reason = TiesToString(ambiguous);
+  certificate->ambiguous = ambiguous;
+}
+
 const char* VerdictToString(Certificate::Verdict verdict) {
   switch (verdict) {
     case Certificate::Verdict::kOptimal:
@@ -470,6 +479,8 @@ const char* VerdictToString(Certificate::Verdict verdict) {
       return "optimal_on_grid";
     case Certificate::Verdict::kNotOptimal:
       return "not_optimal";
+    case Certificate::Verdict::kAmbiguous:
+      return "ambiguous";
     case Certificate::Verdict::kNotApplicable:
       return "not_applicable";
   }

@@ -100,6 +100,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     }
   }
   item["verdict"] = VerdictToString(audit.verdict);
+  AddTies(audit.ambiguous, audit.spread, &item);
   if (audit.recognition) {
     item["class"] = ContactClassToString(audit.recognition->contact_class);
     item["class_evidence"] = RecognitionToJson(*audit.recognition);
@@ -130,6 +131,7 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
                              {"loss", report.reference->loss},
                              {"gradient", GradientToJson(request.scene, report.reference->gradient)},
                              {"events", EventsToJson(report.reference->events)}};
+    AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
   }
   Json audits = Json::array();
   for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));

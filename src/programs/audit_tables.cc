@@ -71,6 +71,7 @@ Tone ToneOf(Verdict verdict) {
     case Verdict::kWrongSign:
       return Tone::kBad;
     case Verdict::kBiased:
+    case Verdict::kAmbiguous:
       return Tone::kWarning;
     case Verdict::kUnknown:
       break;
@@ -94,7 +95,8 @@ Table GradientTable(const Request& request, const AuditReport& report) {
         std::nullopt);
   }
   if (report.reference) {
-    const std::string name = "exact (" + report.reference->contact + ")";
+    const bool one = report.reference->ambiguous.empty();
+    const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
     add(GradientRow(request.scene, name, *report.reference), std::nullopt);
   }
   return table;

@@ -54,6 +54,12 @@ SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std
 
 }  // namespace
 
+std::string RemarkOn(const SolvedRun& run) {
+  const std::string& reason = run.report.reason;
+  if (run.exact.ambiguous.empty()) return reason;
+  return reason + (reason.empty() ? "" : "; ") + "ambiguous: " + DescribeTies(run.exact.ambiguous, run.exact.spread);
+}
+
 std::vector<SolvedRun> SolveAll(const Request& request) {
   struct Job {
     std::string contact, solver;
@@ -105,6 +111,7 @@ Json SolveToJson(const Request& request, const std::vector<SolvedRun>& runs) {
     if (!report.reason.empty()) item["reason"] = report.reason;
     if (!report.losses.empty()) {
       item["events"] = EventsToJson(run.exact.events);
+      AddTies(run.exact.ambiguous, run.exact.spread, &item);
       item["velocity"] = VectorsToJson(report.initial_state, 2);
       item["control"] = ControlToJson(request.scene, report.control);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
@@ -153,7 +160,7 @@ void PrintSolveTable(const Request& request, const std::vector<SolvedRun>& runs)
                   report.evaluations,
                   report.seconds,
                   TerminationToString(report.termination),
-                  report.reason});
+                  RemarkOn(run)});
   }
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
 }

@@ -50,12 +50,15 @@ struct AuditOptions {
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
-  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate.
+  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate. kAmbiguous if the
+  // exact gradient is; then there are no error and no studies but the width sweep.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for
   std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
   std::optional<ContactRecognition> recognition;  // if there is a gradient
+  std::vector<Tie> ambiguous;                     // those of the reference
+  std::optional<LossSpread> spread;               // likewise
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;

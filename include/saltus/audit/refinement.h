@@ -11,6 +11,7 @@
 //   wrong sign   wrong, and an entry that is not negligible has the wrong sign
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
+//   ambiguous    there is no gradient: the order of impacts at the same time decides (dynamics/events.h, Tie)
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
@@ -27,8 +28,9 @@
 
 namespace saltus {
 
-enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased };
-const char* VerdictToString(Verdict verdict);  // "right", "consistent", "wrong", "wrong sign", "unknown", "biased"
+enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased, kAmbiguous };
+// "right", "consistent", "wrong", "wrong sign", "unknown", "biased", "ambiguous"
+const char* VerdictToString(Verdict verdict);
 // kWrong or kWrongSign.
 bool IsWrong(Verdict verdict);
 
@@ -70,7 +72,7 @@ struct QuantityStudy {
 };
 
 struct RefinementStudy {
-  std::string reason;  // why there is none: no exact gradient, or a rollout that is not finite
+  std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;
   std::vector<QuantityStudy> quantities;  // those that the scene has
   // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that

@@ -27,6 +27,7 @@
 #include <string>
 #include <vector>
 
+#include "saltus/dynamics/events.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -49,10 +50,12 @@ struct Certificate {
     kOptimal,        // all conditions hold
     kOptimalOnGrid,  // all but the Hamiltonian's, and every theta lies in [0, 1]
     kNotOptimal,
+    kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply
     kNotApplicable,
   };
   Verdict verdict = Verdict::kNotApplicable;
-  std::string reason;  // which condition fails worst, or why there is nothing to certify
+  std::string reason;          // which condition fails worst, or why there is nothing to certify
+  std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
 
   double stationarity = 0;
   double costate_jump = 0;
@@ -70,7 +73,7 @@ struct Certificate {
   int sequences_searched = 0;
 };
 
-// "optimal", "optimal_on_grid", "not_optimal", "not_applicable"; "local", "best_of_searched".
+// "optimal", "optimal_on_grid", "not_optimal", "ambiguous", "not_applicable"; "local", "best_of_searched".
 const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 
@@ -81,5 +84,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
 
 // From the four residuals, and the thetas, to verdict and reason.
 void Judge(Certificate* certificate);
+// If there are ties, the verdict is kAmbiguous.
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate);
 
 }  // namespace saltus

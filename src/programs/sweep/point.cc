@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "programs/audit.h"
+#include "programs/solve.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/table.h"
@@ -35,27 +36,24 @@ PointStatus StatusOf(Termination termination) {
   return failed ? PointStatus::kFailed : PointStatus::kComputed;
 }
 
-SweepValue ExactLoss(const Request& request, const SolveReport& report) {
-  const ExactRun exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
-  return exact.ok ? FiniteOrNothing(exact.loss) : SweepValue();
-}
-
 PointResult SolvePoint(const Request& request, double seconds, PointResult result) {
   const Clock::time_point deadline =
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
   SolverOptions options = request.options;
   if (seconds > 0) options.callback = [&](int, double) { return Clock::now() < deadline; };
-  const SolveReport report =
-      Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  SolvedRun run;
+  run.report = Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  const SolveReport& report = run.report;
   result.status = StatusOf(report.termination);
   const std::vector<double>& losses = report.losses;
   if (losses.empty()) {
     result.row.resize(result.row.size() + 7);
   } else {
+    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
     Append({FiniteOrNothing(report.initial_loss),
             FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
             FiniteOrNothing(report.final_loss),
-            ExactLoss(request, report),
+            run.exact.ok ? FiniteOrNothing(run.exact.loss) : SweepValue(),
             int64_t{report.iterations},
             int64_t{report.evaluations},
             report.seconds},
@@ -63,7 +61,7 @@ PointResult SolvePoint(const Request& request, double seconds, PointResult resul
   }
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
-  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : report.reason},
+  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : RemarkOn(run)},
          &result.row);
   return result;
 }
@@ -95,8 +93,10 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     return result;
   }
   SweepValue error;
+  std::string ambiguous;
   if (const std::optional<ModelGradient> exact = ExactGradientOf(request.scene)) {
-    error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+    ambiguous = TiesToString(exact->ambiguous);
+    if (ambiguous.empty()) error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
   }
   Append({FiniteOrNothing(gradient.loss),
           FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
@@ -108,7 +108,7 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
     Append({FiniteOrNothing(norm)}, &result.row);
   }
-  Append({std::string()}, &result.row);
+  Append({ambiguous.empty() ? "" : "ambiguous: " + ambiguous}, &result.row);
   return result;
 }
 
