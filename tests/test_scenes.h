@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <string>
+#include <utility>
 
 #include "saltus/io/scene_file.h"
 
@@ -30,6 +31,31 @@ inline Scene BounceOffTheGrid() {
 inline Scene LaunchOffTheGrid() {
   Scene scene = ProblemScene("ground_wall");
   scene.bodies[0].position[0] += 1e-3;
+  return scene;
+}
+
+// One disc that is pushed and strikes two others at the same time, about 0.3 s after the start: which of them first
+// decides what follows.
+inline Scene StrikesTwo() {
+  Scene scene;
+  scene.name = "strikes_two";
+  scene.duration = 1;
+  scene.steps = 100;
+  scene.bodies = {{.name = "striker", .radius = 0.1, .mass = 1, .position = {-0.6, 0}, .velocity = {1.5, 0}},
+                  {.name = "left", .radius = 0.1, .mass = 1, .position = {0, 0.11}},
+                  {.name = "right", .radius = 0.1, .mass = 1, .position = {0, -0.11}}};
+  scene.contact = {.restitution = 1, .friction = 0};
+  scene.control = {{0}, {{0.3, 0}}};
+  scene.objective.terminal = {{.body = 0, .target = {0.1, 0}}, {.body = 1, .target = {0.5, 0.5}, .weight = 0.3}};
+  scene.objective.effort = 0.01;
+  scene.optimize = Optimize::kControl;
+  return scene;
+}
+// The same, with the lines of the two in the other order.
+inline Scene StrikesTwoSwapped() {
+  Scene scene = StrikesTwo();
+  std::swap(scene.bodies[1], scene.bodies[2]);
+  scene.objective.terminal[1].body = 2;
   return scene;
 }
 

@@ -177,7 +177,14 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
   for (const ModelTraits& traits : AllContactModels()) {
     if (!traits.event_driven) continue;
     ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble, stop);
-    if (exact.ok()) return exact;
+    if (exact.ok()) {
+      if (!exact.ambiguous.empty()) {
+        const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps));
+        exact.ambiguous = run.ambiguous;
+        exact.spread = run.spread;
+      }
+      return exact;
+    }
   }
   if (stop && stop()) return std::nullopt;
   if (const std::optional<ClosedForm> closed_form = EvaluateClosedForm(scene))
@@ -195,6 +202,7 @@ std::string ModelAudit::Why() const {
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
   if (interrupted) return "interrupted";
   if (verdict == Verdict::kNotApplicable) return not_comparable;
+  if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
   const std::string cause = CauseOf(*this);
   if (!own || own->agreement != Agreement::kDiffers || IsNotMeantAsDerivative(gradient.contact)) return cause;
   return (cause.empty() ? "" : cause + "; ") + "agrees with no differences of its own loss";
@@ -215,6 +223,16 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
                        : ComputeGradient(contact, scene, precision, stop);
   if (!audit.gradient.ok()) {
     audit.interrupted = audit.gradient.reason == kStopped;
+    return audit;
+  }
+  if (reference && !reference->ambiguous.empty()) {
+    audit.verdict = Verdict::kAmbiguous;
+    audit.ambiguous = reference->ambiguous;
+    audit.spread = reference->spread;
+    if (options.width_sweep) {
+      WidthSweepStudy widths = SweepWidths(contact, scene, options.widths, stop);
+      if (!interrupted()) audit.widths = std::move(widths);
+    }
     return audit;
   }
   if (options.surrogate) {

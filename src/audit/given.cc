@@ -26,6 +26,9 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
   CHECK_EQ(exact.gradient.initial.size(), 4 * scene.bodies.size());
   CHECK_EQ(exact.gradient.control.size(), 2 * scene.control.bodies.size() * exact.num_steps);
   std::vector<GivenEntry> entries;
+  const auto judge = [&](double value, double at, double largest) {
+    return exact.ambiguous.empty() ? Judge(value, at, largest, given.tolerance) : Verdict::kAmbiguous;
+  };
   // `values` and `at` name the exact entries of one vector.
   const auto add = [&](const std::optional<Vec2d>& value,
                        const std::string& name,
@@ -33,8 +36,7 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
                        const double* at,
                        double largest) {
     for (int j = 0; value && j < 2; ++j) {
-      entries.push_back(
-          {name + (j == 0 ? "x" : "y") + of, (*value)[j], at[j], Judge((*value)[j], at[j], largest, given.tolerance)});
+      entries.push_back({name + (j == 0 ? "x" : "y") + of, (*value)[j], at[j], judge((*value)[j], at[j], largest)});
     }
   };
   for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {

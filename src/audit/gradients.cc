@@ -25,6 +25,7 @@ void FillIn(std::string_view contact, const Scene& scene, Precision precision, c
   }
   result->loss = ConvertLoss(result->loss, near.units, scene.units);
   result->events = EventsOf(shooting.simulator());
+  result->ambiguous = TiesOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
 }
 

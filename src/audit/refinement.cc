@@ -133,6 +133,8 @@ int Badness(Verdict verdict) {
       return 5;
     case Verdict::kWrongSign:
       return 6;
+    case Verdict::kAmbiguous:
+      return 7;
   }
   LOG(FATAL) << "no such verdict";
 }
@@ -177,6 +179,11 @@ class Study {
     const std::optional<ModelGradient> exact = ExactGradientOf(coarse, stop);
     if (!exact) {
       out_.reason = "there is no exact gradient";
+      return;
+    }
+    if (!exact->ambiguous.empty()) {
+      out_.reason = TiesToString(exact->ambiguous);
+      out_.verdict = Verdict::kAmbiguous;
       return;
     }
     for (Quantity quantity : QuantitiesOf(scene)) {
@@ -273,6 +280,8 @@ const char* VerdictToString(Verdict verdict) {
       return "ill-conditioned";
     case Verdict::kNotApplicable:
       return "not applicable";
+    case Verdict::kAmbiguous:
+      return "ambiguous";
   }
   LOG(FATAL) << "no such verdict";
 }

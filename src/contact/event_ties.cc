@@ -7,7 +7,7 @@
 namespace saltus {
 namespace {
 
-constexpr int kAllOrders = 5;  // of up to so many contacts
+constexpr int kAllOrders = 4;  // of up to so many contacts
 
 int Factorial(int n) { return n < 2 ? 1 : n * Factorial(n - 1); }
 

@@ -463,6 +463,8 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   const ExactRun exact = SimulateExactly(scene, initial, control, durations);
   certificate.reason = WhyNotCertify(scene, exact);
   if (!certificate.reason.empty()) return certificate;
+  JudgeTies(exact.ambiguous, &certificate);
+  if (certificate.verdict == Certificate::Verdict::kAmbiguous) return certificate;
   const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   const Flight flight(scene, initial, control, lengths, exact);
   return Certifier(scene, control, flight, lengths).Run(exact);
@@ -527,6 +529,13 @@ void Judge(Certificate* certificate) {
   }
 }
 
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate) {
+  if (ambiguous.empty()) return;
+  certificate->verdict = Certificate::Verdict::kAmbiguous;
+  certificate->reason = TiesToString(ambiguous);
+  certificate->ambiguous = ambiguous;
+}
+
 const char* VerdictToString(Certificate::Verdict verdict) {
   switch (verdict) {
     case Certificate::Verdict::kStationary:
@@ -535,6 +544,8 @@ const char* VerdictToString(Certificate::Verdict verdict) {
       return "stationary_on_grid";
     case Certificate::Verdict::kNotStationary:
       return "not_stationary";
+    case Certificate::Verdict::kAmbiguous:
+      return "ambiguous";
     case Certificate::Verdict::kNotApplicable:
       return "not_applicable";
   }

@@ -4,13 +4,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 
+#include "saltus/contact/event_ties.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
+
+constexpr double kSameEnd = 1e-6;  // of how far and how fast discs move
 
 const ModelTraits* ExactModel() {
   for (const ModelTraits& traits : AllContactModels()) {
@@ -22,8 +26,9 @@ const ModelTraits* ExactModel() {
 // Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the state
 // at the end.
 bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, int first,
-                       double start, std::vector<double>* x, ExactRun* run) {
+                       double start, int tie_order, std::vector<double>* x, ExactRun* run) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
+  simulator->set_tie_order(tie_order);
   CHECK_EQ(simulator->state_size(), static_cast<int>(x->size()));
   if (!simulator->Rollout(*x, control)) {
     run->reason = "the exact rollout fails: " + simulator->WhyFailed();
@@ -38,6 +43,10 @@ bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::ve
     run->contacts.push_back(at.touch.candidate);
     run->places.push_back({first + at.step, at.touch.time});
     if (at.touch.kind != ContactKind::kImpact) run->only_impacts = false;
+  }
+  for (Tie& tie : TiesOf(*simulator)) {
+    tie.time += start;
+    run->ambiguous.push_back(std::move(tie));
   }
   run->loss += EffortLoss(scene.objective, control, simulator->step());
   return true;
@@ -69,6 +78,55 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   return "";
 }
 
+// `scene` in the order of ties that is asked for. Precondition: the model can take the scene.
+ExactRun SimulateInOrder(const std::string& model, Scene scene, const std::vector<double>& initial,
+                         const std::vector<double>& control, const std::vector<double>& durations, int tie_order) {
+  ExactRun run;
+  run.end = initial;
+  if (durations.empty()) {
+    if (!RunEqualIntervals(model, scene, control, 0, 0, tie_order, &run.end, &run)) return run;
+  } else {
+    const size_t width = 2 * scene.num_controlled();
+    double start = 0;
+    for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
+      while (end < durations.size() && durations[end] == durations[begin]) ++end;
+      if (durations[begin] == 0) continue;
+      scene.steps = static_cast<int>(end - begin);
+      scene.duration = scene.steps * durations[begin];
+      const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
+      const int first = static_cast<int>(begin);
+      if (!RunEqualIntervals(model, scene, rows, first, start, tie_order, &run.end, &run)) return run;
+      start += scene.duration;
+    }
+  }
+  run.ok = true;
+  run.loss += TerminalLoss(scene.objective, run.end, 4);
+  return run;
+}
+
+// Whether final states are the same, on the scale of how far and how fast discs move.
+class SameEnd {
+ public:
+  SameEnd(const Scene& scene, const std::vector<double>& initial, const ExactRun& run) : end_(run.end) {
+    for (size_t i = 0; i < end_.size(); i += 4) {
+      const double way = std::hypot(end_[i] - initial[i], end_[i + 1] - initial[i + 1]);
+      length_ = std::max({length_, way, scene.bodies[i / 4].radius});
+      speed_ = std::max({speed_, std::hypot(initial[i + 2], initial[i + 3]), std::hypot(end_[i + 2], end_[i + 3])});
+    }
+    speed_ = std::max(speed_, length_ / scene.duration);
+  }
+  bool operator()(const ExactRun& other) const {
+    for (size_t i = 0; i < end_.size(); ++i) {
+      if (std::abs(other.end[i] - end_[i]) > kSameEnd * (i % 4 < 2 ? length_ : speed_)) return false;
+    }
+    return true;
+  }
+
+ private:
+  const std::vector<double>& end_;
+  double length_ = 0, speed_ = 0;
+};
+
 }  // namespace
 
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
@@ -81,42 +139,57 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
                                    Multiplied(control, to.force),
                                    Multiplied(durations, to.time));
     if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
+    run.end = ConvertStates(std::move(run.end), natural.units, scene.units);
     for (Event& event : run.events) event.time /= to.time;
+    for (ExactRun::Place& place : run.places) place.time /= to.time;
+    for (Tie& tie : run.ambiguous) tie.time /= to.time;
+    if (run.spread) {
+      run.spread->lowest = ConvertLoss(run.spread->lowest, natural.units, scene.units);
+      run.spread->highest = ConvertLoss(run.spread->highest, natural.units, scene.units);
+    }
     return run;
   }
-  ExactRun run;
+  const auto refuse = [](const std::string& reason) {
+    ExactRun run;
+    run.reason = reason;
+    return run;
+  };
   const ModelTraits* exact = ExactModel();
-  if (exact == nullptr) {
-    run.reason = "no event-driven contact model is registered";
-    return run;
-  }
-  run.reason = WhyNotApplicable(exact->name, scene);
-  if (run.reason.empty()) run.reason = WhyNotShaped(scene, initial, control, durations);
-  if (!run.reason.empty()) return run;
+  if (exact == nullptr) return refuse("no event-driven contact model is registered");
+  std::string reason = WhyNotApplicable(exact->name, scene);
+  if (reason.empty()) reason = WhyNotShaped(scene, initial, control, durations);
+  if (!reason.empty()) return refuse(reason);
   Scene part = scene;
   if (!control.empty()) part.steps = static_cast<int>(control.size() / (2 * scene.num_controlled()));
-  run.reason = WhyNotApplicable(exact->name, part);
-  if (!run.reason.empty()) return run;
+  if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
-  std::vector<double> x = initial;
-  if (durations.empty()) {
-    if (!RunEqualIntervals(exact->name, part, control, 0, 0, &x, &run)) return run;
-  } else {
-    double start = 0;
-    for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
-      while (end < durations.size() && durations[end] == durations[begin]) ++end;
-      if (durations[begin] == 0) continue;
-      part.steps = static_cast<int>(end - begin);
-      part.duration = part.steps * durations[begin];
-      const size_t width = 2 * scene.num_controlled();
-      const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
-      if (!RunEqualIntervals(exact->name, part, rows, static_cast<int>(begin), start, &x, &run)) return run;
-      start += part.duration;
-    }
+  const std::string model(exact->name);
+  ExactRun run = SimulateInOrder(model, part, initial, control, durations, 0);
+  if (!run.ok || run.ambiguous.empty()) return run;
+  int orders = 0;
+  for (const Tie& tie : run.ambiguous) orders = std::max(orders, NumTieOrders(tie.num_contacts));
+  const SameEnd same(scene, initial, run);
+  bool decides = false;
+  run.spread = {run.loss, run.loss};
+  for (int order = 1; order <= orders; ++order) {
+    const ExactRun other = SimulateInOrder(model, part, initial, control, durations, order);
+    if (!other.ok) continue;
+    decides = decides || !same(other);
+    run.spread->lowest = std::min(run.spread->lowest, other.loss);
+    run.spread->highest = std::max(run.spread->highest, other.loss);
   }
-  run.ok = true;
-  run.loss += TerminalLoss(scene.objective, x, 4);
+  if (!decides) {
+    run.ambiguous.clear();
+    run.spread.reset();
+  }
   return run;
+}
+
+std::string DescribeTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread) {
+  if (ambiguous.empty() || !spread) return TiesToString(ambiguous);
+  char text[80];
+  std::snprintf(text, sizeof text, "; the loss is %.6g to %.6g", spread->lowest, spread->highest);
+  return TiesToString(ambiguous) + text;
 }
 
 }  // namespace saltus

@@ -112,6 +112,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (audit.own && audit.own->agreement != Agreement::kUndecided) {
     item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
   }
+  AddTies(audit.ambiguous, audit.spread, &item);
   if (audit.recognition) {
     item["class"] = ContactClassToString(audit.recognition->contact_class);
     item["class_evidence"] = RecognitionToJson(*audit.recognition);
@@ -142,6 +143,7 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
                              {"loss", report.reference->loss},
                              {"gradient", GradientToJson(request.scene, report.reference->gradient)},
                              {"events", EventsToJson(report.reference->events)}};
+    AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
   }
   Json audits = Json::array();
   for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));

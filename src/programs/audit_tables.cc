@@ -72,6 +72,7 @@ Tone ToneOf(Verdict verdict) {
       return Tone::kBad;
     case Verdict::kBiased:
     case Verdict::kIllConditioned:
+    case Verdict::kAmbiguous:
       return Tone::kWarning;
     case Verdict::kNotApplicable:
     case Verdict::kUnknown:
@@ -96,7 +97,8 @@ Table GradientTable(const Request& request, const AuditReport& report) {
         std::nullopt);
   }
   if (report.reference) {
-    const std::string name = "exact (" + report.reference->contact + ")";
+    const bool one = report.reference->ambiguous.empty();
+    const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
     add(GradientRow(request.scene, name, *report.reference), std::nullopt);
   }
   return table;

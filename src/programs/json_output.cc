@@ -57,11 +57,20 @@ Json EventsToJson(const std::vector<Event>& events) {
   return list;
 }
 
+void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item) {
+  if (ambiguous.empty()) return;
+  Json& list = (*item)["ambiguous"] = Json::array();
+  for (const Tie& tie : ambiguous) list.push_back({{"time", NumberToJson(tie.time)}, {"bodies", tie.bodies}});
+  if (spread) (*item)["loss_spread"] = {NumberToJson(spread->lowest), NumberToJson(spread->highest)};
+}
+
 Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
   // Whatever loss a solver has minimized, the conditions are those of the exact one.
   Json item = {{"of", "exact_loss"}, {"verdict", VerdictToString(certificate.verdict)}};
   if (!certificate.reason.empty()) item["reason"] = certificate.reason;
-  if (certificate.verdict == Certificate::Verdict::kNotApplicable) return item;
+  AddTies(certificate.ambiguous, std::nullopt, &item);
+  using enum Certificate::Verdict;
+  if (certificate.verdict == kNotApplicable || certificate.verdict == kAmbiguous) return item;
   item["scope"] = ScopeToString(certificate.scope);
   item["sequences_searched"] = certificate.sequences_searched;
   item["stationarity"] = NumberToJson(certificate.stationarity);

@@ -18,6 +18,8 @@ Json VectorsToJson(const std::vector<double>& initial, int offset);
 // [[ [x, y] per controlled disc ] per control interval], from K x C x 2 numbers; [] without control.
 Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 Json EventsToJson(const std::vector<Event>& events);
+// Adds "ambiguous": [{ "time", "bodies" }, ...] and "loss_spread": [lowest, highest], where there are ambiguous ties.
+void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);
 // Without masses there are no derivatives by parameters: null.
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 

@@ -31,13 +31,14 @@ double LargestDefect(const SolveReport& report) {
 }
 
 // What the table has to say of a run.
-std::string Remark(const SolveReport& report) {
+std::string Remark(const SolvedRun& run) {
+  const SolveReport& report = run.report;
   std::ostringstream text;
   const auto add = [&](const auto&... parts) {
     if (text.tellp() > 0) text << "; ";
     (text << ... << parts);
   };
-  if (!report.reason.empty()) add(report.reason);
+  if (const std::string remark = RemarkOn(run); !remark.empty()) add(remark);
   if (report.losses.empty()) return text.str();
   if (IsLess(report.initial_loss, report.final_loss)) add("ends worse than it began");
   if (report.best && IsLess(report.best->loss, report.final_loss)) {
@@ -154,6 +155,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     if (!report.reason.empty()) item["reason"] = report.reason;
     if (!report.losses.empty()) {
       item["events"] = EventsToJson(run.exact.events);
+      AddTies(run.exact.ambiguous, run.exact.spread, &item);
       item["velocity"] = VectorsToJson(report.initial_state, 2);
       item["control"] = ControlToJson(request.scene, report.control);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
@@ -214,7 +216,7 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                   report.seconds,
                   TerminationInWords(report),
                   run.certificate ? VerdictInWords(*run.certificate) : "",
-                  Remark(report)});
+                  Remark(run)});
   }
   std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
 }
@@ -251,6 +253,12 @@ void WriteSolutions(const Request& request, const SolvedRuns& solved) {
     const Status status = WriteNpz(path, arrays);
     if (!status.ok()) throw OutputError(status.message());
   }
+}
+
+std::string RemarkOn(const SolvedRun& run) {
+  const std::string& reason = run.report.reason;
+  if (run.exact.ambiguous.empty()) return reason;
+  return reason + (reason.empty() ? "" : "; ") + "ambiguous: " + DescribeTies(run.exact.ambiguous, run.exact.spread);
 }
 
 int SolveExitCode(const SolvedRuns& solved) {

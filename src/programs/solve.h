@@ -17,6 +17,9 @@ struct SolvedRun {
   std::optional<Certificate> certificate;
 };
 
+// The report's reason, and what is ambiguous in its exact run.
+std::string RemarkOn(const SolvedRun& run);
+
 // Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
 // number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
 // Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.

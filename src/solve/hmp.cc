@@ -49,6 +49,7 @@ Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const Ex
     certificate.impacts.push_back(std::move(item));
   }
   Judge(&certificate);
+  JudgeTies(exact.ambiguous, &certificate);
   return certificate;
 }
 

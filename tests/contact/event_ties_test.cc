@@ -471,8 +471,8 @@ TEST(EventTies, WhereOrdersAgreeTheGradientIsThatOfOneOfThem) {
 TEST(EventTies, OrdersOfManyContacts) {
   EXPECT_EQ(NumTieOrders(2), 2);
   EXPECT_EQ(NumTieOrders(4), 24);
-  EXPECT_EQ(NumTieOrders(5), 120);
-  EXPECT_EQ(NumTieOrders(40), 120);
+  EXPECT_EQ(NumTieOrders(5), 24);
+  EXPECT_EQ(NumTieOrders(40), 24);
   for (int n : {1, 2, 3, 4, 5, 6, 17}) {
     std::vector<std::vector<int>> all;
     for (int order = 1; order <= NumTieOrders(n); ++order) {
@@ -484,7 +484,7 @@ TEST(EventTies, OrdersOfManyContacts) {
       for (int i = 0; i < n; ++i) ASSERT_EQ(contacts[i], i);
     }
     std::sort(all.begin(), all.end());
-    if (n <= 5) {
+    if (n <= 4) {
       EXPECT_EQ(std::unique(all.begin(), all.end()), all.end());
     }
   }

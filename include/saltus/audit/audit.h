@@ -54,7 +54,8 @@ struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
   // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate; kNotApplicable where
-  // the reference is of another world than the model.
+  // the reference is of another world than the model. kAmbiguous if the exact gradient is; then there are no error and
+  // no studies but the width sweep.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for
@@ -63,6 +64,8 @@ struct ModelAudit {
   std::optional<OwnDifferences> own;              // likewise, unless it is biased
   std::string not_comparable;                     // why verdict is kNotApplicable
   bool interrupted = false;                       // before all that was asked for was found; the verdict may be missing
+  std::vector<Tie> ambiguous;                     // those of the reference
+  std::optional<LossSpread> spread;               // likewise
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;

@@ -22,7 +22,7 @@ struct GivenEntry {
   std::string entry;  // as of EntryNames, controls by step
   double given = 0, exact = 0;
   // kRight within the tolerance, or 1e-6 of the quantity's largest entry; else kWrongSign or kWrong. One gradient
-  // cannot show whether its error falls with the step: none is merely consistent.
+  // cannot show whether its error falls with the step: none is merely consistent. kAmbiguous if the exact gradient is.
   Verdict verdict = Verdict::kUnknown;
 };
 

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "saltus/control/exact_run.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/dynamics/events.h"
 #include "saltus/dynamics/simulator.h"
@@ -21,6 +22,11 @@ struct ModelGradient {
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
+
+  // Where another order of impacts at the same time leads elsewhere: the gradient is that of one order, and the loss
+  // jumps.
+  std::vector<Tie> ambiguous;        // of models that resolve impact times
+  std::optional<LossSpread> spread;  // of the loss over the orders; of ExactGradientOf() only
 
   // If set, `gradient` is biased: this surrogate of the loss's derivative, not the derivative itself.
   std::optional<Surrogate> surrogate;

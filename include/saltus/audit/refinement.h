@@ -13,6 +13,7 @@
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
 //   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
 //   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
+//   ambiguous    there is no gradient: the order of impacts at the same time decides (dynamics/events.h, Tie)
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
@@ -31,7 +32,17 @@
 
 namespace saltus {
 
-enum class Verdict { kRight, kConsistent, kWrong, kWrongSign, kUnknown, kBiased, kIllConditioned, kNotApplicable };
+enum class Verdict {
+  kRight,
+  kConsistent,
+  kWrong,
+  kWrongSign,
+  kUnknown,
+  kBiased,
+  kIllConditioned,
+  kNotApplicable,
+  kAmbiguous
+};
 const char* VerdictToString(Verdict verdict);  // as above
 // kWrong or kWrongSign.
 bool IsWrong(Verdict verdict);
@@ -76,7 +87,7 @@ struct QuantityStudy {
 };
 
 struct RefinementStudy {
-  std::string reason;  // why there is none: no exact gradient, or a rollout that is not finite
+  std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;
   std::vector<QuantityStudy> quantities;  // those that the scene has
   // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that

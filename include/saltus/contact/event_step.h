@@ -28,6 +28,7 @@ class EventStep {
         discs_(in.scratch),
         pairs_(in.candidates.size(), in.scratch),
         tied_(in.scratch),
+        trial_(in.scratch),
         group_(in) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
@@ -82,6 +83,15 @@ class EventStep {
     bool stopping = false;   // held, and its next event is that sliding ends
     int reported_mode = -1;  // of the last report as a sustained contact
     double tied = -kNever;   // s, when it was last looked at as a part of a tie
+  };
+
+  // What there was before an order of tied impacts was tried, and what the first of the orders led to.
+  struct TieTrial {
+    explicit TieTrial(std::pmr::memory_resource* scratch)
+        : tied(scratch), discs(scratch), outcome(scratch), pairs(scratch) {}
+    std::pmr::vector<int> tied;
+    std::pmr::vector<EventDisc<T>> discs, outcome;
+    std::pmr::vector<Pair> pairs;
   };
 
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
@@ -302,48 +312,54 @@ class EventStep {
     std::sort(tied_.begin(), tied_.end());
   }
 
-  // The impacts among tied_, which lists them in order of preference.
-  void TakeTied(double time) {
+  // The impacts among tied_, which lists them in order of preference. True if there was ever a choice.
+  bool TakeTied(double time) {
     const bool inelastic = inelastic_;
-    const auto closes = [&](int r) { return ApproachAt(CandidateOf(r), time).speed < -kSlowSpeed; };
-    const auto hit = [&](int r) {
+    bool choice = false;
+    for (int count = 0; count < 2 * kMostTiedImpacts; ++count) {
+      int next = -1;
+      for (int r : tied_) {
+        if (ApproachAt(CandidateOf(r), time).speed >= -kSlowSpeed) continue;
+        choice = choice || next >= 0;
+        if (next < 0) next = r;
+        if (choice) break;
+      }
+      if (next < 0) break;
+      inelastic_ = inelastic || count >= kMostTiedImpacts;
       ++order_;
-      Impact(CandidateOf(r), ImpactTime(CandidateOf(r), time));
-    };
-    if (!TakeInOrder(tied_, kMostTiedImpacts, closes, hit)) {
-      inelastic_ = true;
-      TakeInOrder(tied_, kMostTiedImpacts, closes, hit);
+      Impact(CandidateOf(next), ImpactTime(CandidateOf(next), time));
     }
     inelastic_ = inelastic;
+    return choice;
   }
 
   // Tries the orders, and takes everything back.
   bool OrderMatters(double time) {
-    const std::pmr::vector<int> tied(tied_, in_.scratch);
-    const std::pmr::vector<EventDisc<T>> discs(discs_, in_.scratch);
-    const std::pmr::vector<Pair> pairs(pairs_, in_.scratch);
-    std::pmr::vector<EventDisc<T>> outcome(discs_, in_.scratch);
-    const int order = order_;
-    const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
     double fastest = 0;
     for (int r : tied_) fastest = std::max(fastest, -ApproachAt(CandidateOf(r), time).speed);
+    if (fastest <= kTieSlowSpeed) return false;
     const double same = kTieSpeed * fastest + kTieSlowSpeed;
-
-    bool matters = false;
-    for (int k = 1; k <= NumTieOrders(static_cast<int>(tied.size())) && !matters; ++k) {
-      tied_ = tied;
+    TieTrial& trial = trial_;
+    trial.tied = tied_;
+    trial.discs = discs_;
+    trial.pairs = pairs_;
+    const int order = order_;
+    const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
+    bool matters = false, choice = true;
+    for (int k = 1; k <= NumTieOrders(static_cast<int>(tied_.size())) && choice && !matters; ++k) {
+      tied_ = trial.tied;
       ArrangeTie(k, tied_);
-      TakeTied(time);
-      if (k == 1) outcome = discs_;
+      choice = TakeTied(time) || k > 1;
+      if (k == 1) trial.outcome = discs_;
       for (std::size_t i = 0; i < discs_.size(); ++i) {
-        matters = matters || (outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
+        matters = matters || (trial.outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
       }
-      discs_ = discs;
-      pairs_ = pairs;
+      discs_ = trial.discs;
+      pairs_ = trial.pairs;
       order_ = order;
       if (in_.touches != nullptr) in_.touches->resize(touches);
     }
-    tied_ = tied;
+    tied_ = trial.tied;
     return matters;
   }
 
@@ -479,6 +495,7 @@ class EventStep {
   std::pmr::vector<EventDisc<T>> discs_;
   std::pmr::vector<Pair> pairs_;
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
+  TieTrial trial_;
   int order_ = 0;
   bool inelastic_ = false;
   Group group_;

@@ -8,7 +8,6 @@
 // compared.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 #include <span>
 
@@ -37,24 +36,12 @@ inline constexpr double kTieRounding = 1e-13;
 inline constexpr double kTieSpeed = 1e-6;
 inline constexpr double kTieSlowSpeed = 10 * kSlowSpeed;
 // Impacts of one tie, after which they have no restitution.
-inline constexpr int kMostTiedImpacts = 1000;
+inline constexpr int kMostTiedImpacts = 200;
 
 // distance: at which the two touch, size: of the coordinates of the discs, m.
 inline bool MeetsNow(const Approach& approach, double distance, double size, double h) {
   if (approach.Touching() || approach.gap <= kTieRounding * size) return true;
   return approach.gap <= kTieGap * distance && approach.gap <= kTieTime * h * std::abs(approach.speed);
-}
-
-// Calls hit(contact) for the first of `order` for which closes(contact), until none closes. True if that came to an
-// end.
-template <typename Closes, typename Hit>
-bool TakeInOrder(std::span<const int> order, int most_impacts, const Closes& closes, const Hit& hit) {
-  for (int count = 0; count < most_impacts; ++count) {
-    const auto next = std::find_if(order.begin(), order.end(), closes);
-    if (next == order.end()) return true;
-    hit(*next);
-  }
-  return false;
 }
 
 }  // namespace internal

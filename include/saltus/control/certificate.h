@@ -28,6 +28,7 @@
 #include <string>
 #include <vector>
 
+#include "saltus/dynamics/events.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -63,11 +64,13 @@ struct Certificate {
     kStationary,        // all conditions hold
     kStationaryOnGrid,  // not so, but the gradient on the given intervals vanishes, each theta being in [0, 1]
     kNotStationary,
+    kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply
     kNotApplicable,
   };
   Verdict verdict = Verdict::kNotApplicable;
   // Which condition fails worst, that it is no minimum though all hold, or why there is nothing to certify.
   std::string reason;
+  std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
 
   double stationarity = 0;
   double costate_jump = 0;
@@ -94,8 +97,8 @@ struct Certificate {
   int sequences_searched = 0;
 };
 
-// "stationary", "stationary_on_grid", "not_stationary", "not_applicable"; "local", "best_of_searched"; "minimum",
-// "saddle", "flat".
+// "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable"; "local", "best_of_searched";
+// "minimum", "saddle", "flat".
 const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 const char* CurvatureToString(Curvature::Kind kind);
@@ -118,5 +121,7 @@ std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<doubl
 
 // From the residuals, the thetas and the curvature to verdict and reason.
 void Judge(Certificate* certificate);
+// If there are ties, the verdict is kAmbiguous.
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate);
 
 }  // namespace saltus

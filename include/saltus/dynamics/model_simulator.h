@@ -219,6 +219,8 @@ class ModelSimulator final : public Simulator {
   // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
   // those of the published programs to the last digits.
   static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
+  // Of a rollout with more tied contacts than this, later ties are not looked for.
+  static constexpr std::size_t kMostTies = 256;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
 
   // The discs of one island as a scene of their own.
@@ -414,7 +416,7 @@ class ModelSimulator final : public Simulator {
     local.solved.Clear();
     StepInput<S> in = LocalInput(*work);
     in.touches = &local.touches;
-    in.ties = &local.ties;
+    if (ties_.size() < kMostTies) in.ties = &local.ties;
     model_.Step(in, std::span<const State>(local.x), std::span<State>(local.next));
     work->scratch.Release();
     CheckStep(

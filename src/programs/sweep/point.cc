@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "programs/audit.h"
+#include "programs/solve.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/table.h"
@@ -35,27 +36,24 @@ PointStatus StatusOf(Termination termination) {
   return failed ? PointStatus::kFailed : PointStatus::kComputed;
 }
 
-SweepValue ExactLoss(const Request& request, const SolveReport& report) {
-  const ExactRun exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
-  return exact.ok ? FiniteOrNothing(exact.loss) : SweepValue();
-}
-
 PointResult SolvePoint(const Request& request, double seconds, PointResult result) {
   const Clock::time_point deadline =
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
   SolverOptions options = request.options;
   if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
-  const SolveReport report =
-      Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  SolvedRun run;
+  run.report = Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  const SolveReport& report = run.report;
   result.status = StatusOf(report.termination);
   const std::vector<double>& losses = report.losses;
   if (losses.empty()) {
     result.row.resize(result.row.size() + 7);
   } else {
+    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
     Append({FiniteOrNothing(report.initial_loss),
             FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
             FiniteOrNothing(report.final_loss),
-            ExactLoss(request, report),
+            run.exact.ok ? FiniteOrNothing(run.exact.loss) : SweepValue(),
             int64_t{report.iterations},
             int64_t{report.evaluations},
             report.seconds},
@@ -63,7 +61,7 @@ PointResult SolvePoint(const Request& request, double seconds, PointResult resul
   }
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
-  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : report.reason},
+  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : RemarkOn(run)},
          &result.row);
   return result;
 }
@@ -95,9 +93,13 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     return result;
   }
   SweepValue error;
-  const std::string not_comparable = WhyNotComparable(request.contacts[0], request.scene);
-  if (const auto exact = not_comparable.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
-    error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+  std::string remark = WhyNotComparable(request.contacts[0], request.scene);
+  if (const auto exact = remark.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
+    if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
+      remark = "ambiguous: " + ties;
+    } else {
+      error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+    }
   }
   Append({FiniteOrNothing(gradient.loss),
           FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
@@ -109,7 +111,7 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
     Append({FiniteOrNothing(norm)}, &result.row);
   }
-  Append({not_comparable}, &result.row);
+  Append({remark}, &result.row);
   return result;
 }
 

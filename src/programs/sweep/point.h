@@ -14,6 +14,7 @@ namespace saltus {
 //   initial_loss, loss_before_last, final_loss, exact_loss, iterations, evaluations, seconds, termination, reason,
 // a gradient (at the initial guess)
 //   loss, norm_dposition, norm_dvelocity, norm_dcontrol (of its parts), relative_error (to the exact one), reason,
+// where the reason of a row with results names ambiguous ties (a gradient then has no relative_error),
 // and before either, of a surrogate: surrogate, and of biased gradients: biased ("yes" or "no"). Before the reason of a
 // gradient that was estimated comes norm_standard_error (over the initial state and the control).
 std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias);
