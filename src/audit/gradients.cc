@@ -2,6 +2,9 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
@@ -15,6 +18,12 @@ void FillIn(std::unique_ptr<Simulator> simulator, ModelGradient* result) {
   result->num_steps = shooting.simulator().num_steps();
   if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
     result->reason = "the rollout is not finite";
+    return;
+  }
+  const auto is_finite = [](double entry) { return std::isfinite(entry); };
+  if (!std::ranges::all_of(result->gradient.initial, is_finite) ||
+      !std::ranges::all_of(result->gradient.control, is_finite)) {
+    result->reason = "the gradient is not finite";
     return;
   }
   result->events = EventsOf(shooting.simulator());
@@ -67,6 +76,9 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   result.contact = contact;
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(MakeSimulator(contact, scene, precision), &result);
+  if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
+    result.one_sided = OneSidedDerivatives(scene);
+  }
   return result;
 }
 

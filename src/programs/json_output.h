@@ -20,6 +20,8 @@ Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 Json EventsToJson(const std::vector<Event>& events);
 // Without masses there are no derivatives by parameters: null.
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
+// Entries of a gradient that exist from one side only.
+Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 
 // The conditions of the minimum principle, see saltus/control/certificate.h.
 Json CertificateToJson(const Certificate& certificate);

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory_resource>
 #include <type_traits>
 #include <vector>
@@ -48,21 +49,23 @@ class EventStep {
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
-      if (q < 0) break;
+      if (q < 0) return CloseCurvedContacts();
       ++order_;
       Resolve(q);
+      if (failed_) return;
       for (int other = 0; other < num_pairs(); ++other) {
         if (IsDirty(other)) Predict(other);
       }
       for (EventDisc<T>& disc : discs_) disc.dirty = false;
     }
-    CloseCurvedContacts();
+    failed_ = true;
   }
 
-  // Whether an event concerned disc i, and if so its state at the end of the step.
+  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too many
+  // events, or forces were not found.
   bool Moved(int i) const { return discs_[i].moved; }
   SALTUS_FLATTEN State End(int i) const {
-    const T end(in_.h);
+    const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
     return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
   }
 
@@ -160,7 +163,8 @@ class EventStep {
     }
     const Approach approach = ApproachAt(c, time);
     if (approach.speed < -kSlowSpeed) {
-      Impact(c, ImpactTime(c, time));
+      const bool pressed = approach.Pushing() && TouchesAlone(q, time);
+      Impact(c, ImpactTime(c, time), pressed);
       return;
     }
     const T slow_time = SlowTime(c, time, approach);
@@ -242,7 +246,21 @@ class EventStep {
     }
   }
 
-  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time) {
+  // Whether the discs of pair q touch nothing else.
+  bool TouchesAlone(int q, double time) const {
+    const Candidate& c = CandidateOf(q);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+      if (other == q || (!shares(c.a) && (c.plane || !shares(c.b)))) continue;
+      if (ApproachAt(d, time).gap <= kContactGap) return false;
+    }
+    return true;
+  }
+
+  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
+  // of a contact at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time, bool pressed) {
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = LastSeparation(c);
@@ -250,10 +268,14 @@ class EventStep {
     const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
     const T& friction = in_.contact.friction;
     const T mass = in_.EffectiveMass(c);
-    const T bounce = inelastic_ ? T(1.0) : T(in_.contact.restitution + 1.0);
+    const bool last = pressed && -Value(in_.contact.restitution) * Value(speed) <= kSlowSpeed;
+    const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
     const T normal_impulse = -bounce * mass * speed;
-    T tangential_impulse = -friction * SignOf(sliding) * normal_impulse;
     ContactMode mode = Value(friction) > 0 ? ContactMode::kSlip : ContactMode::kFrictionless;
+    // Without friction only the derivative by it is left of this impulse: none head-on, where any friction sticks.
+    const bool head_on = mode == ContactMode::kFrictionless &&
+                         std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
+    T tangential_impulse = -friction * (head_on ? 0.0 : SignOf(sliding)) * normal_impulse;
     if (mode == ContactMode::kSlip && !(Value(mass) * std::abs(Value(sliding)) > std::abs(Value(tangential_impulse)))) {
       mode = ContactMode::kStick;
       tangential_impulse = -mass * sliding;
@@ -276,7 +298,8 @@ class EventStep {
     Join(q, time);
     while (Grow(time)) {
     }
-    group_.SolveForces();
+    failed_ = !group_.SolveForces();
+    if (failed_) return;
     for (const auto& contact : group_.contacts()) {
       const Candidate& c = CandidateOf(contact.pair);
       if (contact.closed || ApproachAt(c, Value(time)).speed >= -kStillSpeed) continue;
@@ -391,6 +414,7 @@ class EventStep {
   std::pmr::vector<Pair> pairs_;
   int order_ = 0;
   bool inelastic_ = false;
+  bool failed_ = false;
   Group group_;
 };
 
