@@ -10,6 +10,8 @@ namespace {
 
 constexpr int kMaxSweeps = 20000;
 constexpr int kFirstSweeps = 32;      // before the first direct solution
+constexpr int kLongSweeps = 1024;     // before all guesses are tried
+constexpr int kMostGuesses = 4096;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
 constexpr double kExact = 1e-12;      // likewise, of a direct solution
 constexpr double kWedged = 1e9;       // likewise
@@ -62,23 +64,39 @@ struct ForceRow {
   double turning;
 };
 
-// Contacts that press, under the guess that those which stick, slip and are open now are those of the solution: one
-// linear system, from the forces as they are to the nearest that solve it. False, and nothing changed, if the guess is
-// wrong.
+// What a contact may be found to do.
+enum class Guess : char { kOpen, kLeft, kRight, kStick };  // kLeft, kRight: its friction is at that bound, - or +
+
+// As the forces are now.
+Guess GuessOf(double friction, const PressingContact& c) {
+  if (c.normal_force <= 0) return Guess::kOpen;
+  if (c.sliding != 0) return c.sliding > 0 ? Guess::kLeft : Guess::kRight;
+  if (std::abs(c.tangential_force) < friction * c.normal_force) return Guess::kStick;
+  return c.tangential_force < 0 ? Guess::kLeft : Guess::kRight;
+}
+
+// The guess after this one; kOpen after the last.
+Guess NextGuess(double friction, const PressingContact& c, Guess guess) {
+  if (guess == Guess::kStick) return Guess::kOpen;
+  if (friction > 0 && c.sliding == 0) return static_cast<Guess>(static_cast<char>(guess) + 1);
+  return guess != Guess::kOpen ? Guess::kOpen : c.sliding > 0 ? Guess::kLeft : Guess::kRight;
+}
+
+// The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest that
+// solve it. False, and nothing changed, if the guess is wrong.
 bool SolveDirectly(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
-                   std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+                   std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
   std::vector<ForceRow> rows;
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
     const PressingContact& c = contacts[k];
     const Vec2d tangent = Perpendicular(c.normal);
-    if (c.normal_force <= 0) continue;
-    const double bound = friction * c.normal_force;
-    if (c.sliding == 0 && std::abs(c.tangential_force) < bound) {
+    if (guesses[k] == Guess::kOpen) continue;
+    if (guesses[k] == Guess::kStick) {
       rows.push_back({k, c.normal, c.normal, c.turning});
       rows.push_back({k, tangent, tangent, 0});
       continue;
     }
-    const double share = c.sliding != 0 ? -friction * c.sliding : std::copysign(friction, c.tangential_force);
+    const double share = guesses[k] == Guess::kLeft ? -friction : friction;
     rows.push_back({k, c.normal, c.normal + share * tangent, c.turning});
   }
   const int n = static_cast<int>(rows.size());
@@ -135,15 +153,44 @@ bool SolveDirectly(double friction, double scale, std::span<const double> invers
   return true;
 }
 
+// Tries all guesses, from no forces. False if none is right.
+bool TryAllGuesses(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
+                   std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+  std::vector<PressingContact> none(contacts.begin(), contacts.end());
+  for (PressingContact& c : none) c.normal_force = c.tangential_force = 0;
+  std::vector<Guess> guesses(contacts.size(), Guess::kOpen);
+  for (;;) {
+    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, none)) {
+      std::copy(none.begin(), none.end(), contacts.begin());
+      return true;
+    }
+    std::size_t k = 0;
+    for (; k < guesses.size(); ++k) {
+      guesses[k] = NextGuess(friction, contacts[k], guesses[k]);
+      if (guesses[k] != Guess::kOpen) break;
+    }
+    if (k == guesses.size()) return false;
+  }
+}
+
+double NumGuesses(double friction, std::span<const PressingContact> contacts) {
+  double number = 1;
+  for (const PressingContact& c : contacts) number *= friction > 0 && c.sliding == 0 ? 4 : 2;
+  return number;
+}
+
 }  // namespace
 
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                              std::span<PressingContact> contacts) {
   const std::vector<Vec2d> given(acceleration.begin(), acceleration.end());
+  std::vector<Guess> guesses(contacts.size());
   double scale = 0;
   for (PressingContact& c : contacts) {
     c.normal_force = c.tangential_force = 0;
-    scale = std::max({scale, RelativeAcceleration(c, acceleration).norm(), c.turning});
+    const double given_here = RelativeAcceleration(c, acceleration).norm();
+    if (!std::isfinite(given_here) || !std::isfinite(c.turning)) return Pressing::kUnsolved;
+    scale = std::max({scale, given_here, c.turning});
   }
   int direct = kFirstSweeps;
   for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {
@@ -153,7 +200,12 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
     if (change > kWedged * scale) return Pressing::kWedged;
     if (sweep < direct) continue;
     direct *= 2;
-    if (SolveDirectly(friction, scale, inverse_mass, given, acceleration, contacts)) return Pressing::kSolved;
+    for (std::size_t k = 0; k < contacts.size(); ++k) guesses[k] = GuessOf(friction, contacts[k]);
+    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, contacts)) return Pressing::kSolved;
+    if (sweep != kLongSweeps || NumGuesses(friction, contacts) > kMostGuesses) continue;
+    if (TryAllGuesses(friction, scale, inverse_mass, given, acceleration, contacts)) return Pressing::kSolved;
+    const auto slides = [](const PressingContact& c) { return c.sliding != 0; };
+    return std::ranges::any_of(contacts, slides) ? Pressing::kWedged : Pressing::kUnsolved;
   }
   return Pressing::kUnsolved;
 }

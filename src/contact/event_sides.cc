@@ -142,15 +142,10 @@ bool LossHasVelocities(const Scene& scene) {
 
 // Several contacts, of which some that stick are pressed along themselves.
 bool IsHeldByFriction(const Group& group) {
-  int closed = 0;
-  bool held = false;
-  for (const Group::Contact& contact : group.contacts()) {
-    if (!contact.closed) continue;
-    ++closed;
-    held = held || (contact.mode == ContactMode::kStick &&
-                    std::abs(contact.force.tangential_force) > kNoComponent * contact.force.normal_force);
-  }
-  return closed > 1 && held;
+  return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const Group::Contact& contact) {
+           return contact.closed && contact.mode == ContactMode::kStick &&
+                  std::abs(contact.force.tangential_force) > kNoComponent * contact.force.normal_force;
+         });
 }
 
 void AddPressed(const Scene& scene, const Start& start, const Group& group, Sides* sides) {
@@ -178,8 +173,8 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
     sides->AddOneSided(c, Quantity::kVelocity, slides + friction * (1 + restitution) * normal);
     const Vec2d a = start.discs[c.a].a - (c.plane ? Vec2d(0, 0) : start.discs[c.b].a);
     const bool alone = group.contacts().size() == 1;
-    const bool slips = Dot(slides, a) >= -friction * (1 + restitution) * Dot(normal, a);
-    if (restitution > 0 && !(alone && slips)) sides->AddNone(c, Quantity::kPosition, normal);
+    const bool slips = restitution == 0 || Dot(slides, a) >= -friction * (1 + restitution) * Dot(normal, a);
+    if (!alone || !slips) sides->AddNone(c, Quantity::kPosition, normal);
   }
 }
 

@@ -9,7 +9,8 @@
 //   f_t = -mu f_n sign(v_t)                     where they do
 //
 // Projected Gauss-Seidel, in the order of the contacts, finds which contacts press, stick and slip; where it takes long,
-// as in a high stack, the forces then come from one linear system. Where all discs that touch slide, friction can wedge
+// as in a high stack, the forces then come from one linear system; where it goes in circles, all possibilities are tried,
+// if there are few contacts. Where all discs that touch slide, friction can wedge
 // them in: then no forces satisfy this, only an impulse that ends the sliding does.
 #pragma once
 
@@ -32,8 +33,8 @@ struct PressingContact {
 
 enum class Pressing {
   kSolved,
-  kWedged,    // the discs wedge
-  kUnsolved,  // forces were not found within the limit of iterations
+  kWedged,    // the discs wedge: it diverges, or none of all possibilities is one
+  kUnsolved,  // forces were not found within the limit of iterations, or what is given is not finite
 };
 
 // Overwrites the forces, and `acceleration` (per disc, m/s^2) with the one under them. inverse_mass: per disc, 1/kg; 0

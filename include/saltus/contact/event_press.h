@@ -84,11 +84,13 @@ class PressedGroup {
     for (std::size_t k = 0; k < contacts_.size(); ++k) {
       PressingContact& force = contacts_[k].force;
       if (wedged_) force.sliding = force.turning = 0;
-      force.normal_force = found[1 + 2 * k];
-      force.tangential_force = found[2 + 2 * k];
+      force.normal_force = found[1 + 3 * k];
+      force.tangential_force = found[2 + 3 * k];
       largest = std::max(largest, force.normal_force);
     }
-    for (Contact& contact : contacts_) Classify(Value(in_.contact.friction), 1e-12 * largest, &contact);
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      Classify(Value(in_.contact.friction), 1e-12 * largest, found[3 + 3 * k], &contacts_[k]);
+    }
     return true;
   }
 
@@ -205,7 +207,8 @@ class PressedGroup {
   }
   void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
 
-  // Whether the discs wedge, and the normal and the tangential force of each contact; nothing if there is no solution.
+  // Whether the discs wedge, and of each contact the normal and the tangential force and the acceleration along its
+  // tangent; nothing if there is no solution.
   std::pmr::vector<double> FindForces() {
     std::pmr::vector<double> found(in_.scratch);
     Pressing pressing = TryForces();
@@ -219,6 +222,8 @@ class PressedGroup {
     for (const PressingContact& force : forces_) {
       found.push_back(force.normal_force);
       found.push_back(force.tangential_force);
+      const Vec2d a = acceleration_[force.a] - (force.b >= 0 ? acceleration_[force.b] : Vec2d(0, 0));
+      found.push_back(Dot(Perpendicular(force.normal), a));
     }
     return found;
   }
@@ -245,16 +250,19 @@ class PressedGroup {
     f.normal = at.normal;
     f.mass = Value(in_.EffectiveMass(c));
     const double sliding = SlidingSpeed(*contact);
-    const bool may_stick = Value(in_.contact.friction) > 0 && std::abs(sliding) <= kStickSpeed;
-    f.sliding = may_stick ? 0 : (sliding > 0) - (sliding < 0);
+    const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
+    f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     f.turning = c.plane || at.distance == 0 || may_stick ? 0.0 : sliding * sliding / at.distance;
   }
 
-  static void Classify(double friction, double open, Contact* contact) {
+  // `along`: the acceleration along the tangent.
+  static void Classify(double friction, double open, double along, Contact* contact) {
     PressingContact& f = contact->force;
     contact->closed = f.normal_force > open;
     if (!(friction > 0)) {
       contact->mode = ContactMode::kFrictionless;
+      // By friction there is a derivative where it slides, or begins to.
+      if (f.sliding == 0) f.sliding = (along > kPushing) - (along < -kPushing);
       return;
     }
     const double bound = friction * f.normal_force;
