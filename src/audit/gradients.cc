@@ -2,6 +2,9 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
@@ -21,6 +24,12 @@ void FillIn(std::string_view contact, const Scene& scene, Precision precision, c
     const std::string why = shooting.simulator().WhyFailed();
     result->reason = why.empty() ? "the loss is not finite" : "the rollout fails: " + why;
     if (shooting.stopped()) result->reason = kStopped;
+    return;
+  }
+  const auto is_finite = [](double entry) { return std::isfinite(entry); };
+  if (!std::ranges::all_of(result->gradient.initial, is_finite) ||
+      !std::ranges::all_of(result->gradient.control, is_finite)) {
+    result->reason = "the gradient is not finite";
     return;
   }
   result->loss = ConvertLoss(result->loss, near.units, scene.units);
@@ -83,6 +92,9 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(contact, scene, precision, stop, &result);
+  if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
+    result.one_sided = OneSidedDerivatives(InNaturalUnits(scene));
+  }
   return result;
 }
 

@@ -48,6 +48,27 @@ double Distance(const std::vector<double>& a, const std::vector<double>& b) {
   return Norm(difference);
 }
 
+// The entries, but 0 for those whose names are in `left_out`.
+std::vector<double> Without(const std::vector<std::string>& left_out, const std::vector<std::string>& names,
+                            std::vector<double> entries) {
+  for (size_t i = 0; i < entries.size(); ++i) {
+    if (std::ranges::find(left_out, names[i]) != left_out.end()) entries[i] = 0;
+  }
+  return entries;
+}
+
+// Names, as of EntryNames, of the entries of `exact` that are derivatives from one side or none.
+std::vector<std::string> OneSidedNames(const Scene& scene, const ModelGradient& exact, Quantity quantity) {
+  std::vector<std::string> names;
+  for (const OneSided& entry : exact.one_sided) {
+    const bool position = entry.quantity == OneSided::Quantity::kPosition;
+    if (quantity != (position ? Quantity::kPosition : Quantity::kVelocity)) continue;
+    names.push_back((position ? "p" : "v") + std::string(entry.component == 0 ? "x " : "y ") +
+                    scene.bodies[entry.body].name);
+  }
+  return names;
+}
+
 // The control is compared over at most eight parts of the horizon, each of several steps.
 int NumIntervals(const Scene& scene) {
   int intervals = 1;
@@ -141,17 +162,20 @@ int Badness(Verdict verdict) {
 
 Verdict Overall(const RefinementStudy& study) {
   Verdict worst = Verdict::kRight;
+  bool judged = false;
   const auto worsen = [&](Verdict verdict) {
+    judged = true;
     if (Badness(verdict) > Badness(worst)) worst = verdict;
   };
   for (const QuantityStudy& quantity : study.quantities) {
+    if (!quantity.IsJudged()) continue;
     if (quantity.quantity == Quantity::kPosition || quantity.quantity == Quantity::kVelocity) {
       worsen(quantity.verdict);
     } else if (quantity.quantity == Quantity::kControl && IsWrong(quantity.verdict)) {
       worsen(Verdict::kWrong);
     }
   }
-  return worst;
+  return judged ? worst : Verdict::kUnknown;
 }
 
 // Errors that are no larger than what rounding does to the exact gradient are nobody's.
@@ -190,8 +214,11 @@ class Study {
       QuantityStudy& added = out_.quantities.emplace_back();
       added.quantity = quantity;
       added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);
+      added.one_sided = OneSidedNames(scene, *exact, quantity);
+      names_.push_back(EntryNames(scene, quantity, out_.intervals));
       // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
-      scales_.push_back(std::max(Norm(added.exact), 1e-6 * std::max(1.0, std::abs(exact->loss))));
+      const double norm = Norm(Without(added.one_sided, names_.back(), added.exact));
+      scales_.push_back(std::max(norm, 1e-6 * std::max(1.0, std::abs(exact->loss))));
     }
   }
 
@@ -233,8 +260,13 @@ class Study {
  private:
   void Record(double steps, const std::vector<std::vector<double>>& samples, double scale, int level, size_t q) {
     QuantityStudy& study = out_.quantities[q];
+    const auto judged = [&](const std::vector<double>& entries) {
+      return Without(study.one_sided, names_[q], entries);
+    };
     std::vector<double> errors;
-    for (const std::vector<double>& entries : samples) errors.push_back(Distance(entries, study.exact) / scale);
+    for (const std::vector<double>& entries : samples) {
+      errors.push_back(Distance(judged(entries), judged(study.exact)) / scale);
+    }
     const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
     study.levels.push_back({steps, Median(errors), *smallest, *largest});
     study.finest.clear();
@@ -244,8 +276,7 @@ class Study {
       study.finest.push_back(Median(values));
     }
     if (level == 0) coarsest_.push_back(samples.front());
-    study.wrong_signs =
-        FindWrongSigns(EntryNames(scene_, study.quantity, out_.intervals), study.exact, coarsest_[q], study.finest);
+    study.wrong_signs = FindWrongSigns(names_[q], judged(study.exact), judged(coarsest_[q]), judged(study.finest));
     if (study.levels.size() >= kTail) Judge(options_, &study);
   }
 
@@ -257,6 +288,7 @@ class Study {
   int unit_ = 1;
   int touches_ = 0;  // at the first level
   std::vector<double> scales_;
+  std::vector<std::vector<std::string>> names_;  // of the entries, by quantity
   std::vector<std::vector<double>> coarsest_;
 };
 

@@ -3,12 +3,17 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 namespace saltus {
 namespace {
 
 constexpr int kMaxSweeps = 20000;
+constexpr int kFirstSweeps = 32;      // before the first direct solution
+constexpr int kLongSweeps = 1024;     // before all guesses are tried
+constexpr int kMostGuesses = 4096;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
+constexpr double kExact = 1e-12;      // likewise, of a direct solution
 constexpr double kWedged = 1e9;       // likewise
 constexpr double kRank = 1e-10;
 
@@ -42,22 +47,178 @@ double Relax(double friction, std::span<const double> inverse_mass, std::span<Ve
   return (std::abs(dn) + std::abs(dt)) / c->mass;
 }
 
+// The accelerations under the forces of the contacts.
+void Accelerate(std::span<const double> inverse_mass, std::span<const PressingContact> contacts,
+                std::span<Vec2d> acceleration) {
+  for (const PressingContact& c : contacts) {
+    const Vec2d force = c.normal_force * c.normal + c.tangential_force * Perpendicular(c.normal);
+    acceleration[c.a] += inverse_mass[c.a] * force;
+    if (c.b >= 0) acceleration[c.b] -= inverse_mass[c.b] * force;
+  }
+}
+
+// An acceleration that must vanish, and the force that makes it do so.
+struct ForceRow {
+  int contact;
+  Vec2d measured, push;
+  double turning;
+};
+
+// What a contact may be found to do.
+enum class Guess : char { kOpen, kLeft, kRight, kStick };  // kLeft, kRight: its friction is at that bound, - or +
+
+// As the forces are now.
+Guess GuessOf(double friction, const PressingContact& c) {
+  if (c.normal_force <= 0) return Guess::kOpen;
+  if (c.sliding != 0) return c.sliding > 0 ? Guess::kLeft : Guess::kRight;
+  if (std::abs(c.tangential_force) < friction * c.normal_force) return Guess::kStick;
+  return c.tangential_force < 0 ? Guess::kLeft : Guess::kRight;
+}
+
+// The guess after this one; kOpen after the last.
+Guess NextGuess(double friction, const PressingContact& c, Guess guess) {
+  if (guess == Guess::kStick) return Guess::kOpen;
+  if (friction > 0 && c.sliding == 0) return static_cast<Guess>(static_cast<char>(guess) + 1);
+  return guess != Guess::kOpen ? Guess::kOpen : c.sliding > 0 ? Guess::kLeft : Guess::kRight;
+}
+
+// The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest that
+// solve it. False, and nothing changed, if the guess is wrong.
+bool SolveDirectly(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
+                   std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+  std::vector<ForceRow> rows;
+  for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
+    const PressingContact& c = contacts[k];
+    const Vec2d tangent = Perpendicular(c.normal);
+    if (guesses[k] == Guess::kOpen) continue;
+    if (guesses[k] == Guess::kStick) {
+      rows.push_back({k, c.normal, c.normal, c.turning});
+      rows.push_back({k, tangent, tangent, 0});
+      continue;
+    }
+    const double share = guesses[k] == Guess::kLeft ? -friction : friction;
+    rows.push_back({k, c.normal, c.normal + share * tangent, c.turning});
+  }
+  const int n = static_cast<int>(rows.size());
+  std::vector<PressingContact> solved(contacts.begin(), contacts.end());
+  std::vector<Vec2d> under(given.size());
+  const auto accelerate = [&] {
+    std::copy(given.begin(), given.end(), under.begin());
+    Accelerate(inverse_mass, solved, under);
+  };
+  const auto missing = [&](const ForceRow& row) {
+    return Dot(row.measured, RelativeAcceleration(contacts[row.contact], under)) + row.turning;
+  };
+  if (n > 0) {
+    Eigen::MatrixXd matrix(n, n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) {
+        const PressingContact &p = contacts[rows[i].contact], &q = contacts[rows[j].contact];
+        const auto meet = [&](int body, int other) { return body >= 0 && body == other ? inverse_mass[body] : 0.0; };
+        const double mobility = meet(p.a, q.a) + meet(p.b, q.b) - meet(p.a, q.b) - meet(p.b, q.a);
+        matrix(i, j) = mobility * Dot(rows[i].measured, rows[j].push);
+      }
+    }
+    Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition;
+    decomposition.setThreshold(kRank);
+    decomposition.compute(matrix);
+    // The second time for what rounding leaves of the first.
+    for (int pass = 0; pass < 2; ++pass) {
+      accelerate();
+      Eigen::VectorXd right(n);
+      for (int i = 0; i < n; ++i) right[i] = -missing(rows[i]);
+      const Eigen::VectorXd change = decomposition.solve(right);
+      for (int i = 0; i < n; ++i) {
+        PressingContact& c = solved[rows[i].contact];
+        c.normal_force += change[i] * Dot(c.normal, rows[i].push);
+        c.tangential_force += change[i] * Dot(Perpendicular(c.normal), rows[i].push);
+      }
+    }
+  }
+  accelerate();
+  const double allowed = kExact * scale;
+  for (const ForceRow& row : rows) {
+    if (!(std::abs(missing(row)) <= allowed)) return false;
+  }
+  for (const PressingContact& c : solved) {
+    const Vec2d b = RelativeAcceleration(c, under);
+    const double bound = friction * c.normal_force, slack = allowed * c.mass;
+    const double apart = Dot(c.normal, b) + c.turning, along = Dot(Perpendicular(c.normal), b);
+    if (c.normal_force < 0 || apart < -allowed) return false;
+    if (c.sliding != 0 || c.normal_force == 0) continue;
+    if (std::abs(c.tangential_force) > bound + slack || along * c.tangential_force > allowed * bound) return false;
+  }
+  std::copy(solved.begin(), solved.end(), contacts.begin());
+  std::copy(under.begin(), under.end(), acceleration.begin());
+  return true;
+}
+
+// Tries all guesses, from no forces. False if none is right.
+bool TryAllGuesses(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
+                   std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+  std::vector<PressingContact> none(contacts.begin(), contacts.end());
+  for (PressingContact& c : none) c.normal_force = c.tangential_force = 0;
+  std::vector<Guess> guesses(contacts.size(), Guess::kOpen);
+  for (;;) {
+    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, none)) {
+      std::copy(none.begin(), none.end(), contacts.begin());
+      return true;
+    }
+    std::size_t k = 0;
+    for (; k < guesses.size(); ++k) {
+      guesses[k] = NextGuess(friction, contacts[k], guesses[k]);
+      if (guesses[k] != Guess::kOpen) break;
+    }
+    if (k == guesses.size()) return false;
+  }
+}
+
+double NumGuesses(double friction, std::span<const PressingContact> contacts) {
+  double number = 1;
+  for (const PressingContact& c : contacts) number *= friction > 0 && c.sliding == 0 ? 4 : 2;
+  return number;
+}
+
 }  // namespace
 
-bool SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                         std::span<PressingContact> contacts) {
+Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+                             std::span<PressingContact> contacts) {
+  const std::vector<Vec2d> given(acceleration.begin(), acceleration.end());
+  std::vector<Guess> guesses(contacts.size());
   double scale = 0;
   for (PressingContact& c : contacts) {
     c.normal_force = c.tangential_force = 0;
-    scale = std::max({scale, RelativeAcceleration(c, acceleration).norm(), c.turning});
+    const double given_here = RelativeAcceleration(c, acceleration).norm();
+    if (!std::isfinite(given_here) || !std::isfinite(c.turning)) return Pressing::kUnsolved;
+    scale = std::max({scale, given_here, c.turning});
   }
-  for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
+  int direct = kFirstSweeps;
+  for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {
     double change = 0;
     for (PressingContact& c : contacts) change = std::max(change, Relax(friction, inverse_mass, acceleration, &c));
-    if (change <= kConverged * scale) break;
-    if (change > kWedged * scale) return false;
+    if (change <= kConverged * scale) return Pressing::kSolved;
+    if (change > kWedged * scale) return Pressing::kWedged;
+    if (sweep < direct) continue;
+    direct *= 2;
+    for (std::size_t k = 0; k < contacts.size(); ++k) guesses[k] = GuessOf(friction, contacts[k]);
+    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, contacts)) return Pressing::kSolved;
+    if (sweep != kLongSweeps || NumGuesses(friction, contacts) > kMostGuesses) continue;
+    if (TryAllGuesses(friction, scale, inverse_mass, given, acceleration, contacts)) return Pressing::kSolved;
+    const auto slides = [](const PressingContact& c) { return c.sliding != 0; };
+    return std::ranges::any_of(contacts, slides) ? Pressing::kWedged : Pressing::kUnsolved;
   }
-  return true;
+  return Pressing::kUnsolved;
+}
+
+// In units of the pressing acceleration and the speed 1 of the first impact, so a height of 1/2. Flight k >= 1 lasts
+// 2 e^k; before and after the first impact it is at rest along the tangent, and each later one leaves it with the speed
+// q (e + ... + e^k), q = 2 r - mu (1 + e), or at rest if q < 0. What is left when it bounces no more, it slides.
+double DriftOfBounces(double tangential, double pressing, double friction, double restitution) {
+  const double r = std::abs(tangential) / pressing, e = restitution;
+  const double q = std::max(0.0, 2 * r - friction * (1 + e)), speed = q * e / (1 - e);
+  double drift = 0.5 * r + 2 * (r + speed) * e * e / (1 - e * e);
+  if (speed > 0) drift += 0.5 * speed * speed / (friction - r);
+  return std::copysign(2 * drift, tangential);
 }
 
 void PseudoInvert(int n, std::span<double> matrix) {

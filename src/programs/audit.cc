@@ -76,6 +76,22 @@ Json GivenToJson(const GivenAudit& audit) {
 // Colour is for people only: not in files and pipes, nor where NO_COLOR asks for none.
 bool WantsColour() { return isatty(STDOUT_FILENO) != 0 && std::getenv("NO_COLOR") == nullptr; }
 
+// "exact d/dpy puck: from above only, not judged"
+std::string Describe(const Scene& scene, const OneSided& entry) {
+  const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
+  const std::string name =
+      "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
+  switch (entry.side) {
+    case OneSided::Side::kAbove:
+      return name + ": the exact one exists from above only, and is not judged";
+    case OneSided::Side::kBelow:
+      return name + ": the exact one exists from below only, and is not judged";
+    case OneSided::Side::kNone:
+      break;
+  }
+  return name + ": the exact one does not exist";
+}
+
 }  // namespace
 
 bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
@@ -128,6 +144,9 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   const Table plateaus = PlateauTable(report);
   if (!plateaus.rows().empty()) {
     std::cout << "\n" << request.scene.name << ": differences of the loss\n\n" << plateaus.ToText(colour) << "\n";
+  }
+  if (report.reference) {
+    for (const OneSided& entry : report.reference->one_sided) std::cout << Describe(request.scene, entry) << "\n";
   }
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) std::cout << audit.gradient.contact << ": " << audit.gradient.reason << "\n";

@@ -23,6 +23,7 @@ Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
                           {"entries", EntryNames(scene, quantity.quantity, study.intervals)},
                           {"exact", NumbersToJson(quantity.exact)},
                           {"converges_to", NumbersToJson(quantity.finest)},
+                          {"one_sided", quantity.one_sided},
                           {"wrong_signs", quantity.wrong_signs}});
   }
   return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
@@ -92,6 +93,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (audit.interrupted) item["termination"] = "interrupted";
   item["loss"] = NumberToJson(audit.gradient.loss);
   item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
+  if (!audit.gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, audit.gradient.one_sided);
   if (!audit.gradient.initial_error.empty()) {
     item["standard_error"] = {{"position", VectorsToJson(audit.gradient.initial_error, 0)},
                               {"velocity", VectorsToJson(audit.gradient.initial_error, 2)},
@@ -144,6 +146,9 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
                              {"gradient", GradientToJson(request.scene, report.reference->gradient)},
                              {"events", EventsToJson(report.reference->events)}};
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
+  }
+  if (report.reference && !report.reference->one_sided.empty()) {
+    document["reference"]["one_sided"] = OneSidedToJson(request.scene, report.reference->one_sided);
   }
   Json audits = Json::array();
   for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));

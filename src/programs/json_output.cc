@@ -133,6 +133,17 @@ Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
           {"parameters", ParametersToJson(gradient.parameters)}};
 }
 
+Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
+  Json list = Json::array();
+  for (const OneSided& entry : entries) {
+    list.push_back({{"body", scene.bodies[entry.body].name},
+                    {"quantity", QuantityToString(entry.quantity)},
+                    {"component", entry.component == 0 ? "x" : "y"},
+                    {"side", SideToString(entry.side)}});
+  }
+  return list;
+}
+
 void PrintJson(const Json& document, Precision precision) {
   const StatusOr<std::string> text = DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits);
   CHECK(text.ok()) << text.status().message();

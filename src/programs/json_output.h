@@ -22,6 +22,8 @@ Json EventsToJson(const std::vector<Event>& events);
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);
 // Without masses there are no derivatives by parameters: null.
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
+// Entries of a gradient that exist from one side only.
+Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 
 // The conditions of the minimum principle, see saltus/control/certificate.h.
 Json CertificateToJson(const Scene& scene, const Certificate& certificate);

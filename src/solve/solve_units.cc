@@ -39,6 +39,11 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     convert_loss(&report.final_loss);
   }
   for (double& loss : report.losses) convert_loss(&loss);
+  if (report.best) {
+    convert_loss(&report.best->loss);
+    report.best->initial_state = ConvertStates(std::move(report.best->initial_state), scene.units, si);
+    report.best->control = Multiplied(std::move(report.best->control), to_si.force);
+  }
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
   report.initial_state = ConvertStates(std::move(report.initial_state), scene.units, si);
   report.control = Multiplied(std::move(report.control), to_si.force);

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "saltus/contact/event_sides.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/dynamics/events.h"
@@ -22,6 +23,8 @@ struct ModelGradient {
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
+  // Of an exact gradient: its entries by the initial state that are derivatives from one side, or from none.
+  std::vector<OneSided> one_sided;
 
   // Where another order of impacts at the same time leads elsewhere: the gradient is that of one order, and the loss
   // jumps.

@@ -18,6 +18,9 @@
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
 //
+// Entries whose exact derivative exists from one side only, or from none, are reported but not judged: a model need not
+// share the kink, and has the derivative of its own motion there.
+//
 // Gradients by the control are compared as those by forces held over `intervals` equal parts of the horizon, so that
 // all step counts have the same reference. The study computes in double whatever the scene is simulated in.
 #pragma once
@@ -83,7 +86,10 @@ struct QuantityStudy {
   std::vector<RefinementLevel> levels;   // from coarse to fine
   std::vector<double> exact;             // entries as of EntryNames
   std::vector<double> finest;            // medians over the finest level: what the model converges to
+  std::vector<std::string> one_sided;    // entries that are not judged
   std::vector<std::string> wrong_signs;  // entries that are wrong in sign, at the scene's own steps or at the finest
+
+  bool IsJudged() const { return one_sided.size() < exact.size(); }
 };
 
 struct RefinementStudy {
@@ -91,7 +97,8 @@ struct RefinementStudy {
   int intervals = 0;
   std::vector<QuantityStudy> quantities;  // those that the scene has
   // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that
-  // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter.
+  // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter, nor does a
+  // quantity of which no entry is judged.
   Verdict verdict = Verdict::kUnknown;
   std::optional<Conditioning> conditioning;  // of the exact gradient, measured where a quantity is not right
 

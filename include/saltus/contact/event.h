@@ -16,19 +16,23 @@
 //   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A
 //   row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both walls. Derivatives
 //   are those of this order, even where another order of impacts at the same time leads to the same velocities: there
-//   the loss may have a kink. After kMaxEvents in one step impacts have no restitution.
+//   the loss may have a kink. After kMaxEvents in one step impacts have no restitution; a step with twice as many, or
+//   in which the forces of contacts at rest are not found, fails.
 // Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
 //   (event_ties.h says within which tolerances).
+// Head-on. By mu = 0 there is a derivative from above. An impact whose slip is less than kHeadOn of its speed has none
+//   of it: any friction makes it stick.
 // Grid nodes. An impact in the last kNodeMargin of a step belongs to the next step, which starts with it: its
 //   derivative is the one-sided one with that step's force on both sides of the impact.
 // Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; closing, they meet
 //   at the start, and no position is changed.
 // Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
-//   closed: its normal velocity becomes zero, which ends the bounces of e < 1 after finitely many, and the forces of
-//   event_forces.h keep it closed until other forces or an impact open it. It sticks or slides by Coulomb's law with
-//   the same mu; sliding ends at the exact time, or at once where friction wedges the discs in. Positions and
-//   velocities are projected onto the closed contacts, so derivatives are those of motion that stays on them. Reported
-//   as kSustained, again in every step.
+//   closed: its normal velocity becomes zero, and the forces of event_forces.h keep it closed until other forces or an
+//   impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself end
+//   with a plastic impact, whose impulse is that of all that would follow. It sticks or slides by Coulomb's law with the same mu; sliding
+//   ends at the exact time, or at once where friction wedges the discs in. Derivatives are those of motion that, after
+//   a small disturbance, comes to rest on the contact again; event_sides.h says where they are one-sided. Reported as
+//   kSustained, again in every step.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, and are exactly in contact at the end of each step. Everything else is exact.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or

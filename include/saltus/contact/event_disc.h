@@ -14,6 +14,7 @@ inline constexpr double kSlowSpeed = 1e-6;      // m/s
 inline constexpr double kSharpSpeed = 1e-9;     // m/s; slower impacts have a time without derivative
 inline constexpr double kStillSpeed = 1e-14;    // m/s
 inline constexpr double kStickSpeed = 1e-9;     // m/s
+inline constexpr double kHeadOn = 1e-9;         // of the closing speed
 inline constexpr double kPushing = 1e-11;       // m/s^2
 inline constexpr double kLargestDrift = 3e-11;  // m
 inline constexpr int kMaxEvents = 100000;

@@ -8,7 +8,9 @@
 //   |f_t| <= mu f_n, t.b = 0 unless at a bound  where the two do not slide
 //   f_t = -mu f_n sign(v_t)                     where they do
 //
-// Solved by projected Gauss-Seidel, in the order of the contacts. Where all discs that touch slide, friction can wedge
+// Projected Gauss-Seidel, in the order of the contacts, finds which contacts press, stick and slip; where it takes long,
+// as in a high stack, the forces then come from one linear system; where it goes in circles, all possibilities are tried,
+// if there are few contacts. Where all discs that touch slide, friction can wedge
 // them in: then no forces satisfy this, only an impulse that ends the sliding does.
 #pragma once
 
@@ -21,7 +23,7 @@ namespace saltus {
 struct PressingContact {
   int a = 0;
   int b = -1;                   // -1: a plane
-  Vec2d normal;                 // towards a
+  Vec2d normal{0, 0};           // towards a
   double mass = 0;              // effective mass, kg
   double turning = 0;           // kappa, m/s^2
   int sliding = 0;              // sign of v_t; 0 if the two do not slide
@@ -29,10 +31,21 @@ struct PressingContact {
   double tangential_force = 0;  // N, result; along Perpendicular(normal)
 };
 
+enum class Pressing {
+  kSolved,
+  kWedged,    // the discs wedge: it diverges, or none of all possibilities is one
+  kUnsolved,  // forces were not found within the limit of iterations, or what is given is not finite
+};
+
 // Overwrites the forces, and `acceleration` (per disc, m/s^2) with the one under them. inverse_mass: per disc, 1/kg; 0
-// if it does not move. False if the discs wedge; then neither is of use.
-bool SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                         std::span<PressingContact> contacts);
+// if it does not move. Unless solved, neither is of use.
+Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+                             std::span<PressingContact> contacts);
+
+// How far a disc that rests and sticks is carried along its tangent, as a multiple of the height from which it is dropped
+// on its contact, until it rests again. `pressing` (> 0) and `tangential` are the accelerations at which it flies, m/s^2;
+// |tangential| < friction * pressing. Infinite for restitution 1: it does not come to rest.
+double DriftOfBounces(double tangential, double pressing, double friction, double restitution);
 
 // Pseudo-inverse of a small square matrix, for equations of which some may follow from others. `matrix`: n x n, row by
 // row; overwritten.

@@ -20,9 +20,10 @@ class PressedGroup {
  public:
   struct Contact {
     int pair = 0;  // index of its candidate
-    PressingContact force;
+    PressingContact force = {};
     ContactMode mode = ContactMode::kFrictionless;
     bool closed = false;
+    bool rests = false;   // it is not the last bounces that are cut off here
     bool drifts = false;  // its discs have moved around each other since it was last closed exactly
     bool Curved() const { return force.b >= 0 && mode != ContactMode::kStick; }
   };
@@ -60,9 +61,11 @@ class PressedGroup {
     const Candidate& c = in_.candidates[pair];
     if (!HasDisc(c.a)) Reset(c.a);
     if (!c.plane && !HasDisc(c.b)) Reset(c.b);
-    contacts_.push_back({pair, {}, ContactMode::kFrictionless, false, drifts});
+    contacts_.push_back({.pair = pair, .drifts = drifts});
   }
-  void AddClosed(int pair, ContactMode mode, bool drifts) { contacts_.push_back({pair, {}, mode, true, drifts}); }
+  void AddClosed(int pair, ContactMode mode, bool drifts) {
+    contacts_.push_back({.pair = pair, .mode = mode, .closed = true, .drifts = drifts});
+  }
   bool HasDisc(int i) const {
     for (const Contact& contact : contacts_) {
       const Candidate& c = in_.candidates[contact.pair];
@@ -71,56 +74,75 @@ class PressedGroup {
     return false;
   }
 
-  // The forces on values, and which contacts they close.
-  void SolveForces() {
+  // The forces on values, and which contacts they close. False if they were not found.
+  bool SolveForces() {
     for (Contact& contact : contacts_) Measure(&contact);
-    wedged_ = !TryForces();
-    if (wedged_) {
-      for (Contact& contact : contacts_) contact.force.sliding = contact.force.turning = 0;
-      TryForces();
-    }
-    const double friction = Value(in_.contact.friction);
+    const std::span<const double> found = in_.Solved([&] { return FindForces(); });
+    if (found.empty()) return false;
+    wedged_ = found[0] != 0;
     double largest = 0;
-    for (const Contact& contact : contacts_) largest = std::max(largest, contact.force.normal_force);
-    for (Contact& contact : contacts_) Classify(friction, 1e-12 * largest, &contact);
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      PressingContact& force = contacts_[k].force;
+      if (wedged_) force.sliding = force.turning = 0;
+      force.normal_force = found[1 + 3 * k];
+      force.tangential_force = found[2 + 3 * k];
+      largest = std::max(largest, force.normal_force);
+    }
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      Classify(Value(in_.contact.friction), 1e-12 * largest, found[3 + 3 * k], &contacts_[k]);
+    }
+    return true;
   }
 
-  // Makes the gaps and the velocities across closed contacts zero, by impulses along them. An overlap beyond the
-  // tolerance stays, unless it comes from drift. Where there is something to change, twice: the first solution leaves
-  // nothing but derivatives to the second, so that the derivatives of its matrix do not matter.
+  // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it comes
+  // from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small disturbance
+  // dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of their impulse,
+  // normal and friction alike, is what undoes the disturbance. An impulse thus acts along the contact's whole force. A
+  // gap takes longer to close than a velocity to die out, but likewise it is undone by the integral P of that lack of
+  // impulse over time, acting along the force; as the force turns meanwhile, the velocity changes by -P times its rate.
   void ProjectPositions() {
-    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
+    const auto move = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
     rows_.clear();
     for (const Contact& contact : contacts_) AddOverlap(contact);
     SolveRows();
-    ForEachPush(push);
-    rows_.clear();
-    for (const Contact& contact : contacts_) {
-      if (contact.closed) AddGap(contact);
-    }
+    ForEachPush(move);
+    AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
+    KeepValues();
     SolveRows();
-    ForEachPush(push);
+    ForEachPush(move);
+    if constexpr (kDerivatives) {
+      AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
+      KeepDerivatives();
+      SolveRows();
+      ForEachPush(move);
+      for (Row& row : rows_) row.push = row.turning;
+      ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v -= change; });
+    }
   }
   void ProjectVelocities() {
+    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].v += change; };
+    for (Contact& contact : contacts_) contact.rests = std::abs(Value(NormalVelocity(contact))) <= kStillSpeed;
+    // The second pass is for what rounding leaves of the first.
     for (int pass = 0; pass < 2; ++pass) {
-      rows_.clear();
-      for (const Contact& contact : contacts_) {
-        if (contact.closed) AddVelocityRows(contact);
-      }
+      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+      KeepValues();
       bool negligible = true;
       for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
       SolveRows();
-      ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v += change; });
-      if (negligible) return;
+      ForEachPush(push);
+      if (negligible) break;
+    }
+    if constexpr (kDerivatives) {
+      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+      KeepDerivatives();
+      SolveRows();
+      ForEachPush(push);
     }
   }
 
   // Sets the accelerations under which closed contacts stay closed, when the discs have flown `ahead` s further.
   void SetAccelerations(double ahead) {
-    rows_.clear();
-    for (const Contact& contact : contacts_) {
-      if (contact.closed) AddAccelerationRows(contact, ahead);
-    }
+    AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, ahead); });
     for (const Contact& contact : contacts_) {
       const Candidate& c = in_.candidates[contact.pair];
       discs_[c.a].a = in_.Acceleration(c.a);
@@ -157,7 +179,27 @@ class PressedGroup {
     Vec2<T> push;       // along which the force acts
     T violation;
     T force;
+    Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
   };
+  static constexpr bool kDerivatives = !std::is_same_v<T, double>;
+
+  template <typename Add>
+  void AddRowsOfClosed(const Add& add) {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (contact.closed) add(contact);
+    }
+  }
+  // The violations without derivatives, undone along the normals (and tangents).
+  void KeepValues() {
+    for (Row& row : rows_) {
+      row.violation = T(Value(row.violation));
+      row.push = row.direction;
+    }
+  }
+  void KeepDerivatives() {
+    for (Row& row : rows_) row.violation -= Value(row.violation);
+  }
 
   static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
   Separation<T> SeparationOf(const Candidate& c) const {
@@ -165,7 +207,28 @@ class PressedGroup {
   }
   void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
 
-  bool TryForces() {
+  // Whether the discs wedge, and of each contact the normal and the tangential force and the acceleration along its
+  // tangent; nothing if there is no solution.
+  std::pmr::vector<double> FindForces() {
+    std::pmr::vector<double> found(in_.scratch);
+    Pressing pressing = TryForces();
+    const bool wedged = pressing == Pressing::kWedged;
+    if (wedged) {
+      for (Contact& contact : contacts_) contact.force.sliding = contact.force.turning = 0;
+      pressing = TryForces();
+    }
+    if (pressing != Pressing::kSolved) return found;
+    found.push_back(wedged);
+    for (const PressingContact& force : forces_) {
+      found.push_back(force.normal_force);
+      found.push_back(force.tangential_force);
+      const Vec2d a = acceleration_[force.a] - (force.b >= 0 ? acceleration_[force.b] : Vec2d(0, 0));
+      found.push_back(Dot(Perpendicular(force.normal), a));
+    }
+    return found;
+  }
+
+  Pressing TryForces() {
     forces_.clear();
     for (const Contact& contact : contacts_) {
       const Candidate& c = in_.candidates[contact.pair];
@@ -173,9 +236,7 @@ class PressedGroup {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
-    const bool solved = SolvePressingForces(Value(in_.contact.friction), inverse_mass_, acceleration_, forces_);
-    for (std::size_t k = 0; k < forces_.size(); ++k) contacts_[k].force = forces_[k];
-    return solved;
+    return SolvePressingForces(Value(in_.contact.friction), inverse_mass_, acceleration_, forces_);
   }
 
   void Measure(Contact* contact) const {
@@ -189,16 +250,19 @@ class PressedGroup {
     f.normal = at.normal;
     f.mass = Value(in_.EffectiveMass(c));
     const double sliding = SlidingSpeed(*contact);
-    const bool may_stick = Value(in_.contact.friction) > 0 && std::abs(sliding) <= kStickSpeed;
-    f.sliding = may_stick ? 0 : (sliding > 0) - (sliding < 0);
+    const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
+    f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     f.turning = c.plane || at.distance == 0 || may_stick ? 0.0 : sliding * sliding / at.distance;
   }
 
-  static void Classify(double friction, double open, Contact* contact) {
+  // `along`: the acceleration along the tangent.
+  static void Classify(double friction, double open, double along, Contact* contact) {
     PressingContact& f = contact->force;
     contact->closed = f.normal_force > open;
     if (!(friction > 0)) {
       contact->mode = ContactMode::kFrictionless;
+      // By friction there is a derivative where it slides, or begins to.
+      if (f.sliding == 0) f.sliding = (along > kPushing) - (along < -kPushing);
       return;
     }
     const double bound = friction * f.normal_force;
@@ -213,7 +277,33 @@ class PressedGroup {
     const Separation<T> at = SeparationOf(c);
     T gap = at.distance - in_.ContactDistance(c);
     if (!MayMove(Value(gap), contact)) gap -= Value(gap);
-    rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, gap, T(0.0)});
+    const Vec2<T> tangent = Perpendicular(at.normal);
+    const T along = TangentialShare(contact);
+    Row row{c.a, c.plane ? -1 : c.b, at.normal, at.normal + Scale(along, tangent), gap, T(0.0)};
+    if (contact.mode == ContactMode::kStick) {
+      row.push = at.normal - Scale(DriftOf(contact), tangent);
+    } else if (!c.plane && Value(at.distance) > 0) {
+      const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), at.distance);
+      row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
+    }
+    rows_.push_back(row);
+  }
+  // The tangential part of a sliding contact's force for one of 1 N along the normal.
+  T TangentialShare(const Contact& contact) const {
+    if (contact.mode == ContactMode::kStick || wedged_) return T(0.0);
+    return in_.contact.friction * double(-contact.force.sliding);
+  }
+  // How far a contact that sticks moves along its tangent when its gap is opened, as a multiple of that: while it falls
+  // and bounces, nothing holds it against what would make it slide. For a contact by itself; of several that stick
+  // there is no such number, which of them meets first decides.
+  double DriftOf(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const double restitution = Value(in_.contact.restitution);
+    if (contacts_.size() > 1 || f.mass == 0 || restitution >= 1) return 0;
+    const auto given = [&](int i) { return ValueOf(in_.Acceleration(i)); };
+    const Vec2d a = given(f.a) - (f.b >= 0 ? given(f.b) : Vec2d(0, 0));
+    const double friction = Value(in_.contact.friction);
+    return DriftOfBounces(Dot(Perpendicular(f.normal), a), -Dot(f.normal, a), friction, restitution);
   }
   // On values. Not only of closed contacts: closing these must not push others into each other bit by bit.
   void AddOverlap(const Contact& contact) {
@@ -225,12 +315,18 @@ class PressedGroup {
     rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
   }
 
+  T NormalVelocity(const Contact& contact) const {
+    const Candidate& c = in_.candidates[contact.pair];
+    return Dot(SeparationOf(c).normal, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; }));
+  }
   void AddVelocityRows(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const int b = c.plane ? -1 : c.b;
     const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
     const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
-    rows_.push_back({c.a, b, normal, normal, Dot(normal, w), T(0.0)});
+    Vec2<T> push = normal;
+    if (contact.rests) push += Scale(TangentialShare(contact), tangent);
+    rows_.push_back({c.a, b, normal, push, Dot(normal, w), T(0.0)});
     if (contact.mode != ContactMode::kStick && !wedged_) return;
     rows_.push_back({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
   }
@@ -256,8 +352,8 @@ class PressedGroup {
       const T sliding = Dot(tangent, w);
       turning = Divide(T(sliding * sliding), at.distance);
     }
-    const T& friction = in_.contact.friction;
-    const Vec2<T> push = at.normal - Scale(T(friction * double(f.sliding)), tangent);
+    const T share = in_.contact.friction * double(-f.sliding);
+    const Vec2<T> push = at.normal + Scale(share, tangent);
     rows_.push_back({c.a, b, at.normal, push, turning, T(f.normal_force)});
   }
 

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory_resource>
 #include <type_traits>
 #include <vector>
@@ -48,26 +49,26 @@ class EventStep {
   // GCC 12 cannot flatten it as a whole.
   [[gnu::noinline]] void Run() {
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
-    int count = 0;
-    for (; count < 2 * kMaxEvents; ++count) {
+    for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
-      if (q < 0) break;
+      if (q < 0) return CloseCurvedContacts();
       ++order_;
       Resolve(q);
+      if (failed_) return;
       for (int other = 0; other < num_pairs(); ++other) {
         if (IsDirty(other)) Predict(other);
       }
       for (EventDisc<T>& disc : discs_) disc.dirty = false;
     }
-    if (count == 2 * kMaxEvents) in_.Fail("there is no end of events");
-    CloseCurvedContacts();
+    Fail("there is no end of events");
   }
 
-  // Whether an event concerned disc i, and if so its state at the end of the step.
+  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too many
+  // events, or forces were not found.
   bool Moved(int i) const { return discs_[i].moved; }
   SALTUS_FLATTEN State End(int i) const {
-    const T end(in_.h);
+    const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
     return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
   }
 
@@ -93,6 +94,11 @@ class EventStep {
     std::pmr::vector<EventDisc<T>> discs, outcome;
     std::pmr::vector<Pair> pairs;
   };
+
+  void Fail(std::string_view why) {
+    failed_ = true;
+    in_.Fail(why);
+  }
 
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
   const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
@@ -175,7 +181,8 @@ class EventStep {
     }
     const Approach approach = ApproachAt(c, time);
     if (approach.speed < -kSlowSpeed) {
-      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(c, ImpactTime(c, time));
+      const bool pressed = approach.Pushing() && TouchesAlone(q, time);
+      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(c, ImpactTime(c, time), pressed);
       return;
     }
     const T slow_time = SlowTime(c, time, approach);
@@ -257,7 +264,21 @@ class EventStep {
     }
   }
 
-  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time) {
+  // Whether the discs of pair q touch nothing else.
+  bool TouchesAlone(int q, double time) const {
+    const Candidate& c = CandidateOf(q);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+      if (other == q || (!shares(c.a) && (c.plane || !shares(c.b)))) continue;
+      if (ApproachAt(d, time).gap <= kContactGap) return false;
+    }
+    return true;
+  }
+
+  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
+  // of a contact at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time, bool pressed) {
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = LastSeparation(c);
@@ -265,10 +286,14 @@ class EventStep {
     const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
     const T& friction = in_.contact.friction;
     const T mass = in_.EffectiveMass(c);
-    const T bounce = inelastic_ ? T(1.0) : T(in_.contact.restitution + 1.0);
+    const bool last = pressed && -Value(in_.contact.restitution) * Value(speed) <= kSlowSpeed;
+    const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
     const T normal_impulse = -bounce * mass * speed;
-    T tangential_impulse = -friction * SignOf(sliding) * normal_impulse;
     ContactMode mode = Value(friction) > 0 ? ContactMode::kSlip : ContactMode::kFrictionless;
+    // Without friction only the derivative by it is left of this impulse: none head-on, where any friction sticks.
+    const bool head_on = mode == ContactMode::kFrictionless &&
+                         std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
+    T tangential_impulse = -friction * (head_on ? 0.0 : SignOf(sliding)) * normal_impulse;
     if (mode == ContactMode::kSlip && !(Value(mass) * std::abs(Value(sliding)) > std::abs(Value(tangential_impulse)))) {
       mode = ContactMode::kStick;
       tangential_impulse = -mass * sliding;
@@ -327,7 +352,7 @@ class EventStep {
       if (next < 0) break;
       inelastic_ = inelastic || count >= kMostTiedImpacts;
       ++order_;
-      Impact(CandidateOf(next), ImpactTime(CandidateOf(next), time));
+      Impact(CandidateOf(next), ImpactTime(CandidateOf(next), time), /*pressed=*/false);
     }
     inelastic_ = inelastic;
     return choice;
@@ -381,7 +406,7 @@ class EventStep {
     Join(q, time);
     while (Grow(time)) {
     }
-    group_.SolveForces();
+    if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
     for (const auto& contact : group_.contacts()) {
       const Candidate& c = CandidateOf(contact.pair);
       if (contact.closed || ApproachAt(c, Value(time)).speed >= -kStillSpeed) continue;
@@ -498,6 +523,7 @@ class EventStep {
   TieTrial trial_;
   int order_ = 0;
   bool inelastic_ = false;
+  bool failed_ = false;
   Group group_;
 };
 

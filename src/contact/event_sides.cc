@@ -1,0 +1,220 @@
+#include "saltus/contact/event_sides.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory_resource>
+#include <numeric>
+
+#include "saltus/contact/event_press.h"
+
+namespace saltus {
+namespace {
+
+using internal::Approach;
+using internal::EventDisc;
+using Group = internal::PressedGroup<double>;
+
+// A component of a direction, of length 1, that is rounding.
+constexpr double kNoComponent = 1e-9;
+
+// The discs of a scene at its start, as a step sees them.
+struct Start {
+  explicit Start(const Scene& scene) {
+    for (const Body& body : scene.bodies) {
+      const double inverse_mass = body.fixed ? 0.0 : 1 / body.mass;
+      bodies.push_back({body.mass, inverse_mass, body.radius, body.fixed});
+    }
+    for (const Plane& plane : scene.planes) {
+      const Vec2d normal = plane.normal.normalized();
+      planes.push_back({normal, Dot(normal, plane.point)});
+    }
+    force.assign(bodies.size(), Vec2d(0, 0));
+    for (int i = 0; i < scene.num_controlled(); ++i) force[scene.control.bodies[i]] = scene.control.initial[i];
+    in.h = scene.dt();
+    in.gravity = scene.gravity;
+    in.contact = {scene.contact.restitution, scene.contact.friction, scene.contact.stiffness, scene.contact.damping};
+    in.bodies = bodies;
+    in.planes = planes;
+    in.force = force;
+    in.scratch = std::pmr::get_default_resource();
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      const Body& body = scene.bodies[i];
+      discs.push_back({0, body.position, body.fixed ? Vec2d(0, 0) : body.velocity, in.Acceleration(i)});
+    }
+    FindTouching();
+    in.candidates = touching;
+  }
+
+  Approach Measure(const Candidate& c) const {
+    const auto motion = [&](int i) { return internal::Motion{discs[i].p, discs[i].v, discs[i].a}; };
+    if (c.plane) return MeasureApproach(motion(c.a), planes[c.b], in.ContactDistance(c));
+    return MeasureApproach(motion(c.a), motion(c.b), in.ContactDistance(c));
+  }
+  Vec2d Normal(const Candidate& c) const {
+    return SeparationAt(in, c, [&](int i) { return discs[i].p; }).normal;
+  }
+
+  std::vector<BodyConstants<double>> bodies;
+  std::vector<HalfPlane<double>> planes;
+  std::vector<Vec2d> force;
+  std::vector<EventDisc<double>> discs;
+  std::vector<Candidate> touching;
+  StepInput<double> in{};
+
+ private:
+  // Discs in order of their left ends, so that only those whose widths meet are looked at.
+  void FindTouching() {
+    const int n = static_cast<int>(bodies.size());
+    const auto add = [&](const Candidate& c) {
+      if (Measure(c).gap <= internal::kContactGap) touching.push_back(c);
+    };
+    const auto left = [&](int i) { return discs[i].p[0] - bodies[i].radius; };
+    std::vector<int> order(n);
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](int i, int j) { return left(i) < left(j); });
+    for (int k = 0; k < n; ++k) {
+      const int i = order[k];
+      const double right = discs[i].p[0] + bodies[i].radius + internal::kContactGap;
+      for (int l = k + 1; l < n && left(order[l]) <= right; ++l) {
+        const int j = order[l];
+        if (!bodies[i].fixed || !bodies[j].fixed) add({std::min(i, j), std::max(i, j)});
+      }
+      for (int plane = 0; plane < static_cast<int>(planes.size()) && !bodies[i].fixed; ++plane) add({i, plane, true});
+    }
+  }
+};
+
+// Collects the sides on which derivatives do not exist.
+class Sides {
+ public:
+  explicit Sides(const Start& start) : start_(start), missing_(start.bodies.size()) {}
+
+  // There is no derivative for changes of `quantity` that move a against b along -direction.
+  void AddOneSided(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
+    const Vec2d unit = direction.normalized();
+    Add(c.a, quantity, unit);
+    if (!c.plane) Add(c.b, quantity, -unit);
+  }
+  // Nor along direction.
+  void AddNone(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
+    AddOneSided(c, quantity, direction);
+    AddOneSided(c, quantity, -direction);
+  }
+
+  std::vector<OneSided> All() const {
+    std::vector<OneSided> all;
+    for (int i = 0; i < static_cast<int>(missing_.size()); ++i) {
+      if (start_.bodies[i].fixed) continue;
+      for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
+        for (int k = 0; k < 2; ++k) {
+          const auto& [below, above] = missing_[i].at[static_cast<int>(quantity)][k];
+          if (!below && !above) continue;
+          const auto side = !above ? OneSided::Side::kAbove : !below ? OneSided::Side::kBelow : OneSided::Side::kNone;
+          all.push_back({i, quantity, k, side});
+        }
+      }
+    }
+    return all;
+  }
+
+ private:
+  struct Missing {
+    bool at[2][2][2] = {};  // by quantity and component: for a smaller value, for a larger one
+  };
+  void Add(int i, OneSided::Quantity quantity, const Vec2d& direction) {
+    for (int k = 0; k < 2; ++k) {
+      bool(&missing)[2] = missing_[i].at[static_cast<int>(quantity)][k];
+      if (direction[k] > kNoComponent) missing[0] = true;
+      if (direction[k] < -kNoComponent) missing[1] = true;
+    }
+  }
+
+  const Start& start_;
+  std::vector<Missing> missing_;
+};
+
+bool LossHasVelocities(const Scene& scene) {
+  const std::vector<TerminalTerm>& terms = scene.objective.terminal;
+  return std::any_of(terms.begin(), terms.end(), [](const TerminalTerm& term) {
+    return term.quantity == TerminalTerm::Quantity::kVelocity;
+  });
+}
+
+// Several contacts, of which some that stick are pressed along themselves.
+bool IsHeldByFriction(const Group& group) {
+  return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const Group::Contact& contact) {
+           return contact.closed && contact.mode == ContactMode::kStick &&
+                  std::abs(contact.force.tangential_force) > kNoComponent * contact.force.normal_force;
+         });
+}
+
+void AddPressed(const Scene& scene, const Start& start, const Group& group, Sides* sides) {
+  using Quantity = OneSided::Quantity;
+  const double friction = scene.contact.friction, restitution = scene.contact.restitution;
+  const bool undecided = IsHeldByFriction(group);
+  for (const Group::Contact& contact : group.contacts()) {
+    const Candidate& c = start.touching[contact.pair];
+    const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
+    if (!contact.closed) {
+      sides->AddOneSided(c, Quantity::kVelocity, normal);
+      continue;
+    }
+    if (restitution >= 1) {
+      sides->AddNone(c, Quantity::kPosition, normal);
+      if (LossHasVelocities(scene)) sides->AddNone(c, Quantity::kVelocity, normal);
+    }
+    if (undecided) sides->AddNone(c, Quantity::kPosition, normal);
+    const bool starts = contact.mode == ContactMode::kSlip &&
+                        std::abs(group.SlidingSpeed(contact)) <= internal::kStickSpeed;
+    if (!starts) continue;
+    // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
+    const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;
+    sides->AddOneSided(c, Quantity::kVelocity, slides);
+    sides->AddOneSided(c, Quantity::kVelocity, slides + friction * (1 + restitution) * normal);
+    const Vec2d a = start.discs[c.a].a - (c.plane ? Vec2d(0, 0) : start.discs[c.b].a);
+    const bool alone = group.contacts().size() == 1;
+    const bool slips = restitution == 0 || Dot(slides, a) >= -friction * (1 + restitution) * Dot(normal, a);
+    if (!alone || !slips) sides->AddNone(c, Quantity::kPosition, normal);
+  }
+}
+
+}  // namespace
+
+const char* QuantityToString(OneSided::Quantity quantity) {
+  return quantity == OneSided::Quantity::kPosition ? "position" : "velocity";
+}
+
+const char* SideToString(OneSided::Side side) {
+  if (side == OneSided::Side::kNone) return "none";
+  return side == OneSided::Side::kAbove ? "+" : "-";
+}
+
+std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
+  Start start(scene);
+  Sides sides(start);
+  std::vector<char> settled(start.touching.size(), 0);
+  Group group(start.in);
+  group.SetDiscs(start.discs);
+  const int n = static_cast<int>(start.touching.size());
+  // Only what neither parts nor meets at speed can be pressed.
+  const auto rests = [&](int q) { return start.Measure(start.touching[q]).Touching(); };
+  for (int q = 0; q < n; ++q) {
+    sides.AddOneSided(start.touching[q], OneSided::Quantity::kPosition, start.Normal(start.touching[q]));
+    if (settled[q] || !rests(q)) continue;
+    group.Clear();
+    for (bool grows = true; grows;) {
+      grows = false;
+      for (int other = q; other < n; ++other) {
+        const Candidate& c = start.touching[other];
+        const bool joins = other == q || group.HasDisc(c.a) || (!c.plane && group.HasDisc(c.b));
+        if (settled[other] || !joins || !rests(other)) continue;
+        group.Add(other, false);
+        settled[other] = grows = true;
+      }
+    }
+    if (group.SolveForces()) AddPressed(scene, start, group, &sides);
+  }
+  return sides.All();
+}
+
+}  // namespace saltus
