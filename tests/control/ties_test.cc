@@ -31,7 +31,7 @@ struct Solution {
 // With two contacts there are two orders, and the order of the lines is that of the impacts.
 TEST(AmbiguousRuns, TheSpreadIsThatOfBothOrders) {
   const Solution one(StrikesTwo()), other(StrikesTwoSwapped());
-  ASSERT_GT(std::abs(one.run.loss - other.run.loss), 0.05);
+  ASSERT_GT(std::abs(one.run.loss - other.run.loss), 0.02);
   for (const Solution* solution : {&one, &other}) {
     ASSERT_EQ(solution->run.ambiguous.size(), 1u);
     const Tie& tie = solution->run.ambiguous[0];
@@ -56,7 +56,7 @@ TEST(AmbiguousRuns, AlsoOnIntervalsOfDifferentLength) {
   ASSERT_EQ(run.ambiguous.size(), 1u);
   EXPECT_NEAR(run.ambiguous[0].time, Solution(scene).run.ambiguous[0].time, 1e-12);
   ASSERT_TRUE(run.spread);
-  EXPECT_GT(run.spread->highest - run.spread->lowest, 0.05);
+  EXPECT_GT(run.spread->highest - run.spread->lowest, 0.02);
   EXPECT_EQ(Certify(scene, initial, control, durations).verdict, Certificate::Verdict::kAmbiguous);
 }
 
@@ -88,7 +88,7 @@ TEST(AmbiguousRuns, NothingIsSaidWhereOneComesFirst) {
 TEST(AmbiguousRuns, NothingIsSaidWhereAllOrdersEndAlike) {
   Scene scene;
   scene.name = "groove";
-  scene.duration = 0.2;
+  scene.duration = 0.02;
   scene.steps = 20;
   scene.gravity = {0, -9.81};
   scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .velocity = {0.3, -1}}};
@@ -97,7 +97,7 @@ TEST(AmbiguousRuns, NothingIsSaidWhereAllOrdersEndAlike) {
   scene.contact = {.restitution = 0.3};
   scene.objective.terminal = {{.body = 0, .target = {0, 0}}};
   scene.optimize = Optimize::kVelocity;
-  for (const double duration : {0.2, 3.0}) {
+  for (const double duration : {0.02, 3.0}) {
     scene.duration = duration;
     const std::unique_ptr<Simulator> event = MakeSimulator("event", scene, Precision::kDouble);
     ASSERT_TRUE(event->Rollout(InitialState(scene), {}));
