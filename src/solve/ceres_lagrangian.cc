@@ -55,18 +55,23 @@ class DefectCost final : public ceres::CostFunction {
 // Records the loss of a rollout of the forces at each iterate, but for the first of a later round, which has been.
 class RecordRollout final : public ceres::IterationCallback {
  public:
-  RecordRollout(SolveRun* run, const std::vector<double>* z) : run_(run), z_(z) {}
+  RecordRollout(SolveRun* run, const std::vector<double>* z) : run_(run), z_(z), recorded_(*z) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
     if (summary.iteration == 0 && run_->num_recorded() > 0) return ceres::SOLVER_CONTINUE;
     double loss = 0;
     if (!run_->shooting().Evaluate(*z_, &loss, nullptr)) return ceres::SOLVER_ABORT;
+    recorded_ = *z_;
     return run_->Record(loss, *z_) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   }
+
+  // The decision variables of the last loss.
+  const std::vector<double>& recorded() const { return recorded_; }
 
  private:
   SolveRun* run_;
   const std::vector<double>* z_;
+  std::vector<double> recorded_;
 };
 
 struct Gradient {
@@ -123,7 +128,8 @@ class Rounds {
     return Termination::kNoProgress;
   }
 
-  const std::vector<double>& z() const { return z_; }
+  // Where it has ended; if stopped, at the last iterate whose loss is known.
+  const std::vector<double>& z() const { return run_->shooting().stopped() ? record_.recorded() : z_; }
   double largest_defect() const { return largest_; }
   int num_jacobians() const { return num_jacobians_; }
   std::vector<std::vector<double>> TakeDefects() { return std::move(defects_); }

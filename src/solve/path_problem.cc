@@ -316,7 +316,8 @@ ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tol
   options.callbacks.insert(options.callbacks.end(), callbacks.begin(), callbacks.end());
   ceres::Solver::Summary summary;
   ceres::Solve(options, &parts_->problem, &summary);
-  z_ = parts_->variables.Decisions();
+  // After a failure the variables may be those of a candidate; the last callback has seen the iterate.
+  if (summary.IsSolutionUsable()) z_ = parts_->variables.Decisions();
   return summary;
 }
 

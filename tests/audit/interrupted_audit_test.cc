@@ -19,7 +19,7 @@ TEST(InterruptedAudit, KeepsTheStudiesThatAreWhole) {
   ASSERT_TRUE(whole.recognition && whole.refinement && whole.attribution && whole.widths);
   int stages[5] = {};
   bool done = false;
-  for (int64_t most = 0; !done; most += 1 + most / 3) {
+  for (int64_t most = 0; !done; most += 1 + most / 16) {
     int64_t asked = 0;
     options.stop = [&] { return ++asked > most; };
     const ModelAudit audit = AuditModel("direct_toi", scene, Precision::kDouble, exact, options);

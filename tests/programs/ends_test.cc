@@ -330,8 +330,8 @@ std::string SlowScene() {
 
 TEST(Interrupts, AuditKeepsTheModelsThatAreDoneInTheMiddleOfAGradient) {
   const std::string scene = SlowScene();
-  AtWork program("saltus_audit --contact=direct,ncp,xpbd --friction=0.1 --threads=1 --json --progress=plain --scene=" +
-                 scene);
+  AtWork program(
+      "saltus_audit --contact=direct,ncp,convex --friction=0.1 --threads=1 --json --progress=plain --scene=" + scene);
   ASSERT_TRUE(program.Says("ncp"));
   const Outcome outcome = program.Interrupt();
   EXPECT_EQ(outcome.exit_code, 1);

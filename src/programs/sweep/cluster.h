@@ -22,6 +22,9 @@ class SweepCluster {
   // How many of the ranks share this machine.
   virtual int ranks_here() const = 0;
 
+  // On rank 0, before there is an executor: to be called at short intervals, lest others believe that it is gone.
+  virtual void Tick() = 0;
+
   // On rank 0: `local` and all other ranks as one executor. Ranks that have another study are left out. `local` must
   // outlive the executor, this object too.
   virtual std::unique_ptr<SweepExecutor> Share(const SweepStudy& study, LocalExecutor* local) = 0;

@@ -21,12 +21,11 @@ using Clock = std::chrono::steady_clock;
 using std::chrono::microseconds;
 
 // Everyone says something at least every kHeartbeat: the one thread of a rank only passes messages on, its workers
-// compute. Rank 0 may be silent for longer before it first hands out points, while it looks for those that are missing,
-// and a little longer later, while its disk is busy.
+// compute. Rank 0 may be silent for longer while its disk is busy, most of all before it first hands out points.
 constexpr std::chrono::milliseconds kHeartbeat(500);
 constexpr std::chrono::seconds kSilence(5);
 constexpr std::chrono::seconds kSilenceOfRank0(10);
-constexpr std::chrono::minutes kFirstSilenceOfRank0(5);
+constexpr std::chrono::minutes kFirstSilenceOfRank0(1);
 
 enum Tag {
   kHello,     // a rank joins: how many points at a time, and of which study
@@ -364,6 +363,12 @@ void MpiCluster::AwaitDismissal() {
     complete_ = message->tag == kFinalize;
     if (message->tag == kFinalize || message->tag == kLeave) return;
   }
+}
+
+void MpiCluster::Tick() {
+  if (Clock::now() - ticked_ < kHeartbeat) return;
+  ticked_ = Clock::now();
+  for (int rank = 1; rank < size_; ++rank) SayAlive(rank);
 }
 
 std::unique_ptr<SweepExecutor> MpiCluster::Share(const SweepStudy& study, LocalExecutor* local) {

@@ -3,6 +3,7 @@
 
 #include <mpi.h>
 
+#include <chrono>
 #include <list>
 #include <set>
 #include <string>
@@ -19,6 +20,7 @@ class MpiCluster : public SweepCluster {
   int rank() const override { return rank_; }
   int size() const override { return size_; }
   int ranks_here() const override { return ranks_here_; }
+  void Tick() override;
   std::unique_ptr<SweepExecutor> Share(const SweepStudy& study, LocalExecutor* local) override;
   bool Serve(const SweepStudy& study, LocalExecutor* local) override;
   void Decline(const std::string& why) override;
@@ -46,6 +48,7 @@ class MpiCluster : public SweepCluster {
   void AwaitDismissal();
 
   std::list<Outgoing> outgoing_;  // not taken yet
+  std::chrono::steady_clock::time_point ticked_;
   bool rank_0_lost_ = false;
   bool dismissed_ = false;
   bool complete_ = false;  // everyone is there at the end

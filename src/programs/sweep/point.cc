@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <new>
 
 #include "programs/audit.h"
 #include "programs/solve.h"
@@ -152,6 +153,8 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds)
                            : GradientPoint(request, std::move(result));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
+  } catch (const std::bad_alloc&) {
+    return FailedPoint(study, point, "out of memory");
   }
 }
 

@@ -27,11 +27,14 @@ std::string SlowestOf(const SweepStudy& study, const std::map<int64_t, Clock::ti
 
 }  // namespace
 
-std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store) {
+std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store,
+                                   const std::function<void()>& tick) {
+  constexpr int64_t kPointsATick = 10'000;
   std::vector<int64_t> points;
   for (int64_t point = shard.index - 1; point < study.size(); point += shard.count) {
     if (!store.Has(point)) points.push_back(point);
     if (InterruptGuard::Interrupted()) break;
+    if (tick && point / shard.count % kPointsATick == 0) tick();
   }
   return points;
 }

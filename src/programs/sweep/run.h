@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "programs/sweep/executor.h"
@@ -16,8 +17,9 @@ struct Shard {
   int count = 1;
 };
 
-// The points of a part that are not stored yet, in ascending order.
-std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store);
+// The points of a part that are not stored yet, in ascending order. Calls `tick` now and then: there may be many.
+std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store,
+                                   const std::function<void()>& tick = nullptr);
 
 // Computes and stores `points` until all are stored or the program is interrupted. The progress names the point that
 // takes longest. Returns the store's error, if it takes no more.

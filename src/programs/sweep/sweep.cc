@@ -163,7 +163,9 @@ int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
     return Report(study, store, shard);
   }
   if (FLAGS_retry_failed) OrInputError(store.ForgetFailed());
-  const std::vector<int64_t> points = PendingPoints(study, shard, store);
+  const std::vector<int64_t> points = PendingPoints(study, shard, store, [&] {
+    if (cluster != nullptr) cluster->Tick();
+  });
   if (!points.empty()) {
     LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
     const std::unique_ptr<SweepExecutor> shared = cluster == nullptr ? nullptr : cluster->Share(study, &local);

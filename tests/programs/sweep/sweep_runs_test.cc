@@ -395,6 +395,7 @@ TEST_F(SweepOnRanksTest, WithoutRankZeroTheOthersEnd) {
   Background program(OnRanks(3, WithProcessIds(Command(sweep), ids), "OMPI_MCA_orte_enable_recovery=1"));
   ASSERT_TRUE(WaitUntil([&] { return std::filesystem::exists(Store()); }));
   const pid_t others[] = {ReadProcessId(ids + ".1"), ReadProcessId(ids + ".2")};
+  std::this_thread::sleep_for(1s);  // ranks that have not heard of it wait longer for it
   EXPECT_EQ(kill(ReadProcessId(ids + ".0"), SIGKILL), 0);
   for (const pid_t rank : others) {
     EXPECT_TRUE(WaitUntil([&] { return kill(rank, 0) != 0; }, 100s)) << "spins on";
