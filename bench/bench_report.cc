@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "saltus/io/figure.h"
-#include "saltus/io/file.h"
+#include "output/figure.h"
+#include "io/file.h"
 
 namespace saltus {
 namespace {

@@ -12,7 +12,7 @@
 
 #include "saltus/control/batch.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene_generators.h"
+#include "physics/scene_generators.h"
 #include "timing.h"
 
 namespace saltus {

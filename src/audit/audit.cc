@@ -9,7 +9,7 @@
 #include <numeric>
 
 #include "saltus/dynamics/registry.h"
-#include "saltus/exact/closed_forms.h"
+#include "exact/closed_forms.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {

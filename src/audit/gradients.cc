@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/control/smoothed_gradient.h"
+#include "control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
 

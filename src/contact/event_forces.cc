@@ -1,4 +1,4 @@
-#include "saltus/contact/event_forces.h"
+#include "contact/event_forces.h"
 
 #include <Eigen/QR>
 #include <algorithm>

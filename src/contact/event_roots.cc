@@ -1,4 +1,4 @@
-#include "saltus/contact/event_roots.h"
+#include "contact/event_roots.h"
 
 #include <algorithm>
 #include <cmath>

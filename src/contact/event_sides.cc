@@ -5,7 +5,7 @@
 #include <memory_resource>
 #include <numeric>
 
-#include "saltus/contact/event_press.h"
+#include "contact/event_press.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-#include "saltus/contact/event_ties.h"
+#include "contact/event_ties.h"
 
 #include <algorithm>
 #include <cstdint>

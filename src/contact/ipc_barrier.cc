@@ -1,4 +1,4 @@
-#include "saltus/contact/ipc_barrier.h"
+#include "contact/ipc_barrier.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "saltus/contact/lcp_pgs.h"
+#include "contact/lcp_pgs.h"
 
 namespace saltus {
 

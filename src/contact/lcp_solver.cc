@@ -1,4 +1,4 @@
-#include "saltus/contact/lcp_solver.h"
+#include "contact/lcp_solver.h"
 
 #include <Eigen/QR>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "saltus/contact/qcqp.h"
+#include "contact/qcqp.h"
 
 #include <Eigen/QR>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "saltus/contact/smooth_compliant.h"
+#include "contact/smooth_compliant.h"
 
 #include <algorithm>
 #include <cmath>

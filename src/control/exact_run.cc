@@ -6,7 +6,7 @@
 #include <cmath>
 #include <cstdio>
 
-#include "saltus/contact/event_ties.h"
+#include "contact/event_ties.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"

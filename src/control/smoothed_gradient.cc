@@ -1,4 +1,4 @@
-#include "saltus/control/smoothed_gradient.h"
+#include "control/smoothed_gradient.h"
 
 #include <glog/logging.h>
 

@@ -1,4 +1,4 @@
-#include "saltus/control/step_shooting.h"
+#include "control/step_shooting.h"
 
 #include <ceres/manifold.h>
 #include <glog/logging.h>

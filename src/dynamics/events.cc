@@ -6,7 +6,7 @@
 #include <set>
 #include <tuple>
 
-#include "saltus/contact/event_ties.h"
+#include "contact/event_ties.h"
 
 namespace saltus {
 

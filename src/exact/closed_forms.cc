@@ -1,4 +1,4 @@
-#include "saltus/exact/closed_forms.h"
+#include "exact/closed_forms.h"
 
 #include <algorithm>
 #include <cmath>

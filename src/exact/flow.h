@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "saltus/exact/closed_forms.h"
+#include "exact/closed_forms.h"
 #include "saltus/physics/geometry.h"
 #include "saltus/physics/scene.h"
 

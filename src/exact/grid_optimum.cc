@@ -1,4 +1,4 @@
-#include "saltus/exact/grid_optimum.h"
+#include "exact/grid_optimum.h"
 
 #include <glog/logging.h>
 

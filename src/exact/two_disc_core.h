@@ -10,7 +10,7 @@
 
 #include "flow.h"
 #include "polynomial.h"
-#include "saltus/exact/two_disc_optimum.h"
+#include "exact/two_disc_optimum.h"
 
 namespace saltus::exact_internal {
 

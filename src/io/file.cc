@@ -1,4 +1,4 @@
-#include "saltus/io/file.h"
+#include "io/file.h"
 
 #include <fcntl.h>
 #include <unistd.h>

@@ -5,7 +5,7 @@
 #include "ceres_common.h"
 #include "node_search.h"
 #include "path_problem.h"
-#include "saltus/control/step_shooting.h"
+#include "control/step_shooting.h"
 
 namespace saltus {
 namespace {

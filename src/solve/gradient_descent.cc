@@ -4,7 +4,7 @@
 #include <cmath>
 #include <optional>
 
-#include "saltus/control/smoothed_gradient.h"
+#include "control/smoothed_gradient.h"
 #include "solve_run.h"
 
 namespace saltus {

@@ -5,7 +5,7 @@
 #include <sstream>
 
 #include "saltus/dynamics/registry.h"
-#include "saltus/exact/grid_optimum.h"
+#include "exact/grid_optimum.h"
 #include "solve_run.h"
 
 namespace saltus {

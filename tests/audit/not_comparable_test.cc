@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "saltus/audit/audit.h"
-#include "saltus/physics/scene_generators.h"
+#include "physics/scene_generators.h"
 #include "test_scenes.h"
 
 namespace saltus {

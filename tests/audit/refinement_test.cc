@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "saltus/audit/audit.h"
-#include "saltus/io/table.h"
+#include "output/table.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -7,10 +7,10 @@
 #include <span>
 #include <vector>
 
-#include "saltus/contact/compliant_warp.h"
-#include "saltus/contact/direct.h"
-#include "saltus/contact/toi_velocity.h"
-#include "saltus/contact/xpbd.h"
+#include "contact/compliant_warp.h"
+#include "contact/direct.h"
+#include "contact/toi_velocity.h"
+#include "contact/xpbd.h"
 #include "saltus/physics/scalar.h"
 
 namespace {

@@ -1,4 +1,4 @@
-#include "saltus/contact/compliant_brax.h"
+#include "contact/compliant_brax.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "saltus/contact/compliant_warp.h"
+#include "contact/compliant_warp.h"
 
 #include "contact/stepping.h"
 

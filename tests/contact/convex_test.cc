@@ -1,4 +1,4 @@
-#include "saltus/contact/convex.h"
+#include "contact/convex.h"
 
 #include "contact/stepping.h"
 

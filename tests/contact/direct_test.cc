@@ -1,4 +1,4 @@
-#include "saltus/contact/direct.h"
+#include "contact/direct.h"
 
 #include "contact/stepping.h"
 

@@ -1,5 +1,5 @@
 // First closings against polynomials built from known zeros, and against dense sampling.
-#include "saltus/contact/event_roots.h"
+#include "contact/event_roots.h"
 
 #include <gtest/gtest.h>
 

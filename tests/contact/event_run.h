@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "saltus/contact/event.h"
+#include "contact/event.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/model_simulator.h"
 

@@ -10,7 +10,7 @@
 #include <limits>
 
 #include "contact/event_run.h"
-#include "saltus/contact/event_forces.h"
+#include "contact/event_forces.h"
 
 namespace saltus {
 namespace {

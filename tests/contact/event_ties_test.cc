@@ -1,7 +1,7 @@
 // Impacts at the same time that share discs: reported where their order decides, and only there.
 //
 // What each order leads to is worked out here by itself, on the velocities alone, from the impulse that event.h states.
-#include "saltus/contact/event_ties.h"
+#include "contact/event_ties.h"
 
 #include <gtest/gtest.h>
 

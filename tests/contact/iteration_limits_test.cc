@@ -4,8 +4,8 @@
 
 #include <limits>
 
-#include "saltus/contact/lcp_solver.h"
-#include "saltus/contact/qcqp.h"
+#include "contact/lcp_solver.h"
+#include "contact/qcqp.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 

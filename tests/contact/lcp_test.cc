@@ -1,4 +1,4 @@
-#include "saltus/contact/lcp.h"
+#include "contact/lcp.h"
 
 #include <gtest/gtest.h>
 

@@ -1,8 +1,8 @@
-#include "saltus/contact/ncp.h"
+#include "contact/ncp.h"
 
 #include "contact/formulation.h"
 #include "contact/two_contacts.h"
-#include "saltus/contact/qcqp.h"
+#include "contact/qcqp.h"
 
 namespace saltus::testing {
 namespace {

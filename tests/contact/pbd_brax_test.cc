@@ -1,4 +1,4 @@
-#include "saltus/contact/pbd_brax.h"
+#include "contact/pbd_brax.h"
 
 #include <gtest/gtest.h>
 

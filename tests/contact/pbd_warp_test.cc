@@ -1,4 +1,4 @@
-#include "saltus/contact/pbd_warp.h"
+#include "contact/pbd_warp.h"
 
 #include "contact/stepping.h"
 

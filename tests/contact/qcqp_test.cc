@@ -1,10 +1,10 @@
-#include "saltus/contact/qcqp.h"
+#include "contact/qcqp.h"
 
 #include <random>
 
 #include "contact/formulation.h"
 #include "contact/two_contacts.h"
-#include "saltus/contact/lcp_pgs.h"
+#include "contact/lcp_pgs.h"
 
 namespace saltus::testing {
 namespace {

@@ -1,7 +1,7 @@
-#include "saltus/contact/soft_convex.h"
+#include "contact/soft_convex.h"
 
 #include "contact/formulation.h"
-#include "saltus/contact/compliant_warp.h"
+#include "contact/compliant_warp.h"
 
 namespace saltus::testing {
 namespace {

@@ -1,4 +1,4 @@
-#include "saltus/contact/toi_velocity.h"
+#include "contact/toi_velocity.h"
 
 #include "contact/stepping.h"
 

@@ -1,7 +1,7 @@
-#include "saltus/contact/xpbd.h"
+#include "contact/xpbd.h"
 
 #include "contact/formulation.h"
-#include "saltus/contact/pbd_warp.h"
+#include "contact/pbd_warp.h"
 
 namespace saltus::testing {
 namespace {

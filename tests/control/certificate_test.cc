@@ -7,8 +7,8 @@
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/exact/grid_optimum.h"
-#include "saltus/exact/two_disc_optimum.h"
+#include "exact/grid_optimum.h"
+#include "exact/two_disc_optimum.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

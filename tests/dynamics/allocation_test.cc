@@ -7,7 +7,7 @@
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene_generators.h"
+#include "physics/scene_generators.h"
 #include "test_scenes.h"
 
 namespace {

@@ -6,8 +6,8 @@
 
 #include <type_traits>
 
-#include "saltus/contact/direct.h"
-#include "saltus/contact/pbd_warp.h"
+#include "contact/direct.h"
+#include "contact/pbd_warp.h"
 #include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"
 #include "test_scenes.h"

@@ -8,7 +8,7 @@
 #include "saltus/dynamics/broad_phase.h"
 #include "saltus/dynamics/islands.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene_generators.h"
+#include "physics/scene_generators.h"
 
 namespace saltus {
 namespace {

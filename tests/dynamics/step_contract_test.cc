@@ -6,7 +6,7 @@
 
 #include <cmath>
 
-#include "saltus/contact/direct.h"
+#include "contact/direct.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"

@@ -1,4 +1,4 @@
-#include "saltus/exact/launch_solutions.h"
+#include "exact/launch_solutions.h"
 
 #include <gtest/gtest.h>
 

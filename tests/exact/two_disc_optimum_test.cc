@@ -1,4 +1,4 @@
-#include "saltus/exact/two_disc_optimum.h"
+#include "exact/two_disc_optimum.h"
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 #include <filesystem>
 
 #include "fuzz/targets.h"
-#include "saltus/io/file.h"
+#include "io/file.h"
 
 namespace saltus {
 namespace {

@@ -1,7 +1,7 @@
 #include <glog/logging.h>
 
 #include "fuzz/targets.h"
-#include "saltus/io/npz.h"
+#include "output/npz.h"
 
 namespace saltus::fuzz {
 namespace {

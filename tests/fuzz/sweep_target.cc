@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "fuzz/targets.h"
-#include "programs/sweep/options.h"
-#include "programs/sweep/spec.h"
+#include "sweep/options.h"
+#include "sweep/spec.h"
 
 namespace saltus::fuzz {
 namespace {

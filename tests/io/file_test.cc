@@ -1,4 +1,4 @@
-#include "saltus/io/file.h"
+#include "io/file.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "saltus/physics/scene_generators.h"
+#include "physics/scene_generators.h"
 
 #include <gtest/gtest.h>
 

@@ -9,10 +9,10 @@
 #include "saltus/control/exact_run.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/exact/closed_forms.h"
-#include "saltus/exact/grid_optimum.h"
-#include "saltus/exact/launch_solutions.h"
-#include "saltus/exact/two_disc_optimum.h"
+#include "exact/closed_forms.h"
+#include "exact/grid_optimum.h"
+#include "exact/launch_solutions.h"
+#include "exact/two_disc_optimum.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

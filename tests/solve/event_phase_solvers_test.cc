@@ -5,7 +5,7 @@
 
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/exact/two_disc_optimum.h"
+#include "exact/two_disc_optimum.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

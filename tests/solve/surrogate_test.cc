@@ -8,7 +8,7 @@
 
 #include "saltus/audit/audit.h"
 #include "saltus/control/exact_run.h"
-#include "saltus/control/smoothed_gradient.h"
+#include "control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"

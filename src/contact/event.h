@@ -1,0 +1,81 @@
+// Event-driven simulation: free flight in exact arcs between impacts, which are found to machine precision.
+//
+// The acceleration a = u/m + g of a disc is constant within a step. The gap of a pair is then a polynomial in time, of
+// degree 4 for two discs, and an impact is its first zero (event_roots.h), however many lie in one step. With n the
+// normal towards disc a, t = Perpendicular(n), w = v_a - v_b and 1/m = 1/m_a + 1/m_b, the impulse on a is
+//
+//   P = p_n n + p_t t       p_n = -(1 + e) m n.w                         (Newton's restitution)
+//                           p_t = -mu p_n sign(t.w), but at most -m t.w  (Coulomb: slip, stick)
+//
+// Discs do not spin. Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse,
+// that is the saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
+//
+// Rules, with the thresholds of event_disc.h and kNodeMargin of time_grid.h:
+//
+// Order. Events are resolved one by one: the earliest first, of several at the same time the first candidate (discs by
+//   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A
+//   row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both walls. Derivatives
+//   are those of this order, even where another order of impacts at the same time leads to the same velocities: there
+//   the loss may have a kink. After kMaxEvents in one step impacts have no restitution; a step with twice as many, or
+//   in which the forces of contacts at rest are not found, fails.
+// Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
+//   (event_ties.h says within which tolerances).
+// Head-on. By mu = 0 there is a derivative from above. An impact whose slip is less than kHeadOn of its speed has none
+//   of it: any friction makes it stick.
+// Grid nodes. An impact in the last kNodeMargin of a step belongs to the next step, which starts with it: its
+//   derivative is the one-sided one with that step's force on both sides of the impact.
+// Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; closing, they meet
+//   at the start, and no position is changed.
+// Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
+//   closed: its normal velocity becomes zero, and the forces of event_forces.h keep it closed until other forces or an
+//   impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself end
+//   with a plastic impact, whose impulse is that of all that would follow. It sticks or slides by Coulomb's law with the same mu; sliding
+//   ends at the exact time, or at once where friction wedges the discs in. Derivatives are those of motion that, after
+//   a small disturbance, comes to rest on the contact again; event_sides.h says where they are one-sided. Reported as
+//   kSustained, again in every step.
+// Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
+//   kLargestDrift, and are exactly in contact at the end of each step. Everything else is exact.
+// Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or
+//   passes if it parts again before the gap is -kContactGap. Reported as kGrazing; the derivative is that of the side
+//   on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
+#pragma once
+
+#include <type_traits>
+
+#include "contact/event_step.h"
+
+namespace saltus {
+
+struct EventDriven {
+  static constexpr ModelTraits kTraits = {.name = "event",
+                                          .summary = "event-driven: exact arcs, impacts and impact times",
+                                          .source = "saltation matrix; Newton's restitution, Coulomb's friction",
+                                          .double_engine = true,
+                                          .chains = true,
+                                          .event_driven = true,
+                                          .sequential = true,
+                                          .relative = true};
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  template <typename T>
+  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+    const Vec2<T> a = in.Acceleration(i);
+    return {x.p + Scale(in.h, Vec2<T>(x.v + Scale(in.h * 0.5, a))), x.v + Scale(in.h, a)};
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
+    internal::EventStep<T> step(in, x);
+    // Derivatives are asked for only where something does.
+    if constexpr (std::is_same_v<T, double>) {
+      if (!step.AnythingMayHappen()) return FreeFlight(*this, in, x, next);
+    }
+    step.Run();
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : Free(in, i, x[i]);
+  }
+};
+
+}  // namespace saltus

@@ -1,0 +1,79 @@
+// What the event-driven model (event.h) keeps of a disc and of a pair of things within a step.
+#pragma once
+
+#include "saltus/contact/contact_model.h"
+#include "contact/event_roots.h"
+#include "saltus/physics/time_grid.h"
+
+namespace saltus::internal {
+
+// The thresholds that event.h states, besides kNodeMargin (time_grid.h).
+inline constexpr double kRoundingGap = 1e-14;   // m
+inline constexpr double kContactGap = 1e-10;    // m
+inline constexpr double kSlowSpeed = 1e-6;      // m/s
+inline constexpr double kSharpSpeed = 1e-9;     // m/s; slower impacts have a time without derivative
+inline constexpr double kStillSpeed = 1e-14;    // m/s
+inline constexpr double kStickSpeed = 1e-9;     // m/s
+inline constexpr double kHeadOn = 1e-9;         // of the closing speed
+inline constexpr double kPushing = 1e-11;       // m/s^2
+inline constexpr double kLargestDrift = 3e-11;  // m
+inline constexpr int kMaxEvents = 100000;
+
+// A disc since the last event that concerned it.
+template <typename T>
+struct EventDisc {
+  T t;              // s, since the start of the step
+  Vec2<T> p, v, a;  // at t; a holds from t on
+  bool moved = false;
+  bool dirty = false;
+  int order = 0;  // number of its last event
+
+  Vec2<T> PositionAt(const T& time) const {
+    const T s = time - t;
+    return p + Scale(s, Vec2<T>(v + Scale(T(s * 0.5), a)));
+  }
+  Vec2<T> VelocityAt(const T& time) const { return v + Scale(T(time - t), a); }
+};
+
+// Position, velocity and constant acceleration, as values.
+struct Motion {
+  Vec2d p, v, a;
+  Motion After(double s) const { return {p + s * (v + (0.5 * s) * a), v + s * a, a}; }
+};
+
+// How the two sides of a pair move relative to each other.
+struct Approach {
+  double gap;           // m
+  double speed;         // m/s, of the gap; negative if closing
+  double acceleration;  // m/s^2, of the gap, the turning of the normal included
+  GapPolynomial polynomial;
+
+  bool Touching() const { return gap <= kContactGap && speed <= kSlowSpeed && speed >= -kSlowSpeed; }
+  bool Pushing() const { return acceleration < -kPushing; }
+  // So slow and so curved that it parts again before the gap could become negative by more than kContactGap.
+  bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
+};
+
+inline Approach MeasureApproach(const Motion& a, const HalfPlane<double>& plane, double radius) {
+  Approach out;
+  out.gap = Dot(plane.normal, a.p) - plane.offset - radius;
+  out.speed = Dot(plane.normal, a.v);
+  out.acceleration = Dot(plane.normal, a.a);
+  out.polynomial.c = {out.gap, out.speed, 0.5 * out.acceleration, 0, 0};
+  return out;
+}
+
+inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius) {
+  const Separation<double> at = Separate<double>(a.p, b.p);
+  const Vec2d d = a.p - b.p, w = a.v - b.v, q = a.a - b.a;
+  const double sliding = Dot(Perpendicular(at.normal), w);
+  Approach out;
+  out.gap = at.distance - radius;
+  out.speed = Dot(at.normal, w);
+  out.acceleration = Dot(at.normal, q) + (at.distance > 0 ? sliding * sliding / at.distance : 0.0);
+  out.polynomial.c = {
+      out.gap * (at.distance + radius), 2 * Dot(d, w), Dot(w, w) + Dot(d, q), Dot(w, q), 0.25 * Dot(q, q)};
+  return out;
+}
+
+}  // namespace saltus::internal

@@ -1,0 +1,405 @@
+// Contacts that stay closed, in the event-driven model (event.h): a group of discs that press against each other and
+// against planes, at one instant.
+//
+// Which contacts press, stick or slip is decided on values (event_forces.h). Then three small linear systems, one for
+// each of position, velocity and acceleration, keep the closed contacts closed; they are solved on values, and one
+// correction in T carries the derivatives.
+#pragma once
+
+#include <cmath>
+#include <memory_resource>
+#include <vector>
+
+#include "contact/event_disc.h"
+#include "contact/event_forces.h"
+
+namespace saltus::internal {
+
+template <typename T>
+class PressedGroup {
+ public:
+  struct Contact {
+    int pair = 0;  // index of its candidate
+    PressingContact force = {};
+    ContactMode mode = ContactMode::kFrictionless;
+    bool closed = false;
+    bool rests = false;   // it is not the last bounces that are cut off here
+    bool drifts = false;  // its discs have moved around each other since it was last closed exactly
+    bool Curved() const { return force.b >= 0 && mode != ContactMode::kStick; }
+  };
+
+  explicit PressedGroup(const StepInput<T>& in)
+      : in_(in),
+        contacts_(in.scratch),
+        rows_(in.scratch),
+        matrix_(in.scratch),
+        forces_(in.scratch),
+        acceleration_(in.scratch),
+        inverse_mass_(in.scratch) {}
+
+  // The discs of the step, which the functions below read and change. They must stay where they are.
+  void SetDiscs(std::span<EventDisc<T>> discs) { discs_ = discs; }
+  // To be called before anything else.
+  void Clear() {
+    contacts_.clear();
+    wedged_ = false;
+    if (acceleration_.size() == discs_.size()) return;
+    acceleration_.resize(discs_.size());
+    inverse_mass_.resize(discs_.size());
+    for (std::size_t i = 0; i < discs_.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
+  }
+
+  std::span<const Contact> contacts() const { return contacts_; }
+  bool Contains(int pair) const {
+    for (const Contact& contact : contacts_) {
+      if (contact.pair == pair) return true;
+    }
+    return false;
+  }
+  // Precondition: its discs have been moved to the instant of the group.
+  void Add(int pair, bool drifts) {
+    const Candidate& c = in_.candidates[pair];
+    if (!HasDisc(c.a)) Reset(c.a);
+    if (!c.plane && !HasDisc(c.b)) Reset(c.b);
+    contacts_.push_back({.pair = pair, .drifts = drifts});
+  }
+  void AddClosed(int pair, ContactMode mode, bool drifts) {
+    contacts_.push_back({.pair = pair, .mode = mode, .closed = true, .drifts = drifts});
+  }
+  bool HasDisc(int i) const {
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      if (!in_.bodies[i].fixed && (c.a == i || (!c.plane && c.b == i))) return true;
+    }
+    return false;
+  }
+
+  // The forces on values, and which contacts they close. False if they were not found.
+  bool SolveForces() {
+    for (Contact& contact : contacts_) Measure(&contact);
+    const std::span<const double> found = in_.Solved([&] { return FindForces(); });
+    if (found.empty()) return false;
+    wedged_ = found[0] != 0;
+    double largest = 0;
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      PressingContact& force = contacts_[k].force;
+      if (wedged_) force.sliding = force.turning = 0;
+      force.normal_force = found[1 + 3 * k];
+      force.tangential_force = found[2 + 3 * k];
+      largest = std::max(largest, force.normal_force);
+    }
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      Classify(Value(in_.contact.friction), 1e-12 * largest, found[3 + 3 * k], &contacts_[k]);
+    }
+    return true;
+  }
+
+  // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it comes
+  // from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small disturbance
+  // dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of their impulse,
+  // normal and friction alike, is what undoes the disturbance. An impulse thus acts along the contact's whole force. A
+  // gap takes longer to close than a velocity to die out, but likewise it is undone by the integral P of that lack of
+  // impulse over time, acting along the force; as the force turns meanwhile, the velocity changes by -P times its rate.
+  void ProjectPositions() {
+    const auto move = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
+    rows_.clear();
+    for (const Contact& contact : contacts_) AddOverlap(contact);
+    SolveRows();
+    ForEachPush(move);
+    AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
+    KeepValues();
+    SolveRows();
+    ForEachPush(move);
+    if constexpr (kDerivatives) {
+      AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
+      KeepDerivatives();
+      SolveRows();
+      ForEachPush(move);
+      for (Row& row : rows_) row.push = row.turning;
+      ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v -= change; });
+    }
+  }
+  void ProjectVelocities() {
+    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].v += change; };
+    for (Contact& contact : contacts_) contact.rests = std::abs(Value(NormalVelocity(contact))) <= kStillSpeed;
+    // The second pass is for what rounding leaves of the first.
+    for (int pass = 0; pass < 2; ++pass) {
+      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+      KeepValues();
+      bool negligible = true;
+      for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
+      SolveRows();
+      ForEachPush(push);
+      if (negligible) break;
+    }
+    if constexpr (kDerivatives) {
+      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+      KeepDerivatives();
+      SolveRows();
+      ForEachPush(push);
+    }
+  }
+
+  // Sets the accelerations under which closed contacts stay closed, when the discs have flown `ahead` s further.
+  void SetAccelerations(double ahead) {
+    AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, ahead); });
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      discs_[c.a].a = in_.Acceleration(c.a);
+      if (!c.plane) discs_[c.b].a = in_.Acceleration(c.b);
+    }
+    // The forces found on values, then what is missing.
+    const auto push = [&](int i, const Vec2<T>& change) { discs_[i].a += change; };
+    ForEachPush(push);
+    for (Row& row : rows_) {
+      row.violation += Dot(row.direction, discs_[row.a].a);
+      if (row.b >= 0) row.violation -= Dot(row.direction, discs_[row.b].a);
+    }
+    SolveRows();
+    ForEachPush(push);
+  }
+
+  // Sliding speed of a contact and its rate of change, as values.
+  double SlidingSpeed(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const Vec2d w = ValueOf(discs_[f.a].v) - (f.b >= 0 ? ValueOf(discs_[f.b].v) : Vec2d(0, 0));
+    return Dot(Perpendicular(f.normal), w);
+  }
+  double SlidingAcceleration(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const Vec2d q = ValueOf(discs_[f.a].a) - (f.b >= 0 ? ValueOf(discs_[f.b].a) : Vec2d(0, 0));
+    return Dot(Perpendicular(f.normal), q);
+  }
+
+ private:
+  // One scalar condition across a contact, and the force that keeps it.
+  struct Row {
+    int a, b;           // b = -1: a plane
+    Vec2<T> direction;  // what is measured
+    Vec2<T> push;       // along which the force acts
+    T violation;
+    T force;
+    Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
+  };
+  static constexpr bool kDerivatives = !std::is_same_v<T, double>;
+
+  template <typename Add>
+  void AddRowsOfClosed(const Add& add) {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (contact.closed) add(contact);
+    }
+  }
+  // The violations without derivatives, undone along the normals (and tangents).
+  void KeepValues() {
+    for (Row& row : rows_) {
+      row.violation = T(Value(row.violation));
+      row.push = row.direction;
+    }
+  }
+  void KeepDerivatives() {
+    for (Row& row : rows_) row.violation -= Value(row.violation);
+  }
+
+  static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
+  Separation<T> SeparationOf(const Candidate& c) const {
+    return SeparationAt(in_, c, [&](int i) { return discs_[i].p; });
+  }
+  void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
+
+  // Whether the discs wedge, and of each contact the normal and the tangential force and the acceleration along its
+  // tangent; nothing if there is no solution.
+  std::pmr::vector<double> FindForces() {
+    std::pmr::vector<double> found(in_.scratch);
+    Pressing pressing = TryForces();
+    const bool wedged = pressing == Pressing::kWedged;
+    if (wedged) {
+      for (Contact& contact : contacts_) contact.force.sliding = contact.force.turning = 0;
+      pressing = TryForces();
+    }
+    if (pressing != Pressing::kSolved) return found;
+    found.push_back(wedged);
+    for (const PressingContact& force : forces_) {
+      found.push_back(force.normal_force);
+      found.push_back(force.tangential_force);
+      const Vec2d a = acceleration_[force.a] - (force.b >= 0 ? acceleration_[force.b] : Vec2d(0, 0));
+      found.push_back(Dot(Perpendicular(force.normal), a));
+    }
+    return found;
+  }
+
+  Pressing TryForces() {
+    forces_.clear();
+    for (const Contact& contact : contacts_) {
+      const Candidate& c = in_.candidates[contact.pair];
+      Reset(c.a);
+      if (!c.plane) Reset(c.b);
+      forces_.push_back(contact.force);
+    }
+    return SolvePressingForces(Value(in_.contact.friction), inverse_mass_, acceleration_, forces_);
+  }
+
+  void Measure(Contact* contact) const {
+    const Candidate& c = in_.candidates[contact->pair];
+    PressingContact& f = contact->force;
+    const auto position = [&](int i) { return ValueOf(discs_[i].p); };
+    const Separation<double> at =
+        c.plane ? Separate<double>(position(c.a), in_.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
+    f.a = c.a;
+    f.b = c.plane ? -1 : c.b;
+    f.normal = at.normal;
+    f.mass = Value(in_.EffectiveMass(c));
+    const double sliding = SlidingSpeed(*contact);
+    const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
+    f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
+    f.turning = c.plane || at.distance == 0 || may_stick ? 0.0 : sliding * sliding / at.distance;
+  }
+
+  // `along`: the acceleration along the tangent.
+  static void Classify(double friction, double open, double along, Contact* contact) {
+    PressingContact& f = contact->force;
+    contact->closed = f.normal_force > open;
+    if (!(friction > 0)) {
+      contact->mode = ContactMode::kFrictionless;
+      // By friction there is a derivative where it slides, or begins to.
+      if (f.sliding == 0) f.sliding = (along > kPushing) - (along < -kPushing);
+      return;
+    }
+    const double bound = friction * f.normal_force;
+    const bool sticks = f.sliding == 0 && std::abs(f.tangential_force) < bound * (1 - 1e-12);
+    contact->mode = sticks ? ContactMode::kStick : ContactMode::kSlip;
+    if (f.sliding == 0 && !sticks) f.sliding = f.tangential_force > 0 ? -1 : 1;
+  }
+
+  bool MayMove(double gap, const Contact& contact) const { return gap >= -kContactGap || contact.drifts; }
+  void AddGap(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const Separation<T> at = SeparationOf(c);
+    T gap = at.distance - in_.ContactDistance(c);
+    if (!MayMove(Value(gap), contact)) gap -= Value(gap);
+    const Vec2<T> tangent = Perpendicular(at.normal);
+    const T along = TangentialShare(contact);
+    Row row{c.a, c.plane ? -1 : c.b, at.normal, at.normal + Scale(along, tangent), gap, T(0.0)};
+    if (contact.mode == ContactMode::kStick) {
+      row.push = at.normal - Scale(DriftOf(contact), tangent);
+    } else if (!c.plane && Value(at.distance) > 0) {
+      const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), at.distance);
+      row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
+    }
+    rows_.push_back(row);
+  }
+  // The tangential part of a sliding contact's force for one of 1 N along the normal.
+  T TangentialShare(const Contact& contact) const {
+    if (contact.mode == ContactMode::kStick || wedged_) return T(0.0);
+    return in_.contact.friction * double(-contact.force.sliding);
+  }
+  // How far a contact that sticks moves along its tangent when its gap is opened, as a multiple of that: while it falls
+  // and bounces, nothing holds it against what would make it slide. For a contact by itself; of several that stick
+  // there is no such number, which of them meets first decides.
+  double DriftOf(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const double restitution = Value(in_.contact.restitution);
+    if (contacts_.size() > 1 || f.mass == 0 || restitution >= 1) return 0;
+    const auto given = [&](int i) { return ValueOf(in_.Acceleration(i)); };
+    const Vec2d a = given(f.a) - (f.b >= 0 ? given(f.b) : Vec2d(0, 0));
+    const double friction = Value(in_.contact.friction);
+    return DriftOfBounces(Dot(Perpendicular(f.normal), a), -Dot(f.normal, a), friction, restitution);
+  }
+  // On values. Not only of closed contacts: closing these must not push others into each other bit by bit.
+  void AddOverlap(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const Separation<T> at = SeparationOf(c);
+    const double gap = Value(at.distance) - in_.ContactDistance(c);
+    if (!MayMove(gap, contact) || std::abs(gap) <= kRoundingGap || (!contact.closed && gap > -0.1 * kContactGap))
+      return;
+    rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
+  }
+
+  T NormalVelocity(const Contact& contact) const {
+    const Candidate& c = in_.candidates[contact.pair];
+    return Dot(SeparationOf(c).normal, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; }));
+  }
+  void AddVelocityRows(const Contact& contact) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const int b = c.plane ? -1 : c.b;
+    const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
+    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+    Vec2<T> push = normal;
+    if (contact.rests) push += Scale(TangentialShare(contact), tangent);
+    rows_.push_back({c.a, b, normal, push, Dot(normal, w), T(0.0)});
+    if (contact.mode != ContactMode::kStick && !wedged_) return;
+    rows_.push_back({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
+  }
+
+  void AddAccelerationRows(const Contact& contact, double ahead) {
+    const Candidate& c = in_.candidates[contact.pair];
+    const PressingContact& f = contact.force;
+    const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
+      const EventDisc<T>& disc = discs_[i];
+      return disc.p + Scale(ahead, Vec2<T>(disc.v + Scale(0.5 * ahead, disc.a)));
+    });
+    const Vec2<T> tangent = Perpendicular(at.normal);
+    const int b = c.plane ? -1 : c.b;
+    if (contact.mode == ContactMode::kStick) {
+      rows_.push_back({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
+      rows_.push_back({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force)});
+      return;
+    }
+    T turning(0.0);
+    if (!c.plane && Value(at.distance) > 0) {
+      const Vec2<T> w =
+          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(ahead, discs_[i].a); });
+      const T sliding = Dot(tangent, w);
+      turning = Divide(T(sliding * sliding), at.distance);
+    }
+    const T share = in_.contact.friction * double(-f.sliding);
+    const Vec2<T> push = at.normal + Scale(share, tangent);
+    rows_.push_back({c.a, b, at.normal, push, turning, T(f.normal_force)});
+  }
+
+  // The forces that undo the violations.
+  void SolveRows() {
+    const int n = static_cast<int>(rows_.size());
+    if (n == 0) return;
+    matrix_.resize(n * n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(rows_[i], rows_[j]);
+    }
+    PseudoInvert(n, matrix_);
+    for (int i = 0; i < n; ++i) {
+      rows_[i].force = T(0.0);
+      for (int j = 0; j < n; ++j) rows_[i].force -= rows_[j].violation * matrix_[i * n + j];
+    }
+  }
+  // How much the force of row j changes what row i measures.
+  double Coupling(const Row& i, const Row& j) const {
+    double mobility = 0;
+    const auto meet = [&](int p, int q, double sign) {
+      if (p >= 0 && p == q) mobility += sign * inverse_mass_[p];
+    };
+    meet(i.a, j.a, 1);
+    meet(i.b, j.b, 1);
+    meet(i.a, j.b, -1);
+    meet(i.b, j.a, -1);
+    return mobility * Dot(ValueOf(i.direction), ValueOf(j.push));
+  }
+  template <typename Apply>
+  void ForEachPush(const Apply& apply) const {
+    for (const Row& row : rows_) {
+      apply(row.a, Scale(T(row.force * in_.bodies[row.a].inverse_mass), row.push));
+      if (row.b >= 0) apply(row.b, Scale(T(-row.force * in_.bodies[row.b].inverse_mass), row.push));
+    }
+  }
+
+  const StepInput<T>& in_;
+  std::span<EventDisc<T>> discs_;
+  bool wedged_ = false;  // sliding ends at once
+  std::pmr::vector<Contact> contacts_;
+  std::pmr::vector<Row> rows_;
+  std::pmr::vector<double> matrix_;
+  std::pmr::vector<PressingContact> forces_;
+  std::pmr::vector<Vec2d> acceleration_;  // per disc, values
+  std::pmr::vector<double> inverse_mass_;
+};
+
+}  // namespace saltus::internal

@@ -1,0 +1,530 @@
+// One step of the event-driven model (event.h), as an object: the discs and pairs of the step and their next events.
+//
+// Every disc carries the time since which its acceleration is constant, and is moved on only when something happens to
+// it; discs that never meet therefore do not influence each other's bits. All decisions are taken on values.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <memory_resource>
+#include <type_traits>
+#include <vector>
+
+#include "contact/event_press.h"
+#include "contact/event_ties.h"
+
+namespace saltus::internal {
+
+template <typename T>
+class EventStep {
+ public:
+  using State = BodyState<T, 0>;
+  static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
+
+  EventStep(const StepInput<T>& in, std::span<const State> x)
+      : in_(in),
+        limit_(in.h * (1 - kNodeMargin)),
+        discs_(in.scratch),
+        pairs_(in.candidates.size(), in.scratch),
+        tied_(in.scratch),
+        trial_(in.scratch),
+        group_(in) {
+    discs_.reserve(x.size());
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) {
+      discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
+    }
+    group_.SetDiscs(discs_);
+  }
+
+  // True if some pair may touch within the step.
+  bool AnythingMayHappen() const {
+    for (const Candidate& c : in_.candidates) {
+      if (!StaysApart(ApproachAt(c, 0).polynomial, in_.h)) return true;
+    }
+    return false;
+  }
+
+  // GCC 12 cannot flatten it as a whole.
+  [[gnu::noinline]] void Run() {
+    for (int q = 0; q < num_pairs(); ++q) Predict(q);
+    for (int count = 0; count < 2 * kMaxEvents; ++count) {
+      inelastic_ = count >= kMaxEvents;
+      const int q = NextPair();
+      if (q < 0) return CloseCurvedContacts();
+      ++order_;
+      Resolve(q);
+      if (failed_) return;
+      for (int other = 0; other < num_pairs(); ++other) {
+        if (IsDirty(other)) Predict(other);
+      }
+      for (EventDisc<T>& disc : discs_) disc.dirty = false;
+    }
+    Fail("there is no end of events");
+  }
+
+  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too many
+  // events, or forces were not found.
+  bool Moved(int i) const { return discs_[i].moved; }
+  SALTUS_FLATTEN State End(int i) const {
+    const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
+    return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
+  }
+
+ private:
+  using Group = PressedGroup<T>;
+
+  struct Pair {
+    double next = kNever;    // s, its next event
+    int passed = -1;         // number of the event since which it is ignored while it touches
+    int released = -1;       // number of the event that last ended held
+    bool held = false;       // closed, and kept closed by the accelerations of its discs
+    bool curved = false;     // its discs move around each other while held, or did
+    bool stopping = false;   // held, and its next event is that sliding ends
+    int reported_mode = -1;  // of the last report as a sustained contact
+    double tied = -kNever;   // s, when it was last looked at as a part of a tie
+  };
+
+  // What there was before an order of tied impacts was tried, and what the first of the orders led to.
+  struct TieTrial {
+    explicit TieTrial(std::pmr::memory_resource* scratch)
+        : tied(scratch), discs(scratch), outcome(scratch), pairs(scratch) {}
+    std::pmr::vector<int> tied;
+    std::pmr::vector<EventDisc<T>> discs, outcome;
+    std::pmr::vector<Pair> pairs;
+  };
+
+  void Fail(std::string_view why) {
+    failed_ = true;
+    in_.Fail(why);
+  }
+
+  int num_pairs() const { return static_cast<int>(pairs_.size()); }
+  const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
+  bool Moves(int i) const { return !in_.bodies[i].fixed; }
+  bool IsDirty(int q) const {
+    const Candidate& c = CandidateOf(q);
+    return discs_[c.a].dirty || (!c.plane && discs_[c.b].dirty);
+  }
+  int NextPair() const {
+    int next = -1;
+    double time = limit_;
+    for (int q = 0; q < num_pairs(); ++q) {
+      if (pairs_[q].next < time) {
+        time = pairs_[q].next;
+        next = q;
+      }
+    }
+    return next;
+  }
+
+  Vec2<T> RelativeVelocityAt(const Candidate& c, const T& time) const {
+    return RelativeVelocity<T>(c, [&](int i) { return discs_[i].VelocityAt(time); });
+  }
+  Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
+    return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
+  }
+  // The same at the last events of both discs. Precondition: that is the same instant, or a disc is fixed.
+  Vec2<T> LastRelativeVelocity(const Candidate& c) const {
+    return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
+  }
+  Separation<T> LastSeparation(const Candidate& c) const {
+    return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
+  }
+  Motion MotionAt(int i, double time) const {
+    const EventDisc<T>& disc = discs_[i];
+    const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
+    return Motion{value(disc.p), value(disc.v), value(disc.a)}.After(time - Value(disc.t));
+  }
+  template <typename MotionOf>
+  Approach Measure(const Candidate& c, const MotionOf& motion) const {
+    if (c.plane) return MeasureApproach(motion(c.a), in_.planes[c.b], in_.ContactDistance(c));
+    return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+  }
+  Approach ApproachAt(const Candidate& c, double time) const {
+    return Measure(c, [&](int i) { return MotionAt(i, time); });
+  }
+
+  // The time and the number of the last event of a pair's discs.
+  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
+  const EventDisc<T>& LastDisc(const Candidate& c) const {
+    return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
+  }
+
+  void Predict(int q) {
+    Pair& pair = pairs_[q];
+    if (pair.held) return;
+    const Candidate& c = CandidateOf(q);
+    const double now = Value(LastTime(c));
+    const Approach approach = ApproachAt(c, now);
+    bool ignore_start = false;
+    if (approach.Touching()) {
+      const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
+      if (matters && pair.passed != LastDisc(c).order) {
+        pair.next = now;
+        return;
+      }
+      ignore_start = true;
+    }
+    const std::span<const double> wait = in_.Solved(
+        [&] { return std::array{FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start)}; });
+    pair.next = now + wait[0];
+  }
+
+  void Resolve(int q) {
+    const Candidate& c = CandidateOf(q);
+    const double time = pairs_[q].next;
+    if (pairs_[q].held) {
+      Settle(q, pairs_[q].stopping ? StopTime(c, time) : T(time));
+      return;
+    }
+    const Approach approach = ApproachAt(c, time);
+    if (approach.speed < -kSlowSpeed) {
+      const bool pressed = approach.Pushing() && TouchesAlone(q, time);
+      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(c, ImpactTime(c, time), pressed);
+      return;
+    }
+    const T slow_time = SlowTime(c, time, approach);
+    if (approach.Pushing()) {
+      Settle(q, slow_time);
+      return;
+    }
+    in_.Report(c, ContactMode::kFrictionless, TimeInStep(slow_time), ContactKind::kGrazing);
+    if (approach.Grazing()) {
+      // Nothing changes for the two, so nothing else is to be considered again.
+      pairs_[q].passed = LastDisc(c).order;
+      pairs_[q].next = time + FirstClosing(approach.polynomial, std::max(limit_ - time, 0.0), true);
+      return;
+    }
+    Release(c.a, slow_time);
+    if (!c.plane) Release(c.b, slow_time);
+    StopClosing(c);
+    pairs_[q].passed = order_;
+  }
+
+  double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
+
+  // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
+  // overlapped already at its last event has no impact time of its own; it meets at that event.
+  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Separation<T> at = SeparationAtTime(c, time);
+    const T gap = at.distance - in_.ContactDistance(c);
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    if (predicted <= Value(LastTime(c))) {
+      const bool first = LastDisc(c).order == 0;
+      const double allowed = first ? kContactGap - 2 * kNodeMargin * in_.h * speed : kRoundingGap;
+      if (Value(gap) < -allowed) return LastTime(c);
+    }
+    return time - Divide(T(gap - Value(gap)), speed);
+  }
+  // Likewise when they touch slowly.
+  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
+    const T time(predicted);
+    if (predicted <= Value(LastTime(c))) return LastTime(c);
+    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
+    if (!approach.Pushing()) return time;
+    // They never parted by more than rounding: this is when they begin to close.
+    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
+    return time - Divide(T(speed - Value(speed)), approach.acceleration);
+  }
+  // Likewise for the time at which sliding ends.
+  T StopTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
+    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
+    const T sliding = Dot(tangent, RelativeVelocityAt(c, time));
+    return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
+  }
+
+  SALTUS_FLATTEN void MoveTo(int i, const T& time) {
+    if (!Moves(i)) return;
+    EventDisc<T>& disc = discs_[i];
+    const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
+    disc.p = p;
+    disc.v = v;
+    disc.t = time;
+    disc.moved = disc.dirty = true;
+    disc.order = order_;
+  }
+
+  // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
+  void Release(int i, const T& time) {
+    if (!Moves(i)) return;
+    MoveTo(i, time);
+    discs_[i].a = in_.Acceleration(i);
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (!pairs_[q].held || (c.a != i && (c.plane || c.b != i))) continue;
+      pairs_[q].held = false;
+      pairs_[q].released = order_;
+      Release(c.a, time);
+      if (!c.plane) Release(c.b, time);
+    }
+  }
+
+  // Whether the discs of pair q touch nothing else.
+  bool TouchesAlone(int q, double time) const {
+    const Candidate& c = CandidateOf(q);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+      if (other == q || (!shares(c.a) && (c.plane || !shares(c.b)))) continue;
+      if (ApproachAt(d, time).gap <= kContactGap) return false;
+    }
+    return true;
+  }
+
+  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
+  // of a contact at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time, bool pressed) {
+    Release(c.a, time);
+    if (!c.plane) Release(c.b, time);
+    const Separation<T> at = LastSeparation(c);
+    const Vec2<T> w = LastRelativeVelocity(c), tangent = Perpendicular(at.normal);
+    const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
+    const T& friction = in_.contact.friction;
+    const T mass = in_.EffectiveMass(c);
+    const bool last = pressed && -Value(in_.contact.restitution) * Value(speed) <= kSlowSpeed;
+    const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
+    const T normal_impulse = -bounce * mass * speed;
+    ContactMode mode = Value(friction) > 0 ? ContactMode::kSlip : ContactMode::kFrictionless;
+    // Without friction only the derivative by it is left of this impulse: none head-on, where any friction sticks.
+    const bool head_on = mode == ContactMode::kFrictionless &&
+                         std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
+    T tangential_impulse = -friction * (head_on ? 0.0 : SignOf(sliding)) * normal_impulse;
+    if (mode == ContactMode::kSlip && !(Value(mass) * std::abs(Value(sliding)) > std::abs(Value(tangential_impulse)))) {
+      mode = ContactMode::kStick;
+      tangential_impulse = -mass * sliding;
+    }
+    const Vec2<T> impulse = Scale(normal_impulse, at.normal) + Scale(tangential_impulse, tangent);
+    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    in_.Report(c, mode, TimeInStep(time));
+  }
+
+  // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
+  // impacts have been taken, in the order that was asked for.
+  bool ResolveTie(int q, double time) {
+    if (in_.ties == nullptr && in_.tie_order == 0) return false;
+    if (time - pairs_[q].tied <= kTieTime * in_.h) return false;
+    FindTied(q, time);
+    if (tied_.size() < 2) return false;
+    for (int r : tied_) pairs_[r].tied = time;
+    if constexpr (std::is_same_v<T, double>) {
+      if (in_.ties != nullptr && OrderMatters(time)) ReportTie(time);
+    }
+    if (in_.tie_order == 0) return false;
+    ArrangeTie(in_.tie_order, tied_);
+    TakeTied(time);
+    return true;
+  }
+
+  // Pair q and all that meet at `time` and are connected with it through discs that move, in the order of the pairs.
+  void FindTied(int q, double time) {
+    tied_.assign(1, q);
+    for (std::size_t k = 0; k < tied_.size(); ++k) {
+      const Candidate c = CandidateOf(tied_[k]);
+      for (int r = 0; r < num_pairs(); ++r) {
+        const Candidate& d = CandidateOf(r);
+        const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+        if (!shares(c.a) && (c.plane || !shares(c.b))) continue;
+        if (std::find(tied_.begin(), tied_.end(), r) != tied_.end()) continue;
+        const double distance = in_.ContactDistance(d), size = distance + MotionAt(d.a, time).p.template lpNorm<1>();
+        if (MeetsNow(ApproachAt(d, time), distance, size, in_.h)) tied_.push_back(r);
+      }
+    }
+    std::sort(tied_.begin(), tied_.end());
+  }
+
+  // The impacts among tied_, which lists them in order of preference. True if there was ever a choice.
+  bool TakeTied(double time) {
+    const bool inelastic = inelastic_;
+    bool choice = false;
+    for (int count = 0; count < 2 * kMostTiedImpacts; ++count) {
+      int next = -1;
+      for (int r : tied_) {
+        if (ApproachAt(CandidateOf(r), time).speed >= -kSlowSpeed) continue;
+        choice = choice || next >= 0;
+        if (next < 0) next = r;
+        if (choice) break;
+      }
+      if (next < 0) break;
+      inelastic_ = inelastic || count >= kMostTiedImpacts;
+      ++order_;
+      Impact(CandidateOf(next), ImpactTime(CandidateOf(next), time), /*pressed=*/false);
+    }
+    inelastic_ = inelastic;
+    return choice;
+  }
+
+  // Tries the orders, and takes everything back.
+  bool OrderMatters(double time) {
+    double fastest = 0;
+    for (int r : tied_) fastest = std::max(fastest, -ApproachAt(CandidateOf(r), time).speed);
+    if (fastest <= kTieSlowSpeed) return false;
+    const double same = kTieSpeed * fastest + kTieSlowSpeed;
+    TieTrial& trial = trial_;
+    trial.tied = tied_;
+    trial.discs = discs_;
+    trial.pairs = pairs_;
+    const int order = order_;
+    const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
+    bool matters = false, choice = true;
+    for (int k = 1; k <= NumTieOrders(static_cast<int>(tied_.size())) && choice && !matters; ++k) {
+      tied_ = trial.tied;
+      ArrangeTie(k, tied_);
+      choice = TakeTied(time) || k > 1;
+      if (k == 1) trial.outcome = discs_;
+      for (std::size_t i = 0; i < discs_.size(); ++i) {
+        matters = matters || (trial.outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
+      }
+      discs_ = trial.discs;
+      pairs_ = trial.pairs;
+      order_ = order;
+      if (in_.touches != nullptr) in_.touches->resize(touches);
+    }
+    tied_ = trial.tied;
+    return matters;
+  }
+
+  void ReportTie(double time) const {
+    const int tie = in_.ties->empty() ? 0 : in_.ties->back().tie + 1;
+    for (int r : tied_) in_.ties->push_back({CandidateOf(r), TimeInStep(T(time)), tie});
+  }
+
+  // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
+  void StopClosing(const Candidate& c) {
+    const Vec2<T> normal = LastSeparation(c).normal;
+    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
+    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+  }
+
+  // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on.
+  void Settle(int q, const T& time) {
+    group_.Clear();
+    Join(q, time);
+    while (Grow(time)) {
+    }
+    if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
+    for (const auto& contact : group_.contacts()) {
+      const Candidate& c = CandidateOf(contact.pair);
+      if (contact.closed || ApproachAt(c, Value(time)).speed >= -kStillSpeed) continue;
+      StopClosing(c);
+      ReportSustained(contact, time);
+    }
+    group_.ProjectPositions();
+    group_.ProjectVelocities();
+    group_.SetAccelerations(0);
+    const double ahead = CurvedStep(Value(time));
+    if (ahead > 0) group_.SetAccelerations(0.5 * ahead);
+    for (const auto& contact : group_.contacts()) Hold(contact, time, ahead);
+  }
+
+  void Join(int q, const T& time) {
+    const Candidate& c = CandidateOf(q);
+    if (!group_.HasDisc(c.a)) Release(c.a, time);
+    if (!c.plane && !group_.HasDisc(c.b)) Release(c.b, time);
+    group_.Add(q, pairs_[q].curved);
+  }
+
+  // Adds the pairs that touch a disc of the group. True if there are any.
+  bool Grow(const T& time) {
+    bool grows = false;
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
+      const bool drifted = pairs_[q].curved && pairs_[q].released == order_;
+      if (!drifted && !ApproachAt(c, Value(time)).Touching()) continue;
+      Join(q, time);
+      grows = true;
+    }
+    return grows;
+  }
+
+  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not. A
+  // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: the gap is
+  // off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8 after s.
+  double CurvedStep(double now) const {
+    double step = kNever;
+    for (const auto& contact : group_.contacts()) {
+      if (!contact.closed || !contact.Curved()) continue;
+      const double radius = in_.ContactDistance(CandidateOf(contact.pair));
+      const double drift = kLargestDrift / radius;
+      const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
+      const double change = std::abs(group_.SlidingAcceleration(contact)) / radius;
+      const auto limit = [&](double s) { step = std::min(step, s); };
+      if (turn * change > 0) limit(std::cbrt(4 * drift / (turn * change)));
+      if (change > 0) limit(std::sqrt(4 * std::sqrt(drift) / change));
+      if (turn > 0) limit(std::sqrt(std::sqrt(8 * drift)) / turn);
+    }
+    const double left = in_.h - now;
+    if (step == kNever || left <= 0) return 0;
+    return left / std::ceil(left / step);
+  }
+
+  void Hold(const typename Group::Contact& contact, const T& time, double ahead) {
+    Pair& pair = pairs_[contact.pair];
+    pair.held = contact.closed;
+    pair.curved = contact.closed && contact.Curved() && ahead > 0;
+    pair.stopping = false;
+    pair.passed = order_;
+    if (!contact.closed) return;
+    ReportSustained(contact, time);
+    pair.next = pair.curved ? Value(time) + ahead : kNever;
+    if (contact.mode != ContactMode::kSlip) return;
+    const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
+    if (std::abs(sliding) <= kStickSpeed || sliding * change >= 0) return;
+    const double stop = Value(time) - sliding / change;
+    if (stop > pair.next) return;
+    pair.next = stop;
+    pair.stopping = true;
+  }
+
+  // Once for each mode.
+  void ReportSustained(const typename Group::Contact& contact, const T& time) {
+    int& reported = pairs_[contact.pair].reported_mode;
+    if (reported == static_cast<int>(contact.mode)) return;
+    reported = static_cast<int>(contact.mode);
+    in_.Report(CandidateOf(contact.pair), contact.mode, TimeInStep(time), ContactKind::kSustained);
+  }
+
+  // Discs that moved around each other end the step exactly in contact.
+  void CloseCurvedContacts() {
+    const T end(in_.h);
+    for (int q = 0; q < num_pairs(); ++q) {
+      if (!pairs_[q].held || !pairs_[q].curved) continue;
+      group_.Clear();
+      Gather(q, end);
+      for (const auto& contact : group_.contacts()) pairs_[contact.pair].curved = false;
+      group_.ProjectPositions();
+      group_.ProjectVelocities();
+    }
+  }
+  // Moves all discs that press against each other with those of pair q to `time`.
+  void Gather(int q, const T& time) {
+    if (!pairs_[q].held || group_.Contains(q)) return;
+    const Candidate& c = CandidateOf(q);
+    MoveTo(c.a, time);
+    if (!c.plane) MoveTo(c.b, time);
+    group_.AddClosed(q, static_cast<ContactMode>(pairs_[q].reported_mode), pairs_[q].curved);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+      if (shares(c.a) || (!c.plane && shares(c.b))) Gather(other, time);
+    }
+  }
+
+  const StepInput<T>& in_;
+  double limit_;  // s, events after it are left to the next step
+  std::pmr::vector<EventDisc<T>> discs_;
+  std::pmr::vector<Pair> pairs_;
+  std::pmr::vector<int> tied_;  // pairs, as FindTied found them
+  TieTrial trial_;
+  int order_ = 0;
+  bool inelastic_ = false;
+  bool failed_ = false;
+  Group group_;
+};
+
+}  // namespace saltus::internal

@@ -1,0 +1,333 @@
+// Incremental potential contact: every substep minimises an energy with a barrier that keeps gaps positive (Li et al.
+// 2020, "Incremental Potential Contact").
+//
+// With h_s = h / substeps, q and v at the start of a substep, a = u/m + g, and gaps g_c and displacements d_c = t . (x
+// - q)_rel along the tangents at q, the new positions x minimise
+//
+//   E(x) = 1/2 |x - x^|^2_M + w [kappa sum of b(g_c(x))] + w_f [mu sum of l_c f(|d_c|)]
+//   b(g) = -(g - range)^2 ln(g / range) for g < range, else 0            twice differentiable
+//   f'(y) = y/e (2 - y/e) for y < e = slip_speed h_s, else 1             smoothed Coulomb friction
+//   l_c  = -kappa b'(g_c(q))                                             normal force at the start: lagged
+//
+//   implicit Euler:   x^ = q + h_s v + h_s^2 a,                          w = w_f = h_s^2,        v' = (x - q) / h_s
+//   trapezoidal:      x^ = q + h_s v + h_s^2/2 a + w M^-1 (barrier force at q),
+//                     w = h_s^2/4, w_f = h_s^2/2,                        v' = 2 (x - q) / h_s - v
+//
+// Newton's method from q with a positive definite Hessian and a line search that stops short of any contact along the
+// step, so no gap ever closes. Derivatives: one Newton correction with the exact Hessian, lagged terms included.
+//
+// There is no restitution parameter: what comes out depends on the integrator and the substeps; implicit Euler damps,
+// to a plastic impact in the stiff limit, and as the step goes to zero it becomes elastic. Bodies rebound up to `range`
+// before they touch. A scene in which bodies touch from the start has no finite energy. A substep that does not
+// converge is not a number. Momentum is conserved.
+#pragma once
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory_resource>
+#include <string>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+#include "contact/contact_rows.h"
+#include "contact/implicit.h"
+
+namespace saltus {
+
+namespace internal {
+
+// E of one group of discs, and its gradient. Unknowns: the positions of its moving discs.
+template <typename T>
+struct BarrierEnergy {
+  using Scalar = T;
+  struct Disc {
+    Vec2<T> q, target;  // x^
+    T mass;
+    int unknown;  // index of x_x; -1 if fixed
+  };
+  struct Side {
+    int a, b;  // discs; b < 0 at a plane
+    HalfPlane<double> plane;
+    double touching;  // m, distance at which the gap is zero
+    Vec2<T> tangent;  // at q
+    T friction;       // mu l_c, N
+  };
+
+  double kappa, range, slip;               // N/m, m, m
+  double barrier_weight, friction_weight;  // s^2
+  std::vector<Disc> discs;
+  std::vector<Side> contacts;
+  int num_unknowns = 0;
+
+  int size() const { return num_unknowns; }
+
+  Vec2<T> Position(std::span<const T> x, int disc) const {
+    const int unknown = discs[disc].unknown;
+    return unknown < 0 ? discs[disc].q : Vec2<T>(x[unknown], x[unknown + 1]);
+  }
+  Separation<T> SeparationAt(std::span<const T> x, const Side& side) const {
+    if (side.b < 0) return Separate<T>(Position(x, side.a), side.plane);
+    return Separate<T>(Position(x, side.a), Position(x, side.b));
+  }
+  // Displacement of a relative to b along the tangent.
+  T Slid(std::span<const T> x, const Side& side) const {
+    Vec2<T> moved = Position(x, side.a) - discs[side.a].q;
+    if (side.b >= 0) moved -= Position(x, side.b) - discs[side.b].q;
+    return Dot(side.tangent, moved);
+  }
+
+  // The gradient of E.
+  void Residual(std::span<const T> x, std::span<T> F) const {
+    for (const Disc& disc : discs) {
+      if (disc.unknown < 0) continue;
+      for (int j = 0; j < 2; ++j) F[disc.unknown + j] = disc.mass * (x[disc.unknown + j] - disc.target[j]);
+    }
+    for (const Side& side : contacts) {
+      const Separation<T> at = SeparationAt(x, side);
+      Vec2<T> pull = Scale(T(barrier_weight * kappa * BarrierSlope(T(at.distance - side.touching), range)), at.normal);
+      if (Value(side.friction) > 0) {
+        const T slid = Slid(x, side);
+        const T y = MinOf(Divide(SafeAbs(slid), slip), T(1.0));
+        pull += Scale(T(friction_weight * SignOf(slid) * side.friction * y * (2.0 - y)), side.tangent);
+      }
+      for (const int disc : {side.a, side.b}) {
+        if (disc < 0 || discs[disc].unknown < 0) continue;
+        for (int j = 0; j < 2; ++j) F[discs[disc].unknown + j] += disc == side.a ? pull[j] : T(-pull[j]);
+      }
+    }
+  }
+
+  // Infinite where a gap is closed.
+  double Energy(std::span<const double> x) const {
+    double energy = 0;
+    for (const Disc& disc : discs) {
+      if (disc.unknown < 0) continue;
+      for (int j = 0; j < 2; ++j) energy += 0.5 * disc.mass * std::pow(x[disc.unknown + j] - disc.target[j], 2);
+    }
+    for (const Side& side : contacts) {
+      const double gap = SeparationAt(x, side).distance - side.touching;
+      if (!(gap > 0)) return HUGE_VAL;
+      if (gap < range) energy -= barrier_weight * kappa * (gap - range) * (gap - range) * std::log(gap / range);
+      const double y = std::abs(Slid(x, side));
+      const double mollified = y < slip ? y * y * (1 - y / (3 * slip)) / slip + slip / 3 : y;
+      energy += friction_weight * side.friction * mollified;
+    }
+    return energy;
+  }
+
+  // b'
+  static T BarrierSlope(const T& gap, double range) {
+    using std::log;
+    if (!(gap < range)) return T(0.0);
+    const T ratio = Divide(gap, range);
+    return (range - gap) * (2.0 * log(ratio) - Divide(1.0, ratio) + 1.0);
+  }
+
+  template <typename U>
+  BarrierEnergy<U> Cast() const {
+    const auto number = [](const T& x) { return U(Value(x)); };
+    const auto vector = [&](const Vec2<T>& x) { return Vec2<U>(number(x[0]), number(x[1])); };
+    BarrierEnergy<U> out{kappa, range, slip, barrier_weight, friction_weight, {}, {}, num_unknowns};
+    for (const Disc& d : discs) out.discs.push_back({vector(d.q), vector(d.target), number(d.mass), d.unknown});
+    for (const Side& s : contacts) {
+      out.contacts.push_back({s.a, s.b, s.plane, s.touching, vector(s.tangent), number(s.friction)});
+    }
+    return out;
+  }
+};
+
+// The minimiser of E, found from x; false if it is not reached.
+bool MinimizeBarrierEnergy(const BarrierEnergy<double>& energy, Eigen::VectorXd* x);
+
+// True if no pair comes within `range` of contact on the straight way from q to the targets.
+bool StaysBeyondRange(const BarrierEnergy<double>& energy);
+
+}  // namespace internal
+
+struct IpcBarrier {
+  static constexpr double kRange = 0.01;  // m
+  static constexpr ModelTraits kTraits = {.name = "ipc_barrier",
+                                          .summary = "logarithmic barrier, implicit substeps, lagged friction",
+                                          .source = "IPC (Li et al. 2020)",
+                                          .compliant = true,
+                                          .double_engine = true,
+                                          .chains = true,
+                                          .rebound = Rebound::kEmergent,
+                                          .reach = kRange,
+                                          .allocates = true,
+                                          .relative = true};
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  enum class Integrator { kImplicitEuler, kTrapezoidal };
+
+  double range = kRange;     // m, at most kRange
+  double kappa = 1e5;        // N/m
+  double slip_speed = 1e-3;  // m/s
+  int substeps = 10;
+  Integrator integrator = Integrator::kImplicitEuler;
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"range", "gap below which the barrier pushes, m", 1e-6, kRange}, range);
+    visit(ModelOption{"kappa", "stiffness of the barrier, N/m", 1e-3, 1e12}, kappa);
+    visit(ModelOption{"slip_speed", "below which friction is less than mu times the normal force, m/s", 1e-6, 1},
+          slip_speed);
+    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    bool trapezoidal = integrator == Integrator::kTrapezoidal;
+    visit(ModelOption{"trapezoidal", "1: the trapezoidal rule instead of implicit Euler", 0, 1}, trapezoidal);
+    integrator = trapezoidal ? Integrator::kTrapezoidal : Integrator::kImplicitEuler;
+  }
+
+  // Bodies that touch from the start have no gap to keep.
+  static std::string WhyNot(const Scene& scene);
+
+  template <typename T>
+  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+    State<T> next = x;
+    for (int substep = 0; substep < substeps; ++substep) Fly(in, i, &next);
+    return next;
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    FreeFlight(*this, in, x, next);
+    const auto groups = FindContactGroups(in, x, [](const T&) { return true; });
+    for (const ContactGroup<T>& group : groups) {
+      std::pmr::vector<int> discs(in.scratch);
+      for (int i = 0; i < group.num_contacts(); ++i) {
+        const Candidate& c = group.contact(i).candidate;
+        for (const int disc : {c.a, c.plane ? c.a : c.b}) {
+          if (std::find(discs.begin(), discs.end(), disc) == discs.end()) discs.push_back(disc);
+        }
+      }
+      for (const int disc : discs) next[disc] = x[disc];
+      std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
+      for (int substep = 0; substep < substeps; ++substep) Advance<T>(in, group, discs, next, reported);
+      FlyUnlessReported<IpcBarrier, T>(*this, in, group, reported, x, next);
+    }
+  }
+
+ private:
+  template <typename T>
+  double SubstepLength(const StepInput<T>& in) const {
+    return in.h / substeps;
+  }
+
+  template <typename T>
+  void Fly(const StepInput<T>& in, int i, State<T>* x) const {
+    const double h = SubstepLength(in);
+    const Vec2<T> before = x->v;
+    x->v += Scale(h, in.Acceleration(i));
+    if (integrator == Integrator::kImplicitEuler) {
+      x->p += Scale(h, x->v);
+    } else {
+      x->p += Scale(0.5 * h, Vec2<T>(before + x->v));
+    }
+  }
+
+  template <typename T>
+  void Advance(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const int> discs,
+               std::span<State<T>> state, std::span<char> reported) const {
+    const internal::BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
+    const internal::BarrierEnergy<double> values = energy.template Cast<double>();
+    const std::span<const double> found = in.Solved([&] { return Minimize(in, values); });
+    if (found.empty()) {
+      for (const int disc : discs) Fly(in, disc, &state[disc]);
+      return;
+    }
+    const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
+    Report(in, group, values, x, reported);
+    Eigen::MatrixXd hessian;
+    if constexpr (!std::is_same_v<T, double>) hessian = LinearizeByUnknowns(values, x).jacobian;
+    const std::vector<T> solution = CorrectInT(energy, x, hessian);
+    const double h = SubstepLength(in);
+    for (std::size_t i = 0; i < discs.size(); ++i) {
+      const int unknown = energy.discs[i].unknown;
+      if (unknown < 0) continue;
+      State<T>& s = state[discs[i]];
+      const Vec2<T> p(solution[unknown], solution[unknown + 1]);
+      const Vec2<T> mean(Divide(T(p[0] - s.p[0]), h), Divide(T(p[1] - s.p[1]), h));
+      s.v = integrator == Integrator::kImplicitEuler ? mean : Vec2<T>(Scale(2.0, mean) - s.v);
+      s.p = p;
+    }
+  }
+
+  template <typename T>
+  internal::BarrierEnergy<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const int> discs,
+                                  std::span<const State<T>> state) const {
+    using Energy = internal::BarrierEnergy<T>;
+    const double h = SubstepLength(in);
+    const bool euler = integrator == Integrator::kImplicitEuler;
+    Energy energy{kappa, range, slip_speed * h, (euler ? 1.0 : 0.25) * h * h, (euler ? 1.0 : 0.5) * h * h, {}, {}, 0};
+    std::pmr::vector<int> place(state.size(), -1, in.scratch);
+    for (const int disc : discs) {
+      State<T> flying = state[disc];
+      Fly(in, disc, &flying);
+      const bool fixed = in.bodies[disc].fixed;
+      place[disc] = static_cast<int>(energy.discs.size());
+      energy.discs.push_back({state[disc].p, flying.p, in.bodies[disc].mass, fixed ? -1 : energy.num_unknowns});
+      if (!fixed) energy.num_unknowns += 2;
+    }
+    for (int i = 0; i < group.num_contacts(); ++i) {
+      const Candidate& c = group.contact(i).candidate;
+      const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return state[disc].p; });
+      const T force = -kappa * Energy::BarrierSlope(T(at.distance - in.ContactDistance(c)), range);
+      energy.contacts.push_back({place[c.a],
+                                 c.plane ? -1 : place[c.b],
+                                 c.plane ? in.planes[c.b] : HalfPlane<double>{},
+                                 in.ContactDistance(c),
+                                 Perpendicular(at.normal),
+                                 T(in.contact.friction * force)});
+      if (euler) continue;
+      ApplyImpulse(in, c, Scale(T(energy.barrier_weight * force), at.normal), [&](int disc, const Vec2<T>& change) {
+        energy.discs[place[disc]].target += change;
+      });
+    }
+    return energy;
+  }
+
+  // Positions at the end of a substep: empty if everything flies, not a number if the minimum is not found.
+  template <typename T>
+  static Eigen::VectorXd Minimize(const StepInput<T>& in, const internal::BarrierEnergy<double>& energy) {
+    if (internal::StaysBeyondRange(energy)) return Eigen::VectorXd(0);
+    Eigen::VectorXd x = Start(energy);
+    if (!internal::MinimizeBarrierEnergy(energy, &x)) {
+      in.Fail("the minimum of the barrier energy is not found");
+      x.setConstant(std::numeric_limits<double>::quiet_NaN());
+    }
+    return x;
+  }
+  static Eigen::VectorXd Start(const internal::BarrierEnergy<double>& energy) {
+    Eigen::VectorXd x(energy.size());
+    for (const auto& disc : energy.discs) {
+      if (disc.unknown >= 0) x.segment<2>(disc.unknown) = disc.q;
+    }
+    return x;
+  }
+
+  template <typename T>
+  void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::BarrierEnergy<double>& energy,
+              const Eigen::VectorXd& x, std::span<char> reported) const {
+    const Eigen::VectorXd start = Start(energy);
+    const std::span<const double> from(start.data(), start.size()), at(x.data(), x.size());
+    for (int i = 0; i < group.num_contacts(); ++i) {
+      const auto& side = energy.contacts[i];
+      const auto in_range = [&](std::span<const double> unknowns) {
+        return energy.SeparationAt(unknowns, side).distance - side.touching < range;
+      };
+      const bool acts = in_range(at) || (integrator == Integrator::kTrapezoidal && in_range(from));
+      if (reported[i] || !(acts || side.friction > 0)) continue;
+      reported[i] = 1;
+      const bool slips = std::abs(energy.Slid(at, side)) > energy.slip;
+      in.Report(group.contact(i).candidate,
+                !(in.contact.friction > 0.0) ? ContactMode::kFrictionless
+                : slips                      ? ContactMode::kSlip
+                                             : ContactMode::kStick);
+    }
+  }
+};
+
+}  // namespace saltus

@@ -1,0 +1,114 @@
+// Line and scatter figures, trajectories included, drawn by gnuplot as SVG and PNG.
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "output/palette.h"
+#include "io/status.h"
+
+namespace saltus {
+
+// One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
+struct Axis {
+  std::string label;  // with units, e.g. "time (s)"
+  bool log = false;   // values that are not positive are then left out
+  std::optional<double> min;
+  std::optional<double> max;
+};
+
+// Points (x[i], y[i]), joined by a line or not. Points that are not finite interrupt the line.
+struct Series {
+  std::string label;  // in the legend; equal labels appear once, empty ones not at all
+  std::vector<double> x;
+  std::vector<double> y;
+  std::string colour = "#000000";
+  Dash dash = Dash::kSolid;
+  Marker marker = Marker::kNone;  // on a line a few points are marked, without a line all
+  bool line = true;
+  double width = 2;  // of the line, pixels
+
+  // A line in the style of a contact model, with the model's name as its label.
+  static Series ForModel(std::string_view model, std::vector<double> x, std::vector<double> y);
+};
+
+// A line across the whole panel, at y = value (or x = value).
+struct ReferenceLine {
+  double value = 0;
+  std::string label;
+  bool vertical = false;
+  std::string colour = "#000000";
+  Dash dash = Dash::kDashed;
+};
+
+// Shapes are in data coordinates.
+struct Circle {
+  std::array<double, 2> centre = {0, 0};
+  double radius = 0;
+  std::string colour = "#000000";
+  double opacity = 0.15;  // of the inside
+};
+
+// Filled, without a border: a cell of a heat map.
+struct Rectangle {
+  std::array<double, 2> from = {0, 0};
+  std::array<double, 2> to = {0, 0};
+  std::string colour = "#000000";
+};
+
+struct Segment {
+  std::array<double, 2> from = {0, 0};
+  std::array<double, 2> to = {0, 0};
+  std::string colour = "#000000";
+  double width = 1.5;
+  bool arrow = false;
+};
+
+// Solid ground: everything on the side of `point` that `normal` points away from.
+struct SolidHalfPlane {
+  std::array<double, 2> point = {0, 0};
+  std::array<double, 2> normal = {0, 1};
+};
+
+struct Panel {
+  std::string title;
+  Axis x;
+  Axis y;
+  bool equal_aspect = false;  // one unit is as long in x as in y; widens a range
+  std::vector<Series> series;
+  std::vector<ReferenceLine> reference_lines;
+  std::vector<Rectangle> rectangles;
+  std::vector<Circle> circles;
+  std::vector<Segment> segments;
+  std::vector<SolidHalfPlane> half_planes;
+};
+
+enum class Legend { kRight, kBelow, kNone };
+
+// Panels in rows, with one legend for all of them beside the plots.
+struct Figure {
+  std::string title;
+  std::vector<Panel> panels;
+  int columns = 1;
+  int width = 800;         // of the figure, pixels
+  int panel_height = 340;  // of a panel with its labels, pixels
+  Legend legend = Legend::kRight;
+};
+
+// The figure as an <svg> element that scales with its surroundings. Its ids begin with `id_prefix` (letters, digits,
+// '-',
+// '_'), so that figures with different prefixes may stand in one page. An error if gnuplot is missing or fails.
+// Preconditions, here and below: at least one panel, x and y of each series have the same length.
+StatusOr<std::string> RenderSvg(const Figure& figure, std::string_view id_prefix,
+                                const std::string& gnuplot = "gnuplot");
+
+// The figure as the bytes of a PNG file, twice as wide as the figure's width in pixels.
+StatusOr<std::string> RenderPng(const Figure& figure, const std::string& gnuplot = "gnuplot");
+
+// Writes both; an empty path means neither is wanted there. Ids are prefixed with the SVG file's name.
+Status WriteFigure(const Figure& figure, const std::string& svg_path, const std::string& png_path);
+
+}  // namespace saltus

@@ -1,0 +1,270 @@
+#include "output/npz.h"
+
+#include <glog/logging.h>
+#include <zip.h>
+
+#include <algorithm>
+#include <bit>
+#include <charconv>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <numeric>
+#include <optional>
+#include <string_view>
+#include <type_traits>
+
+#include "npy_text.h"
+
+namespace saltus {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "NPY data are written as they lie in memory");
+
+constexpr std::string_view kMagic{"\x93NUMPY\x01\x00", 8};  // and version 1.0
+constexpr size_t kPrefix = 10;                              // magic, version, two bytes of header length
+constexpr size_t kAlignment = 64;
+constexpr std::string_view kSuffix = ".npy";
+constexpr zip_uint16_t kDosEpoch = 0x21;  // 1980-01-01, the first date that a zip file can hold
+
+template <typename T>
+constexpr std::string_view Descriptor() {
+  if constexpr (std::is_same_v<T, double>) return "<f8";
+  if constexpr (std::is_same_v<T, float>) return "<f4";
+  if constexpr (std::is_same_v<T, int64_t>) return "<i8";
+}
+
+std::string ShapeTuple(const std::vector<int64_t>& shape) {
+  std::string tuple = "(";
+  for (size_t i = 0; i < shape.size(); ++i) tuple += (i > 0 ? ", " : "") + std::to_string(shape[i]);
+  return tuple + (shape.size() == 1 ? ",)" : ")");
+}
+
+// Product of the dimensions; nothing if it overflows.
+std::optional<int64_t> Count(const std::vector<int64_t>& shape) {
+  int64_t count = 1;
+  for (const int64_t dimension : shape) {
+    if (__builtin_mul_overflow(count, dimension, &count)) return std::nullopt;
+  }
+  return count;
+}
+
+std::string Header(std::string_view descriptor, const std::vector<int64_t>& shape) {
+  std::string dictionary =
+      "{'descr': '" + std::string(descriptor) + "', 'fortran_order': False, 'shape': " + ShapeTuple(shape) + ", }";
+  const size_t unpadded = kPrefix + dictionary.size() + 1;
+  dictionary.append((kAlignment - unpadded % kAlignment) % kAlignment, ' ');
+  dictionary += '\n';
+  CHECK_LE(dictionary.size(), std::numeric_limits<uint16_t>::max()) << "too many dimensions for NPY 1.0";
+  std::string header(kMagic);
+  header += static_cast<char>(dictionary.size() & 0xff);
+  header += static_cast<char>(dictionary.size() >> 8);
+  return header + dictionary;
+}
+
+// What a header says. Read by hand: std::regex needs stack for every character.
+struct HeaderFields {
+  std::string_view descriptor, shape;
+  bool fortran_order = false;
+};
+
+// Takes `prefix` off the front of `text`, if it stands there.
+bool Take(std::string_view prefix, std::string_view* text) {
+  if (!text->starts_with(prefix)) return false;
+  text->remove_prefix(prefix.size());
+  return true;
+}
+
+// Takes what stands before `mark`, and the mark.
+std::string_view TakeUntil(char mark, std::string_view* text) {
+  const size_t end = std::min(text->find(mark), text->size());
+  const std::string_view taken = text->substr(0, end);
+  text->remove_prefix(std::min(end + 1, text->size()));
+  return taken;
+}
+
+// {'descr': '...', 'fortran_order': False, 'shape': (...), } and spaces up to the end of the line.
+std::optional<HeaderFields> ParseHeader(std::string_view text) {
+  HeaderFields fields;
+  if (!Take("{'descr': '", &text)) return std::nullopt;
+  fields.descriptor = TakeUntil('\'', &text);
+  if (!Take(", 'fortran_order': ", &text)) return std::nullopt;
+  fields.fortran_order = Take("True", &text);
+  if (!fields.fortran_order && !Take("False", &text)) return std::nullopt;
+  if (!Take(", 'shape': (", &text)) return std::nullopt;
+  fields.shape = TakeUntil(')', &text);
+  if (fields.shape.find_first_not_of("0123456789, ") != std::string_view::npos) return std::nullopt;
+  Take(",", &text);
+  if (!Take(" }", &text) || !text.ends_with('\n')) return std::nullopt;
+  if (text.find_first_not_of(' ') != text.size() - 1) return std::nullopt;
+  return fields;
+}
+
+// The numbers between the brackets.
+std::optional<std::vector<int64_t>> ParseShape(std::string_view text) {
+  constexpr std::string_view kDigits = "0123456789";
+  std::vector<int64_t> shape;
+  for (size_t at = text.find_first_of(kDigits); at != std::string_view::npos; at = text.find_first_of(kDigits)) {
+    text.remove_prefix(at);
+    int64_t dimension = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), dimension);
+    if (error != std::errc()) return std::nullopt;
+    shape.push_back(dimension);
+    text.remove_prefix(static_cast<size_t>(end - text.data()));
+  }
+  return shape;
+}
+
+template <typename T>
+StatusOr<NpyArray> DecodeData(std::vector<int64_t> shape, std::string_view bytes) {
+  const std::optional<int64_t> count = Count(shape);
+  if (!count || bytes.size() % sizeof(T) != 0 || bytes.size() / sizeof(T) != static_cast<uint64_t>(*count)) {
+    return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
+                         " bytes of data");
+  }
+  std::vector<T> data(static_cast<size_t>(*count));
+  if (!data.empty()) std::memcpy(data.data(), bytes.data(), bytes.size());
+  return NpyArray{std::move(shape), std::move(data)};
+}
+
+StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& descriptor, std::string_view bytes) {
+  const std::string digits = descriptor.substr(std::string(internal::kNpyTextType).size());
+  int width = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), width);
+  if (error != std::errc() || end != digits.data() + digits.size() || width <= 0) {
+    return Status::Error("NPY type '" + descriptor + "' not understood");
+  }
+  std::optional<std::vector<std::string>> texts = internal::DecodeNpyText({width, std::string(bytes)});
+  const std::optional<int64_t> count = Count(shape);
+  if (!texts || !count || texts->size() != static_cast<uint64_t>(*count)) {
+    return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
+                         " bytes of text");
+  }
+  return NpyArray{std::move(shape), std::move(*texts)};
+}
+
+struct ZipDiscard {
+  void operator()(zip_t* archive) const { zip_discard(archive); }
+};
+using ZipHandle = std::unique_ptr<zip_t, ZipDiscard>;
+
+Status ZipError(const std::string& path, zip_t* archive) { return Status::Error(path + ": " + zip_strerror(archive)); }
+
+StatusOr<ZipHandle> OpenZip(const std::string& path, int flags) {
+  int code = 0;
+  if (zip_t* archive = zip_open(path.c_str(), flags, &code)) return ZipHandle(archive);
+  zip_error_t error;
+  zip_error_init_with_code(&error, code);
+  const Status status = Status::Error(path + ": " + zip_error_strerror(&error));
+  zip_error_fini(&error);
+  return status;
+}
+
+// `bytes` must live until the archive is closed.
+bool AddMember(zip_t* archive, const std::string& name, const std::string& bytes) {
+  zip_source_t* source = zip_source_buffer(archive, bytes.data(), bytes.size(), /*freep=*/0);
+  if (source == nullptr) return false;
+  const zip_int64_t index = zip_file_add(archive, name.c_str(), source, ZIP_FL_ENC_UTF_8);
+  if (index < 0) {
+    zip_source_free(source);
+    return false;
+  }
+  const zip_uint64_t member = static_cast<zip_uint64_t>(index);
+  return zip_set_file_compression(archive, member, ZIP_CM_STORE, 0) == 0 &&
+         zip_file_set_dostime(archive, member, /*dostime=*/0, kDosEpoch, 0) == 0;
+}
+
+// Reads member `index`; nothing if the archive is damaged (libzip checks the CRC at the end of the data).
+std::optional<std::string> ReadMember(zip_t* archive, zip_uint64_t index) {
+  zip_file_t* file = zip_fopen_index(archive, index, 0);
+  if (file == nullptr) return std::nullopt;
+  std::string bytes;
+  std::vector<char> buffer(1 << 16);
+  zip_int64_t read = 0;
+  while ((read = zip_fread(file, buffer.data(), buffer.size())) > 0) bytes.append(buffer.data(), read);
+  const bool closed = zip_fclose(file) == 0;
+  if (read < 0 || !closed) return std::nullopt;
+  return bytes;
+}
+
+}  // namespace
+
+std::string EncodeNpy(const NpyArray& array) {
+  return std::visit(
+      [&]<typename T>(const std::vector<T>& data) {
+        for (const int64_t dimension : array.shape) CHECK_GE(dimension, 0);
+        const std::optional<int64_t> count = Count(array.shape);
+        CHECK(count && static_cast<uint64_t>(*count) == data.size())
+            << "shape " << ShapeTuple(array.shape) << " with " << data.size() << " entries";
+        if constexpr (std::is_same_v<T, std::string>) {
+          const internal::NpyText text = internal::EncodeNpyText(data);
+          return Header(internal::kNpyTextType + std::to_string(text.width), array.shape) + text.bytes;
+        } else {
+          std::string bytes = Header(Descriptor<T>(), array.shape);
+          bytes.append(reinterpret_cast<const char*>(data.data()), data.size() * sizeof(T));
+          return bytes;
+        }
+      },
+      array.data);
+}
+
+StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
+  if (bytes.size() < kPrefix || std::string_view(bytes).substr(0, kMagic.size()) != kMagic) {
+    return Status::Error("not an NPY file of version 1.0");
+  }
+  const size_t length = static_cast<unsigned char>(bytes[8]) + 256u * static_cast<unsigned char>(bytes[9]);
+  if (bytes.size() < kPrefix + length) return Status::Error("NPY header is cut off");
+  const std::string_view header = std::string_view(bytes).substr(kPrefix, length);
+  const std::optional<HeaderFields> fields = ParseHeader(header);
+  if (!fields) return Status::Error("NPY header not understood: " + std::string(header));
+  if (fields->fortran_order) return Status::Error("NPY data in Fortran order");
+  std::optional<std::vector<int64_t>> shape = ParseShape(fields->shape);
+  if (!shape) return Status::Error("NPY shape out of range: (" + std::string(fields->shape) + ")");
+  const std::string_view data = std::string_view(bytes).substr(kPrefix + length);
+  const std::string descriptor(fields->descriptor);
+  if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(*shape), data);
+  if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(*shape), data);
+  if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(*shape), data);
+  if (descriptor.starts_with(internal::kNpyTextType)) return DecodeText(std::move(*shape), descriptor, data);
+  return Status::Error("NPY type '" + descriptor + "'; expected <f8, <f4, <i8 or <U");
+}
+
+Status WriteNpz(const std::string& path, const NpzArrays& arrays) {
+  CHECK(!arrays.empty()) << path;
+  StatusOr<ZipHandle> archive = OpenZip(path, ZIP_CREATE | ZIP_TRUNCATE);
+  if (!archive.ok()) return archive.status();
+  std::vector<std::string> members;
+  members.reserve(arrays.size());  // libzip keeps pointers to the bytes
+  for (const auto& [key, array] : arrays) {
+    CHECK(!key.empty()) << path;
+    members.push_back(EncodeNpy(array));
+    if (!AddMember(archive->get(), key + std::string(kSuffix), members.back())) return ZipError(path, archive->get());
+  }
+  // Writes to a temporary file in the same folder and renames it.
+  if (zip_close(archive->get()) != 0) return ZipError(path, archive->get());
+  archive->release();
+  return Status();
+}
+
+StatusOr<NpzArrays> ReadNpz(const std::string& path) {
+  StatusOr<ZipHandle> archive = OpenZip(path, ZIP_RDONLY);
+  if (!archive.ok()) return archive.status();
+  NpzArrays arrays;
+  const zip_int64_t members = zip_get_num_entries(archive->get(), 0);
+  for (zip_int64_t i = 0; i < members; ++i) {
+    const char* name = zip_get_name(archive->get(), static_cast<zip_uint64_t>(i), 0);
+    if (name == nullptr) return ZipError(path, archive->get());
+    std::string key = name;
+    if (!key.ends_with(kSuffix)) return Status::Error(path + ": member " + key + " is not an .npy file");
+    const std::optional<std::string> bytes = ReadMember(archive->get(), static_cast<zip_uint64_t>(i));
+    if (!bytes) return Status::Error(path + ": member " + key + " is damaged");
+    StatusOr<NpyArray> array = DecodeNpy(*bytes);
+    if (!array.ok()) return Status::Error(path + ": " + key + ": " + array.status().message());
+    key.resize(key.size() - kSuffix.size());
+    arrays[key] = std::move(*array);
+  }
+  return arrays;
+}
+
+}  // namespace saltus

@@ -1,0 +1,151 @@
+#include "output/progress.h"
+
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+namespace saltus {
+namespace {
+
+constexpr double kBarPeriod = 0.1;   // s
+constexpr double kLinePeriod = 5.0;  // s
+constexpr size_t kDefaultColumns = 80;
+constexpr size_t kMinBar = 10;
+constexpr size_t kMaxBar = 40;
+
+template <typename... Args>
+std::string Print(const char* format, Args... args) {
+  std::array<char, 96> buffer;
+  const int size = std::snprintf(buffer.data(), buffer.size(), format, args...);
+  return std::string(buffer.data(), std::min(static_cast<size_t>(std::max(size, 0)), buffer.size() - 1));
+}
+
+// 83 s as "1:23", two hours as "2:00:00".
+std::string Duration(double seconds) {
+  const long long s = std::llround(std::clamp(seconds, 0.0, 1e9));
+  if (s < 3600) return Print("%lld:%02lld", s / 60, s % 60);
+  return Print("%lld:%02lld:%02lld", s / 3600, s / 60 % 60, s % 60);
+}
+
+bool IsFinished(const ProgressState& state) { return state.total > 0 && state.done >= state.total; }
+
+double Fraction(const ProgressState& state) {
+  return std::clamp(static_cast<double>(state.done) / static_cast<double>(state.total), 0.0, 1.0);
+}
+
+// "512/1000  51%  128/s  0:04 left"
+std::string Figures(const ProgressState& state) {
+  std::string text = Print("%lld", static_cast<long long>(state.done));
+  if (state.total > 0) {
+    text += Print("/%lld %3.0f%%", static_cast<long long>(state.total), std::floor(100 * Fraction(state)));
+  }
+  const bool measured = state.done > 0 && state.elapsed > 0;
+  if (measured) text += Print("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
+  if (IsFinished(state) || state.total <= 0 || !measured) return text + "  " + Duration(state.elapsed);
+  const double left = state.elapsed * static_cast<double>(state.total - state.done) / static_cast<double>(state.done);
+  return text + "  " + Duration(left) + " left";
+}
+
+// Whole UTF-8 characters only, so that a terminal is never sent half of one.
+std::string Truncate(std::string text, size_t columns) {
+  size_t width = 0;
+  for (size_t i = 0; i < text.size(); ++i) {
+    const bool starts_character = (static_cast<unsigned char>(text[i]) & 0xc0) != 0x80;
+    if (starts_character && ++width > columns) return text.substr(0, i);
+  }
+  return text;
+}
+
+size_t TerminalColumns(std::FILE* sink) {
+  winsize size{};
+  const bool known = ioctl(fileno(sink), TIOCGWINSZ, &size) == 0 && size.ws_col > 0;
+  return known ? size.ws_col : kDefaultColumns;
+}
+
+}  // namespace
+
+std::optional<ProgressMode> ParseProgressMode(std::string_view word) {
+  if (word == "auto") return ProgressMode::kAuto;
+  if (word == "plain") return ProgressMode::kPlain;
+  if (word == "none") return ProgressMode::kNone;
+  return std::nullopt;
+}
+
+std::string ProgressBar(const ProgressState& state, size_t columns) {
+  const std::string figures = Figures(state);
+  const std::string note = state.note.empty() ? "" : "  " + state.note;
+  const size_t others = state.name.size() + figures.size() + note.size() + 4;  // " [", "] "
+  std::string bar;
+  if (state.total > 0) {
+    const size_t width = std::clamp(columns > others ? columns - others : 0, kMinBar, kMaxBar);
+    const size_t filled = static_cast<size_t>(Fraction(state) * static_cast<double>(width));
+    bar = std::string(filled, '=') + std::string(width - filled, ' ');
+    if (0 < filled && filled < width) bar[filled - 1] = '>';
+    bar = " [" + bar + "]";
+  }
+  return Truncate(state.name + bar + " " + figures + note, columns);
+}
+
+std::string ProgressLine(const ProgressState& state) {
+  return state.name + ": " + Figures(state) + (state.note.empty() ? "" : "  " + state.note);
+}
+
+Progress::Progress(ProgressMode mode, std::FILE* sink, std::string name, int64_t total, Clock clock)
+    : sink_(sink),
+      silent_(mode == ProgressMode::kNone),
+      bar_(mode == ProgressMode::kAuto && isatty(fileno(sink)) != 0),
+      clock_(std::move(clock)),
+      start_(clock_()),
+      state_{std::move(name), 0, total, 0, ""},
+      next_report_(bar_ ? kBarPeriod : kLinePeriod) {}
+
+Progress::~Progress() { Finish(); }
+
+double Progress::Seconds() const { return std::chrono::duration<double>(clock_() - start_).count(); }
+
+void Progress::Update(int64_t done, std::string_view note) {
+  const std::lock_guard lock(mutex_);
+  state_.done = done;
+  Report(note);
+}
+
+void Progress::Advance(int64_t units, std::string_view note) {
+  const std::lock_guard lock(mutex_);
+  state_.done += units;
+  Report(note);
+}
+
+void Progress::Report(std::string_view note) {
+  if (silent_) return;
+  const double now = Seconds();
+  if (now < next_report_) return;
+  next_report_ = now + (bar_ ? kBarPeriod : kLinePeriod);
+  state_.note = note;
+  Draw();
+}
+
+void Progress::Draw() {
+  state_.elapsed = Seconds();
+  if (bar_) {
+    // One column is left free: some terminals wrap a full line. "\033[K" erases what a longer line left.
+    std::fprintf(sink_, "\r%s\033[K", ProgressBar(state_, TerminalColumns(sink_) - 1).c_str());
+  } else {
+    std::fprintf(sink_, "%s\n", ProgressLine(state_).c_str());
+  }
+  std::fflush(sink_);
+}
+
+void Progress::Finish() {
+  const std::lock_guard lock(mutex_);
+  if (std::exchange(silent_, true)) return;
+  state_.note = state_.total > 0 && !IsFinished(state_) ? "stopped" : "done";
+  Draw();
+  if (bar_) std::fprintf(sink_, "\n");
+  std::fflush(sink_);
+}
+
+}  // namespace saltus

@@ -1,0 +1,114 @@
+// Tables: built once, written as Markdown, CSV, HTML or aligned text. And the reader for CSV files.
+#pragma once
+
+#include <concepts>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "io/status.h"
+
+namespace saltus {
+
+// What a cell says beyond its value: a colour on a terminal, a class in HTML.
+enum class Tone { kPlain, kGood, kWarning, kBad, kMuted };
+
+// "good", "warning", "bad", "muted", or "" for a plain one: the class in HTML.
+std::string_view ToneName(Tone tone);
+
+// Text, a number, or nothing.
+class Cell {
+ public:
+  Cell() = default;
+  Cell(std::string text) : value_(std::move(text)) {}         // NOLINT: implicit, so that rows read as lists of values
+  Cell(std::string_view text) : value_(std::string(text)) {}  // NOLINT
+  Cell(const char* text) : value_(std::string(text)) {}       // NOLINT
+  template <std::floating_point T>
+  Cell(T number) : value_(static_cast<double>(number)) {}  // NOLINT
+  template <std::integral T>
+  requires(!std::same_as<T, bool>) Cell(T number) : value_(static_cast<int64_t>(number)) {}  // NOLINT
+  template <typename T>
+  Cell(const std::optional<T>& value) : Cell(value ? Cell(*value) : Cell()) {}  // NOLINT
+
+  Cell& With(Tone tone) {
+    tone_ = tone;
+    return *this;
+  }
+
+  Tone tone() const { return tone_; }
+  bool IsText() const { return std::holds_alternative<std::string>(value_); }
+
+  // For a person: floating-point numbers with at most `significant_digits`; empty if there is nothing.
+  std::string Display(int significant_digits) const;
+
+  // For a program: floating-point numbers with the fewest digits that read back as the same double.
+  std::string Exact() const;
+
+ private:
+  std::variant<std::monostate, std::string, int64_t, double> value_;
+  Tone tone_ = Tone::kPlain;
+};
+
+struct Column {
+  std::string header;
+  int significant_digits = 6;  // of floating-point numbers when displayed; CSV has all digits
+};
+
+class Table {
+ public:
+  explicit Table(std::vector<Column> columns) : columns_(std::move(columns)) {}
+
+  // Precondition: one cell a column.
+  void AddRow(std::vector<Cell> row);
+
+  const std::vector<Column>& columns() const { return columns_; }
+  const std::vector<std::vector<Cell>>& rows() const { return rows_; }
+
+  // GitHub-flavoured Markdown, padded so that the source is readable too.
+  std::string ToMarkdown() const;
+
+  // RFC 4180 with a header line; lines end in a bare line feed.
+  std::string ToCsv() const;
+
+  // A <table> element; cells have the classes "number", "long" (text of more than 40 characters) and
+  // that of their tone where these apply.
+  std::string ToHtml() const;
+
+  // Aligned columns for a terminal; with `colour`, ANSI escapes show the tones.
+  std::string ToText(bool colour = false) const;
+
+ private:
+  // A column without text is a column of numbers, aligned to the right.
+  bool IsNumeric(size_t column) const;
+  std::string Display(size_t row, size_t column) const;
+
+  std::vector<Column> columns_;
+  std::vector<std::vector<Cell>> rows_;
+};
+
+// A CSV file with a header line. Every row has as many fields as the header.
+struct CsvDocument {
+  std::vector<std::string> header;
+  std::vector<std::vector<std::string>> rows;
+
+  // Index of a column, if the header has it.
+  std::optional<size_t> Find(std::string_view column) const;
+};
+
+// Reads RFC 4180 text; lines may end in LF or CRLF, empty lines are skipped. Errors name the line.
+StatusOr<CsvDocument> ParseCsv(std::string_view text);
+
+// The same for a file. Errors name the file and the line.
+StatusOr<CsvDocument> ReadCsv(const std::string& path);
+
+// `text` with the characters that HTML (elements and attributes) and XML reserve replaced by entities.
+std::string EscapeHtml(std::string_view text);
+
+// A number as printf writes it, in up to 63 characters.
+std::string Format(const char* format, double value);
+
+}  // namespace saltus

@@ -1,0 +1,119 @@
+#include "paper/experiments.h"
+
+#include <cmath>
+
+#include "tools/parallel.h"
+#include "saltus/dynamics/registry.h"
+#include "output/interrupt.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kIterations = 1000;
+constexpr double kStiffnesses[] = {1e2, 1e3, 1e4, 1e5};
+
+std::string Key(const std::string& problem, double friction, const std::string& contact, Precision precision) {
+  return problem + (friction > 0 ? "_mu " : " ") + contact + (precision == Precision::kFloat ? " float" : " double");
+}
+
+void RunSolver(Experiment* experiment, size_t which) {
+  const std::string& solver = experiment->solvers[which];
+  SolverOptions options;
+  options.iterations = kIterations;
+  options.learning_rate = experiment->learning_rate;
+  options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
+  options.stop = InterruptGuard::Interrupted;
+  SolvedRun& run = experiment->runs[which];
+  run.report = Solve(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
+  if (!run.report.losses.empty()) {
+    run.exact = SimulateExactly(experiment->scene, run.report.initial_state, run.report.control, run.report.durations);
+  }
+}
+
+}  // namespace
+
+std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std::lround(std::log10(stiffness))); }
+
+const SolvedRun* Experiment::Find(const std::string& solver) const {
+  for (const SolvedRun& run : runs) {
+    if (run.report.solver == solver) return &run;
+  }
+  return nullptr;
+}
+
+Experiments::Experiments(const std::string& problems_dir) {
+  const std::vector<std::string> problems = {"bounce_once", "ground_wall", "two_balls"};
+  for (const std::string& problem : problems) scenes_[problem] = LoadScene(problems_dir + "/" + problem + ".yaml");
+  for (const std::string problem : {"single_collision", "multiple_collisions"}) {
+    scenes_[problem] = LoadScene(problems_dir + "/" + problem + ".yaml");
+  }
+  const double friction = 0.1;
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (!traits.compared && !traits.event_driven) continue;
+    const std::string contact(traits.name);
+    for (const Precision precision : {Precision::kDouble, Precision::kFloat}) {
+      if (precision == Precision::kFloat && traits.event_driven) continue;
+      for (const std::string& problem : problems) Add(problem, 0, contact, precision, 0);
+      Add("ground_wall", friction, contact, precision, 0);
+    }
+  }
+  for (const double stiffness : kStiffnesses) Add("two_balls", 0, "compliant_warp", Precision::kDouble, stiffness);
+}
+
+void Experiments::Add(const std::string& problem, double friction, const std::string& contact, Precision precision,
+                      double stiffness) {
+  Experiment experiment;
+  experiment.scene = scenes_.at(problem);
+  experiment.scene.contact.friction = friction;
+  std::string name = contact;
+  if (stiffness > 0) {
+    experiment.scene.contact.stiffness = stiffness;
+    name += "_kn" + StiffnessSuffix(stiffness);
+  }
+  if (!WhyNotApplicable(contact, experiment.scene).empty()) return;
+  experiment.contact = contact;
+  experiment.precision = precision;
+  if (experiment.scene.optimize != Optimize::kNone) {
+    experiment.learning_rate = DefaultLearningRate(experiment.scene);
+    experiment.solvers = {"gd"};
+    if (precision == Precision::kDouble && stiffness == 0) experiment.solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
+    experiment.runs.resize(experiment.solvers.size());
+  }
+  index_[Key(problem, friction, name, precision)] = static_cast<int>(experiments_.size());
+  experiments_.push_back(std::move(experiment));
+}
+
+bool Experiments::Run(int threads, ProgressMode mode) {
+  // One job a gradient and one a solver.
+  std::vector<std::function<void()>> jobs;
+  std::vector<std::string> names;
+  for (Experiment& experiment : experiments_) {
+    jobs.push_back([&experiment] {
+      experiment.gradient =
+          ComputeGradient(experiment.contact, experiment.scene, experiment.precision, InterruptGuard::Interrupted);
+    });
+    const std::string name = experiment.scene.name + " " + experiment.contact;
+    names.push_back(name);
+    for (size_t i = 0; i < experiment.solvers.size(); ++i) {
+      jobs.push_back([&experiment, i] { RunSolver(&experiment, i); });
+      names.push_back(name + " " + experiment.solvers[i]);
+    }
+  }
+  Progress progress(mode, stderr, "experiments", jobs.size());
+  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) { jobs[i](); });
+}
+
+const Experiment* Experiments::Find(const std::string& problem, double friction, const std::string& contact,
+                                    Precision precision) const {
+  const auto found = index_.find(Key(problem, friction, contact, precision));
+  return found == index_.end() ? nullptr : &experiments_[found->second];
+}
+
+const Experiment* Experiments::Exact(const std::string& problem, double friction) const {
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (traits.event_driven) return Find(problem, friction, std::string(traits.name), Precision::kDouble);
+  }
+  return nullptr;
+}
+
+}  // namespace saltus

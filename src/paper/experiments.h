@@ -1,0 +1,60 @@
+// The experiments of the paper, run once and looked up by everything that reports on them.
+//
+// An experiment is a scene with one contact model and precision: its gradient at the initial guess, the paper's
+// gradient descent (1000 updates), and the same with other solvers. Task 1 is not optimised.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "tools/program.h"
+#include "tools/solve.h"
+#include "saltus/audit/audit.h"
+
+namespace saltus {
+
+struct Experiment {
+  Scene scene;
+  std::string contact;
+  Precision precision = Precision::kDouble;
+  double learning_rate = 0;  // 0: gradient only
+  std::vector<std::string> solvers;
+
+  ModelGradient gradient;
+  std::vector<SolvedRun> runs;  // one per solver; with iterates where velocities are optimised
+
+  const SolvedRun* Find(const std::string& solver) const;
+};
+
+class Experiments {
+ public:
+  // Loads the scenes of the paper from `problems_dir`. Throws InputError.
+  explicit Experiments(const std::string& problems_dir);
+
+  // Runs everything on `threads` threads. False if interrupted.
+  bool Run(int threads, ProgressMode progress);
+
+  // The experiment of that problem ("two_balls"), friction, contact model and precision, or null. `contact` may carry a
+  // stiffness: "compliant_warp_kn1e2".
+  const Experiment* Find(const std::string& problem, double friction, const std::string& contact,
+                         Precision precision) const;
+  // The exact counterpart: the event-driven model in double.
+  const Experiment* Exact(const std::string& problem, double friction) const;
+
+  const std::vector<Experiment>& all() const { return experiments_; }
+  const Scene& scene(const std::string& problem) const { return scenes_.at(problem); }
+
+ private:
+  void Add(const std::string& problem, double friction, const std::string& contact, Precision precision,
+           double stiffness);
+
+  std::map<std::string, Scene> scenes_;
+  std::vector<Experiment> experiments_;
+  std::map<std::string, int> index_;
+};
+
+// "1e2" for 100, as in the names of the stiffness experiment.
+std::string StiffnessSuffix(double stiffness);
+
+}  // namespace saltus

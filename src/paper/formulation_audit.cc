@@ -1,0 +1,269 @@
+#include "paper/formulation_audit.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "audit/statistics.h"
+#include "tools/audit_tables.h"
+#include "tools/parallel.h"
+#include "paper/thread_time.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/registry.h"
+#include "output/interrupt.h"
+
+namespace saltus {
+namespace {
+
+constexpr std::string_view kUnit = "direct";
+// Times are medians over rounds in which the models take turns.
+constexpr int kRounds = 7;
+constexpr double kTurn = 3e-4;  // s, at least
+// Errors below are those of rounding, and shown on this line of the figure.
+constexpr double kLeastErrorShown = 1e-4;
+// Step counts per level of refinement: fewer than an audit takes, for the sake of the slow models.
+constexpr int kSamples = 5;
+
+// A rollout and its gradient by initial state and control.
+class Work {
+ public:
+  Work(const std::string& contact, const Scene& scene)
+      : simulator_(MakeSimulator(contact, scene, Precision::kDouble)),
+        initial_(InitialState(scene)),
+        control_(InitialControl(scene, simulator_->num_steps())),
+        end_(simulator_->state_size()),
+        cotangent_(end_.size()),
+        by_initial_(initial_.size()),
+        by_control_(control_.size()) {}
+
+  void Do() {
+    if (!simulator_->Rollout(initial_, control_)) return;
+    simulator_->GetState(simulator_->num_steps(), end_);
+    TerminalGradient(simulator_->scene().objective, end_, simulator_->body_size(), cotangent_);
+    simulator_->AdjointInto(cotangent_, {by_initial_, by_control_, nullptr});
+  }
+
+  // s a call.
+  double Time() {
+    const double start = ThreadTime();
+    double time = 0;
+    int calls = 0;
+    for (int batch = 1; time < kTurn; batch *= 2) {
+      for (int i = 0; i < batch; ++i) Do();
+      calls += batch;
+      time = ThreadTime() - start;
+    }
+    return time / calls;
+  }
+
+ private:
+  std::unique_ptr<Simulator> simulator_;
+  std::vector<double> initial_, control_, end_, cotangent_, by_initial_, by_control_;
+};
+
+// Of a step of the scene's grid with its gradient, in those of kUnit; 0 for models that cannot take the scene.
+std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const Scene& scene) {
+  std::vector<std::unique_ptr<Work>> works;
+  for (const std::string& contact : contacts) {
+    const bool can = WhyNotApplicable(contact, scene).empty();
+    works.push_back(can ? std::make_unique<Work>(contact, scene) : nullptr);
+  }
+  std::vector<std::vector<double>> times(contacts.size());
+  for (int round = 0; round < kRounds; ++round) {
+    for (size_t i = 0; i < works.size(); ++i) {
+      if (works[i] != nullptr) times[i].push_back(works[i]->Time());
+    }
+  }
+  const size_t unit = std::find(contacts.begin(), contacts.end(), kUnit) - contacts.begin();
+  const double unit_time = Median(times[unit]);
+  std::vector<double> costs;
+  for (const std::vector<double>& of_model : times)
+    costs.push_back(of_model.empty() ? 0.0 : Median(of_model) / unit_time);
+  return costs;
+}
+
+// To two significant digits; more would not be there the next time.
+double Rounded(double cost) {
+  if (!(cost > 0)) return cost;
+  const double digit = std::pow(10.0, std::floor(std::log10(cost)) - 1);
+  return std::round(cost / digit) * digit;
+}
+
+std::string Join(const std::vector<std::string>& words, const char* separator) {
+  std::string joined;
+  for (const std::string& word : words) joined += (joined.empty() ? "" : separator) + word;
+  return joined;
+}
+
+}  // namespace
+
+FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts)
+    : contacts_(std::move(contacts)) {
+  CHECK(std::find(contacts_.begin(), contacts_.end(), kUnit) != contacts_.end());
+  for (Task& task : tasks) {
+    Results& results = tasks_.emplace_back();
+    results.task = std::move(task);
+    results.report.models.resize(contacts_.size());
+  }
+}
+
+bool FormulationAudit::Run(int threads, ProgressMode mode) {
+  for (Results& results : tasks_) results.report.reference = ExactGradientOf(results.task.scene);
+  const int count = static_cast<int>(tasks_.size() * contacts_.size());
+  AuditOptions options;
+  options.refinement.samples = kSamples;
+  options.attribution = false;
+  options.stop = InterruptGuard::Interrupted;
+  std::vector<std::string> names, costs;
+  for (int i = 0; i < count; ++i) {
+    names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[i / tasks_.size()]);
+  }
+  for (const Results& results : tasks_) costs.push_back("times of " + results.task.scene.name);
+  Progress progress(mode, stderr, "all formulations", count + tasks_.size());
+  const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
+    const size_t model = i / tasks_.size();
+    Results& results = tasks_[i % tasks_.size()];
+    results.report.models[model] =
+        AuditModel(contacts_[model], results.task.scene, Precision::kDouble, results.report.reference, options);
+  });
+  if (!audited) return false;
+  // On one thread, so that nothing else of this program disturbs.
+  return RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
+    tasks_[i].costs = MeasureCosts(contacts_, tasks_[i].task.scene);
+  });
+}
+
+double FormulationAudit::ErrorByInitialState(const Results& results, size_t model) const {
+  const ModelGradient& gradient = results.report.models[model].gradient;
+  if (!gradient.ok() || !results.report.reference) return std::nan("");
+  const std::vector<double>& own = gradient.gradient.initial;
+  const std::vector<double>& exact = results.report.reference->gradient.initial;
+  double difference = 0, scale = 0;
+  for (size_t i = 0; i < exact.size(); ++i) {
+    difference += (own[i] - exact[i]) * (own[i] - exact[i]);
+    scale += exact[i] * exact[i];
+  }
+  return std::sqrt(difference / scale);
+}
+
+std::string FormulationAudit::ClassesOf(size_t model) const {
+  std::vector<std::pair<std::string, std::vector<std::string>>> classes;  // and the numbers of their tasks
+  for (size_t task = 0; task < tasks_.size(); ++task) {
+    const ModelAudit& audit = tasks_[task].report.models[model];
+    if (!audit.recognition) continue;
+    const std::string found = ContactClassToString(audit.recognition->contact_class);
+    auto known = std::find_if(classes.begin(), classes.end(), [&](const auto& entry) { return entry.first == found; });
+    if (known == classes.end()) known = classes.insert(classes.end(), {found, {}});
+    known->second.push_back(std::to_string(task + 1));
+  }
+  if (classes.size() == 1) return classes.front().first;
+  std::vector<std::string> words;
+  for (const auto& [found, tasks] : classes) words.push_back(found + " (" + Join(tasks, ", ") + ")");
+  return Join(words, ", ");
+}
+
+// The geometric mean over the tasks.
+double FormulationAudit::CostOf(size_t model) const {
+  double sum = 0;
+  int count = 0;
+  for (const Results& results : tasks_) {
+    if (results.costs[model] <= 0) continue;
+    sum += std::log(results.costs[model]);
+    ++count;
+  }
+  return count > 0 ? std::exp(sum / count) : std::nan("");
+}
+
+CaptionedTable FormulationAudit::ToTable() const {
+  std::vector<Column> columns = {{"contact"}, {"class"}};
+  for (size_t task = 1; task <= tasks_.size(); ++task) {
+    const std::string number = ", task " + std::to_string(task);
+    columns.push_back({"loss" + number, 7});
+    columns.push_back({"error" + number, 2});
+    columns.push_back({"verdict" + number});
+  }
+  columns.push_back({"cost of a step"});
+  Table table(columns);
+  for (size_t model = 0; model < contacts_.size(); ++model) {
+    std::vector<Cell> row = {contacts_[model], ClassesOf(model)};
+    for (const Results& results : tasks_) {
+      const ModelAudit& audit = results.report.models[model];
+      if (!audit.gradient.ok()) {
+        row.insert(row.end(), {Cell(), Cell(), Cell(audit.gradient.reason).With(Tone::kMuted)});
+        continue;
+      }
+      row.insert(row.end(),
+                 {audit.gradient.loss,
+                  ErrorByInitialState(results, model),
+                  Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))});
+    }
+    row.emplace_back(Rounded(CostOf(model)));
+    table.AddRow(std::move(row));
+  }
+  std::vector<Cell> exact = {"exact", Cell()};
+  for (const Results& results : tasks_) {
+    exact.insert(exact.end(), {results.report.reference->loss, Cell(), Cell()});
+  }
+  exact.emplace_back();
+  table.AddRow(std::move(exact));
+  return {
+      "formulations",
+      "Every contact model on the three tasks, at their own steps and initial guess: its loss, the relative error of "
+      "its gradient by the initial state, and the verdict, which rests on smaller steps too. The class is "
+      "recognised from what the first contact does as steps shrink. The cost of a step, with its gradient, is in "
+      "those of `direct`, and the mean over the tasks.",
+      std::move(table)};
+}
+
+PaperFigure FormulationAudit::ToFigure() const {
+  Figure figure;
+  for (const Results& results : tasks_) {
+    Panel panel;
+    panel.title = results.task.title;
+    panel.x.label = "cost of a step and its gradient (direct = 1)";
+    panel.y.label = "relative error of the gradient";
+    panel.x.log = panel.y.log = true;
+    panel.x.min = 0.8;
+    panel.y.min = kLeastErrorShown / 2;
+    for (size_t model = 0; model < contacts_.size(); ++model) {
+      const double error = ErrorByInitialState(results, model);
+      if (std::isnan(error)) continue;
+      Series series = Series::ForModel(contacts_[model], {results.costs[model]}, {std::max(error, kLeastErrorShown)});
+      series.line = false;
+      panel.series.push_back(std::move(series));
+    }
+    panel.reference_lines.push_back({.value = kLeastErrorShown, .label = "exact to rounding", .colour = "#999999"});
+    figure.panels.push_back(std::move(panel));
+  }
+  figure.columns = static_cast<int>(figure.panels.size());
+  figure.width = 1200;
+  figure.panel_height = 420;
+  figure.legend = Legend::kBelow;
+  return {"formulations",
+          "What a gradient costs and how wrong it is, at the scenes' own steps. To the lower left are the good ones.",
+          figure};
+}
+
+std::vector<std::string> FormulationAudit::Classes() const {
+  std::map<ContactClass, std::vector<std::string>> members;
+  for (size_t model = 0; model < contacts_.size(); ++model) {
+    std::map<ContactClass, std::vector<std::string>> tasks;
+    for (size_t task = 0; task < tasks_.size(); ++task) {
+      const ModelAudit& audit = tasks_[task].report.models[model];
+      if (audit.recognition) tasks[audit.recognition->contact_class].push_back(std::to_string(task + 1));
+    }
+    for (const auto& [found, in] : tasks) {
+      const std::string where = tasks.size() > 1 ? " in task " + Join(in, " and ") : "";
+      members[found].push_back("`" + contacts_[model] + "`" + where);
+    }
+  }
+  std::vector<std::string> classes;
+  for (const auto& [found, names] : members) {
+    classes.push_back(std::string(ContactClassToString(found)) + " (" + Join(names, ", ") + "): " + MeaningOf(found));
+  }
+  return classes;
+}
+
+}  // namespace saltus

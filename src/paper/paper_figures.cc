@@ -1,0 +1,251 @@
+#include "paper/paper_figures.h"
+
+#include <numeric>
+
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "exact/two_disc_optimum.h"
+
+namespace saltus {
+namespace {
+
+std::vector<double> Range(size_t count, double step = 1) {
+  std::vector<double> values(count);
+  for (size_t i = 0; i < count; ++i) values[i] = step * static_cast<double>(i);
+  return values;
+}
+
+// The published precision where it matters, double otherwise.
+const Experiment* Shown(const Experiments& experiments, const std::string& problem, double friction,
+                        const std::string& contact) {
+  const bool pbd = contact.starts_with("pbd");
+  return experiments.Find(problem, friction, contact, pbd ? Precision::kFloat : Precision::kDouble);
+}
+
+template <typename Visit>
+void ForEachModel(const Experiments& experiments, const std::string& problem, double friction, const Visit& visit) {
+  for (const ModelTraits& traits : AllContactModels()) {
+    const Experiment* experiment = Shown(experiments, problem, friction, std::string(traits.name));
+    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    if (run != nullptr && run->report.losses.size() > 1) visit(*experiment, run->report);
+  }
+}
+
+// x and y of every disc under some decision variables.
+struct Path {
+  std::vector<double> x, y;
+};
+std::vector<Path> PathsOf(const Experiment& experiment, const std::vector<double>& initial,
+                          const std::vector<double>& control) {
+  const std::unique_ptr<Simulator> simulator =
+      MakeSimulator(experiment.contact, experiment.scene, experiment.precision);
+  std::vector<Path> paths(simulator->num_bodies());
+  if (!simulator->Rollout(initial, control)) return paths;
+  std::vector<double> x(simulator->state_size());
+  for (int k = 0; k <= simulator->num_steps(); ++k) {
+    simulator->GetState(k, x);
+    for (int i = 0; i < simulator->num_bodies(); ++i) {
+      paths[i].x.push_back(x[i * simulator->body_size()]);
+      paths[i].y.push_back(x[i * simulator->body_size() + 1]);
+    }
+  }
+  return paths;
+}
+
+Panel ScenePanel(const Scene& scene, const std::string& title) {
+  Panel panel;
+  panel.title = title;
+  panel.x.label = "x (m)";
+  panel.y.label = "y (m)";
+  panel.equal_aspect = true;
+  for (const Body& body : scene.bodies) {
+    panel.circles.push_back({{body.position[0], body.position[1]}, body.radius, "#555555", 0.25});
+  }
+  for (const Plane& plane : scene.planes) {
+    panel.half_planes.push_back({{plane.point[0], plane.point[1]}, {plane.normal[0], plane.normal[1]}});
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (!term.component) panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
+  }
+  return panel;
+}
+
+void AddPaths(const std::vector<Path>& paths, const std::string& label, const std::string& colour, Dash dash,
+              Panel* panel) {
+  for (const Path& path : paths) {
+    panel->series.push_back({.label = label, .x = path.x, .y = path.y, .colour = colour, .dash = dash});
+  }
+}
+
+// The initial trajectory and what gradient descent makes of it under two models that learn different things.
+Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem, const std::string& title) {
+  const Scene& scene = experiments.scene(problem);
+  Panel panel = ScenePanel(scene, title);
+  for (const Plane& plane : scene.planes) {
+    if (plane.normal[1] == 0) panel.x.max = plane.point[0] + 0.15;  // so that a wall to the right is seen
+  }
+  const Experiment* first = Shown(experiments, problem, 0, "direct_toi");
+  if (first == nullptr) return panel;
+  const int steps = first->gradient.num_steps;
+  AddPaths(
+      PathsOf(*first, InitialState(scene), InitialControl(scene, steps)), "initial", "#888888", Dash::kDashed, &panel);
+  for (const std::string contact : {"direct_toi", "direct"}) {
+    const Experiment* experiment = Shown(experiments, problem, 0, contact);
+    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    if (run == nullptr) continue;
+    AddPaths(PathsOf(*experiment, run->report.initial_state, run->report.control),
+             "optimised, " + contact,
+             ColourOf(contact),
+             Dash::kSolid,
+             &panel);
+  }
+  return panel;
+}
+
+PaperFigure Trajectories(const Experiments& experiments) {
+  Figure figure;
+  figure.panels = {TrajectoryPanel(experiments, "bounce_once", "Task 1: one bounce"),
+                   TrajectoryPanel(experiments, "ground_wall", "Task 2: ground and wall"),
+                   TrajectoryPanel(experiments, "two_balls", "Task 3: two balls")};
+  figure.columns = 3;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  return {"trajectories",
+          "The three tasks: initial trajectory, and the trajectory after 1000 updates of gradient descent with and "
+          "without the time of impact. Filled dots are targets.",
+          figure};
+}
+
+PaperFigure GroundWallLearning(const Experiments& experiments, double friction) {
+  Panel loss, velocity;
+  loss.title = "Loss";
+  loss.x.label = velocity.x.label = "gradient-descent iteration";
+  loss.y.label = "loss (m²)";
+  loss.y.log = true;
+  velocity.title = "Horizontal velocity";
+  velocity.y.label = "initial horizontal velocity (m/s)";
+  ForEachModel(experiments, "ground_wall", friction, [&](const Experiment& experiment, const SolveReport& report) {
+    loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
+    std::vector<double> x;
+    for (const std::vector<double>& z : report.iterates) x.push_back(z[0]);
+    velocity.series.push_back(Series::ForModel(experiment.contact, Range(x.size()), x));
+  });
+  Figure figure;
+  figure.panels = {loss, velocity};
+  figure.columns = 2;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  const std::string with = friction > 0 ? "with friction 0.1" : "without friction";
+  return {friction > 0 ? "ground_wall_learning_mu" : "ground_wall_learning",
+          "Task 2 " + with +
+              ": loss and horizontal launch velocity during gradient descent. Models whose gradient has the "
+              "wrong sign in x end at another solution, which misses the wall.",
+          figure};
+}
+
+PaperFigure TwoBallsLearning(const Experiments& experiments) {
+  const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact);
+  Panel loss, control;
+  loss.title = "Loss";
+  loss.x.label = "gradient-descent iteration";
+  loss.y.label = "loss (m², effort included)";
+  control.title = "Learned force";
+  control.x.label = "time (s)";
+  control.y.label = "horizontal force on the striker (N)";
+  ForEachModel(experiments, "two_balls", 0, [&](const Experiment& experiment, const SolveReport& report) {
+    loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
+    std::vector<double> force;
+    for (size_t i = 0; i < report.control.size(); i += 2) force.push_back(report.control[i]);
+    const double interval = experiment.scene.duration / static_cast<double>(force.size());
+    control.series.push_back(Series::ForModel(experiment.contact, Range(force.size(), interval), force));
+  });
+  if (optimum) {
+    loss.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
+    std::vector<double> time = Range(1001, 1e-3), force;
+    for (double t : time) force.push_back(optimum->Control(t)[0]);
+    control.series.push_back(Series::ForModel("analytic", time, force));
+  }
+  Figure figure;
+  figure.panels = {loss, control};
+  figure.columns = 2;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  return {
+      "two_balls_learning",
+      "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "
+      "the hybrid minimum principle. A loss below the analytic optimum is an artefact of the time grid.",
+      figure};
+}
+
+PaperFigure StiffnessLearning(const Experiments& experiments) {
+  Panel panel;
+  panel.x.label = "gradient-descent iteration";
+  panel.y.label = "loss (m², effort included)";
+  const std::vector<std::string> stiffnesses = {"1e2", "1e3", "1e4", "1e5"};
+  for (size_t i = 0; i < stiffnesses.size(); ++i) {
+    const Experiment* experiment =
+        experiments.Find("two_balls", 0, "compliant_warp_kn" + stiffnesses[i], Precision::kDouble);
+    if (experiment == nullptr) continue;
+    const std::vector<double>& losses = experiment->Find("gd")->report.losses;
+    panel.series.push_back({.label = stiffnesses[i] + " N/m",
+                            .x = Range(losses.size()),
+                            .y = losses,
+                            .colour = RampColour(static_cast<double>(i) / 3)});
+  }
+  if (const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact)) {
+    panel.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
+  }
+  Figure figure;
+  figure.panels = {panel};
+  return {"stiffness_learning",
+          "Task 3 with the compliant model at four stiffnesses. The stiffest fails to learn.",
+          figure};
+}
+
+PaperFigure SolverLearning(const Experiments& experiments) {
+  const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact);
+  const double best = optimum ? optimum->loss : 0;
+  Figure figure;
+  for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
+    Panel panel;
+    panel.title = solver;
+    panel.x.label = "iteration";
+    panel.x.log = true;
+    panel.x.min = 1.0;
+    panel.y.label = "loss - optimum (m²)";
+    panel.y.log = true;
+    panel.y.min = 1e-4;
+    for (const Experiment& experiment : experiments.all()) {
+      if (experiment.scene.name != "two_balls" || experiment.precision != Precision::kDouble) continue;
+      const SolvedRun* run = experiment.Find(solver);
+      if (run == nullptr || run->report.losses.size() < 2 || experiment.solvers.size() < 2) continue;
+      std::vector<double> gap = run->report.losses;
+      for (double& loss : gap) loss -= best;
+      std::vector<double> iteration = Range(gap.size());
+      for (double& k : iteration) k += 1;
+      panel.series.push_back(Series::ForModel(experiment.contact, iteration, gap));
+    }
+    figure.panels.push_back(panel);
+  }
+  figure.columns = 3;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  return {
+      "solver_learning",
+      "Task 3: the loss under each contact model, less the analytic optimum, for three solvers; the initial guess is "
+      "iteration 1. Losses below the optimum, which only a wrong model can reach, leave the figure.",
+      figure};
+}
+
+}  // namespace
+
+std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
+  return {Trajectories(experiments),
+          GroundWallLearning(experiments, 0),
+          GroundWallLearning(experiments, 0.1),
+          TwoBallsLearning(experiments),
+          StiffnessLearning(experiments),
+          SolverLearning(experiments)};
+}
+
+}  // namespace saltus

@@ -1,0 +1,132 @@
+#include "paper/paper_report.h"
+
+#include <algorithm>
+
+#include "exact/two_disc_optimum.h"
+#include "output/html_report.h"
+
+namespace saltus {
+namespace {
+
+void AddFigure(const std::vector<PaperFigure>& figures, const std::string& name, HtmlReport* report) {
+  for (const PaperFigure& figure : figures) {
+    if (figure.name != name) continue;
+    const Status status = report->AddFigure(figure.figure, figure.caption);
+    if (!status.ok()) throw OutputError(status.message());
+  }
+}
+
+void AddPublishedTable(const std::vector<PublishedRow>& rows, const std::string& name, HtmlReport* report) {
+  for (const auto& [table, caption] : PublishedTables()) {
+    if (table == name) report->AddTable(ToTable(rows, name), caption);
+  }
+}
+
+std::vector<Tile> Summary(const Experiments& experiments, const std::vector<PublishedRow>& rows, double seconds) {
+  const auto count = [&](const auto& holds) {
+    return static_cast<int>(std::count_if(rows.begin(), rows.end(), holds));
+  };
+  const int judged = count([](const PublishedRow& row) { return row.IsJudged(); });
+  const int matching = count([](const PublishedRow& row) { return row.IsJudged() && row.Matches(); });
+  const int wrong = count([](const PublishedRow& row) {
+    return row.verdict == "published_misprint" || row.verdict == "published_error" ||
+           row.verdict == "published_unreproducible";
+  });
+  std::vector<Tile> tiles = {{std::to_string(matching) + " of " + std::to_string(judged),
+                              "numbers as a faithful implementation gives them",
+                              matching == judged ? Tone::kGood : Tone::kBad},
+                             {std::to_string(wrong), "printed numbers that are themselves in error", Tone::kWarning},
+                             {Format("%.1f s", seconds), "for all experiments", Tone::kPlain}};
+  if (const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact)) {
+    tiles.push_back({Format("%.12f", optimum->loss), "optimal loss of task 3", Tone::kPlain});
+  }
+  return tiles;
+}
+
+}  // namespace
+
+void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
+                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
+                      const std::optional<FormulationAudit>& formulations, double seconds,
+                      const std::string& output_dir) {
+  HtmlReport report("Gradients through contact, reproduced",
+                    "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have "
+                    "Correct Gradients w.r.t. Position, Velocity and Control?”, every table and figure next to ours "
+                    "and to the exact values");
+  report.AddTiles(Summary(experiments, rows, seconds));
+
+  report.AddHeading(1, "What is compared");
+  report.AddParagraph(
+      "Nine published contact models, written anew from their mathematics, on the paper's three tasks. `published` "
+      "is the number as printed; `ours` is computed by the programs of this project at the precision of the row; "
+      "`exact` is the same quantity under exact event-driven dynamics. A row is reproduced if ours equals what a "
+      "faithful implementation gives, within a tolerance stated in `data/published.csv`. Where the printed number "
+      "itself is in error, the row says so and why; it is neither imitated nor silently corrected.");
+  report.AddList(
+      {"`published_misprint`: contradicted by the authors' own notebooks.",
+       "`published_error`: the printed number answers another question than the table asks.",
+       "`published_unreproducible`: the released code cannot give it.",
+       "`solver_error`: it carries the error of an inexact cone solver; ours solves the cone program exactly.",
+       "`chaotic`: decided by rounding; shown, not judged."});
+  AddFigure(figures, "trajectories", &report);
+
+  report.AddHeading(1, "Task 1: one bounce");
+  report.AddParagraph(
+      "The gradient of the final height by initial height, vertical velocity and first force. The impact falls "
+      "exactly on a node of the time grid. Models that resolve the impact at the end of a step get the sign of the "
+      "position's gradient wrong, however small the step.");
+  AddPublishedTable(rows, "T1", &report);
+
+  report.AddHeading(1, "Task 2: ground and wall");
+  report.AddParagraph(
+      "The launch velocity that takes a ball off ground and wall to a target; 1000 updates of gradient descent at "
+      "rate 0.01. Several solutions exist; which one is found is decided by the sign of the gradient.");
+  AddPublishedTable(rows, "T2", &report);
+  AddFigure(figures, "ground_wall_learning", &report);
+  AddPublishedTable(rows, "T4", &report);
+  AddFigure(figures, "ground_wall_learning_mu", &report);
+
+  report.AddHeading(1, "Task 3: two balls");
+  report.AddParagraph(
+      "The force that makes one ball strike the other towards the origin, with a penalty on effort; 1000 updates at "
+      "rate 10. None of the nine models has the right gradient here, because a force acts at the moment of impact. A "
+      "loss below the analytic optimum is possible only because the discrete dynamics are not the real ones.");
+  AddPublishedTable(rows, "T3", &report);
+  AddFigure(figures, "two_balls_learning", &report);
+  AddPublishedTable(rows, "F5", &report);
+  AddFigure(figures, "stiffness_learning", &report);
+
+  report.AddHeading(1, "Better solvers");
+  report.AddParagraph(
+      "The same problems by other solvers. `loss under the model` is what the solver minimised; `exact loss` is the "
+      "same solution re-simulated exactly, the only one that may be compared between models, and `gap` what it leaves "
+      "to gain. A better solver finds the wrong model's optimum sooner; it does not repair the gradient.");
+  report.AddList(comparison.Findings());
+  const std::vector<PaperFigure> comparison_figures = comparison.Figures();
+  for (const PaperFigure& figure : comparison_figures) AddFigure(comparison_figures, figure.name, &report);
+  for (const CaptionedTable& table : comparison.Tables()) report.AddTable(table.table, table.caption);
+  AddFigure(figures, "solver_learning", &report);
+
+  if (formulations) {
+    report.AddHeading(1, "Every formulation");
+    report.AddParagraph(
+        "All contact models on the same scenes. A right verdict needs more than a right trajectory: what decides is "
+        "how a model makes contact, of which the audit finds a few classes. It recognises them from what the first "
+        "contact does as steps shrink, and from the linearization of its steps, not from the model's name.");
+    report.AddList(formulations->Classes());
+    const CaptionedTable table = formulations->ToTable();
+    report.AddTable(table.table, table.caption);
+    AddFigure(figures, "formulations", &report);
+  }
+
+  report.AddHeading(1, "Optima of the follow-up paper");
+  report.AddParagraph(
+      "Its analytic optima are minima over a grid of 100 by 100 points; ours are the continuous ones. The second is "
+      "only a local optimum: the best for its sequence of collisions.");
+  AddPublishedTable(rows, "L4DC", &report);
+
+  const Status status = report.Write(output_dir + "/report.html");
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+}  // namespace saltus

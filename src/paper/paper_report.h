@@ -1,0 +1,23 @@
+// report.html: all tables and figures, with what they mean.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "paper/experiments.h"
+#include "paper/formulation_audit.h"
+#include "paper/paper_figures.h"
+#include "paper/published.h"
+#include "paper/solver_comparison.h"
+
+namespace saltus {
+
+// Writes report.html into `output_dir`. Throws InputError if it cannot. `formulations` may be
+// left out; `seconds` is what the experiments took.
+void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
+                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
+                      const std::optional<FormulationAudit>& formulations, double seconds,
+                      const std::string& output_dir);
+
+}  // namespace saltus

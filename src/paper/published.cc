@@ -1,0 +1,173 @@
+#include "paper/published.h"
+
+#include <cmath>
+#include <map>
+
+#include "exact/closed_forms.h"
+#include "exact/two_disc_optimum.h"
+
+namespace saltus {
+namespace {
+
+double ToNumber(const std::string& text, const std::string& where) {
+  try {
+    return std::stod(text);
+  } catch (const std::exception&) {
+    throw InputError(where + ": '" + text + "' is not a number");
+  }
+}
+
+// Where a quantity such as "dloss/dp2_x" sits in a gradient: body (from 0), entry of [p_x p_y v_x v_y], or force.
+struct Component {
+  bool control = false;
+  int body = 0;
+  int entry = 0;
+};
+
+std::optional<Component> ParseComponent(const std::string& quantity) {
+  static const std::map<std::string, Component> kComponents = {{"dloss/dp_y", {false, 0, 1}},
+                                                               {"dloss/dv_x", {false, 0, 2}},
+                                                               {"dloss/dv_y", {false, 0, 3}},
+                                                               {"dloss/du0_y", {true, 0, 1}},
+                                                               {"dloss/dp1_x", {false, 0, 0}},
+                                                               {"dloss/dp2_x", {false, 1, 0}},
+                                                               {"dloss/dv1_x", {false, 0, 2}},
+                                                               {"dloss/dv2_x", {false, 1, 2}},
+                                                               {"dloss/du1_0_x", {true, 0, 0}}};
+  const auto found = kComponents.find(quantity);
+  if (found == kComponents.end()) return std::nullopt;
+  return found->second;
+}
+
+double ValueOf(const Sensitivity& gradient, const Component& component) {
+  return component.control ? gradient.control[component.entry] : gradient.initial[4 * component.body + component.entry];
+}
+
+// The exact derivative; one force of a Brax model lasts two steps of the grid, so two of the exact ones add up.
+double ExactValueOf(const ModelGradient& exact, const Component& component, int num_steps) {
+  if (!component.control) return ValueOf(exact.gradient, component);
+  double sum = 0;
+  for (int k = 0; k < exact.num_steps / num_steps; ++k) sum += exact.gradient.control[2 * k + component.entry];
+  return sum;
+}
+
+std::optional<double> LearnedValue(const Experiment& experiment, const std::string& quantity) {
+  if (quantity == "initial_loss") return experiment.gradient.loss;
+  const SolvedRun* run = experiment.Find("gd");
+  if (run == nullptr) return std::nullopt;
+  if (quantity == "loss_999" && run->report.losses.size() > 999) return run->report.losses[999];
+  if (quantity == "v_x_1000") return run->report.initial_state[2];
+  if (quantity == "v_y_1000") return run->report.initial_state[3];
+  return std::nullopt;
+}
+
+void FillAnalytic(const Experiments& experiments, PublishedRow* row) {
+  if (row->quantity == "optimal_loss") {
+    const TwoDiscSequence sequence =
+        row->problem == "multiple_collisions" ? TwoDiscSequence::kImpactThenPlane : TwoDiscSequence::kImpact;
+    if (const auto optimum = FindTwoDiscOptimum(experiments.scene(row->problem), sequence)) {
+      row->ours = row->exact = optimum->loss;
+    }
+    return;
+  }
+  const std::optional<ClosedForm> closed_form = EvaluateClosedForm(experiments.scene(row->problem));
+  const std::optional<Component> component = ParseComponent(row->quantity);
+  if (!closed_form || !component) return;
+  const ExactGradient& gradient = closed_form->gradient;
+  if (component->control) {
+    row->ours = gradient.control[0][0][component->entry];
+  } else {
+    const std::vector<Vec2d>& vectors = component->entry < 2 ? gradient.position : gradient.velocity;
+    row->ours = vectors[component->body][component->entry % 2];
+  }
+  row->exact = row->ours;
+}
+
+void Fill(const Experiments& experiments, PublishedRow* row) {
+  if (row->contact == "analytic") return FillAnalytic(experiments, row);
+  const Experiment* experiment = experiments.Find(row->problem, row->friction, row->contact, row->precision);
+  const Experiment* exact = experiments.Exact(row->problem, row->friction);
+  if (experiment == nullptr || !experiment->gradient.ok()) return;
+  if (const std::optional<Component> component = ParseComponent(row->quantity)) {
+    row->ours = ValueOf(experiment->gradient.gradient, *component);
+    if (exact != nullptr) row->exact = ExactValueOf(exact->gradient, *component, experiment->gradient.num_steps);
+  } else {
+    row->ours = LearnedValue(*experiment, row->quantity);
+    if (exact != nullptr) row->exact = LearnedValue(*exact, row->quantity);
+  }
+}
+
+}  // namespace
+
+bool PublishedRow::Matches() const { return ours && std::abs(*ours - expected) <= tolerance; }
+
+std::vector<PublishedRow> ReadPublished(const std::string& path) {
+  const StatusOr<CsvDocument> csv = ReadCsv(path);
+  if (!csv.ok()) throw InputError(csv.status().message());
+  const auto column = [&](const char* name) {
+    const std::optional<size_t> index = csv->Find(name);
+    if (!index) throw InputError(path + ": no column '" + name + "'");
+    return *index;
+  };
+  const size_t table = column("table"), problem = column("problem"), friction = column("friction"),
+               contact = column("contact"), precision = column("precision"), quantity = column("quantity"),
+               published = column("published"), expected = column("expected"), tolerance = column("tolerance"),
+               verdict = column("verdict"), note = column("note");
+  std::vector<PublishedRow> rows;
+  for (size_t i = 0; i < csv->rows.size(); ++i) {
+    const std::vector<std::string>& cells = csv->rows[i];
+    const std::string where = path + ", row " + std::to_string(i + 1);
+    PublishedRow row;
+    row.table = cells[table];
+    row.problem = cells[problem];
+    row.friction = ToNumber(cells[friction], where);
+    row.contact = cells[contact];
+    row.precision = cells[precision] == "float" ? Precision::kFloat : Precision::kDouble;
+    row.quantity = cells[quantity];
+    row.published = cells[published];
+    row.expected = ToNumber(cells[expected], where);
+    row.tolerance = ToNumber(cells[tolerance], where);
+    row.verdict = cells[verdict];
+    row.note = cells[note];
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+void CompareWithPublished(const Experiments& experiments, std::vector<PublishedRow>* rows) {
+  for (PublishedRow& row : *rows) Fill(experiments, &row);
+}
+
+std::vector<std::pair<std::string, std::string>> PublishedTables() {
+  return {{"T1", "Table 1: gradients of the final height of a ball that bounces once"},
+          {"T2", "Table 2: gradients and learned velocity, ball off ground and wall, no friction"},
+          {"T3", "Table 3: gradients and learned loss, two balls"},
+          {"T4", "Table 4: gradients and learned velocity, ball off ground and wall, friction 0.1"},
+          {"F5", "Stiffness of the compliant model, two balls"},
+          {"L4DC", "Optima of the follow-up paper"}};
+}
+
+Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
+  Table table(
+      {{"contact"}, {"quantity"}, {"precision"}, {"published"}, {"ours", 9}, {"exact", 9}, {"verdict"}, {"why"}});
+  for (const PublishedRow& row : rows) {
+    if (row.table != name) continue;
+    const char* tick = row.Matches() ? "reproduced" : row.IsJudged() ? "NOT reproduced" : "chaotic";
+    Cell verdict(row.verdict.empty() || row.verdict == "match" ? std::string(tick)
+                                                               : std::string(tick) + "; " + row.verdict);
+    verdict.With(!row.Matches() && row.IsJudged()                ? Tone::kBad
+                 : row.verdict.empty() || row.verdict == "match" ? Tone::kGood
+                                                                 : Tone::kWarning);
+    table.AddRow({row.contact,
+                  row.quantity,
+                  row.precision == Precision::kFloat ? "float" : "double",
+                  row.published,
+                  row.ours,
+                  row.exact,
+                  verdict,
+                  row.note});
+  }
+  return table;
+}
+
+}  // namespace saltus

@@ -1,0 +1,127 @@
+#include "paper/reproduce.h"
+
+#include <gflags/gflags.h>
+
+#include <chrono>
+#include <functional>
+#include <iostream>
+#include <optional>
+
+#include "paper/experiments.h"
+#include "paper/formulation_audit.h"
+#include "paper/notebook_files.h"
+#include "paper/paper_figures.h"
+#include "paper/paper_report.h"
+#include "tools/parallel.h"
+#include "paper/published.h"
+#include "paper/solver_comparison.h"
+#include "tools/surrogate_flags.h"
+#include "saltus/dynamics/registry.h"
+#include "output/interrupt.h"
+
+DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
+DEFINE_string(data_dir, SALTUS_DATA_DIR, "directory of published.csv");
+DEFINE_bool(all_formulations, true, "audit every contact model on the three tasks, and solve task 3 under each");
+DEFINE_bool(every_solver, false, "with every general solver under the models that the paper does not compare, too");
+
+namespace saltus {
+namespace {
+
+FormulationAudit AuditFormulations(const Experiments& experiments) {
+  std::vector<std::string> contacts;
+  for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
+  return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
+                           {"Task 2: ground and wall", experiments.scene("ground_wall")},
+                           {"Task 3: two balls", experiments.scene("two_balls")}},
+                          std::move(contacts));
+}
+
+// False if interrupted.
+bool WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const std::string& output_dir) {
+  std::vector<const PaperFigure*> all;
+  for (const std::vector<PaperFigure>& some : figures) {
+    for (const PaperFigure& figure : some) all.push_back(&figure);
+  }
+  Progress progress(ProgressFromFlags(), stderr, "figures", all.size());
+  std::vector<std::string> names;
+  for (const PaperFigure* figure : all) names.push_back(figure->name);
+  return RunJobs(names, ThreadsFromFlags(), &progress, [&](int i, const SayNote&) {
+    const std::string path = output_dir + "/" + all[i]->name;
+    const Status status = WriteFigure(all[i]->figure, path + ".svg", path + ".png");
+    if (!status.ok()) throw OutputError(status.message());
+  });
+}
+
+// Does what cannot ask for interrupts itself. False if interrupted.
+bool RunStage(const std::string& name, const std::function<void()>& work) {
+  Progress progress(ProgressFromFlags(), stderr, name, 1);
+  return RunJobs({name}, 1, &progress, [&](int, const SayNote&) { work(); });
+}
+
+int Reproduce() {
+  const auto start = std::chrono::steady_clock::now();
+  RefuseSurrogate("the published experiments have the models' own gradients");
+  const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
+  MakeDirectory(output_dir);
+  std::vector<PublishedRow> rows = ReadPublished(FLAGS_data_dir + "/published.csv");
+  Experiments experiments(FLAGS_problems_dir);
+  const InterruptGuard guard;
+  if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
+  const double experiment_seconds = elapsed();
+  using Others = SolverComparison::Others;
+  const Others others = FLAGS_every_solver       ? Others::kEverySolver
+                        : FLAGS_all_formulations ? Others::kQuick
+                                                 : Others::kNone;
+  SolverComparison comparison(experiments, others);
+  if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  std::optional<FormulationAudit> formulations;
+  if (FLAGS_all_formulations) {
+    formulations = AuditFormulations(experiments);
+    if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  }
+  std::vector<PaperFigure> figures;
+  const bool compared = RunStage("comparison with the published values", [&] {
+    CompareWithPublished(experiments, &rows);
+    WriteNotebookFiles(experiments, output_dir);
+    figures = MakePaperFigures(experiments);
+    if (formulations) figures.push_back(formulations->ToFigure());
+  });
+  if (!compared || !WriteFigures({figures, comparison.Figures()}, output_dir)) return kAnswerFailed;
+  const bool written = RunStage("report", [&] {
+    WritePaperReport(experiments, rows, figures, comparison, formulations, experiment_seconds, output_dir);
+  });
+  if (!written) return kAnswerFailed;
+
+  const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
+    WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
+    WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
+  };
+  for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
+  for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
+
+  if (formulations) {
+    const CaptionedTable table = formulations->ToTable();
+    write_table(table.name, table.caption, table.table);
+  }
+
+  int failed = 0;
+  for (const PublishedRow& row : rows) {
+    if (!row.IsJudged() || row.Matches()) continue;
+    ++failed;
+    std::cerr << "not reproduced: " << row.table << " " << row.problem << " " << row.contact << " " << row.quantity
+              << ": expected " << row.expected << " within " << row.tolerance << ", got "
+              << (row.ours ? std::to_string(*row.ours) : "nothing") << std::endl;
+  }
+  std::cout << rows.size() - failed << " of " << rows.size() << " rows as expected, in " << elapsed() << " s\n"
+            << output_dir << "/report.html" << std::endl;
+  return failed == 0 ? kDone : kAnswerFailed;
+}
+
+}  // namespace
+
+int ReproduceMain(int argc, char** argv) {
+  return RunMain(argc, argv, "Every table and figure of the paper: saltus_reproduce --output_dir=DIR", Reproduce);
+}
+
+}  // namespace saltus

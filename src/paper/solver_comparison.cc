@@ -1,0 +1,463 @@
+#include "paper/solver_comparison.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <set>
+
+#include "tools/parallel.h"
+#include "paper/thread_time.h"
+#include "saltus/dynamics/registry.h"
+#include "exact/two_disc_optimum.h"
+#include "output/interrupt.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kShootingIterations = 500;    // by then it has ended
+constexpr int kLagrangianIterations = 200;  // by then it has stalled or gone astray
+constexpr int kFineSteps = 1000;
+// A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
+constexpr double kSlow = 2e-3;
+constexpr int kSlowIterations = 40;
+constexpr double kNearOptimum = 0.01;
+
+// Solvers that run under every contact model; the others know exact dynamics only, or are shown by one example.
+const std::set<std::string>& GeneralSolvers() {
+  static const std::set<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting"};
+  return solvers;
+}
+
+struct SolverStyle {
+  std::string_view solver, colour;
+  Dash dash;
+};
+// Colours of Okabe and Ito, "Color Universal Design" (2008).
+constexpr std::array<SolverStyle, 9> kStyles = {{{"gd", "#999999", Dash::kSolid},
+                                                 {"ceres_lbfgs", "#E69F00", Dash::kSolid},
+                                                 {"ceres_lm", "#56B4E9", Dash::kSolid},
+                                                 {"ceres_shooting", "#0072B2", Dash::kDashed},
+                                                 {"ceres_lagrangian", "#D55E00", Dash::kDashDotted},
+                                                 {"grid_optimum", "#009E73", Dash::kDotted},
+                                                 {"ceres_event", "#CC79A7", Dash::kDashed},
+                                                 {"hmp", "#882255", Dash::kDotted},
+                                                 {"mode_search", "#117733", Dash::kDashDotted}}};
+
+Series SolverSeries(const std::string& solver, std::vector<double> x, std::vector<double> y) {
+  Series series{.label = solver, .x = std::move(x), .y = std::move(y)};
+  for (const SolverStyle& style : kStyles) {
+    if (style.solver != solver) continue;
+    series.colour = style.colour;
+    series.dash = style.dash;
+  }
+  if (series.x.size() < 4) series.marker = Marker::kCircle;
+  return series;
+}
+
+double LargestDefect(const SolveReport& report) {
+  if (report.defects.empty()) return std::numeric_limits<double>::quiet_NaN();
+  return *std::max_element(report.defects.back().begin(), report.defects.back().end());
+}
+
+SolvedRun Planned(const std::string& contact, const std::string& solver) {
+  SolvedRun run;
+  run.report.contact = contact;
+  run.report.solver = solver;
+  return run;
+}
+
+// CPU time of the thread for a gradient of a scene, s.
+double GradientTime(const std::string& contact, const Scene& scene) {
+  const double start = ThreadTime();
+  ComputeGradient(contact, scene, Precision::kDouble);
+  return ThreadTime() - start;
+}
+
+void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
+  SolverOptions options;
+  options.iterations = iterations;
+  options.learning_rate = DefaultLearningRate(scene);
+  if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
+  if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
+  options.stop = InterruptGuard::Interrupted;
+  run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
+  const SolveReport& report = run->report;
+  if (report.losses.empty()) return;
+  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+}
+
+Tone ToneOfGap(double gap) {
+  if (gap < 1e-3) return Tone::kGood;
+  return gap < 1e-1 ? Tone::kWarning : Tone::kBad;
+}
+
+}  // namespace
+
+const SolvedRun* SolverComparison::Task::Find(const std::string& contact, const std::string& solver) const {
+  for (const SolvedRun& run : runs) {
+    if (run.report.contact == contact && run.report.solver == solver) return &run;
+  }
+  return nullptr;
+}
+
+double SolverComparison::Task::SmallestGap(const std::string& contact) const {
+  double smallest = std::numeric_limits<double>::infinity();
+  for (const SolvedRun& run : runs) {
+    const bool general = GeneralSolvers().count(run.report.solver) > 0;
+    if (run.exact.ok && run.report.contact == contact && general) {
+      smallest = std::min(smallest, run.exact.loss - optimum);
+    }
+  }
+  return smallest;
+}
+
+SolverComparison::SolverComparison(const Experiments& experiments, Others others) {
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (traits.event_driven) exact_ = traits.name;
+  }
+  const auto make =
+      [&](const std::string& problem, double friction, const std::string& name, const std::string& title) {
+        Task task;
+        task.name = name;
+        task.title = title;
+        task.scene = experiments.scene(problem);
+        task.scene.contact.friction = friction;
+        for (const ModelTraits& traits : AllContactModels()) {
+          const std::string contact(traits.name);
+          const Experiment* known = experiments.Find(problem, friction, contact, Precision::kDouble);
+          if (known == nullptr) continue;
+          for (const SolverEntry& entry : AllSolvers()) {
+            const std::string solver(entry.name);
+            if (!traits.event_driven && GeneralSolvers().count(solver) == 0) continue;
+            const SolvedRun* run = known->Find(solver);
+            task.runs.push_back(run != nullptr ? *run : Planned(contact, solver));
+          }
+        }
+        return task;
+      };
+  launch_ = make("ground_wall", 0, "comparison_ground_wall", "Task 2 without friction");
+  launch_with_friction_ = make("ground_wall", 0.1, "comparison_ground_wall_mu", "Task 2 with friction 0.1");
+  strike_ = make("two_balls", 0, "comparison_two_balls", "Task 3");
+  if (const auto optimum = FindTwoDiscOptimum(strike_.scene, TwoDiscSequence::kImpact)) strike_.optimum = optimum->loss;
+
+  strike_on_fine_grid_.name = "step_shooting";
+  strike_on_fine_grid_.scene = strike_.scene;
+  strike_on_fine_grid_.scene.steps = kFineSteps;
+  strike_on_fine_grid_.optimum = strike_.optimum;
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string contact(traits.name);
+    if (experiments.Find("two_balls", 0, contact, Precision::kDouble) != nullptr) {
+      strike_on_fine_grid_.runs.push_back(Planned(contact, "ceres_shooting"));
+      if (!traits.event_driven) strike_.runs.push_back(Planned(contact, "ceres_lagrangian"));
+    }
+  }
+  if (others != Others::kNone) PlanOthers(others);
+}
+
+void SolverComparison::PlanOthers(Others others) {
+  const bool every_solver = others == Others::kEverySolver;
+  others_.name = "comparison_formulations";
+  others_.title = "Task 3 under the models that the published comparisons do not report";
+  others_.scene = strike_.scene;
+  others_.optimum = strike_.optimum;
+  std::vector<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
+  if (every_solver) solvers.push_back("ceres_shooting");
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string contact(traits.name);
+    if (traits.compared || traits.event_driven || !WhyNotApplicable(contact, others_.scene).empty()) continue;
+    const bool slow = !every_solver && GradientTime(contact, others_.scene) > kSlow;
+    if (slow) slow_.insert(contact);
+    for (const std::string& solver : solvers) {
+      if (!slow || solver != "gd") others_.runs.push_back(Planned(contact, solver));
+    }
+  }
+}
+
+bool SolverComparison::Run(int threads, ProgressMode mode) {
+  std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
+  std::vector<std::string> names;
+  for (Task* task : {&others_, &strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
+    for (SolvedRun& run : task->runs) {
+      if (!run.report.losses.empty()) continue;
+      jobs.push_back({&task->scene, &run});
+      names.push_back(task->scene.name + " " + run.report.contact + " " + run.report.solver);
+    }
+  }
+  Progress progress(mode, stderr, "comparison of solvers", jobs.size());
+  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
+    const auto& [scene, run] = jobs[i];
+    const bool slow = slow_.count(run->report.contact) > 0;
+    SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
+  });
+}
+
+std::vector<CaptionedTable> SolverComparison::Tables() const {
+  std::vector<CaptionedTable> tables;
+  for (const Task* task : {&launch_, &launch_with_friction_, &strike_}) {
+    tables.push_back(
+        {task->name,
+         task->title + ": every contact model with every solver. `gap` is the exact loss less the optimum.",
+         TaskTable(*task)});
+  }
+  if (!others_.runs.empty()) {
+    tables.push_back({others_.name,
+                      others_.title + ". Models whose gradient takes more than " + Format("%g", 1e3 * kSlow) +
+                          " ms run " + std::to_string(kSlowIterations) +
+                          " iterations of Ceres and no gradient descent, and none step shooting, unless "
+                          "`--every_solver` is given.",
+                      TaskTable(others_)});
+  }
+  tables.push_back({strike_on_fine_grid_.name,
+                    "Task 3 by step shooting, on 480 and 1000 steps: along a feasible path, and by an augmented "
+                    "Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
+                    StepShootingTable()});
+  return tables;
+}
+
+Table SolverComparison::TaskTable(const Task& task) const {
+  Table table({{"contact"},
+               {"solver"},
+               {"loss under the model", 10},
+               {"exact loss", 10},
+               {"gap", 3},
+               {"iterations"},
+               {"gradients"},
+               {"milliseconds", 3},
+               {"termination"}});
+  for (const SolvedRun& run : task.runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != exact_)) continue;
+    Cell exact, gap;
+    if (run.exact.ok) {
+      exact = run.exact.loss;
+      gap = Cell(run.exact.loss - task.optimum).With(ToneOfGap(run.exact.loss - task.optimum));
+    }
+    table.AddRow({report.contact,
+                  report.solver,
+                  report.final_loss,
+                  exact,
+                  gap,
+                  report.iterations,
+                  report.evaluations,
+                  1e3 * report.seconds,
+                  TerminationToString(report.termination)});
+  }
+  return table;
+}
+
+Table SolverComparison::StepShootingTable() const {
+  Table table({{"contact"},
+               {"feasible path, 480", 8},
+               {"termination, 480"},
+               {"feasible path, 1000", 8},
+               {"termination, 1000"},
+               {"Lagrangian", 8},
+               {"open", 2},
+               {"termination"}});
+  const auto exact = [](const SolvedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
+  for (const SolvedRun& fine : strike_on_fine_grid_.runs) {
+    const SolvedRun* coarse = strike_.Find(fine.report.contact, "ceres_shooting");
+    const SolvedRun* lagrangian = strike_.Find(fine.report.contact, "ceres_lagrangian");
+    if (coarse == nullptr || lagrangian == nullptr) continue;
+    table.AddRow({fine.report.contact,
+                  exact(coarse),
+                  TerminationToString(coarse->report.termination),
+                  exact(&fine),
+                  TerminationToString(fine.report.termination),
+                  exact(lagrangian),
+                  LargestDefect(lagrangian->report),
+                  TerminationToString(lagrangian->report.termination)});
+  }
+  return table;
+}
+
+std::vector<PaperFigure> SolverComparison::Figures() const { return {LearningCurves(), ControlProfiles(), Defects()}; }
+
+PaperFigure SolverComparison::LearningCurves() const {
+  Figure figure;
+  for (const Task* task : {&launch_, &strike_}) {
+    Panel panel;
+    panel.title = task->title;
+    panel.x.label = "iteration, the initial guess being the first";
+    panel.y.label = "loss - optimum (m²)";
+    panel.x.log = panel.y.log = true;
+    for (const SolvedRun& run : task->runs) {
+      if (run.report.contact != exact_) continue;
+      std::vector<double> x, y;
+      for (double loss : run.report.losses) {
+        x.push_back(static_cast<double>(x.size() + 1));
+        y.push_back(loss - task->optimum);
+      }
+      if (!x.empty()) panel.series.push_back(SolverSeries(run.report.solver, x, y));
+    }
+    figure.panels.push_back(panel);
+  }
+  figure.columns = 2;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  return {
+      "solver_comparison",
+      "All solvers under exact dynamics. In task 2 least squares end in a few steps. In task 3 those on a fixed "
+      "grid stall where the impact meets a node of the grid, each of which is a local minimum; `ceres_shooting` then "
+      "moves it from node to node.",
+      figure};
+}
+
+PaperFigure SolverComparison::ControlProfiles() const {
+  Panel panel;
+  panel.x.label = "time (s)";
+  panel.y.label = "horizontal force on the striker (N)";
+  for (const SolvedRun& run : strike_.runs) {
+    if (run.report.contact != exact_ || run.report.losses.empty()) continue;
+    std::vector<double> x, y;
+    const size_t intervals = run.report.control.size() / 2;
+    double start = 0;
+    for (size_t k = 0; k < intervals; ++k) {
+      const double duration =
+          run.report.durations.empty() ? strike_.scene.duration / intervals : run.report.durations[k];
+      x.push_back(start + 0.5 * duration);
+      y.push_back(run.report.control[2 * k]);
+      start += duration;
+    }
+    panel.series.push_back(SolverSeries(run.report.solver, x, y));
+  }
+  if (const auto optimum = FindTwoDiscOptimum(strike_.scene, TwoDiscSequence::kImpact)) {
+    Series analytic = Series::ForModel("analytic", {}, {});
+    for (int i = 0; i <= 1000; ++i) {
+      analytic.x.push_back(1e-3 * i * strike_.scene.duration);
+      analytic.y.push_back(optimum->Control(analytic.x.back())[0]);
+    }
+    panel.series.push_back(analytic);
+  }
+  Figure figure;
+  figure.panels = {panel};
+  return {"solver_controls",
+          "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
+          "impact a force is wasted.",
+          figure};
+}
+
+PaperFigure SolverComparison::Defects() const {
+  Figure figure;
+  for (const std::string& contact : {exact_, std::string("compliant_warp")}) {
+    const SolvedRun* run = strike_.Find(contact, "ceres_lagrangian");
+    if (run == nullptr || run->report.defects.empty()) continue;
+    Panel panel;
+    panel.title = contact;
+    panel.x.label = "time (s)";
+    panel.y.label = "largest component of a step's defect (of the scene's length or speed)";
+    panel.y.log = true;
+    panel.y.min = 1e-6;
+    const auto& rounds = run->report.defects;
+    const std::pair<const char*, size_t> shown[] = {{"after the first round", 0},
+                                                    {"after the second", std::min<size_t>(1, rounds.size() - 1)},
+                                                    {"at the end", rounds.size() - 1}};
+    for (size_t i = 0; i < std::size(shown); ++i) {
+      Series series;
+      series.label = shown[i].first;
+      series.y = rounds[shown[i].second];
+      const double interval = strike_.scene.duration / static_cast<double>(series.y.size());
+      for (size_t k = 0; k < series.y.size(); ++k) series.x.push_back((static_cast<double>(k) + 0.5) * interval);
+      series.colour = RampColour(0.5 * static_cast<double>(i));
+      panel.series.push_back(std::move(series));
+    }
+    for (const Event& event : run->exact.events) {
+      panel.reference_lines.push_back({.value = event.time, .label = "impact of the rollout", .vertical = true});
+    }
+    figure.panels.push_back(std::move(panel));
+  }
+  figure.columns = 2;
+  figure.width = 1200;
+  figure.legend = Legend::kBelow;
+  return {
+      "defects",
+      "Task 3 by the augmented Lagrangian: where the trajectory is torn. At first every step is, because that costs "
+      "less than force. The multipliers should close all defects, and do not: with `event` those that stay open jump "
+      "at the impact and are largest behind it, with `compliant_warp` they sit at the contact.",
+      figure};
+}
+
+std::string SolverComparison::FindingOnOthers() const {
+  std::vector<std::pair<double, std::string>> gaps;
+  for (const SolvedRun& run : others_.runs) {
+    const std::string& contact = run.report.contact;
+    const bool known = std::any_of(gaps.begin(), gaps.end(), [&](const auto& gap) { return gap.second == contact; });
+    if (known) continue;
+    double smallest = std::numeric_limits<double>::infinity();
+    for (const std::string solver : {"ceres_lbfgs", "ceres_lm"}) {
+      const SolvedRun* found = others_.Find(contact, solver);
+      if (found != nullptr && found->exact.ok) smallest = std::min(smallest, found->exact.loss - others_.optimum);
+    }
+    gaps.emplace_back(smallest, contact);
+  }
+  std::sort(gaps.begin(), gaps.end());
+  std::string near, far;
+  for (const auto& [gap, contact] : gaps) {
+    std::string& list = gap < kNearOptimum ? near : far;
+    list += (list.empty() ? "`" : ", `") + contact + "` (" + Format("%.2g", gap) + ")";
+  }
+  return "Of the formulations that the paper does not compare, Ceres comes within " + Format("%g", kNearOptimum) +
+         " of the optimum of task 3 with " + (near.empty() ? "none" : near) + (far.empty() ? "" : "; not with " + far) +
+         ". In brackets: the gap of the exact loss.";
+}
+
+std::vector<std::string> SolverComparison::Findings() const {
+  std::vector<std::string> findings;
+  const auto gap = [&](const Task& task, const std::string& solver) -> std::optional<double> {
+    const SolvedRun* run = task.Find(exact_, solver);
+    if (run == nullptr || !run->exact.ok) return std::nullopt;
+    return run->exact.loss - task.optimum;
+  };
+  const auto say = [](const std::optional<double>& value) { return value ? Format("%.2g", *value) : "(no run)"; };
+
+  std::string other;
+  double best_other = std::numeric_limits<double>::infinity();
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string contact(traits.name);
+    if (contact == exact_ || contact == "toi_velocity" || !(strike_.SmallestGap(contact) < best_other)) continue;
+    best_other = strike_.SmallestGap(contact);
+    other = contact;
+  }
+  findings.push_back(
+      "Which contact model: `" + exact_ + "`. In task 3 the best of the four general solvers ends " +
+      say(strike_.SmallestGap(exact_)) + " above the optimum with it, " + say(strike_.SmallestGap("toi_velocity")) +
+      " with `toi_velocity`, and " + say(best_other) + " with the best of the others, `" + other +
+      "`: a better solver does not repair a wrong gradient. With some models least squares leave the collision "
+      "altogether; a loss of 2 is that of doing nothing.");
+  const SolvedRun* launch = launch_.Find(exact_, "ceres_lm");
+  if (launch != nullptr && launch->exact.ok) {
+    findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It hits the target in " +
+                       std::to_string(launch->report.iterations) + " iterations, to a loss of " +
+                       Format("%.1g", launch->exact.loss) + "; gradient descent is at " + say(gap(launch_, "gd")) +
+                       " after 1000.");
+  }
+  findings.push_back(
+      "Which solver, for a force through a collision (task 3): on a fixed grid the loss has a kink wherever the impact "
+      "crosses a node, so that gradients do not vanish at a minimum, and each node near the best is a minimum of its "
+      "own. Gaps to the optimum: gradient descent " +
+      say(gap(strike_, "gd")) + ", `ceres_lbfgs` " + say(gap(strike_, "ceres_lbfgs")) + ", `ceres_lm` " +
+      say(gap(strike_, "ceres_lm")) + ", `ceres_shooting`, which moves the impact from node to node, " +
+      say(gap(strike_, "ceres_shooting")) + "; the best that the grid allows is " + say(gap(strike_, "grid_optimum")) +
+      ".");
+  if (gap(strike_, "ceres_event")) {
+    findings.push_back("Where the impact time is a variable, there is no kink: `ceres_event` ends at " +
+                       say(gap(strike_, "ceres_event")) +
+                       (gap(strike_, "hmp") ? ", `hmp` at " + say(gap(strike_, "hmp")) : "") +
+                       ". Use these where the sequence of collisions is known.");
+  }
+  const SolvedRun* lagrangian = strike_.Find(exact_, "ceres_lagrangian");
+  if (lagrangian != nullptr && lagrangian->exact.ok) {
+    findings.push_back(
+        "Multiple shooting with open defects should not be trusted through a collision: the augmented Lagrangian ends "
+        "at an exact loss of " +
+        Format("%.4f", lagrangian->exact.loss) + ", its largest defect " +
+        Format("%.1g", LargestDefect(lagrangian->report)) +
+        ". A feasible path (`ceres_shooting`: every iterate is a rollout) has no such trouble.");
+  }
+  if (!others_.runs.empty()) findings.push_back(FindingOnOthers());
+  return findings;
+}
+
+}  // namespace saltus

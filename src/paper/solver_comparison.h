@@ -1,0 +1,70 @@
+// Every contact model with every solver, side by side: which to use, and why.
+//
+// Tasks 2 (without and with friction) and 3 under the models that the published comparisons report, and task 3 under
+// all others. Losses under a contact model may not be compared between models; exact losses may, and their gap to the
+// optimum is what is left to gain. Solvers that know exact dynamics only (optima on the grid, phases between events,
+// the minimum principle) appear with the event-driven model.
+#pragma once
+
+#include <set>
+#include <string>
+#include <vector>
+
+#include "paper/experiments.h"
+#include "paper/paper_figures.h"
+#include "output/table.h"
+
+namespace saltus {
+
+struct CaptionedTable {
+  std::string name;  // of its files
+  std::string caption;
+  Table table;
+};
+
+class SolverComparison {
+ public:
+  // What runs under the models that are not in the experiments: nothing; what takes a second or two; every general
+  // solver, however slow the model.
+  enum class Others { kNone, kQuick, kEverySolver };
+
+  // `experiments`, which have been run, give what they have; the rest is left to Run.
+  explicit SolverComparison(const Experiments& experiments, Others others = Others::kQuick);
+
+  // False if interrupted.
+  bool Run(int threads, ProgressMode progress);
+
+  std::vector<CaptionedTable> Tables() const;
+  std::vector<PaperFigure> Figures() const;
+  // What the numbers say, one sentence or two each.
+  std::vector<std::string> Findings() const;
+
+ private:
+  // One scene and what is run on it.
+  struct Task {
+    std::string name;  // of its table
+    std::string title;
+    Scene scene;
+    double optimum = 0;           // of the exact loss
+    std::vector<SolvedRun> runs;  // contact models outermost; planned ones have names only
+
+    const SolvedRun* Find(const std::string& contact, const std::string& solver) const;
+    // Of the best exact loss under a model (any, if empty), its gap to the optimum.
+    double SmallestGap(const std::string& contact) const;
+  };
+
+  void PlanOthers(Others others);
+  std::string FindingOnOthers() const;
+  Table TaskTable(const Task& task) const;
+  Table StepShootingTable() const;
+  PaperFigure LearningCurves() const;
+  PaperFigure ControlProfiles() const;
+  PaperFigure Defects() const;
+
+  std::string exact_;           // the event-driven contact model
+  std::set<std::string> slow_;  // models whose gradient takes long
+  Task launch_, launch_with_friction_, strike_, strike_on_fine_grid_;
+  Task others_;  // task 3 under the models that are not in `experiments`
+};
+
+}  // namespace saltus

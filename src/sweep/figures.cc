@@ -1,0 +1,439 @@
+#include "sweep/figures.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <map>
+#include <optional>
+#include <set>
+
+#include "sweep/options.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kLogLossFrom = 100;
+constexpr size_t kMostMarks = 40;
+constexpr size_t kMostPanels = 9;
+constexpr int kLevels = 7;  // in the legend of a map
+constexpr double kLevelWidth = 14;
+
+struct Unit {
+  const char* option;
+  const char* unit;
+};
+constexpr Unit kUnits[] = {{"stiffness", "N/m"},
+                           {"damping", "N s/m"},
+                           {"duration", "s"},
+                           {"gravity_x", "m/s²"},
+                           {"gravity_y", "m/s²"},
+                           {"mass", "kg"},
+                           {"radius", "m"},
+                           {"position_x", "m"},
+                           {"position_y", "m"},
+                           {"velocity_x", "m/s"},
+                           {"velocity_y", "m/s"},
+                           {"force_x", "N"},
+                           {"force_y", "N"}};
+
+// With its unit; of "<body>.<field>", that of the field.
+std::string AxisLabel(const std::string& option) {
+  const std::string field = option.substr(option.rfind('.') + 1);
+  for (const Unit& unit : kUnits) {
+    if (field == unit.option) return option + " (" + unit.unit + ")";
+  }
+  return option;
+}
+
+std::string Short(double value) {
+  std::array<char, 32> buffer;
+  std::snprintf(buffer.data(), buffer.size(), "%.4g", value);
+  return buffer.data();
+}
+
+// True if a logarithmic scale shows values from `least` to `most` better.
+bool WantsLog(double least, double most, double ratio) { return least > 0 && most >= ratio * least; }
+
+// True if ascending values of an option are spaced more evenly on a logarithmic scale; of two values, if they are far
+// apart.
+bool WantsLog(const std::vector<double>& values) {
+  constexpr double kFar = 20;
+  if (values.size() < 3) return !values.empty() && WantsLog(values.front(), values.back(), kFar);
+  if (values.front() <= 0) return false;
+  // The widest gap by the narrowest.
+  const auto unevenness = [&](const auto& scale) {
+    double narrowest = HUGE_VAL, widest = 0;
+    for (size_t i = 1; i < values.size(); ++i) {
+      const double gap = scale(values[i]) - scale(values[i - 1]);
+      narrowest = std::min(narrowest, gap);
+      widest = std::max(widest, gap);
+    }
+    return widest / narrowest;
+  };
+  return unevenness([](double x) { return std::log(x); }) < unevenness([](double x) { return x; });
+}
+
+// The points that are done, with their columns by name.
+class Results {
+ public:
+  Results(const SweepStudy& study, const std::vector<StoredPoint>& points) : study_(study) {
+    for (const StoredPoint& point : points) {
+      if (point.result.status == PointStatus::kComputed) rows_.push_back(&point.result.row);
+    }
+    for (size_t i = 0; i < study.options().size(); ++i) {
+      const std::string& option = study.options()[i];
+      if (FindSweepOption(option, study.request().scene) == SweepOptionKind::kWord) continue;
+      if (Distinct(option).size() > 1) varied_.push_back(option);
+    }
+  }
+
+  size_t size() const { return rows_.size(); }
+  const SweepStudy& study() const { return study_; }
+  // Numbers with more than one value.
+  const std::vector<std::string>& varied() const { return varied_; }
+
+  bool Has(const std::string& column) const { return Find(column).has_value(); }
+
+  // NaN where there is none. Precondition: the column exists.
+  double Number(size_t row, const std::string& column) const { return ToNumber((*rows_[row])[*Find(column)]); }
+  std::string Text(size_t row, const std::string& column) const {
+    return Has(column) ? ToCell((*rows_[row])[*Find(column)]).Exact() : "";
+  }
+
+  std::vector<double> Distinct(const std::string& column) const {
+    std::set<double> values;
+    for (size_t row = 0; row < size(); ++row) values.insert(Number(row, column));
+    return {values.begin(), values.end()};
+  }
+
+  // ", smallest over damping and steps": those varied beside `shown`.
+  std::string Over(const std::string& which, const std::vector<std::string>& shown) const {
+    std::string others;
+    for (const std::string& option : varied_) {
+      if (std::find(shown.begin(), shown.end(), option) != shown.end()) continue;
+      others += (others.empty() ? "" : ", ") + option;
+    }
+    return others.empty() ? "" : ", " + which + " over " + others;
+  }
+
+ private:
+  std::optional<size_t> Find(const std::string& column) const {
+    const auto& columns = study_.columns();
+    const auto found = std::find(columns.begin(), columns.end(), column);
+    return found == columns.end() ? std::nullopt : std::optional<size_t>(found - columns.begin());
+  }
+
+  const SweepStudy& study_;
+  std::vector<const SweepRow*> rows_;
+  std::vector<std::string> varied_;
+};
+
+// What a curve or a map belongs to.
+struct Method {
+  std::string contact, solver;
+  auto operator<=>(const Method&) const = default;
+};
+
+Method MethodOf(const Results& results, size_t row) {
+  return {results.Text(row, "contact"), results.Text(row, "solver")};
+}
+
+std::string Label(const Method& method) {
+  return method.solver.empty() ? method.contact : method.contact + ", " + method.solver;
+}
+
+// Curves of every method: the smallest y (or the largest) over all rows with the same x.
+using Curve = std::map<double, double>;
+template <typename X, typename Better>
+std::map<Method, Curve> Curves(const Results& results, const X& x_of, const std::string& y_column,
+                               const Better& better) {
+  std::map<Method, Curve> curves;
+  for (size_t row = 0; row < results.size(); ++row) {
+    const double y = results.Number(row, y_column);
+    if (!std::isfinite(y)) continue;
+    const auto [at, inserted] = curves[MethodOf(results, row)].try_emplace(x_of(row), y);
+    if (!inserted && better(y, at->second)) at->second = y;
+  }
+  return curves;
+}
+
+struct Extent {
+  double least = std::numeric_limits<double>::infinity();
+  double most = -std::numeric_limits<double>::infinity();
+  void Add(double value) {
+    least = std::min(least, value);
+    most = std::max(most, value);
+  }
+};
+
+// The contact model gives colour and marker; solvers differ in the dash.
+Series CurveSeries(const Method& method, const Curve& curve, const std::vector<std::string>& solvers) {
+  std::vector<double> x, y;
+  for (const auto& [at, value] : curve) {
+    x.push_back(at);
+    y.push_back(value);
+  }
+  Series series = Series::ForModel(method.contact, x, y);
+  series.label = Label(method);
+  constexpr std::array<Dash, 4> kDashes = {Dash::kSolid, Dash::kDashed, Dash::kDotted, Dash::kDashDotted};
+  const size_t solver = std::find(solvers.begin(), solvers.end(), method.solver) - solvers.begin();
+  if (solvers.size() > 1) series.dash = kDashes[solver % kDashes.size()];
+  return series;
+}
+
+// The same curve as its points, so that one can see where the results are.
+std::optional<Series> CurveMarks(const Series& curve) {
+  if (curve.x.size() > kMostMarks) return std::nullopt;
+  Series marks = curve;
+  marks.line = false;
+  marks.label = "";
+  marks.marker = Marker::kCircle;
+  return marks;
+}
+
+std::vector<std::string> Solvers(const std::map<Method, Curve>& curves) {
+  std::vector<std::string> solvers;
+  for (const auto& [method, curve] : curves) {
+    if (std::find(solvers.begin(), solvers.end(), method.solver) == solvers.end()) solvers.push_back(method.solver);
+  }
+  return solvers;
+}
+
+Panel CurvePanel(const std::map<Method, Curve>& curves, const std::string& x_label, const std::string& y_label) {
+  Panel panel;
+  std::set<double> x;
+  Extent y;
+  const std::vector<std::string> solvers = Solvers(curves);
+  for (const auto& [method, curve] : curves) {
+    for (const auto& [at, value] : curve) {
+      x.insert(at);
+      y.Add(value);
+    }
+    Series series = CurveSeries(method, curve, solvers);
+    series.marker = Marker::kNone;
+    if (const std::optional<Series> marks = CurveMarks(series)) panel.series.push_back(*marks);
+    panel.series.push_back(std::move(series));
+  }
+  panel.x.label = x_label;
+  panel.x.log = WantsLog({x.begin(), x.end()});
+  panel.y.label = y_label;
+  panel.y.log = WantsLog(y.least, y.most, kLogLossFrom);
+  return panel;
+}
+
+struct LossColumn {
+  std::string column, label;
+};
+
+std::vector<LossColumn> LossColumns(const SweepStudy& study) {
+  if (study.solving()) return {{"final_loss", "loss under the model"}, {"exact_loss", "exact loss"}};
+  return {{"loss", "loss at the initial guess"}};
+}
+
+SweepFigure LossFigure(const Results& results, const std::string& option) {
+  Figure figure;
+  for (const LossColumn& loss : LossColumns(results.study())) {
+    const auto curves = Curves(
+        results, [&](size_t row) { return results.Number(row, option); }, loss.column, std::less<>());
+    figure.panels.push_back(CurvePanel(curves, AxisLabel(option), loss.label));
+  }
+  figure.title = results.study().request().scene.name + ": loss against " + option + results.Over("smallest", {option});
+  figure.columns = static_cast<int>(figure.panels.size());
+  figure.width = figure.columns > 1 ? 1200 : 800;
+  figure.legend = Legend::kBelow;
+  return {"loss_against_" + option, figure};
+}
+
+// The order in which an error goes to zero, of the finer half of the steps: coarse ones are not there yet.
+std::string OrderLabel(const Series& series) {
+  std::vector<double> x, y;
+  for (size_t i = 0; i < series.x.size(); ++i) {
+    if (!(series.y[i] > 0)) continue;
+    x.push_back(series.x[i]);
+    y.push_back(series.y[i]);
+  }
+  if (x.empty()) return "exact";
+  const size_t finer = std::max<size_t>(3, (x.size() + 1) / 2);
+  x.resize(std::min(finer, x.size()));
+  y.resize(x.size());
+  const double order = Order(x, y);
+  if (!std::isfinite(order)) return "too few steps";
+  std::array<char, 32> text;
+  std::snprintf(text.data(), text.size(), "order %s%.2f", order <= -0.005 ? "−" : "", std::abs(order));
+  return text.data();
+}
+
+SweepFigure GradientErrorFigure(const Results& results) {
+  const Scene& scene = results.study().request().scene;
+  const auto dt = [&](size_t row) {
+    const double steps = results.Has("steps") ? results.Number(row, "steps") : scene.steps;
+    return (results.Has("duration") ? results.Number(row, "duration") : scene.duration) / steps;
+  };
+  const std::map<Method, Curve> curves = Curves(results, dt, "relative_error", std::greater<>());
+  Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
+  panel.x.log = panel.y.log = true;
+  for (Series& series : panel.series) {
+    if (series.line) series.label += ": " + OrderLabel(series);
+  }
+  Figure figure;
+  figure.title = scene.name + ": error of the gradient" + results.Over("largest", {"steps", "duration"});
+  figure.panels = {panel};
+  figure.width = 900;
+  figure.panel_height = 420;
+  return {"gradient_error_against_dt", figure};
+}
+
+// The edges of cells around sorted values: halfway between neighbours.
+std::vector<double> Edges(const std::vector<double>& values, bool log) {
+  std::vector<double> centres = values;
+  if (log) {
+    for (double& value : centres) value = std::log(value);
+  }
+  const size_t n = centres.size();
+  std::vector<double> edges = {centres[0] - (centres[1] - centres[0]) / 2};
+  for (size_t i = 0; i + 1 < n; ++i) edges.push_back((centres[i] + centres[i + 1]) / 2);
+  edges.push_back(centres[n - 1] + (centres[n - 1] - centres[n - 2]) / 2);
+  if (log) {
+    for (double& edge : edges) edge = std::exp(edge);
+  }
+  return edges;
+}
+
+// Values as colours, the same in all panels of a figure.
+class ColourScale {
+ public:
+  explicit ColourScale(const Extent& extent)
+      : extent_(extent), log_(WantsLog(extent.least, extent.most, kLogLossFrom)) {}
+
+  std::string Colour(double value) const {
+    const double span = At(extent_.most) - At(extent_.least);
+    return RampColour(span > 0 ? (At(value) - At(extent_.least)) / span : 0.0);
+  }
+
+  // What the legend shows, from the largest value down.
+  std::vector<Series> Levels() const {
+    std::vector<Series> levels;
+    for (int i = kLevels; i-- > 0;) {
+      const double at = At(extent_.least) + (At(extent_.most) - At(extent_.least)) * i / (kLevels - 1);
+      const double value = log_ ? std::exp(at) : at;
+      levels.push_back({.label = Short(value),
+                        .x = {},
+                        .y = {},
+                        .colour = Colour(std::clamp(value, extent_.least, extent_.most)),
+                        .width = kLevelWidth});
+    }
+    return levels;
+  }
+
+ private:
+  double At(double value) const { return log_ ? std::log(value) : value; }
+
+  Extent extent_;
+  bool log_;
+};
+
+// One axis of a map.
+struct MapAxis {
+  std::string option;
+  std::vector<double> values, edges;
+  bool log = false;
+
+  MapAxis(const Results& results, const std::string& name) : option(name), values(results.Distinct(name)) {
+    log = WantsLog(values);
+    edges = Edges(values, log);
+  }
+  Axis ToAxis() const { return {.label = AxisLabel(option), .log = log, .min = edges.front(), .max = edges.back()}; }
+  size_t Index(double value) const {
+    return static_cast<size_t>(std::lower_bound(values.begin(), values.end(), value) - values.begin());
+  }
+};
+
+using Map = std::map<std::pair<size_t, size_t>, double>;  // by indices of x and y
+
+std::map<Method, Map> LossMaps(const Results& results, const MapAxis& x, const MapAxis& y, const std::string& column) {
+  std::map<Method, Map> maps;
+  for (size_t row = 0; row < results.size(); ++row) {
+    const double loss = results.Number(row, column);
+    if (!std::isfinite(loss)) continue;
+    const std::pair<size_t, size_t> cell = {x.Index(results.Number(row, x.option)),
+                                            y.Index(results.Number(row, y.option))};
+    const auto [at, inserted] = maps[MethodOf(results, row)].try_emplace(cell, loss);
+    if (!inserted) at->second = std::min(at->second, loss);
+  }
+  return maps;
+}
+
+Panel MapPanel(const Method& method, const Map& map, const MapAxis& x, const MapAxis& y, const ColourScale& scale) {
+  Panel panel;
+  panel.title = Label(method);
+  panel.x = x.ToAxis();
+  panel.y = y.ToAxis();
+  for (const auto& [cell, loss] : map) {
+    const auto& [i, j] = cell;
+    panel.rectangles.push_back({{x.edges[i], y.edges[j]}, {x.edges[i + 1], y.edges[j + 1]}, scale.Colour(loss)});
+  }
+  return panel;
+}
+
+// Nothing if the two were not varied independently (at least half of all pairs are there), or all failed.
+std::optional<SweepFigure> MapFigure(const Results& results, const std::string& option_x, const std::string& option_y) {
+  const MapAxis x(results, option_x), y(results, option_y);
+  const LossColumn loss = LossColumns(results.study()).back();
+  const std::map<Method, Map> maps = LossMaps(results, x, y, loss.column);
+  Extent extent;
+  size_t most = 0;
+  for (const auto& [method, map] : maps) {
+    most = std::max(most, map.size());
+    for (const auto& [cell, value] : map) extent.Add(value);
+  }
+  if (most == 0 || 2 * most < x.values.size() * y.values.size()) return std::nullopt;
+  const ColourScale scale(extent);
+  Figure figure;
+  for (const auto& [method, map] : maps) {
+    if (figure.panels.size() < kMostPanels) figure.panels.push_back(MapPanel(method, map, x, y, scale));
+  }
+  figure.panels[0].series = scale.Levels();
+  figure.title =
+      results.study().request().scene.name + ": " + loss.label + results.Over("smallest", {option_x, option_y});
+  figure.columns = static_cast<int>(std::ceil(std::sqrt(static_cast<double>(figure.panels.size()))));
+  figure.width = 200 + 450 * figure.columns;
+  figure.panel_height = 380;
+  return SweepFigure{"loss_map_" + option_x + "_" + option_y, figure};
+}
+
+}  // namespace
+
+double Order(const std::vector<double>& x, const std::vector<double>& y) {
+  double n = 0, sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
+  for (size_t i = 0; i < x.size(); ++i) {
+    if (!(x[i] > 0) || !(y[i] > 0)) continue;
+    const double log_x = std::log(x[i]), log_y = std::log(y[i]);
+    n += 1;
+    sum_x += log_x;
+    sum_y += log_y;
+    sum_xx += log_x * log_x;
+    sum_xy += log_x * log_y;
+  }
+  if (n < 3) return std::numeric_limits<double>::quiet_NaN();
+  return (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x);
+}
+
+std::vector<SweepFigure> MakeSweepFigures(const SweepStudy& study, const std::vector<StoredPoint>& points) {
+  const Results results(study, points);
+  const std::vector<std::string>& varied = results.varied();
+  std::vector<SweepFigure> figures;
+  for (const std::string& option : varied) figures.push_back(LossFigure(results, option));
+  const bool dt_varied = std::find(varied.begin(), varied.end(), "steps") != varied.end() ||
+                         std::find(varied.begin(), varied.end(), "duration") != varied.end();
+  if (dt_varied && results.Has("relative_error")) figures.push_back(GradientErrorFigure(results));
+  for (size_t i = 0; i < varied.size(); ++i) {
+    for (size_t j = i + 1; j < varied.size(); ++j) {
+      if (std::optional<SweepFigure> map = MapFigure(results, varied[i], varied[j])) figures.push_back(std::move(*map));
+    }
+  }
+  return figures;
+}
+
+}  // namespace saltus

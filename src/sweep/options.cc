@@ -1,0 +1,167 @@
+#include "sweep/options.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+namespace {
+
+struct NumberOption {
+  const char* name;
+  SweepOptionKind kind;
+  void (*set)(double value, Request* request);
+};
+
+constexpr SweepOptionKind kReal = SweepOptionKind::kReal;
+constexpr SweepOptionKind kInteger = SweepOptionKind::kInteger;
+
+Surrogate& SurrogateOf(Request* request) {
+  if (!request->options.surrogate) throw InputError("the numbers of a surrogate need --surrogate");
+  return *request->options.surrogate;
+}
+
+constexpr NumberOption kNumbers[] = {
+    {"stiffness", kReal, [](double value, Request* r) { r->scene.contact.stiffness = value; }},
+    {"damping", kReal, [](double value, Request* r) { r->scene.contact.damping = value; }},
+    {"restitution", kReal, [](double value, Request* r) { r->scene.contact.restitution = value; }},
+    {"friction", kReal, [](double value, Request* r) { r->scene.contact.friction = value; }},
+    {"steps", kInteger, [](double value, Request* r) { r->scene.steps = static_cast<int>(value); }},
+    {"duration", kReal, [](double value, Request* r) { r->scene.duration = value; }},
+    {"gravity_x", kReal, [](double value, Request* r) { r->scene.gravity[0] = value; }},
+    {"gravity_y", kReal, [](double value, Request* r) { r->scene.gravity[1] = value; }},
+    {"effort", kReal, [](double value, Request* r) { r->scene.objective.effort = value; }},
+    {"learning_rate", kReal, [](double value, Request* r) { r->options.learning_rate = value; }},
+    {"iterations", kInteger, [](double value, Request* r) { r->options.iterations = static_cast<int>(value); }},
+    {"surrogate_sigma", kReal, [](double value, Request* r) { SurrogateOf(r).sigma = value; }},
+    {"surrogate_samples", kInteger, [](double value, Request* r) { SurrogateOf(r).samples = static_cast<int>(value); }},
+    {"surrogate_seed", kInteger, [](double value, Request* r) { SurrogateOf(r).seed = static_cast<int>(value); }},
+    {"surrogate_segments",
+     kInteger,
+     [](double value, Request* r) { SurrogateOf(r).segments = static_cast<int>(value); }},
+};
+
+struct BodyOption {
+  const char* field;
+  void (*set)(double value, Body* body);
+};
+
+constexpr BodyOption kBodyNumbers[] = {
+    {"mass", [](double value, Body* b) { b->mass = value; }},
+    {"radius", [](double value, Body* b) { b->radius = value; }},
+    {"position_x", [](double value, Body* b) { b->position[0] = value; }},
+    {"position_y", [](double value, Body* b) { b->position[1] = value; }},
+    {"velocity_x", [](double value, Body* b) { b->velocity[0] = value; }},
+    {"velocity_y", [](double value, Body* b) { b->velocity[1] = value; }},
+};
+
+const NumberOption* FindNumber(const std::string& name) {
+  const auto* found = std::find_if(
+      std::begin(kNumbers), std::end(kNumbers), [&](const NumberOption& option) { return name == option.name; });
+  return found == std::end(kNumbers) ? nullptr : found;
+}
+
+const BodyOption* FindBodyNumber(const std::string& field) {
+  const auto* found = std::find_if(std::begin(kBodyNumbers), std::end(kBodyNumbers), [&](const BodyOption& option) {
+    return field == option.field;
+  });
+  return found == std::end(kBodyNumbers) ? nullptr : found;
+}
+
+// "<body>.<field>", looked up in a scene. Names of bodies may have dots too, fields have none.
+struct BodyField {
+  int body = -1;
+  std::string field;
+};
+
+std::optional<BodyField> FindBodyField(const std::string& name, const Scene& scene) {
+  const size_t dot = name.rfind('.');
+  if (dot == std::string::npos) return std::nullopt;
+  BodyField found;
+  found.field = name.substr(dot + 1);
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    if (scene.bodies[i].name == name.substr(0, dot)) found.body = i;
+  }
+  if (found.body < 0) return std::nullopt;
+  return found;
+}
+
+// Where the initial force on a body stands in the control; -1 if it is not controlled.
+int FindForce(int body, const Scene& scene) {
+  const std::vector<int>& bodies = scene.control.bodies;
+  const auto found = std::find(bodies.begin(), bodies.end(), body);
+  return found == bodies.end() ? -1 : static_cast<int>(found - bodies.begin());
+}
+
+bool IsForce(const std::string& field) { return field == "force_x" || field == "force_y"; }
+
+bool IsWord(const std::string& name) { return name == "contact" || name == "solver" || name == "precision"; }
+
+template <typename Entries>
+std::vector<std::string> Names(const Entries& entries) {
+  std::vector<std::string> names;
+  for (const auto& entry : entries) names.emplace_back(entry.name);
+  return names;
+}
+
+void SetWord(const std::string& name, const std::string& word, Request* request) {
+  if (name == "contact") request->contacts = {word};
+  if (name == "solver") request->solvers = {word};
+  if (name == "precision") request->precision = word == "float" ? Precision::kFloat : Precision::kDouble;
+}
+
+void SetBodyField(const BodyField& found, double value, Scene* scene) {
+  if (const BodyOption* option = FindBodyNumber(found.field)) {
+    option->set(value, &scene->bodies[found.body]);
+  } else {
+    const int force = FindForce(found.body, *scene);
+    CHECK_GE(force, 0);
+    scene->control.initial[force][found.field == "force_x" ? 0 : 1] = value;
+  }
+}
+
+}  // namespace
+
+std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Scene& scene) {
+  if (IsWord(name)) return SweepOptionKind::kWord;
+  if (const NumberOption* option = FindNumber(name)) return option->kind;
+  const std::optional<BodyField> found = FindBodyField(name, scene);
+  if (!found) return std::nullopt;
+  const bool known =
+      FindBodyNumber(found->field) != nullptr || (IsForce(found->field) && FindForce(found->body, scene) >= 0);
+  return known ? std::optional(kReal) : std::nullopt;
+}
+
+std::vector<std::string> SweepOptionNames() {
+  std::vector<std::string> names = {"contact", "solver", "precision"};
+  for (const NumberOption& option : kNumbers) names.emplace_back(option.name);
+  return names;
+}
+
+std::vector<std::string> SweepWords(const std::string& name) {
+  CHECK(name == "solver" || name == "precision") << name;
+  if (name == "solver") return Names(AllSolvers());
+  return {"double", "float"};
+}
+
+void SetSweepOption(const std::string& name, const SweepValue& value, Request* request) {
+  if (IsWord(name)) {
+    SetWord(name, std::get<std::string>(value), request);
+  } else if (const NumberOption* option = FindNumber(name)) {
+    option->set(ToNumber(value), request);
+  } else {
+    const std::optional<BodyField> found = FindBodyField(name, request->scene);
+    CHECK(found) << name;
+    SetBodyField(*found, ToNumber(value), &request->scene);
+  }
+  if (request->options.iterations < 0) throw InputError("iterations must not be negative");
+  if (!(request->options.learning_rate > 0)) throw InputError("learning_rate must be positive");
+  if (!request->options.surrogate) return;
+  if (const std::string why = WhyNotValid(*request->options.surrogate); !why.empty()) {
+    throw InputError("surrogate_" + why);
+  }
+}
+
+}  // namespace saltus

@@ -1,0 +1,32 @@
+// What a sweep can vary: every numeric flag of the programs, some numbers of the scene, the contact model, the solver
+// and the precision.
+//
+// Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,
+// position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "tools/program.h"
+#include "sweep/value.h"
+
+namespace saltus {
+
+enum class SweepOptionKind { kReal, kInteger, kWord };
+
+// Nothing if a sweep over `scene` has no such option.
+std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Scene& scene);
+
+// The options that do not depend on the scene.
+std::vector<std::string> SweepOptionNames();
+
+// The words that solver or precision accept. A contact model may have options: see registry.h.
+std::vector<std::string> SweepWords(const std::string& name);
+
+// Sets one option of a request; the scene that results is not validated. Precondition: the option exists, the value is
+// a word that it accepts, or else a number. Throws InputError if the number is impossible for an option of solvers.
+void SetSweepOption(const std::string& name, const SweepValue& value, Request* request);
+
+}  // namespace saltus

@@ -1,0 +1,38 @@
+// The results of a sweep for people and programs: table, arrays, JSON, and a word on what failed.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "tools/json_output.h"
+#include "sweep/store.h"
+#include "output/npz.h"
+#include "output/table.h"
+
+namespace saltus {
+
+struct StoredPoint {
+  int64_t point = 0;
+  PointResult result;
+};
+
+// "point 3 (stiffness=100, contact=event)"
+std::string PlaceOf(const SweepStudy& study, int64_t point);
+
+// In ascending order.
+std::vector<StoredPoint> AllPoints(const SweepStore& store);
+
+Table SweepTable(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// One array a column, under the column's name, and "point". Numbers are float64, what is missing is NaN; text is str_.
+NpzArrays SweepArrays(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// {"scene": ..., "points": [{"point": 0, "stiffness": 100, ..., "status": "done"}, ...]}
+Json SweepJson(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+// "10 points: 7 done, 1 not applicable, 2 failed", then a line for every reason with how often it occurs and where
+// first; of many reasons the most frequent ones.
+std::string Summary(const SweepStudy& study, const std::vector<StoredPoint>& points);
+
+}  // namespace saltus

@@ -1,0 +1,170 @@
+#include "sweep/point.h"
+
+#include <chrono>
+#include <cmath>
+#include <new>
+
+#include "tools/audit.h"
+#include "tools/solve.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/dynamics/registry.h"
+#include "output/table.h"
+
+namespace saltus {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
+  row->insert(row->end(), values.begin(), values.end());
+}
+
+PointResult StartRow(const SweepStudy& study, int64_t point) {
+  PointResult result{PointStatus::kComputed, study.Values(point)};
+  if (const std::optional<Surrogate>& surrogate = study.request().options.surrogate) {
+    Append({std::string(SurrogateToString(surrogate->kind))}, &result.row);
+  }
+  if (study.any_bias()) Append({std::string(study.IsBiased(point) ? "yes" : "no")}, &result.row);
+  return result;
+}
+
+bool HasStandardError(const std::optional<Surrogate>& surrogate) { return surrogate && surrogate->smooths(); }
+
+PointStatus StatusOf(Termination termination) {
+  if (termination == Termination::kNotApplicable) return PointStatus::kNotApplicable;
+  // Only the time limit interrupts a solver here.
+  const bool failed = termination == Termination::kFailed || termination == Termination::kInterrupted;
+  return failed ? PointStatus::kFailed : PointStatus::kComputed;
+}
+
+PointResult SolvePoint(const Request& request, double seconds, PointResult result) {
+  const Clock::time_point deadline =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
+  SolverOptions options = request.options;
+  if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
+  SolvedRun run;
+  run.report = Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  const SolveReport& report = run.report;
+  result.status = StatusOf(report.termination);
+  const std::vector<double>& losses = report.losses;
+  if (losses.empty()) {
+    result.row.resize(result.row.size() + 7);
+  } else {
+    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
+    Append({FiniteOrNothing(report.initial_loss),
+            FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+            FiniteOrNothing(report.final_loss),
+            run.exact.ok ? FiniteOrNothing(run.exact.loss) : SweepValue(),
+            int64_t{report.iterations},
+            int64_t{report.evaluations},
+            report.seconds},
+           &result.row);
+  }
+  const bool stopped = report.termination == Termination::kInterrupted;
+  const Termination termination = stopped ? Termination::kFailed : report.termination;
+  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : RemarkOn(run)},
+         &result.row);
+  return result;
+}
+
+double Norm(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double value : values) sum += value * value;
+  return std::sqrt(sum);
+}
+
+// x and y of every body, from B x 4 numbers; offset 0 for positions, 2 for velocities.
+std::vector<double> Pairs(const std::vector<double>& initial, size_t offset) {
+  std::vector<double> pairs;
+  for (size_t i = 0; i < initial.size(); i += 4) {
+    pairs.insert(pairs.end(), {initial[i + offset], initial[i + offset + 1]});
+  }
+  return pairs;
+}
+
+PointResult GradientPoint(const Request& request, PointResult result) {
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  const ModelGradient gradient =
+      surrogate ? ComputeSurrogate(request.contacts[0], request.scene, request.precision, *surrogate)
+                : ComputeGradient(request.contacts[0], request.scene, request.precision);
+  if (!gradient.ok()) {
+    result.status = IsNotApplicable(gradient, request.scene) ? PointStatus::kNotApplicable : PointStatus::kFailed;
+    result.row.resize(result.row.size() + (HasStandardError(surrogate) ? 6 : 5));
+    Append({gradient.reason}, &result.row);
+    return result;
+  }
+  SweepValue error;
+  std::string remark = WhyNotComparable(request.contacts[0], request.scene);
+  if (const auto exact = remark.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
+    if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
+      remark = "ambiguous: " + ties;
+    } else {
+      error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+    }
+  }
+  Append({FiniteOrNothing(gradient.loss),
+          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
+          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 2))),
+          FiniteOrNothing(Norm(gradient.gradient.control)),
+          error},
+         &result.row);
+  if (HasStandardError(surrogate)) {
+    const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
+    Append({FiniteOrNothing(norm)}, &result.row);
+  }
+  Append({remark}, &result.row);
+  return result;
+}
+
+}  // namespace
+
+std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias) {
+  std::vector<std::string> columns;
+  if (surrogate) columns.push_back("surrogate");
+  if (any_bias) columns.push_back("biased");
+  const auto add = [&](std::initializer_list<const char*> names) {
+    columns.insert(columns.end(), names.begin(), names.end());
+  };
+  if (solving) {
+    add({"initial_loss",
+         "loss_before_last",
+         "final_loss",
+         "exact_loss",
+         "iterations",
+         "evaluations",
+         "seconds",
+         "termination",
+         "reason"});
+    return columns;
+  }
+  add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
+  if (HasStandardError(surrogate)) add({"norm_standard_error"});
+  add({"reason"});
+  return columns;
+}
+
+std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
+
+PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds) {
+  try {
+    const Request request = study.At(point);
+    PointResult result = StartRow(study, point);
+    return study.solving() ? SolvePoint(request, seconds, std::move(result))
+                           : GradientPoint(request, std::move(result));
+  } catch (const InputError& error) {
+    return FailedPoint(study, point, error.what());
+  } catch (const std::bad_alloc&) {
+    return FailedPoint(study, point, "out of memory");
+  }
+}
+
+PointResult FailedPoint(const SweepStudy& study, int64_t point, const std::string& reason) {
+  PointResult result = StartRow(study, point);
+  result.status = PointStatus::kFailed;
+  result.row.resize(study.columns().size());
+  if (study.solving()) result.row[result.row.size() - 2] = std::string(TerminationToString(Termination::kFailed));
+  result.row.back() = reason;
+  return result;
+}
+
+}  // namespace saltus

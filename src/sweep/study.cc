@@ -1,0 +1,157 @@
+#include "sweep/study.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <sstream>
+
+#include "tools/json_output.h"
+#include "tools/surrogate_flags.h"
+#include "sweep/options.h"
+#include "sweep/point.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/io/scene_file.h"
+
+namespace saltus {
+namespace {
+
+constexpr int64_t kMostPoints = 100'000'000;
+
+bool Has(const std::vector<SweepBlock>& blocks, const std::string& option) {
+  return std::any_of(blocks.begin(), blocks.end(), [&](const SweepBlock& block) {
+    return std::find(block.options.begin(), block.options.end(), option) != block.options.end();
+  });
+}
+
+SweepBlock WordBlock(const std::string& option, const std::vector<std::string>& words) {
+  SweepBlock block;
+  block.options = {option};
+  for (const std::string& word : words) block.rows.push_back({word});
+  return block;
+}
+
+std::vector<std::string> Lines(const std::string& text) {
+  std::vector<std::string> lines;
+  std::stringstream stream(text);
+  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  return lines;
+}
+
+// As the flag --sequence has it.
+std::string SequenceText(const Request& request) {
+  if (request.options.sequence) return ContactSequenceToString(request.scene, *request.options.sequence);
+  return request.options.search ? "auto" : "fixed";
+}
+
+// A value that a JSON pointer leads to, or "nothing".
+std::string ValueAt(const nlohmann::json& document, const std::string& pointer) {
+  const nlohmann::json::json_pointer place(pointer);
+  return document.contains(place) ? document[place].dump() : "nothing";
+}
+
+// Whether any contact model of the blocks has options that bias its derivative.
+bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
+  return std::any_of(blocks.begin(), blocks.end(), [](const SweepBlock& block) {
+    const auto contact = std::find(block.options.begin(), block.options.end(), "contact");
+    if (contact == block.options.end()) return false;
+    return std::any_of(block.rows.begin(), block.rows.end(), [&](const SweepRow& row) {
+      return HasBiasedDerivative(std::get<std::string>(row[contact - block.options.begin()]));
+    });
+  });
+}
+
+}  // namespace
+
+SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
+    : request_(std::move(request)), blocks_(std::move(blocks)) {
+  solving_ = !request_.solvers.empty() || Has(blocks_, "solver");
+  if (!Has(blocks_, "contact")) blocks_.push_back(WordBlock("contact", request_.contacts));
+  if (solving_ && !Has(blocks_, "solver")) blocks_.push_back(WordBlock("solver", request_.solvers));
+  any_bias_ = request_.options.surrogate || AnyContactIsBiased(blocks_);
+  for (const SweepBlock& block : blocks_) {
+    const int64_t rows = static_cast<int64_t>(block.rows.size());
+    if (__builtin_mul_overflow(size_, rows, &size_) || size_ > kMostPoints) {
+      throw InputError("--sweep has more than " + std::to_string(kMostPoints) + " points");
+    }
+  }
+  const auto add = [&](bool names) {
+    for (size_t b = 0; b < blocks_.size(); ++b) {
+      for (size_t c = 0; c < blocks_[b].options.size(); ++c) {
+        const std::string& option = blocks_[b].options[c];
+        if ((option == "contact" || option == "solver") != names) continue;
+        options_.push_back(option);
+        places_.push_back({b, c});
+      }
+    }
+  };
+  add(/*names=*/false);
+  add(/*names=*/true);
+  columns_ = options_;
+  for (const std::string& result : ResultColumns(solving_, request_.options.surrogate, any_bias_)) {
+    // An option may bear the name of a result.
+    const bool taken = std::find(options_.begin(), options_.end(), result) != options_.end();
+    columns_.push_back(taken ? result + "_done" : result);
+  }
+}
+
+bool SweepStudy::IsBiased(int64_t point) const {
+  const size_t contact = std::find(options_.begin(), options_.end(), "contact") - options_.begin();
+  return request_.options.surrogate || HasBiasedDerivative(std::get<std::string>(Values(point)[contact]));
+}
+
+SweepRow SweepStudy::Values(int64_t point) const {
+  CHECK(0 <= point && point < size_);
+  std::vector<size_t> rows(blocks_.size());
+  for (size_t b = blocks_.size(); b-- > 0;) {
+    const int64_t count = static_cast<int64_t>(blocks_[b].rows.size());
+    rows[b] = static_cast<size_t>(point % count);
+    point /= count;
+  }
+  SweepRow values;
+  for (const Place& place : places_) values.push_back(blocks_[place.block].rows[rows[place.block]][place.column]);
+  return values;
+}
+
+Request SweepStudy::At(int64_t point) const {
+  Request request = request_;
+  const SweepRow values = Values(point);
+  for (size_t i = 0; i < values.size(); ++i) SetSweepOption(options_[i], values[i], &request);
+  if (const std::optional<SceneError> error = Validate(request.scene)) {
+    throw InputError(error->key + ": " + error->message);
+  }
+  return request;
+}
+
+std::string SweepStudy::Description() const {
+  Json blocks = Json::array();
+  for (const SweepBlock& block : blocks_) {
+    Json rows = Json::array();
+    for (const SweepRow& row : block.rows) {
+      Json values = Json::array();
+      for (const SweepValue& value : row) values.push_back(ToJson(value));
+      rows.push_back(std::move(values));
+    }
+    blocks.push_back({{"options", block.options}, {"rows", std::move(rows)}});
+  }
+  Json description = {{"version", SALTUS_VERSION},
+                      {"scene", Lines(WriteScene(request_.scene))},
+                      {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
+                      {"iterations", request_.options.iterations},
+                      {"learning_rate", request_.options.learning_rate},
+                      {"sequence", SequenceText(request_)},
+                      {"sweep", std::move(blocks)}};
+  AddSurrogate(request_.options.surrogate, &description);
+  return description.dump();
+}
+
+std::string DescribeDifference(const std::string& before, const std::string& now) {
+  const nlohmann::json old_study = nlohmann::json::parse(before);
+  const nlohmann::json new_study = nlohmann::json::parse(now);
+  const nlohmann::json patch = nlohmann::json::diff(old_study, new_study);
+  CHECK(!patch.empty());
+  const std::string place = patch[0].at("path").get<std::string>();
+  return place.substr(1) + ": " + ValueAt(old_study, place) + " is now " + ValueAt(new_study, place);
+}
+
+}  // namespace saltus

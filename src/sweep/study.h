@@ -1,0 +1,65 @@
+// All points of a sweep, by number: every combination of the rows of some blocks, the last block fastest.
+//
+// A row of a study's table is one value for each swept option (numbers first, then the contact model and the solver)
+// and then the results.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "tools/program.h"
+#include "sweep/spec.h"
+
+namespace saltus {
+
+class SweepStudy {
+ public:
+  // Sweeps `blocks` and, fastest, the contact models and solvers of `request` unless a block has them. Without solvers
+  // a point is the loss and its gradient at the initial guess. Preconditions: the blocks are ParseSweep's for the scene
+  // of `request`. Throws InputError if there are too many points.
+  SweepStudy(Request request, std::vector<SweepBlock> blocks);
+
+  int64_t size() const { return size_; }
+  bool solving() const { return solving_; }
+  const Request& request() const { return request_; }
+
+  // The options that vary from point to point, in the order of the columns.
+  const std::vector<std::string>& options() const { return options_; }
+  // All headers: options, then results.
+  const std::vector<std::string>& columns() const { return columns_; }
+
+  // Whether the gradient at a point, or at any, is biased: by a surrogate or by options of the contact model.
+  bool IsBiased(int64_t point) const;
+  bool any_bias() const { return any_bias_; }
+
+  // The values of options() at a point. Precondition, here and below: 0 <= point < size().
+  SweepRow Values(int64_t point) const;
+
+  // What to compute at a point: one contact model and, if solving, one solver. Throws InputError, with key and
+  // expectation, if the values make no valid scene or are impossible for a solver.
+  Request At(int64_t point) const;
+
+  // Everything that the results depend on, as JSON text: equal for equal studies.
+  std::string Description() const;
+
+ private:
+  Request request_;
+  std::vector<SweepBlock> blocks_;
+  bool solving_;
+  bool any_bias_;
+  int64_t size_ = 1;
+  std::vector<std::string> options_;
+  std::vector<std::string> columns_;
+  // Where each of options_ stands.
+  struct Place {
+    size_t block, column;
+  };
+  std::vector<Place> places_;
+};
+
+// The first difference between two descriptions, for a person: "scene/steps: 480 is now 240". Precondition: both are
+// JSON and differ.
+std::string DescribeDifference(const std::string& before, const std::string& now);
+
+}  // namespace saltus

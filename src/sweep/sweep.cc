@@ -1,0 +1,206 @@
+#include "sweep/sweep.h"
+
+#include <gflags/gflags.h>
+#include <glog/logging.h>
+
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+#include <regex>
+
+#include "sweep/cluster.h"
+#include "sweep/figures.h"
+#include "sweep/output.h"
+#include "sweep/run.h"
+#include "output/interrupt.h"
+
+DEFINE_string(
+    sweep, "",
+    "points: 'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & damping=3,4' two "
+    "that move together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' explicit points");
+DEFINE_double(point_seconds, 0, "time limit of every point, s (default: none); what takes longer fails");
+DEFINE_string(shard, "", "i/n: only the i-th of n parts (i = 1..n); --merge puts them together");
+DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
+DEFINE_bool(retry_failed, false, "compute the failed points of --output_dir again");
+
+DECLARE_int32(threads);
+
+namespace saltus {
+namespace {
+
+constexpr char kUsage[] =
+    "Many points of some options, one row each: saltus_sweep --scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; "
+    "steps=120,240\" [--contact=LIST] [--solver=LIST|none]. CSV on stdout.\n"
+    "With --output_dir, every finished point is kept at once in DIR/sweep.sqlite: the same command goes on where the "
+    "last one ended, however that was. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
+    "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
+    "--shard=1/n ... --shard=n/n on each and then --merge.";
+
+Shard ReadShard(const std::string& text) {
+  if (text.empty()) return {};
+  Shard shard;
+  const char* end = text.data() + text.size();
+  const auto [slash, error] = std::from_chars(text.data(), end, shard.index);
+  bool ok = error == std::errc() && slash != end && *slash == '/';
+  if (ok) {
+    const auto [last, count_error] = std::from_chars(slash + 1, end, shard.count);
+    ok = count_error == std::errc() && last == end && 1 <= shard.index && shard.index <= shard.count;
+  }
+  if (!ok) throw InputError("--shard=" + text + "; expected i/n with i in 1..n, such as 2/8");
+  return shard;
+}
+
+void CheckFlags() {
+  if (!(FLAGS_point_seconds >= 0) || std::isinf(FLAGS_point_seconds)) {
+    throw InputError("--point_seconds must be a number >= 0");
+  }
+  const bool parts = !FLAGS_shard.empty() || FLAGS_merge || FLAGS_retry_failed;
+  if (parts && OutputDirFromFlags().empty()) {
+    throw InputError("--shard, --merge and --retry_failed need --output_dir, where the points are kept");
+  }
+  if (FLAGS_merge && !FLAGS_shard.empty()) throw InputError("--merge takes all shards, expected no --shard with it");
+}
+
+// What must be true of a store for the sweep to go on: whatever is wrong is for the user to put right.
+template <typename T>
+T OrInputError(StatusOr<T> result) {
+  if (!result.ok()) throw InputError(result.status().message());
+  return std::move(*result);
+}
+
+void OrOutputError(const Status& status) {
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+std::string ShardName(Shard shard) {
+  return "shard-" + std::to_string(shard.index) + "-of-" + std::to_string(shard.count);
+}
+
+// Results of a shard do not stand in the way of those of the whole.
+std::string BaseName(Shard shard) { return shard.count == 1 ? "sweep" : "sweep." + ShardName(shard); }
+
+std::vector<std::string> ShardStores(const std::string& directory) {
+  static const std::regex name("sweep\\.shard-[0-9]+-of-[0-9]+\\.sqlite");
+  std::vector<std::string> paths;
+  for (const auto& entry : std::filesystem::directory_iterator(directory)) {
+    if (std::regex_match(entry.path().filename().string(), name)) paths.push_back(entry.path().string());
+  }
+  std::sort(paths.begin(), paths.end());
+  return paths;
+}
+
+void MergeShards(const SweepStudy& study, SweepStore* store) {
+  const std::vector<std::string> paths = ShardStores(study.request().output_dir);
+  if (paths.empty()) {
+    throw InputError("--merge: no shards in '" + study.request().output_dir + "'; expected sweep.shard-*.sqlite there");
+  }
+  for (const std::string& path : paths) {
+    const SweepStore shard = OrInputError(SweepStore::Open(path, study));
+    const int64_t added = OrInputError(store->Merge(shard));
+    LOG(INFO) << path << ": " << shard.size() << " points, " << added << " of them new";
+  }
+}
+
+void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points, const Table& table,
+                const std::string& base) {
+  const std::string& directory = study.request().output_dir;
+  if (directory.empty()) return;
+  WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
+  OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
+  if (InterruptGuard::Interrupted()) return;  // figures take seconds
+  for (const SweepFigure& figure : MakeSweepFigures(study, points)) {
+    const std::string path = directory + "/" + base + "." + figure.name;
+    const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
+    // The results stand without figures: gnuplot may be missing.
+    if (!status.ok()) LOG(WARNING) << path << ": " << status.message();
+  }
+}
+
+void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
+  const Table table = SweepTable(study, points);
+  WriteAndPrint([&] { WriteFiles(study, points, table, base); },
+                [&] {
+                  if (study.request().json) {
+                    PrintJson(SweepJson(study, points), study.request().precision);
+                  } else {
+                    std::cout << table.ToCsv() << std::flush;
+                  }
+                });
+}
+
+// Writes what there is and says how it went.
+int Report(const SweepStudy& study, const SweepStore& store, Shard shard) {
+  const std::vector<StoredPoint> points = AllPoints(store);
+  WriteResults(study, points, BaseName(shard));
+  const int64_t wanted = (study.size() - shard.index + shard.count) / shard.count;
+  const int64_t missing = wanted - static_cast<int64_t>(points.size());
+  const bool some_done = std::any_of(
+      points.begin(), points.end(), [](const StoredPoint& p) { return p.result.status == PointStatus::kComputed; });
+  if (missing > 0 || std::any_of(points.begin(), points.end(), [](const StoredPoint& p) {
+        return p.result.status != PointStatus::kComputed;
+      })) {
+    std::cerr << Summary(study, points);
+  }
+  if (missing > 0 && InterruptGuard::Interrupted()) std::cerr << "interrupted; ";
+  if (missing > 0) std::cerr << missing << " points are missing; the same command goes on with them" << std::endl;
+  return missing == 0 && some_done ? kDone : kAnswerFailed;
+}
+
+int Workers(const SweepCluster* cluster) {
+  const int threads = ThreadsFromFlags();
+  if (cluster == nullptr || FLAGS_threads > 0) return threads;
+  return std::max(1, threads / cluster->ranks_here());
+}
+
+int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
+  const Shard shard = ReadShard(FLAGS_shard);
+  const std::string& directory = study.request().output_dir;
+  SweepStore store = OrInputError(
+      SweepStore::Open(directory.empty() ? ":memory:" : directory + "/" + BaseName(shard) + ".sqlite", study));
+  if (FLAGS_merge) {
+    MergeShards(study, &store);
+    return Report(study, store, shard);
+  }
+  if (FLAGS_retry_failed) OrInputError(store.ForgetFailed());
+  const std::vector<int64_t> points = PendingPoints(study, shard, store, [&] {
+    if (cluster != nullptr) cluster->Tick();
+  });
+  if (!points.empty()) {
+    LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
+    const std::unique_ptr<SweepExecutor> shared = cluster == nullptr ? nullptr : cluster->Share(study, &local);
+    SweepExecutor* executor = shared == nullptr ? &local : shared.get();
+    Progress progress(
+        study.request().progress, stderr, "sweep " + study.request().scene.name, static_cast<int64_t>(points.size()));
+    OrOutputError(RunPoints(study, points, executor, &store, &progress));
+  }
+  return Report(study, store, shard);
+}
+
+int RunRank(SweepCluster* cluster) {
+  Request request;
+  if (!ReadRequest({}, &request)) return kDone;
+  CheckFlags();
+  const SweepStudy study(request, ParseSweep(FLAGS_sweep, request.scene));
+  if (cluster == nullptr || cluster->rank() == 0) return RunSweep(study, cluster);
+  LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
+  return cluster->Serve(study, &local) ? kDone : kAnswerFailed;
+}
+
+}  // namespace
+
+int SweepMain(int argc, char** argv) {
+  return RunMain(argc, argv, kUsage, [] {
+    const InterruptGuard guard;
+    const std::unique_ptr<SweepCluster> cluster = JoinCluster();
+    if (cluster == nullptr || cluster->rank() == 0) return RunRank(cluster.get());
+    try {
+      return RunRank(cluster.get());
+    } catch (const InputError& error) {
+      cluster->Decline(error.what());
+      return kWrongInput;
+    }
+  });
+}
+
+}  // namespace saltus

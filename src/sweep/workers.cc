@@ -1,0 +1,157 @@
+#include "sweep/workers.h"
+
+#include <glog/logging.h>
+#include <poll.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+
+namespace saltus {
+namespace {
+
+// Computes what it is asked for until its socket is closed. Never returns: this process has no other business.
+[[noreturn]] void Serve(int socket, pid_t parent, const WorkerPool::Work& work) {
+  // The parent decides what an interrupt means, and takes its workers with it when it dies.
+  std::signal(SIGINT, SIG_IGN);
+  std::signal(SIGTERM, SIG_IGN);
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(0);
+  int64_t task = 0;
+  while (recv(socket, &task, sizeof(task), 0) == sizeof(task)) {
+    const std::string answer = work(task);
+    CHECK_LE(answer.size(), WorkerPool::kLongestAnswer);
+    if (send(socket, answer.data(), answer.size(), MSG_NOSIGNAL) < 0) break;
+  }
+  _exit(0);
+}
+
+std::string HowItEnded(int status) {
+  if (WIFSIGNALED(status)) {
+    const int signal = WTERMSIG(status);
+    return "killed by signal " + std::to_string(signal) + " (" + strsignal(signal) + ")";
+  }
+  return "exit code " + std::to_string(WEXITSTATUS(status));
+}
+
+}  // namespace
+
+WorkerPool::WorkerPool(int workers, double seconds, Work work) : seconds_(seconds), work_(std::move(work)) {
+  CHECK_GT(workers, 0);
+  workers_.resize(static_cast<size_t>(workers));
+  for (Worker& worker : workers_) Launch(&worker);
+}
+
+WorkerPool::~WorkerPool() {
+  for (Worker& worker : workers_) {
+    kill(worker.process, SIGKILL);
+    Reap(&worker);
+  }
+}
+
+void WorkerPool::Launch(Worker* worker) {
+  int sockets[2];
+  // Keeps the boundaries of messages, and tells when the other end is gone.
+  PCHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, sockets) == 0);
+  const pid_t parent = getpid();
+  worker->process = fork();
+  PCHECK(worker->process >= 0) << "cannot start a process";
+  if (worker->process == 0) {
+    // The parent's ends would keep the other workers' sockets open.
+    for (const Worker& other : workers_) {
+      if (other.socket >= 0) close(other.socket);
+    }
+    close(sockets[0]);
+    Serve(sockets[1], parent, work_);
+  }
+  close(sockets[1]);
+  worker->socket = sockets[0];
+}
+
+std::string WorkerPool::Reap(Worker* worker) {
+  int status = 0;
+  while (waitpid(worker->process, &status, 0) < 0 && errno == EINTR) {
+  }
+  close(worker->socket);
+  worker->socket = -1;
+  return HowItEnded(status);
+}
+
+void WorkerPool::Start(int64_t task) {
+  const auto worker = std::find_if(workers_.begin(), workers_.end(), [](const Worker& w) { return !w.busy; });
+  CHECK(worker != workers_.end());
+  worker->busy = true;
+  worker->task = task;
+  worker->deadline = Clock::time_point::max();
+  if (seconds_ > 0) {
+    worker->deadline = Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                          std::chrono::duration<double>(std::min(seconds_, 1e9)));
+  }
+  ++busy_;
+  while (send(worker->socket, &task, sizeof(task), MSG_NOSIGNAL) != sizeof(task)) {
+    if (errno == EINTR) continue;
+    // Killed while it had nothing to do.
+    Reap(&*worker);
+    Launch(&*worker);
+  }
+}
+
+WorkerPool::Clock::duration WorkerPool::UntilDeadline() const {
+  Clock::time_point first = Clock::time_point::max();
+  for (const Worker& worker : workers_) {
+    if (worker.busy) first = std::min(first, worker.deadline);
+  }
+  if (first == Clock::time_point::max()) return Clock::duration::max();
+  return std::max(first - Clock::now(), Clock::duration::zero());
+}
+
+std::vector<WorkerPool::Result> WorkerPool::Wait(std::chrono::microseconds timeout) {
+  std::vector<pollfd> sockets;
+  for (const Worker& worker : workers_) {
+    sockets.push_back({worker.busy ? worker.socket : -1, POLLIN, 0});  // -1: not looked at
+  }
+  const auto wait = std::chrono::ceil<std::chrono::microseconds>(std::min<Clock::duration>(timeout, UntilDeadline()));
+  const timespec time = {static_cast<time_t>(wait.count() / 1'000'000),
+                         static_cast<long>(wait.count() % 1'000'000 * 1000)};
+  const int ready = ppoll(sockets.data(), sockets.size(), &time, nullptr);
+  PCHECK(ready >= 0 || errno == EINTR);
+  std::vector<Result> results;
+  for (size_t i = 0; i < workers_.size(); ++i) {
+    Worker& worker = workers_[i];
+    if (!worker.busy) continue;
+    const bool answered = ready > 0 && sockets[i].revents != 0;
+    if (answered || Clock::now() >= worker.deadline) results.push_back(Finish(&worker));
+  }
+  return results;
+}
+
+// The answer that is there, or the end of a worker that died or is too late.
+WorkerPool::Result WorkerPool::Finish(Worker* worker) {
+  Result result;
+  result.task = worker->task;
+  std::string answer(kLongestAnswer, '\0');
+  ssize_t size = 0;
+  do {
+    size = recv(worker->socket, answer.data(), answer.size(), MSG_DONTWAIT);
+  } while (size < 0 && errno == EINTR);
+  if (size > 0) {
+    result.text = answer.substr(0, static_cast<size_t>(size));
+  } else {
+    const bool late = size < 0;  // it lives, without an answer
+    if (late) kill(worker->process, SIGKILL);
+    const std::string how = Reap(worker);
+    result.end = late ? End::kTooLate : End::kDied;
+    if (!late) result.text = how;
+    Launch(worker);
+  }
+  worker->busy = false;
+  --busy_;
+  return result;
+}
+
+}  // namespace saltus

@@ -1,0 +1,209 @@
+#include "tools/audit.h"
+
+#include <gflags/gflags.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <iostream>
+#include <new>
+#include <optional>
+
+#include "tools/audit_files.h"
+#include "tools/audit_tables.h"
+#include "tools/given_gradient.h"
+#include "tools/parallel.h"
+#include "tools/surrogate_flags.h"
+#include "saltus/dynamics/registry.h"
+#include "output/interrupt.h"
+
+DEFINE_bool(width_sweep, false,
+            "audit gradients by differences of every width too (always done where there is no exact gradient)");
+DEFINE_string(given, "",
+              "JSON file with a gradient computed elsewhere, keys as in the gradients of --json, to be audited too");
+
+namespace saltus {
+namespace {
+
+constexpr char kOutOfMemory[] = "out of memory";
+
+// An audit that has nothing to say but why.
+ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
+  ModelAudit audit;
+  audit.gradient.contact = contact;
+  audit.gradient.reason = reason;
+  audit.interrupted = reason == kStopped;
+  return audit;
+}
+
+// The exact gradient, as a job like the others: it may take long too.
+std::optional<ModelGradient> FindReference(const Request& request, Progress* progress) {
+  using Reference = std::optional<ModelGradient>;
+  const auto found =
+      ComputeAll<Reference>({"exact gradient"}, 1, progress, [scene = request.scene](int, const SayNote&, const auto&) {
+        return ExactGradientOf(scene, InterruptGuard::Interrupted);
+      });
+  return found.results[0].value_or(std::nullopt);
+}
+
+// The gradient in --given beside the reference.
+struct GivenAudit {
+  std::string name;
+  std::vector<GivenEntry> entries;
+};
+
+std::optional<GivenGradient> ReadGiven(const Request& request) {
+  if (FLAGS_given.empty()) return std::nullopt;
+  return ReadGivenGradient(FLAGS_given, request.scene);
+}
+
+std::optional<GivenAudit> AuditGiven(const Request& request, const std::optional<GivenGradient>& given,
+                                     const AuditReport& report) {
+  if (!given || !report.reference) return std::nullopt;
+  return GivenAudit{given->name, JudgeGiven(request.scene, *given, *report.reference)};
+}
+
+Json GivenToJson(const GivenAudit& audit) {
+  Json entries = Json::array();
+  for (const GivenEntry& entry : audit.entries) {
+    entries.push_back({{"entry", entry.entry},
+                       {"given", NumberToJson(entry.given)},
+                       {"exact", NumberToJson(entry.exact)},
+                       {"verdict", VerdictToString(entry.verdict)}});
+  }
+  return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
+}
+
+// Colour is for people only: not in files and pipes, nor where NO_COLOR asks for none.
+bool WantsColour() { return isatty(STDOUT_FILENO) != 0 && std::getenv("NO_COLOR") == nullptr; }
+
+// "exact d/dpy puck: from above only, not judged"
+std::string Describe(const Scene& scene, const OneSided& entry) {
+  const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
+  const std::string name =
+      "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
+  switch (entry.side) {
+    case OneSided::Side::kAbove:
+      return name + ": the exact one exists from above only, and is not judged";
+    case OneSided::Side::kBelow:
+      return name + ": the exact one exists from below only, and is not judged";
+    case OneSided::Side::kNone:
+      break;
+  }
+  return name + ": the exact one does not exist";
+}
+
+}  // namespace
+
+bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
+  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
+  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
+}
+
+AuditReport RunAudit(const Request& request, bool needs_reference) {
+  AuditOptions options;
+  options.width_sweep = FLAGS_width_sweep;
+  options.surrogate = request.options.surrogate;
+  if (options.surrogate && FLAGS_width_sweep) {
+    throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
+  }
+  if (request.contacts.size() == 1) options.threads = request.threads;
+  options.stop = InterruptGuard::Interrupted;
+  Progress progress(request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size());
+  AuditReport report;
+  report.reference = FindReference(request, &progress);
+  if (needs_reference && !report.reference && !InterruptGuard::Interrupted()) {
+    throw InputError("--given: the scene has no exact gradient to compare with");
+  }
+  const auto audits = ComputeAll<ModelAudit>(
+      request.contacts,
+      request.threads,
+      &progress,
+      [request, reference = report.reference, options](int i, const SayNote&, const auto&) {
+        try {
+          return AuditModel(request.contacts[i], request.scene, request.precision, reference, options);
+        } catch (const std::bad_alloc&) {
+          return WithoutGradient(request.contacts[i], kOutOfMemory);
+        }
+      });
+  for (size_t i = 0; i < audits.results.size(); ++i) {
+    if (!audits.started[i]) continue;
+    report.models.push_back(audits.results[i].value_or(WithoutGradient(request.contacts[i], kStopped)));
+  }
+  return report;
+}
+
+void PrintAuditTable(const Request& request, const AuditReport& report) {
+  const bool colour = WantsColour();
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  std::cout << request.scene.name << ": "
+            << (surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : "gradient")
+            << " of the loss at the initial guess\n\n"
+            << GradientTable(request, report).ToText(colour) << "\n\n"
+            << request.scene.name << ": verdicts\n\n"
+            << VerdictTable(report).ToText(colour) << "\n";
+  const Table plateaus = PlateauTable(report);
+  if (!plateaus.rows().empty()) {
+    std::cout << "\n" << request.scene.name << ": differences of the loss\n\n" << plateaus.ToText(colour) << "\n";
+  }
+  if (report.reference) {
+    for (const OneSided& entry : report.reference->one_sided) std::cout << Describe(request.scene, entry) << "\n";
+  }
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.gradient.ok()) std::cout << audit.gradient.contact << ": " << audit.gradient.reason << "\n";
+    if (audit.gradient.ok() && audit.interrupted) {
+      std::cout << audit.gradient.contact << ": interrupted; there is no more than its gradient\n";
+    }
+    if (audit.attribution && !audit.attribution->sequence.empty()) {
+      std::cout << audit.gradient.contact << ": " << audit.attribution->sequence << "\n";
+    }
+  }
+  std::cout << std::endl;
+}
+
+int AuditExitCode(const Request& request, const AuditReport& report) {
+  bool failed = report.models.size() < request.contacts.size();
+  for (const ModelAudit& audit : report.models) {
+    failed = failed || audit.interrupted;
+    if (audit.gradient.ok()) continue;
+    const bool not_applicable = IsNotApplicable(audit.gradient, request.scene);
+    if (not_applicable && request.contacts.size() == 1) {
+      std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
+      return kWrongInput;
+    }
+    failed = failed || !not_applicable;
+  }
+  return failed ? kAnswerFailed : kDone;
+}
+
+int AuditMain(int argc, char** argv) {
+  return RunMain(
+      argc,
+      argv,
+      "Gradients of contact models: which are right, which are wrong, where and why. "
+      "saltus_audit --scene=FILE [--contact=LIST] [--width_sweep] [--given=FILE] [--json] [--output_dir=DIR]",
+      [] {
+        Request request;
+        if (!ReadRequest({}, &request)) return kDone;
+        const std::optional<GivenGradient> gradient = ReadGiven(request);
+        const InterruptGuard guard;
+        const AuditReport report = RunAudit(request, gradient.has_value());
+        const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
+        const auto print = [&] {
+          if (request.json) {
+            Json document = AuditToJson(request, report);
+            if (given) document["given"] = GivenToJson(*given);
+            PrintJson(document, request.precision);
+          } else {
+            PrintAuditTable(request, report);
+            if (given) {
+              std::cout << given->name << ": " << VerdictToString(WorstOf(given->entries)) << "\n\n"
+                        << GivenTable(given->entries).ToText(WantsColour()) << std::endl;
+            }
+          }
+        };
+        WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
+        return AuditExitCode(request, report);
+      });
+}
+
+}  // namespace saltus

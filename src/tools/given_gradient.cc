@@ -1,0 +1,117 @@
+#include "tools/given_gradient.h"
+
+#include "tools/json_output.h"
+#include "tools/program.h"
+#include "saltus/dynamics/registry.h"
+#include "io/file.h"
+
+namespace saltus {
+namespace {
+
+// Reads lists of [x, y] and complains with the path of the key.
+class Reader {
+ public:
+  explicit Reader(std::string path) : path_(std::move(path)) {}
+
+  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
+    throw InputError(path_ + ": " + key + ": expected " + expected);
+  }
+
+  std::vector<std::optional<Vec2d>> Vectors(const Json& list, const std::string& key, size_t most) const {
+    if (!list.is_array() || list.size() > most)
+      Fail(key, "a list of at most " + std::to_string(most) + " times [x, y]");
+    std::vector<std::optional<Vec2d>> vectors;
+    for (size_t i = 0; i < list.size(); ++i) {
+      const Json& item = list[i];
+      if (item.is_null()) {
+        vectors.emplace_back();
+        continue;
+      }
+      const bool is_vector = item.is_array() && item.size() == 2 && item[0].is_number() && item[1].is_number();
+      if (!is_vector) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers, or null");
+      vectors.emplace_back(Vec2d(item[0].get<double>(), item[1].get<double>()));
+    }
+    return vectors;
+  }
+
+ private:
+  std::string path_;
+};
+
+Json ReadObject(const std::string& path) {
+  const StatusOr<std::string> text = ReadFile(path);
+  if (!text.ok()) throw InputError("--given: " + text.status().message());
+  try {
+    Json document = Json::parse(*text);
+    if (document.is_object()) return document;
+  } catch (const Json::exception& error) {
+    throw InputError(path + ": not JSON: " + error.what());
+  }
+  throw InputError(path + ": not a JSON object");
+}
+
+// Into how many intervals the control is cut, from the model that the gradient is of.
+void ReadContact(const Json& contact, const Reader& reader, const Scene& scene, GivenGradient* given) {
+  if (!contact.is_string()) reader.Fail("contact", "a string");
+  given->name = contact.get<std::string>();
+  const ModelTraits* traits = FindContactModel(given->name);
+  if (traits != nullptr && scene.steps % traits->grid_steps == 0) given->intervals = scene.steps / traits->grid_steps;
+}
+
+void ReadGradient(const Json& document, const Reader& reader, const Scene& scene, GivenGradient* given) {
+  if (const auto intervals = document.find("intervals"); intervals != document.end()) {
+    const int64_t count = intervals->is_number_integer() ? intervals->get<int64_t>() : 0;
+    if (count < 1 || count > scene.steps || scene.steps % count != 0) {
+      reader.Fail("intervals", "a whole number that divides the " + std::to_string(scene.steps) + " steps");
+    }
+    given->intervals = static_cast<int>(count);
+  }
+  for (const auto& [key, value] : document.items()) {
+    if (key == "name") {
+      if (!value.is_string()) reader.Fail(key, "a string");
+      given->name = value.get<std::string>();
+    } else if (key == "tolerance") {
+      if (!value.is_number() || value.get<double>() < 0) reader.Fail(key, "a number that is not negative");
+      given->tolerance = value.get<double>();
+    } else if (key == "position") {
+      given->position = reader.Vectors(value, key, scene.num_bodies());
+    } else if (key == "velocity") {
+      given->velocity = reader.Vectors(value, key, scene.num_bodies());
+    } else if (key == "control") {
+      const int intervals = given->intervals > 0 ? given->intervals : scene.steps;
+      const size_t most = scene.num_controlled() > 0 ? intervals : 0;
+      if (!value.is_array() || value.size() > most)
+        reader.Fail(key, "a list of at most " + std::to_string(most) + " intervals");
+      for (size_t k = 0; k < value.size(); ++k) {
+        given->control.push_back(reader.Vectors(value[k], key + "[" + std::to_string(k) + "]", scene.num_controlled()));
+      }
+    } else if (key == "parameters") {
+      if (!value.is_object() && !value.is_null()) reader.Fail(key, "an object or null");
+    } else if (key != "intervals") {
+      reader.Fail(key, "no such key, but position, velocity, control, parameters, name, tolerance or intervals");
+    }
+  }
+}
+
+}  // namespace
+
+GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene) {
+  const Reader reader(path);
+  const Json document = ReadObject(path);
+  GivenGradient given;
+  given.name = path;
+  if (document.contains("audits") || document.contains("audit") || document.contains("runs")) {
+    throw InputError(path + ": a whole document of results; expected one gradient, such as its audits[0]");
+  }
+  const auto gradient = document.find("gradient");
+  if (gradient == document.end()) {
+    ReadGradient(document, reader, scene, &given);
+    return given;
+  }
+  if (!gradient->is_object()) reader.Fail("gradient", "an object");
+  if (document.contains("contact")) ReadContact(document["contact"], reader, scene, &given);
+  ReadGradient(*gradient, reader, scene, &given);
+  return given;
+}
+
+}  // namespace saltus

@@ -1,0 +1,50 @@
+#include "tools/make_scene.h"
+
+#include <gflags/gflags.h>
+
+#include <iostream>
+
+#include "tools/program.h"
+#include "saltus/io/scene_file.h"
+#include "physics/scene_generators.h"
+
+DEFINE_string(kind, "gas", "gas (in a box with four walls) or break (a cue ball and a triangle of discs)");
+DEFINE_int32(discs, 100, "how many, the cue ball included");
+DEFINE_int64(seed, 1, "the same seed gives the same scene");
+DECLARE_double(restitution);
+DECLARE_int32(steps);
+
+namespace saltus {
+namespace {
+
+// The options of either kind, with what the flags say.
+template <typename Options>
+Options ReadOptions(int fewest) {
+  constexpr int kMost = 1000;  // a scene file is read with care for every pair, and has at most a megabyte
+  if (FLAGS_discs < fewest || FLAGS_discs > kMost) {
+    throw InputError("--discs must lie in " + std::to_string(fewest) + ".." + std::to_string(kMost));
+  }
+  Options options{.discs = FLAGS_discs};
+  if (IsGiven("steps")) options.steps = FLAGS_steps;
+  if (IsGiven("restitution")) options.restitution = FLAGS_restitution;
+  return options;
+}
+
+Scene Generate() {
+  if (FLAGS_kind == "gas") return GasInABox(ReadOptions<GasOptions>(1), FLAGS_seed);
+  if (FLAGS_kind == "break") return BilliardBreak(ReadOptions<BreakOptions>(2), FLAGS_seed);
+  throw InputError("--kind=" + FLAGS_kind + "; expected gas or break");
+}
+
+}  // namespace
+
+int SceneMain(int argc, char** argv) {
+  return RunMain(argc, argv, "Writes a scene of many discs to standard output, for --scene of the other programs.", [] {
+    const Scene scene = Generate();
+    if (const std::optional<SceneError> error = Validate(scene)) throw InputError(error->key + ": " + error->message);
+    std::cout << WriteScene(scene);
+    return kDone;
+  });
+}
+
+}  // namespace saltus

@@ -1,0 +1,69 @@
+// Independent jobs on all cores, with progress, that an interrupt ends within a second.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "output/progress.h"
+
+namespace saltus {
+
+// What a job calls to say, for a person, what it is at.
+using SayNote = std::function<void(const std::string& note)>;
+using Job = std::function<void(int index, const SayNote& say)>;
+
+struct JobsEnd {
+  std::vector<char> started;  // of each job
+  bool complete = false;      // all are done
+  bool abandoned = false;     // some are at work still, and go on until the process ends
+};
+
+// Calls job(i) for i = 0..names.size()-1 on `threads` threads, each once, until interrupted. Which jobs are at work
+// stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
+// ask InterruptGuard::Interrupted() themselves, have half a second to come back before the program goes on without
+// them. What they use must therefore not go away; RunMain ends the process without waiting for them. What a job throws
+// is thrown here, when the others are done.
+JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
+
+// The same for jobs that use what does go away: if they do not come back, the process ends here, with the exit code of
+// a failed answer. True if all are done.
+bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
+
+template <typename Result>
+struct JobResults {
+  std::vector<std::optional<Result>> results;  // in the order of jobs, whatever the number of threads
+  std::vector<char> started;
+  bool complete = false;
+};
+
+// Results of jobs: compute(i, say, keep) returns one, and may call keep() before with what is to stand if it does not
+// come back. Whatever it uses it must own.
+template <typename Result>
+JobResults<Result> ComputeAll(const std::vector<std::string>& names, int threads, Progress* progress,
+                              std::function<Result(int, const SayNote&, const std::function<void(Result)>&)> compute) {
+  struct Slots {
+    std::mutex mutex;
+    bool taken = false;
+    std::vector<std::optional<Result>> results;
+  };
+  const auto slots = std::make_shared<Slots>();
+  slots->results.resize(names.size());
+  const JobsEnd end =
+      RunJobsOrAbandon(names, threads, progress, [slots, compute = std::move(compute)](int i, const SayNote& say) {
+        const auto keep = [&](Result result) {
+          const std::lock_guard lock(slots->mutex);
+          if (!slots->taken) slots->results[i] = std::move(result);
+        };
+        keep(compute(i, say, keep));
+      });
+  const std::lock_guard lock(slots->mutex);
+  slots->taken = true;
+  return {std::move(slots->results), end.started, end.complete};
+}
+
+}  // namespace saltus

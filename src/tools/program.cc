@@ -1,0 +1,327 @@
+#include "tools/program.h"
+
+#include <fcntl.h>
+#include <gflags/gflags.h>
+#include <glog/logging.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cerrno>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <iostream>
+#include <new>
+#include <sstream>
+#include <thread>
+
+#include "tools/surrogate_flags.h"
+#include "saltus/dynamics/registry.h"
+#include "io/file.h"
+#include "saltus/io/scene_file.h"
+
+DEFINE_string(scene, "", "scene file (YAML)");
+DEFINE_string(contact, "all",
+              "contact models: a comma-separated list, 'all', or 'list' to print them; each may be followed by options "
+              "of its own, as in ncp:kappa=1e-6:kappa_grad=1e-4");
+DEFINE_string(solver, "", "solvers: a comma-separated list, 'all', 'none', or 'list' to print them");
+DEFINE_int32(steps, 0, "number of time steps (default: from the scene)");
+DEFINE_string(precision, "double", "double or float");
+DEFINE_double(stiffness, 0, "contact stiffness, N/m (default: from the scene)");
+DEFINE_double(damping, 0, "contact damping, N s/m (default: from the scene)");
+DEFINE_double(friction, 0, "coefficient of friction (default: from the scene)");
+DEFINE_double(restitution, 0, "coefficient of restitution (default: from the scene)");
+DEFINE_double(learning_rate, 0, "gradient descent's rate (default: that of the published experiment)");
+DEFINE_int32(iterations, 0, "iterations of each solver at most (default: 1000)");
+DEFINE_string(sequence, "auto",
+              "collision sequence, for solvers along one: 'auto' (that of the initial guess; mode_search looks for "
+              "others), 'fixed' (that of the initial guess), 'none', or a comma-separated list of pairs with a hyphen, "
+              "as striker-target,target-ceiling");
+DEFINE_int32(threads, 0, "threads; 0 is one per core");
+DEFINE_int32(memory_limit, 1024,
+             "MiB for the states of one rollout; what does not fit is simulated again for the gradient");
+DEFINE_string(output_dir, "", "directory for result files (default: none are written)");
+DEFINE_bool(json, false, "print one JSON document instead of tables");
+DEFINE_string(progress, "auto", "auto (a bar on a terminal, else lines), plain or none");
+
+namespace google {
+extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); not in its header
+}
+
+namespace saltus {
+namespace {
+
+std::vector<std::string> Split(const std::string& list) {
+  std::vector<std::string> items;
+  std::stringstream stream(list);
+  for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
+  return items;
+}
+
+template <typename Entries>
+std::string Names(const Entries& entries) {
+  std::string names;
+  for (const auto& entry : entries) names += (names.empty() ? "" : ", ") + std::string(entry.name);
+  return names;
+}
+
+template <typename Entries>
+void PrintList(const Entries& entries) {
+  for (const auto& entry : entries) {
+    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+  }
+}
+
+void PrintModels() {
+  for (const ModelTraits& model : AllContactModels()) {
+    std::printf("%-16s %s\n", std::string(model.name).c_str(), std::string(model.summary).c_str());
+    for (const ListedOption& option : OptionsOf(model.name)) {
+      std::printf(
+          "  :%s=%g  %s\n", std::string(option.name).c_str(), option.initial, std::string(option.meaning).c_str());
+    }
+  }
+}
+
+// A comma-separated list of contact models with their options.
+std::vector<std::string> ReadContacts(const std::string& value) {
+  std::vector<std::string> contacts;
+  if (value == "all") {
+    for (const ModelTraits& model : AllContactModels()) contacts.emplace_back(model.name);
+    return contacts;
+  }
+  for (const std::string& contact : Split(value)) {
+    const std::string wrong = WhatIsWrongWith(contact);
+    if (!wrong.empty()) throw InputError("--contact=" + value + ": " + wrong);
+    if (std::find(contacts.begin(), contacts.end(), contact) == contacts.end()) contacts.push_back(contact);
+  }
+  if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
+  return contacts;
+}
+
+// A comma-separated list of names of `entries`.
+template <typename Entries>
+std::vector<std::string> ReadNames(const char* flag, const std::string& value, const Entries& entries) {
+  std::vector<std::string> names;
+  if (value == "all") {
+    for (const auto& entry : entries) names.emplace_back(entry.name);
+    return names;
+  }
+  for (const std::string& name : Split(value)) {
+    const bool known =
+        std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
+    if (!known) {
+      throw InputError("--" + std::string(flag) + "=" + value + ": '" + name +
+                       "' is unknown; expected 'all' or some of " + Names(entries));
+    }
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  if (names.empty()) throw InputError("--" + std::string(flag) + " is empty; expected some of " + Names(entries));
+  return names;
+}
+
+double Finite(const char* flag, double value) {
+  if (!std::isfinite(value)) throw InputError("--" + std::string(flag) + " must be a finite number");
+  return value;
+}
+
+constexpr size_t kMostFlagBytes = 1 << 20;
+constexpr int kDeepestFlagFile = 16;
+
+// gflags reads flag files to their end, whatever they are, and files that name themselves until it crashes.
+void CheckFlagFile(const std::string& argument, int depth) {
+  static constexpr char kFlag[] = "-flagfile=";
+  const size_t dash = argument.find_first_not_of(" \t");
+  if (dash == std::string::npos) return;
+  const size_t start = argument.compare(dash, 2, "--") == 0 ? dash + 1 : dash;
+  if (argument.compare(start, sizeof kFlag - 1, kFlag) != 0) return;
+  for (const std::string& path : Split(argument.substr(start + sizeof kFlag - 1))) {
+    if (depth == kDeepestFlagFile) throw InputError("--flagfile=" + path + ": flag files that name each other?");
+    std::error_code unknown;
+    if (std::filesystem::is_fifo(path, unknown)) continue;  // can be read only once
+    const StatusOr<std::string> text = ReadFile(path, kMostFlagBytes);
+    if (!text.ok()) throw InputError("--flagfile=" + text.status().message());
+    std::stringstream lines(*text);
+    for (std::string line; std::getline(lines, line);) CheckFlagFile(line, depth + 1);
+  }
+}
+
+void CheckFlagFiles(int argc, char** argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string argument = argv[i];
+    if (argument == "--") return;
+    const bool apart = (argument == "--flagfile" || argument == "-flagfile") && i + 1 < argc;
+    CheckFlagFile(apart ? argument + "=" + argv[i + 1] : argument, 0);
+  }
+}
+
+void ApplyFlags(Scene* scene) {
+  if (IsGiven("steps")) scene->steps = FLAGS_steps;
+  if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
+  if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
+  if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
+  if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
+  if (const std::optional<SceneError> error = Validate(*scene)) {
+    throw InputError("with the flags given, " + error->key + ": " + error->message);
+  }
+}
+
+std::atomic<bool> end_without_waiting{false};
+
+// A program started with a standard stream closed would get its number for the first file it opens, and print into it.
+void OccupyStandardStreams() {
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    // Not to be written to: what is printed is lost, and has to be seen to be.
+    if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) (void)open("/dev/null", O_RDONLY);
+  }
+}
+
+// The exit code once all has been printed.
+int FinishOutput(int code) {
+  errno = 0;
+  std::cout.flush();
+  const bool flushed = std::fflush(stdout) == 0;
+  if (flushed && std::cout && std::ferror(stdout) == 0) return code;
+  std::cerr << "error: standard output took not all that was printed"
+            << (errno == 0 ? "" : std::string(": ") + std::strerror(errno)) << std::endl;
+  return code == kDone ? kAnswerFailed : code;
+}
+
+int RunBody(const std::function<int()>& body) {
+  const auto fail = [](const std::string& message, int code) {
+    std::cerr << "error: " << message << std::endl;
+    return code;
+  };
+  try {
+    return body();
+  } catch (const InputError& error) {
+    return fail(error.what(), kWrongInput);
+  } catch (const std::bad_alloc&) {
+    return fail("out of memory", kAnswerFailed);
+  } catch (const std::exception& error) {
+    return fail(error.what(), kAnswerFailed);
+  }
+}
+
+}  // namespace
+
+int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body) {
+  OccupyStandardStreams();
+  google::InitGoogleLogging(argv[0]);
+  FLAGS_logtostderr = true;
+  gflags::SetUsageMessage(usage);
+  gflags::SetVersionString(SALTUS_VERSION);
+  google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
+  const int code = RunBody([&] {
+    CheckFlagFiles(argc, argv);
+    gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
+    google::gflags_exitfunc = [](int) { std::exit(FinishOutput(kDone)); };
+    gflags::HandleCommandLineHelpFlags();
+    if (argc > 1) throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
+    return body();
+  });
+  if (end_without_waiting) EndProgram(code);
+  return FinishOutput(code);
+}
+
+void EndWithoutWaiting() { end_without_waiting = true; }
+
+void EndProgram(int code) { _exit(FinishOutput(code)); }
+
+void WriteAndPrint(const std::function<void()>& write, const std::function<void()>& print) {
+  std::optional<OutputError> unwritten;
+  try {
+    write();
+  } catch (const OutputError& error) {
+    unwritten = error;
+  }
+  print();
+  if (unwritten) throw *unwritten;
+}
+
+bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
+
+Scene LoadScene(const std::string& path) {
+  std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);
+  if (const auto* error = std::get_if<SceneFileError>(&loaded)) throw InputError(error->ToString());
+  return std::get<Scene>(std::move(loaded));
+}
+
+double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
+
+int ThreadsFromFlags() {
+  if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
+  if (FLAGS_threads > 0) return FLAGS_threads;
+  return std::max(1u, std::thread::hardware_concurrency());
+}
+
+ProgressMode ProgressFromFlags() {
+  if (const std::optional<ProgressMode> mode = ParseProgressMode(FLAGS_progress)) return *mode;
+  throw InputError("--progress=" + FLAGS_progress + "; expected auto, plain or none");
+}
+
+std::string OutputDirFromFlags() { return FLAGS_output_dir; }
+
+bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
+  if (FLAGS_contact == "list") {
+    PrintModels();
+    return false;
+  }
+  if (FLAGS_solver == "list") {
+    PrintList(AllSolvers());
+    return false;
+  }
+  if (WantsListOfSurrogates()) {
+    PrintList(AllSurrogates());
+    return false;
+  }
+  const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
+  if (path.empty()) throw InputError("--scene=FILE is needed");
+  request->contacts = ReadContacts(FLAGS_contact);
+  const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
+  if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());
+  if (FLAGS_precision != "double" && FLAGS_precision != "float") {
+    throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
+  }
+  request->precision = FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
+  request->scene = LoadScene(path);
+  ApplyFlags(&request->scene);
+
+  request->options.search = FLAGS_sequence == "auto";
+  if (FLAGS_sequence != "auto" && FLAGS_sequence != "fixed") {
+    const std::string wrong =
+        ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequence.emplace());
+    if (!wrong.empty()) throw InputError("--sequence=" + FLAGS_sequence + ": " + wrong);
+  }
+  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
+  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
+  request->options.learning_rate = defaults.learning_rate;
+  if (IsGiven("learning_rate")) {
+    request->options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
+    if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
+  } else if (defaults.learning_rate == 0) {
+    request->options.learning_rate = DefaultLearningRate(request->scene);
+  }
+  request->options.surrogate = SurrogateFromFlags();
+  if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
+  request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
+  request->threads = ThreadsFromFlags();
+  request->output_dir = OutputDirFromFlags();
+  if (!request->output_dir.empty()) MakeDirectory(request->output_dir);
+  request->json = FLAGS_json;
+  request->progress = ProgressFromFlags();
+  return true;
+}
+
+void MakeDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::create_directories(path, error);
+  if (error) throw InputError("cannot create directory '" + path + "': " + error.message());
+}
+
+void WriteTextFile(const std::string& path, const std::string& text) {
+  const Status status = WriteFileAtomically(path, text);
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+}  // namespace saltus

@@ -1,0 +1,309 @@
+#include "tools/solve.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <iostream>
+#include <new>
+#include <sstream>
+
+#include "tools/parallel.h"
+#include "tools/surrogate_flags.h"
+#include "saltus/dynamics/registry.h"
+#include "output/interrupt.h"
+#include "output/npz.h"
+#include "output/table.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kWorse = 1e-9;       // relative: losses differ by more than rounding
+constexpr double kOpenDefect = 1e-9;  // m, m/s
+constexpr size_t kMostNamed = 6;      // runs in one line
+
+// Whether a loss is less than another by more than rounding.
+bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
+
+double LargestDefect(const SolveReport& report) {
+  if (report.defects.empty()) return 0;
+  const std::vector<double>& last = report.defects.back();
+  return *std::max_element(last.begin(), last.end());
+}
+
+// What the table has to say of a run.
+std::string Remark(const SolvedRun& run) {
+  const SolveReport& report = run.report;
+  std::ostringstream text;
+  const auto add = [&](const auto&... parts) {
+    if (text.tellp() > 0) text << "; ";
+    (text << ... << parts);
+  };
+  if (const std::string remark = RemarkOn(run); !remark.empty()) add(remark);
+  if (report.losses.empty()) return text.str();
+  if (IsLess(report.initial_loss, report.final_loss)) add("ends worse than it began");
+  if (report.best && IsLess(report.best->loss, report.final_loss)) {
+    add("best ", Cell(report.best->loss).Display(10), " after ", report.best->iteration, " iterations");
+  }
+  return text.str();
+}
+
+SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
+                        const std::string& reason) {
+  SolvedRun run;
+  run.report.solver = solver;
+  run.report.contact = contact;
+  run.report.termination = termination;
+  run.report.reason = reason;
+  return run;
+}
+
+// Keeps the run as it is before it is checked.
+SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const std::string& contact, Precision precision,
+                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep) {
+  SolvedRun run;
+  run.report = Solve(solver, {scene, contact, precision}, options);
+  const SolveReport& report = run.report;
+  if (report.losses.empty()) return run;
+  keep(run);
+  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  run.certificate = report.certificate;
+  if (!run.certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
+    run.certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  }
+  return run;
+}
+
+// A solver has converged on the loss under its contact model, which says little of the exact one.
+std::string TerminationInWords(const SolveReport& report) {
+  const bool elsewhere =
+      report.termination == Termination::kConverged && !FindContactModel(report.contact)->event_driven;
+  return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
+}
+
+}  // namespace
+
+SolvedRuns SolveAll(const Request& request) {
+  struct Task {
+    std::string contact, solver;
+  };
+  std::vector<Task> tasks;
+  std::vector<std::string> names;
+  const auto is_exact = [](const std::string& contact) { return FindContactModel(contact)->event_driven; };
+  const bool any_exact = std::any_of(request.contacts.begin(), request.contacts.end(), is_exact);
+  for (const std::string& contact : request.contacts) {
+    for (const std::string& solver : request.solvers) {
+      if (FindSolver(solver)->exact_only && any_exact && !is_exact(contact)) continue;
+      tasks.push_back({contact, solver});
+      names.push_back(contact + " " + solver);
+    }
+  }
+  Progress progress(request.progress, stderr, "solve " + request.scene.name, static_cast<int64_t>(tasks.size()));
+  const auto done = ComputeAll<SolvedRun>(
+      names, request.threads, &progress, [request, tasks](int i, const SayNote& say, const auto& keep) {
+        const auto& [contact, solver] = tasks[i];
+        SolverOptions options = request.options;
+        if (tasks.size() == 1) options.threads = request.threads;
+        options.stop = InterruptGuard::Interrupted;
+        options.status = say;
+        try {
+          return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+        } catch (const std::bad_alloc&) {
+          return WithoutLosses(solver, contact, Termination::kFailed, "out of memory");
+        }
+      });
+  SolvedRuns solved;
+  solved.interrupted = !done.complete;
+  for (size_t i = 0; i < tasks.size(); ++i) {
+    if (!done.started[i]) continue;
+    solved.runs.push_back(
+        done.results[i].value_or(WithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
+    solved.interrupted |= solved.runs.back().report.termination == Termination::kInterrupted;
+  }
+  return solved;
+}
+
+std::string WhyNoAnswer(const SolveReport& report) {
+  if (report.termination == Termination::kNotApplicable) return "";
+  if (report.termination == Termination::kFailed) return "failed, " + report.reason;
+  if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
+  if (LargestDefect(report) > kOpenDefect) return "open defects";
+  return IsLess(report.initial_loss, report.final_loss) ? "ends worse than it began" : "";
+}
+
+Json SolveToJson(const Request& request, const SolvedRuns& solved) {
+  Json list = Json::array();
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    Json item = {{"contact", report.contact}, {"solver", report.solver}};
+    AddBias(report.contact, report.surrogate, &item);
+    if (!report.losses.empty()) {
+      item["initial_loss"] = NumberToJson(report.initial_loss);
+      item["final_loss"] = NumberToJson(report.final_loss);
+      if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
+      item["losses"] = NumbersToJson(report.losses);
+      item["iterations"] = report.iterations;
+      item["evaluations"] = report.evaluations;
+      item["seconds"] = report.seconds;
+      if (!report.defects.empty()) item["defect"] = NumberToJson(LargestDefect(report));
+      if (report.best) {
+        item["best_loss"] = NumberToJson(report.best->loss);
+        item["best_iteration"] = report.best->iteration;
+      }
+    }
+    item["termination"] = TerminationToString(report.termination);
+    if (report.termination == Termination::kConverged) item["converged_under"] = report.contact;
+    if (!report.reason.empty()) item["reason"] = report.reason;
+    if (!report.losses.empty()) {
+      item["events"] = EventsToJson(run.exact.events);
+      AddTies(run.exact.ambiguous, run.exact.spread, &item);
+      item["velocity"] = VectorsToJson(report.initial_state, 2);
+      item["control"] = ControlToJson(request.scene, report.control);
+      if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
+      if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
+      if (report.best && !report.best->initial_state.empty()) {
+        item["best_velocity"] = VectorsToJson(report.best->initial_state, 2);
+        item["best_control"] = ControlToJson(request.scene, report.best->control);
+        if (request.scene.optimize == Optimize::kPosition) {
+          item["best_position"] = VectorsToJson(report.best->initial_state, 0);
+        }
+      }
+      if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
+      if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
+      if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
+    }
+    list.push_back(std::move(item));
+  }
+  Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
+  if (solved.interrupted) document["interrupted"] = true;
+  return document;
+}
+
+void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
+  Table table({{"contact"},
+               {"solver"},
+               {"initial loss", 10},
+               {"final loss", 10},
+               {"exact loss", 10},
+               {"iterations"},
+               {"gradients"},
+               {"seconds", 3},
+               {"termination"},
+               {"exact loss is at"},
+               {"remark"}});
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty()) {
+      table.AddRow({LabelOf(report.contact, report.surrogate),
+                    report.solver,
+                    "",
+                    "",
+                    "",
+                    "",
+                    "",
+                    "",
+                    TerminationToString(report.termination),
+                    "",
+                    report.reason});
+      continue;
+    }
+    table.AddRow({LabelOf(report.contact, report.surrogate),
+                  report.solver,
+                  report.initial_loss,
+                  report.final_loss,
+                  run.exact.ok ? std::optional(run.exact.loss) : std::nullopt,
+                  report.iterations,
+                  report.evaluations,
+                  report.seconds,
+                  TerminationInWords(report),
+                  run.certificate ? VerdictInWords(*run.certificate) : "",
+                  Remark(run)});
+  }
+  std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
+}
+
+void WriteSolutions(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.losses.empty()) continue;
+    const int64_t bodies = request.scene.num_bodies();
+    const int64_t controlled = request.scene.num_controlled();
+    NpzArrays arrays;
+    arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
+    arrays["initial_state"] = {{bodies, 4}, report.initial_state};
+    if (controlled > 0) {
+      const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
+      arrays["control"] = {{intervals, controlled, 2}, report.control};
+      if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
+    }
+    if (report.best && !report.best->initial_state.empty()) {
+      arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
+      arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
+      if (controlled > 0) {
+        const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
+        arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+      }
+    }
+    if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
+    if (!report.standard_error.empty()) {
+      arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+    }
+    const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
+                             report.solver + FileSuffix(report.surrogate) + ".npz";
+    const Status status = WriteNpz(path, arrays);
+    if (!status.ok()) throw OutputError(status.message());
+  }
+}
+
+std::string RemarkOn(const SolvedRun& run) {
+  const std::string& reason = run.report.reason;
+  if (run.exact.ambiguous.empty()) return reason;
+  return reason + (reason.empty() ? "" : "; ") + "ambiguous: " + DescribeTies(run.exact.ambiguous, run.exact.spread);
+}
+
+int SolveExitCode(const SolvedRuns& solved) {
+  const std::vector<SolvedRun>& runs = solved.runs;
+  const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
+    return run.report.termination == Termination::kNotApplicable;
+  });
+  if (!runs.empty() && none && !solved.interrupted) {
+    std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
+              << runs[0].report.reason << std::endl;
+    return kWrongInput;
+  }
+  size_t failed = 0;
+  std::string named;
+  for (const SolvedRun& run : runs) {
+    const std::string why = WhyNoAnswer(run.report);
+    if (why.empty() || ++failed > kMostNamed) continue;
+    named += (failed == 1 ? "" : ", ") + run.report.contact + " " + run.report.solver + ": " + why;
+  }
+  if (failed > kMostNamed) named += " and " + std::to_string(failed - kMostNamed) + " more";
+  if (failed > 0) {
+    std::cerr << "no answer from " << failed << " of " << runs.size() << " runs (" << named << ")" << std::endl;
+  }
+  return failed > 0 || solved.interrupted ? kAnswerFailed : kDone;
+}
+
+int SolveMain(int argc, char** argv) {
+  return RunMain(
+      argc, argv, "Optimises a scene: saltus_solve --scene=FILE [--contact=LIST] [--solver=LIST] [--json]", [] {
+        Request request;
+        if (!ReadRequest({}, &request)) return kDone;
+        if (request.solvers.empty())
+          throw InputError("--solver=none leaves nothing to do; expected at least one solver");
+        const InterruptGuard guard;
+        const SolvedRuns solved = SolveAll(request);
+        const auto print = [&] {
+          if (request.json) {
+            PrintJson(SolveToJson(request, solved), request.precision);
+          } else {
+            PrintSolveTable(request, solved);
+          }
+        };
+        WriteAndPrint([&] { WriteSolutions(request, solved); }, print);
+        return SolveExitCode(solved);
+      });
+}
+
+}  // namespace saltus

@@ -1,4 +1,0 @@
-// saltus_sweep with one more contact model, the gate.
-#include "programs/sweep/sweep.h"
-
-int main(int argc, char** argv) { return saltus::SweepMain(argc, argv); }

@@ -1,0 +1,361 @@
+// The programs as a user runs them: exit codes, JSON keys, CSV.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <array>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "tools/run_program.h"
+#include "output/table.h"
+
+namespace saltus {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+
+TEST(CommandLine, TwoBallsByGradientDescent) {
+  const Outcome outcome = RunProgram("two_balls --contact=direct_toi --solver=gd --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 1) << outcome.errors;  // so many iterations, and no convergence
+  const json document = json::parse(outcome.output);
+  const json& run = document["solve"]["runs"][0];
+  EXPECT_EQ(run["contact"], "direct_toi");
+  EXPECT_EQ(run["solver"], "gd");
+  ASSERT_EQ(run["losses"].size(), 1001u);
+  EXPECT_NEAR(run["losses"][999], 1.395810606, 1e-7);
+  EXPECT_EQ(run["losses"][0], run["initial_loss"]);
+  EXPECT_EQ(run["losses"][1000], run["final_loss"]);
+  EXPECT_EQ(run["termination"], "iteration_limit");
+  EXPECT_EQ(run["control"].size(), 480u);
+  EXPECT_EQ(run["velocity"].size(), 2u);
+  const json& gradient = document["audit"]["audits"][0]["gradient"];
+  EXPECT_NEAR(gradient["position"][0][0], -0.719080, 1e-6);
+  EXPECT_EQ(gradient["control"].size(), 480u);
+  EXPECT_TRUE(gradient["parameters"].contains("restitution"));
+}
+
+// Every launch that hits the target; values by an independent search (data/exact_references.json).
+TEST(CommandLine, GroundWallListsEveryLaunchThatHits) {
+  std::ifstream file(SALTUS_SOURCE_DIR "/data/exact_references.json");
+  const json reference = json::parse(file)["task2"];
+  const std::pair<const char*, const char*> cases[] = {{"0", "minima_frictionless"}, {"0.1", "minima_mu0.1"}};
+  for (const auto& [friction, key] : cases) {
+    const Outcome outcome = RunProgram(std::string("ground_wall --contact=event --solver=ceres_lm --json ") +
+                                       "--progress=none --friction=" + friction);
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+    const json document = json::parse(outcome.output);
+    ASSERT_EQ(document["launches"].size(), reference[key].size());
+    double speed_squared = 0;
+    for (const json& launch : document["launches"]) {
+      std::string branch;
+      for (const json& event : launch["events"]) branch += (branch.empty() ? "" : "+") + event["b"].get<std::string>();
+      const json& expected = reference[key][branch.empty() ? "none" : branch];
+      for (int j = 0; j < 2; ++j) {
+        EXPECT_NEAR(launch["velocity"][j].get<double>(), std::stod(expected[j].get<std::string>()), 1e-9) << branch;
+      }
+      EXPECT_EQ(launch["minimum_effort"], branch.empty()) << branch;
+      EXPECT_GT(launch["speed_squared"], speed_squared);
+      speed_squared = launch["speed_squared"];
+    }
+    const json& run = document["solve"]["runs"][0];
+    EXPECT_LT(run["final_loss"], 1e-20);
+    EXPECT_LE(run["iterations"], 15);
+  }
+}
+
+TEST(CommandLine, AnySteps) {
+  const Outcome outcome =
+      RunProgram("two_balls --contact=direct_toi --solver=none --steps=1000 --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_EQ(json::parse(outcome.output)["audit"]["audits"][0]["gradient"]["control"].size(), 1000u);
+}
+
+TEST(CommandLine, StiffnessSweepGivesThePublishedCurve) {
+  const Outcome outcome =
+      RunProgram("saltus_sweep" + Scene("two_balls") +
+                 "--contact=compliant_warp --solver=gd --sweep='stiffness=1e2:1e5:log:4' --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 4u);
+  // The fourth, 1e5 N/m, fails to learn and ends where rounding leaves it.
+  const std::array<double, 3> expected = {1.76746, 1.49850, 1.66228};
+  for (size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(std::stod(csv->rows[i][*csv->Find("loss_before_last")]), expected[i], 1e-4);
+  }
+  EXPECT_GT(std::stod(csv->rows[3][*csv->Find("loss_before_last")]), 1.6);
+}
+
+TEST(CommandLine, AFailedPointIsARowWithItsReason) {
+  const Outcome outcome =
+      RunProgram("saltus_sweep" + Scene("two_balls") +
+                 "--contact=direct --solver=gd --iterations=2 --sweep='restitution=0.5,1.5;friction=0,0.1' "
+                 "--progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 4u);
+  const size_t termination = *csv->Find("termination"), reason = *csv->Find("reason");
+  EXPECT_EQ(csv->rows[0][termination], "iteration_limit");
+  EXPECT_EQ(csv->rows[1][termination], "not_applicable");
+  EXPECT_THAT(csv->rows[1][reason], HasSubstr("friction"));
+  EXPECT_EQ(csv->rows[2][termination], "failed");
+  EXPECT_THAT(csv->rows[2][reason], HasSubstr("restitution"));
+}
+
+TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
+  const std::string bad = testing::TempDir() + "/bad.yaml";
+  std::ofstream(bad) << "name: bad\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"
+                        "bodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n";
+  const struct {
+    std::string command, message;
+  } cases[] = {
+      {"saltus_audit --scene=" + bad, "bodies[0].radius"},
+      {"saltus_audit --scene=/nonexistent.yaml", "nonexistent"},
+      {"saltus_audit", "--scene"},
+      {"saltus_audit --no_such_flag=1", "no_such_flag"},
+      {"saltus_audit --steps=many" + Scene("two_balls"), "steps"},
+      {"saltus_audit --steps=-3" + Scene("two_balls"), "steps"},
+      {"saltus_audit --restitution=2" + Scene("two_balls"), "restitution"},
+      {"saltus_audit --contact=direct_tio" + Scene("two_balls"), "direct_tio"},
+      {"saltus_audit --contact=direct --friction=0.1" + Scene("two_balls"), "friction"},
+      {"saltus_audit --precision=half" + Scene("two_balls"), "precision"},
+      {"saltus_audit stray" + Scene("two_balls"), "stray"},
+      {"saltus_solve --solver=ceres_lm --contact=direct" + Scene("bounce_once"), "ceres_lm"},
+      {"bounce_once --solver=hmp,gd --contact=event", "nothing to optimize"},
+      {"saltus_solve --solver=newton" + Scene("two_balls"), "newton"},
+      {"saltus_audit --surrogate=smooth" + Scene("two_balls"),
+       "complementarity_aware, smoothed_zeroth, smoothed_first"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_sigma=0" + Scene("two_balls"), "--surrogate_sigma"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_samples=7" + Scene("two_balls"), "--surrogate_samples"},
+      {"saltus_solve --surrogate=smoothed_zeroth --surrogate_samples=0" + Scene("two_balls"), "--surrogate_samples"},
+      {"saltus_solve --surrogate_segments=24" + Scene("two_balls"), "--surrogate_segments"},
+      {"saltus_audit --surrogate=smoothed_first --width_sweep" + Scene("two_balls"), "width_sweep"},
+      {"saltus_audit --surrogate=complementarity_aware --contact=direct" + Scene("two_balls"), "complementarity"},
+      {"saltus_solve --surrogate=smoothed_zeroth --contact=event --solver=hmp" + Scene("two_balls"), "surrogate"},
+      {"saltus_reproduce --surrogate=smoothed_zeroth", "--surrogate"},
+      {"saltus_sweep --sweep=stiffness" + Scene("two_balls"), "stiffness"},
+      {"saltus_sweep --sweep=colour=1,2" + Scene("two_balls"), "colour"},
+      {"saltus_sweep --sweep=stiffness=-1:1:log:3" + Scene("two_balls"), "logarithmic"},
+  };
+  for (const auto& [command, message] : cases) {
+    const Outcome outcome = RunProgram(command);
+    EXPECT_EQ(outcome.exit_code, 2) << command << "\n" << outcome.errors;
+    EXPECT_THAT(outcome.errors, HasSubstr(message)) << command;
+  }
+}
+
+TEST(CommandLine, ListsAndHelpAreNoErrors) {
+  EXPECT_THAT(RunProgram("saltus_solve --contact=list").output, HasSubstr("direct_toi"));
+  EXPECT_EQ(RunProgram("saltus_solve --contact=list").exit_code, 0);
+  EXPECT_THAT(RunProgram("saltus_solve --solver=list").output, HasSubstr("gd"));
+  EXPECT_THAT(RunProgram("saltus_solve --surrogate=list").output, HasSubstr("smoothed_first"));
+  EXPECT_EQ(RunProgram("saltus_solve --help").exit_code, 0);
+}
+
+TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct,convex --friction=0.1 --json --progress=none" + Scene("ground_wall"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json audits = json::parse(outcome.output)["audits"];
+  ASSERT_EQ(audits.size(), 2u);
+  for (const json& audit : audits) {
+    EXPECT_EQ(audit.contains("reason"), audit["contact"] == "direct");
+  }
+}
+
+TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
+  const std::string dir = testing::TempDir() + "/surrogate_" + std::to_string(getpid());
+  const std::string flags =
+      " --surrogate=smoothed_zeroth --surrogate_samples=200 --surrogate_segments=24 "
+      "--surrogate_sigma=0.1 --progress=none --contact=direct" +
+      Scene("two_balls") + "--output_dir=" + dir;
+  const Outcome both = RunProgram("two_balls --json --solver=gd --iterations=3" + flags);
+  ASSERT_EQ(both.exit_code, 1) << both.errors;  // no convergence
+  const json document = json::parse(both.output);
+  const json &audit = document["audit"]["audits"][0], &run = document["solve"]["runs"][0];
+  for (const json& item : {audit, run}) {
+    EXPECT_EQ(item["surrogate"], "smoothed_zeroth");
+    EXPECT_EQ(item["biased"], true);
+    EXPECT_EQ(item["smoothing"], json({{"sigma", 0.1}, {"samples", 200}, {"seed", 1}, {"segments", 24}}));
+  }
+  EXPECT_EQ(audit["verdict"], "biased");
+  EXPECT_TRUE(audit["gradient"]["parameters"].is_null());
+  EXPECT_GT(audit["standard_error"]["velocity"][1][0], 0);
+  EXPECT_EQ(audit["standard_error"]["control"].size(), 480u);
+  EXPECT_LT(audit["error_in_standard_errors"], 2);
+  EXPECT_EQ(run["standard_error"].size(), 960u);
+  EXPECT_EQ(run["evaluations"], 3);
+
+  const Outcome tables = RunProgram("saltus_audit" + flags);
+  EXPECT_THAT(tables.output, HasSubstr("surrogate of the gradient (smoothed_zeroth, biased)"));
+  EXPECT_THAT(tables.output, HasSubstr("direct (smoothed_zeroth, biased)"));
+  EXPECT_THAT(tables.output, HasSubstr("standard errors from the exact gradient"));
+  const StatusOr<CsvDocument> csv = ReadCsv(dir + "/two_balls_smoothed_zeroth_biased_gradients.csv");
+  ASSERT_TRUE(csv.ok()) << csv.status().message();
+  ASSERT_EQ(csv->rows.size(), 4 + 4 + 960u);
+  for (const std::vector<std::string>& row : csv->rows) EXPECT_EQ(row[*csv->Find("biased")], "yes");
+  EXPECT_NEAR(std::stod(csv->rows[0][*csv->Find("exact")]), -0.39866841646141652, 1e-12);
+  EXPECT_GT(std::stod(csv->rows[0][*csv->Find("standard error")]), 0);
+
+  EXPECT_THAT(RunProgram("saltus_solve --iterations=1" + flags).output, HasSubstr("direct (smoothed_zeroth, biased)"));
+  EXPECT_TRUE(std::ifstream(dir + "/two_balls_direct_gd_smoothed_zeroth_biased.npz").good());
+
+  const Outcome option = RunProgram(
+      "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + Scene("two_balls"));
+  EXPECT_THAT(option.output, HasSubstr("lcp:complementarity_aware=1 (biased)"));
+
+  const Outcome options =
+      RunProgram("saltus_sweep --solver=none --progress=none --sweep='contact=lcp,lcp:complementarity_aware=1'" +
+                 Scene("two_balls"));
+  const StatusOr<CsvDocument> contacts = ParseCsv(options.output);
+  ASSERT_TRUE(contacts.ok() && contacts->Find("biased")) << options.output << options.errors;
+  EXPECT_EQ(contacts->rows[0][*contacts->Find("biased")], "no");
+  EXPECT_EQ(contacts->rows[1][*contacts->Find("biased")], "yes");
+
+  const Outcome sweep = RunProgram(
+      "saltus_sweep --solver=none --sweep='surrogate_samples=4,400' --surrogate=smoothed_first "
+      "--progress=none --contact=event" +
+      Scene("two_balls"));
+  ASSERT_EQ(sweep.exit_code, 0) << sweep.errors;
+  const StatusOr<CsvDocument> points = ParseCsv(sweep.output);
+  ASSERT_TRUE(points.ok()) << points.status().message();
+  ASSERT_EQ(points->rows.size(), 2u);
+  for (const std::vector<std::string>& row : points->rows) {
+    EXPECT_EQ(row[*points->Find("surrogate")], "smoothed_first");
+    EXPECT_EQ(row[*points->Find("biased")], "yes");
+    EXPECT_LT(std::stod(row[*points->Find("relative_error")]), 0.1);
+    EXPECT_GT(std::stod(row[*points->Find("norm_standard_error")]), 0);
+  }
+}
+
+const json& AuditOf(const json& document, const std::string& contact) {
+  for (const json& audit : document["audits"]) {
+    if (audit["contact"] == contact) return audit;
+  }
+  static const json none;
+  ADD_FAILURE() << "no audit of " << contact;
+  return none;
+}
+
+TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct_toi,toi_velocity,event --json --progress=none" + Scene("two_balls"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json document = json::parse(outcome.output);
+  EXPECT_EQ(document["reference"]["contact"], "event");
+  // Not -0.0009, as published.
+  EXPECT_NEAR(document["reference"]["gradient"]["control"][0][0][0], 0.00021380129632184102, 1e-14);
+  const json& direct_toi = AuditOf(document, "direct_toi");
+  EXPECT_EQ(direct_toi["verdict"], "wrong");
+  EXPECT_EQ(direct_toi["first_wrong_step"], 331);
+  EXPECT_EQ(direct_toi["class"], "impact time resolved");
+  EXPECT_NEAR(direct_toi["class_evidence"]["position_from_position"], -1, 1e-3);
+  EXPECT_EQ(direct_toi["first_wrong_contact"], json({"striker", "target"}));
+  EXPECT_EQ(direct_toi["block"], "velocity from position");
+  EXPECT_EQ(direct_toi["why"], "acceleration at the impact ignored");
+  const json& position = direct_toi["refinement"]["quantities"][0];
+  EXPECT_GE(position["error"].size(), 4u);
+  EXPECT_NEAR(position["converges_to"][0], -0.7199, 1e-3);
+  EXPECT_NEAR(position["converges_to"][2], 0, 1e-9);
+  EXPECT_EQ(AuditOf(document, "toi_velocity")["verdict"], "consistent");
+  EXPECT_FALSE(AuditOf(document, "toi_velocity").contains("first_wrong_step"));
+  EXPECT_EQ(AuditOf(document, "event")["verdict"], "right");
+}
+
+TEST(CommandLine, TheAuditWritesTablesAndFigures) {
+  const std::string dir = testing::TempDir() + "/audit_" + std::to_string(getpid());
+  const Outcome outcome =
+      RunProgram("saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
+                 Scene("two_balls"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_THAT(outcome.output, HasSubstr("acceleration at the impact ignored"));
+  EXPECT_THAT(outcome.output, HasSubstr("agrees with narrow differences, not with wide ones"));
+  EXPECT_EQ(outcome.output.find('\033'), std::string::npos) << "colour in a pipe";
+  const StatusOr<CsvDocument> refinement = ReadCsv(dir + "/two_balls_refinement.csv");
+  ASSERT_TRUE(refinement.ok()) << refinement.status().message();
+  EXPECT_GE(refinement->rows.size(), 2u * 3 * 4);
+  const StatusOr<CsvDocument> entries = ReadCsv(dir + "/two_balls_gradients.csv");
+  ASSERT_TRUE(entries.ok()) << entries.status().message();
+  const std::vector<std::string>& first = entries->rows[0];
+  EXPECT_EQ(first[*entries->Find("entry")], "px striker");
+  EXPECT_NEAR(std::stod(first[*entries->Find("exact")]), -0.39866841646141652, 1e-12);
+  EXPECT_NEAR(std::stod(first[*entries->Find("own steps")]), -0.719080, 1e-6);
+  EXPECT_TRUE(ReadCsv(dir + "/two_balls_contacts.csv").ok());
+  EXPECT_TRUE(ReadCsv(dir + "/two_balls_classes.csv").ok());
+  for (const char* name : {"refinement.svg", "refinement.png", "widths.svg", "widths.csv", "verdicts.md"}) {
+    EXPECT_TRUE(std::ifstream(dir + "/two_balls_" + name).good()) << name;
+  }
+}
+
+// Solvers that know exact contact only are one row, whatever other models are asked for.
+TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
+  const Outcome outcome =
+      RunProgram("saltus_solve" + Scene("two_balls") + "--solver=ceres_event,hmp --json --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json runs = json::parse(outcome.output)["runs"];
+  ASSERT_EQ(runs.size(), 2u);
+  for (const json& run : runs) {
+    EXPECT_EQ(run["contact"], "event");
+    EXPECT_EQ(run["termination"], "converged");
+    EXPECT_NEAR(run["exact_loss"], 1.396542160123197, 1e-6);
+    ASSERT_EQ(run["durations"].size(), 480u);
+    EXPECT_EQ(run["control"].size(), 480u);
+    double sum = 0;
+    for (const double duration : run["durations"]) sum += duration;
+    EXPECT_NEAR(sum, 1, 1e-12);
+    EXPECT_EQ(run["certificate"]["verdict"], "stationary");
+    EXPECT_EQ(run["certificate"]["scope"], "local");
+    EXPECT_EQ(run["certificate"]["impacts"].size(), 1u);
+  }
+}
+
+TEST(CommandLine, SequencesAreReadFromAFlag) {
+  const std::string solve = "saltus_solve" + Scene("multiple_collisions") + "--contact=event --json --progress=none ";
+  const Outcome given = RunProgram(solve + "--solver=mode_search --sequence=striker-target,target-ceiling");
+  ASSERT_EQ(given.exit_code, 0) << given.errors;
+  const json run = json::parse(given.output)["runs"][0];
+  EXPECT_NEAR(run["exact_loss"], 0.3736363502, 1e-6);
+  EXPECT_EQ(run["optima"].size(), 1u);
+  EXPECT_EQ(run["optima"][0]["sequence"][1]["b"], "ceiling");
+
+  const Outcome wrong = RunProgram(solve + "--solver=ceres_event --sequence=striker-floor");
+  EXPECT_EQ(wrong.exit_code, 2);
+  EXPECT_THAT(wrong.errors, HasSubstr("striker-floor"));
+  EXPECT_THAT(wrong.errors, HasSubstr("target-ceiling"));
+
+  const Outcome refused = RunProgram(solve + "--solver=hmp --sequence=none");
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.errors, HasSubstr("no contact in the sequence"));
+}
+
+// The published table of task 3 has four decimals of a gradient by hand. Its last column is of another loss.
+TEST(CommandLine, TheAuditFindsTheErrorInThePublishedAnalyticGradient) {
+  const std::string file = testing::TempDir() + "/published_" + std::to_string(getpid()) + ".json";
+  std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
+                             "position": [[-0.3987, -0.3987], [-0.3213, null]], "control": [[[-0.0009, -0.0009]]]})";
+  const std::string command = "saltus_audit --contact=event --progress=none" + Scene("two_balls") + "--given=" + file;
+  Outcome outcome = RunProgram(command + " --json");
+  EXPECT_EQ(outcome.exit_code, 2) << "a vector is [x, y] or null";
+  EXPECT_THAT(outcome.errors, HasSubstr("position[1]"));
+
+  std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
+                             "position": [[-0.3987, -0.3987], [-0.3213, -0.3213]],
+                             "velocity": [null, [-0.2221, -0.2221]], "control": [[[-0.0009, -0.0009]]]})";
+  outcome = RunProgram(command + " --json");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json given = json::parse(outcome.output)["given"];
+  EXPECT_EQ(given["verdict"], "wrong sign");
+  ASSERT_EQ(given["entries"].size(), 8u);
+  for (const json& entry : given["entries"]) {
+    const bool is_control = entry["entry"].get<std::string>()[0] == 'u';
+    EXPECT_EQ(entry["verdict"], is_control ? "wrong sign" : "right") << entry;
+  }
+  EXPECT_NEAR(given["entries"][6]["exact"], 0.00021380129632184102, 1e-14);
+  EXPECT_THAT(RunProgram(command).output, HasSubstr("published: wrong sign"));
+}
+
+}  // namespace
+}  // namespace saltus
