@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "output/figure.h"
 #include "io/file.h"
+#include "output/figure.h"
 
 namespace saltus {
 namespace {

@@ -10,9 +10,9 @@
 #include <chrono>
 #include <cmath>
 
+#include "physics/scene_generators.h"
 #include "saltus/control/batch.h"
 #include "saltus/dynamics/registry.h"
-#include "physics/scene_generators.h"
 #include "timing.h"
 
 namespace saltus {

@@ -3,5 +3,5 @@
 
 int main(int argc, char** argv) {
   // There is nothing to optimise in it.
-  return saltus::ProblemMain(argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/bounce_once.yaml", .solver = "none"});
+  return saltus::ProblemMain(argc, argv, {.scene = saltus::ShippedFile("problems/bounce_once.yaml"), .solver = "none"});
 }

@@ -3,5 +3,7 @@
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(
-      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/ground_wall.yaml", .learning_rate = 0.01, .iterations = 1000});
+      argc,
+      argv,
+      {.scene = saltus::ShippedFile("problems/ground_wall.yaml"), .learning_rate = 0.01, .iterations = 1000});
 }

@@ -3,5 +3,7 @@
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(
-      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/multiple_collisions.yaml", .learning_rate = 50, .iterations = 1500});
+      argc,
+      argv,
+      {.scene = saltus::ShippedFile("problems/multiple_collisions.yaml"), .learning_rate = 50, .iterations = 1500});
 }

@@ -3,5 +3,7 @@
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(
-      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/single_collision.yaml", .learning_rate = 200, .iterations = 500});
+      argc,
+      argv,
+      {.scene = saltus::ShippedFile("problems/single_collision.yaml"), .learning_rate = 200, .iterations = 500});
 }

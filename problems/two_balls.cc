@@ -3,5 +3,5 @@
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(
-      argc, argv, {.scene = SALTUS_PROBLEMS_DIR "/two_balls.yaml", .learning_rate = 10, .iterations = 1000});
+      argc, argv, {.scene = saltus::ShippedFile("problems/two_balls.yaml"), .learning_rate = 10, .iterations = 1000});
 }

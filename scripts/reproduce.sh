@@ -13,9 +13,9 @@ output=${output:-$PWD/report}
 
 scripts/install_packages.sh
 cmake --preset release
-cmake --build --preset release -j "$(nproc)" --target problems/all
+cmake --build --preset release -j "$(nproc)" --target saltus_programs
 
 status=0
-build/release/problems/saltus_reproduce --output_dir="$output" "$@" || status=$?
+build/release/bin/saltus_reproduce --output_dir="$output" "$@" || status=$?
 if [[ -f $output/report.html ]]; then echo "The report: $output/report.html"; fi
 exit "$status"

@@ -8,8 +8,8 @@
 #include <cstdio>
 #include <numeric>
 
-#include "saltus/dynamics/registry.h"
 #include "exact/closed_forms.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "saltus/control/single_shooting.h"
 #include "control/smoothed_gradient.h"
+#include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
 

@@ -13,8 +13,8 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/lcp_solver.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

@@ -1,8 +1,8 @@
 // What the event-driven model (event.h) keeps of a disc and of a pair of things within a step.
 #pragma once
 
-#include "saltus/contact/contact_model.h"
 #include "contact/event_roots.h"
+#include "saltus/contact/contact_model.h"
 #include "saltus/physics/time_grid.h"
 
 namespace saltus::internal {

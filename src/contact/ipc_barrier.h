@@ -30,9 +30,9 @@
 #include <string>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/contact_rows.h"
 #include "contact/implicit.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

@@ -35,8 +35,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/lcp_solver.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

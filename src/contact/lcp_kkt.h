@@ -21,9 +21,9 @@
 #include <memory_resource>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/contact_rows.h"
 #include "contact/implicit.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

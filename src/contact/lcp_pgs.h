@@ -18,8 +18,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/contact_rows.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

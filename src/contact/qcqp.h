@@ -20,8 +20,8 @@
 #include <optional>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/contact_rows.h"
+#include "saltus/contact/contact_model.h"
 
 namespace saltus {
 

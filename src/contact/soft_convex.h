@@ -27,8 +27,8 @@
 #include <memory_resource>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
 #include "contact/contact_rows.h"
+#include "saltus/contact/contact_model.h"
 #include "saltus/physics/power.h"
 
 namespace saltus {

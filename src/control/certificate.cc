@@ -512,7 +512,8 @@ void Judge(Certificate* certificate) {
     certificate->reason = std::string(name) + " is off most";
     worst = residual;
   }
-  if (certificate->verdict == kNotStationary && certificate->gradient && *certificate->gradient <= kCertificateTolerance) {
+  if (certificate->verdict == kNotStationary && certificate->gradient &&
+      *certificate->gradient <= kCertificateTolerance) {
     const auto between = [](const ImpactCertificate& impact) {  // the two one-sided gradients
       return !impact.theta || (*impact.theta >= 0 && *impact.theta <= 1);
     };

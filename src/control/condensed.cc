@@ -327,7 +327,8 @@ Eigen::MatrixXd CondensedLoss::Gram() const {
       const Functional& b = functionals_[k];
       if (a.column != b.column) continue;
       const int begin = std::max(a.first, b.first);
-      const int end = std::min(a.first + static_cast<int>(a.weights.size()), b.first + static_cast<int>(b.weights.size()));
+      const int end =
+          std::min(a.first + static_cast<int>(a.weights.size()), b.first + static_cast<int>(b.weights.size()));
       for (int i = begin; i < end; ++i) gram(j, k) += a.weights[i - a.first] * b.weights[i - b.first] / lengths_[i];
       gram(k, j) = gram(j, k);
     }

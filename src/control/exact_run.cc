@@ -23,8 +23,8 @@ const ModelTraits* ExactModel() {
   return nullptr;
 }
 
-// Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the state
-// at the end.
+// Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the
+// state at the end.
 bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, int first,
                        double start, int tie_order, std::vector<double>* x, ExactRun* run) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);

@@ -7,8 +7,8 @@
 #include <string_view>
 #include <vector>
 
-#include "output/palette.h"
 #include "io/status.h"
+#include "output/palette.h"
 
 namespace saltus {
 

@@ -5,8 +5,8 @@
 #include <utility>
 #include <vector>
 
-#include "plot_axes.h"
 #include "output/figure.h"
+#include "plot_axes.h"
 
 namespace saltus::internal {
 

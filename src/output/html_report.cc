@@ -5,8 +5,8 @@
 #include <cctype>
 #include <utility>
 
-#include "report_style.h"
 #include "io/file.h"
+#include "report_style.h"
 
 namespace saltus {
 namespace {

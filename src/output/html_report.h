@@ -5,8 +5,8 @@
 #include <string_view>
 #include <vector>
 
-#include "output/figure.h"
 #include "io/status.h"
+#include "output/figure.h"
 #include "output/table.h"
 
 namespace saltus {

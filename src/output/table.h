@@ -1,4 +1,4 @@
-// Tables: built once, written as Markdown, CSV, HTML or aligned text. And the reader for CSV files.
+// Tables: built once, written as Markdown, CSV, HTML or aligned text.
 #pragma once
 
 #include <concepts>
@@ -9,8 +9,6 @@
 #include <utility>
 #include <variant>
 #include <vector>
-
-#include "io/status.h"
 
 namespace saltus {
 
@@ -89,21 +87,6 @@ class Table {
   std::vector<Column> columns_;
   std::vector<std::vector<Cell>> rows_;
 };
-
-// A CSV file with a header line. Every row has as many fields as the header.
-struct CsvDocument {
-  std::vector<std::string> header;
-  std::vector<std::vector<std::string>> rows;
-
-  // Index of a column, if the header has it.
-  std::optional<size_t> Find(std::string_view column) const;
-};
-
-// Reads RFC 4180 text; lines may end in LF or CRLF, empty lines are skipped. Errors name the line.
-StatusOr<CsvDocument> ParseCsv(std::string_view text);
-
-// The same for a file. Errors name the file and the line.
-StatusOr<CsvDocument> ReadCsv(const std::string& path);
 
 // `text` with the characters that HTML (elements and attributes) and XML reserve replaced by entities.
 std::string EscapeHtml(std::string_view text);

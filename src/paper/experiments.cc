@@ -2,9 +2,9 @@
 
 #include <cmath>
 
-#include "tools/parallel.h"
-#include "saltus/dynamics/registry.h"
 #include "output/interrupt.h"
+#include "saltus/dynamics/registry.h"
+#include "tools/parallel.h"
 
 namespace saltus {
 namespace {

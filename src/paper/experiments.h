@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
+#include "saltus/audit/audit.h"
 #include "tools/program.h"
 #include "tools/solve.h"
-#include "saltus/audit/audit.h"
 
 namespace saltus {
 

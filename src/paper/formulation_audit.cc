@@ -7,12 +7,12 @@
 #include <map>
 
 #include "audit/statistics.h"
-#include "tools/audit_tables.h"
-#include "tools/parallel.h"
+#include "output/interrupt.h"
 #include "paper/thread_time.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "output/interrupt.h"
+#include "tools/audit_tables.h"
+#include "tools/parallel.h"
 
 namespace saltus {
 namespace {

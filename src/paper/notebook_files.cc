@@ -2,9 +2,9 @@
 
 #include <map>
 
+#include "output/npz.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "output/npz.h"
 
 namespace saltus {
 namespace {

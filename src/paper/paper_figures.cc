@@ -2,9 +2,9 @@
 
 #include <numeric>
 
+#include "exact/two_disc_optimum.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "exact/two_disc_optimum.h"
 
 namespace saltus {
 namespace {

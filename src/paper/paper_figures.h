@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "paper/experiments.h"
 #include "output/figure.h"
+#include "paper/experiments.h"
 
 namespace saltus {
 

@@ -5,6 +5,7 @@
 
 #include "exact/closed_forms.h"
 #include "exact/two_disc_optimum.h"
+#include "io/csv.h"
 
 namespace saltus {
 namespace {

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "paper/experiments.h"
 #include "output/table.h"
+#include "paper/experiments.h"
 
 namespace saltus {
 

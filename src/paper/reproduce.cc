@@ -7,20 +7,20 @@
 #include <iostream>
 #include <optional>
 
+#include "output/interrupt.h"
 #include "paper/experiments.h"
 #include "paper/formulation_audit.h"
 #include "paper/notebook_files.h"
 #include "paper/paper_figures.h"
 #include "paper/paper_report.h"
-#include "tools/parallel.h"
 #include "paper/published.h"
 #include "paper/solver_comparison.h"
-#include "tools/surrogate_flags.h"
 #include "saltus/dynamics/registry.h"
-#include "output/interrupt.h"
+#include "tools/parallel.h"
+#include "tools/surrogate_flags.h"
 
-DEFINE_string(problems_dir, SALTUS_PROBLEMS_DIR, "directory of the problem scenes");
-DEFINE_string(data_dir, SALTUS_DATA_DIR, "directory of published.csv");
+DEFINE_string(problems_dir, "", "directory of the problem scenes (default: those that come with saltus)");
+DEFINE_string(data_dir, "", "directory of published.csv (default: that which comes with saltus)");
 DEFINE_bool(all_formulations, true, "audit every contact model on the three tasks, and solve task 3 under each");
 DEFINE_bool(every_solver, false, "with every general solver under the models that the paper does not compare, too");
 
@@ -58,13 +58,17 @@ bool RunStage(const std::string& name, const std::function<void()>& work) {
   return RunJobs({name}, 1, &progress, [&](int, const SayNote&) { work(); });
 }
 
+std::string GivenOrShipped(const std::string& given, const std::string& folder) {
+  return given.empty() ? ShippedFile(folder) : given;
+}
+
 int Reproduce() {
   const auto start = std::chrono::steady_clock::now();
   RefuseSurrogate("the published experiments have the models' own gradients");
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
-  std::vector<PublishedRow> rows = ReadPublished(FLAGS_data_dir + "/published.csv");
-  Experiments experiments(FLAGS_problems_dir);
+  std::vector<PublishedRow> rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
+  Experiments experiments(GivenOrShipped(FLAGS_problems_dir, "problems"));
   const InterruptGuard guard;
   if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };

@@ -7,11 +7,11 @@
 #include <optional>
 #include <set>
 
-#include "tools/parallel.h"
-#include "paper/thread_time.h"
-#include "saltus/dynamics/registry.h"
 #include "exact/two_disc_optimum.h"
 #include "output/interrupt.h"
+#include "paper/thread_time.h"
+#include "saltus/dynamics/registry.h"
+#include "tools/parallel.h"
 
 namespace saltus {
 namespace {

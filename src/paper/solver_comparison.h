@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
+#include "output/table.h"
 #include "paper/experiments.h"
 #include "paper/paper_figures.h"
-#include "output/table.h"
 
 namespace saltus {
 

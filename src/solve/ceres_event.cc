@@ -25,7 +25,8 @@ SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& 
   PhaseMinimumOptions minimum;
   minimum.callback = [&](double loss) { return run.Record(loss); };
   minimum.iterations = options.iterations;
-  PhaseSolution solution = SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, run.guess()), sequence), minimum);
+  PhaseSolution solution =
+      SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, run.guess()), sequence), minimum);
   if (!solution.valid) {
     return run.Finish(run.guess(),
                       run.guess().exact.loss,

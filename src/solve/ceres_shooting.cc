@@ -3,9 +3,9 @@
 #include <sstream>
 
 #include "ceres_common.h"
+#include "control/step_shooting.h"
 #include "node_search.h"
 #include "path_problem.h"
-#include "control/step_shooting.h"
 
 namespace saltus {
 namespace {

@@ -4,8 +4,8 @@
 #include <optional>
 #include <sstream>
 
-#include "saltus/dynamics/registry.h"
 #include "exact/grid_optimum.h"
+#include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
 namespace saltus {

@@ -120,7 +120,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
     return attempt;
   }
   attempt.certificate = CertifyRoot(phases, root, attempt.trial.exact);
-  attempt.certificate->curvature = CurvatureAt(scene, InitialState(scene), attempt.trial.control, attempt.trial.durations);
+  attempt.certificate->curvature =
+      CurvatureAt(scene, InitialState(scene), attempt.trial.control, attempt.trial.durations);
   Judge(&*attempt.certificate);
   if (root.residual > kResidualTolerance * root.scale) {
     attempt.reason = "the conditions are not met";

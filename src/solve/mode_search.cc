@@ -187,7 +187,8 @@ class ModeSearch {
     if (found_.empty() || best_trial_.exact.loss < none_better) {
       if (end == Termination::kConverged) end = Termination::kNoProgress;
       std::string reason = best_remark_.empty() ? failure_ : best_remark_;
-      if (reason.empty()) reason = found_.empty() ? "no sequence searched has an optimum" : "no optimum found is better";
+      if (reason.empty())
+        reason = found_.empty() ? "no sequence searched has an optimum" : "no optimum found is better";
       return run_.Finish(best_trial_, best_trial_.exact.loss, end, std::move(reason));
     }
     const Found& best = found_.front();

@@ -10,8 +10,8 @@
 // kBound times the best. Stopping rule: that, or an empty queue, or `iterations` solves.
 //
 // An optimum that is a saddle is left, both ways, and what is found beside it solved next. If a motion met on the way,
-// such as one that only touches, is better than every optimum, it is the result, without having converged: the result is
-// never worse than the guess.
+// such as one that only touches, is better than every optimum, it is the result, without having converged: the result
+// is never worse than the guess.
 //
 // With SolverOptions::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once

@@ -1,6 +1,6 @@
 // The least loss along a given collision sequence, by Ceres: Levenberg-Marquardt on the few variables of EventPhases.
-// Gaps that no pushed disc closes by itself are constraints, met by an augmented Lagrangian. An impact must close: where
-// the loss falls until the two sides only touch, that impact is held at a touch, and the rest is minimized.
+// Gaps that no pushed disc closes by itself are constraints, met by an augmented Lagrangian. An impact must close:
+// where the loss falls until the two sides only touch, that impact is held at a touch, and the rest is minimized.
 #pragma once
 
 #include <functional>

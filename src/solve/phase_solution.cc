@@ -201,7 +201,8 @@ std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution) {
   const std::string along = ContactSequenceToString(scene, solution.sequence);
   if (solution.only_given) return "along " + along + " nothing better was found";
   if (solution.minimum.touches) {
-    return "the best motion along " + along + " only touches, where the loss has a kink: no condition of optimality is checked";
+    return "the best motion along " + along +
+           " only touches, where the loss has a kink: no condition of optimality is checked";
   }
   return WhyNotRealized(scene, solution.trial.exact, solution.sequence);
 }

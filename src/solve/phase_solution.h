@@ -43,8 +43,8 @@ struct PhaseSolution {
   ContactSequence sequence;
   bool valid = false;  // all else is filled
   PhaseMinimum minimum;
-  Trial trial;            // the control found
-  bool realized = false;  // its impacts are those of the sequence and no others
+  Trial trial;              // the control found
+  bool realized = false;    // its impacts are those of the sequence and no others
   bool only_given = false;  // the trial is that which it was to start from: nothing better was found
   bool optimal() const { return valid && minimum.converged && realized; }
 };
@@ -58,14 +58,14 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 
-// From each of some trials on, along its own impacts, with that many iterations each: the best solution. It is not worse
-// than any of the trials; `jacobians` counts all. Precondition: there is a trial.
+// From each of some trials on, along its own impacts, with that many iterations each: the best solution. It is not
+// worse than any of the trials; `jacobians` counts all. Precondition: there is a trial.
 PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options);
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
-// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature. Of
-// those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
+// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature.
+// Of those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
 inline constexpr int kMostSaddles = 5;  // left one after the other
 // Remarks for a person: that it was left, and what came after.

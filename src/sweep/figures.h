@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "sweep/output.h"
 #include "output/figure.h"
+#include "sweep/output.h"
 
 namespace saltus {
 

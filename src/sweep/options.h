@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include "tools/program.h"
 #include "sweep/value.h"
+#include "tools/program.h"
 
 namespace saltus {
 

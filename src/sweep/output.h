@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "tools/json_output.h"
-#include "sweep/store.h"
 #include "output/npz.h"
 #include "output/table.h"
+#include "sweep/store.h"
+#include "tools/json_output.h"
 
 namespace saltus {
 

@@ -4,11 +4,11 @@
 #include <cmath>
 #include <new>
 
-#include "tools/audit.h"
-#include "tools/solve.h"
+#include "output/table.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
-#include "output/table.h"
+#include "tools/audit.h"
+#include "tools/solve.h"
 
 namespace saltus {
 namespace {

@@ -4,8 +4,8 @@
 #include <chrono>
 #include <map>
 
-#include "sweep/output.h"
 #include "output/interrupt.h"
+#include "sweep/output.h"
 
 namespace saltus {
 namespace {

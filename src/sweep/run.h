@@ -5,9 +5,9 @@
 #include <functional>
 #include <vector>
 
+#include "output/progress.h"
 #include "sweep/executor.h"
 #include "sweep/store.h"
-#include "output/progress.h"
 
 namespace saltus {
 

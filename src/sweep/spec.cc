@@ -8,8 +8,9 @@
 #include <cstdlib>
 #include <set>
 
-#include "sweep/options.h"
+#include "io/csv.h"
 #include "saltus/dynamics/registry.h"
+#include "sweep/options.h"
 
 namespace saltus {
 namespace {

@@ -14,8 +14,8 @@
 #include <string>
 #include <vector>
 
-#include "sweep/value.h"
 #include "saltus/physics/scene.h"
+#include "sweep/value.h"
 
 namespace saltus {
 

@@ -15,8 +15,8 @@
 #include <memory>
 #include <string>
 
-#include "sweep/study.h"
 #include "io/status.h"
+#include "sweep/study.h"
 
 namespace saltus {
 

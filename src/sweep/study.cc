@@ -5,13 +5,13 @@
 #include <algorithm>
 #include <sstream>
 
-#include "tools/json_output.h"
-#include "tools/surrogate_flags.h"
-#include "sweep/options.h"
-#include "sweep/point.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
+#include "sweep/options.h"
+#include "sweep/point.h"
+#include "tools/json_output.h"
+#include "tools/surrogate_flags.h"
 
 namespace saltus {
 namespace {

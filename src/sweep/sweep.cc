@@ -9,11 +9,11 @@
 #include <iostream>
 #include <regex>
 
+#include "output/interrupt.h"
 #include "sweep/cluster.h"
 #include "sweep/figures.h"
 #include "sweep/output.h"
 #include "sweep/run.h"
-#include "output/interrupt.h"
 
 DEFINE_string(
     sweep, "",

@@ -6,8 +6,8 @@
 #include <variant>
 #include <vector>
 
-#include "tools/json_output.h"
 #include "output/table.h"
+#include "tools/json_output.h"
 
 namespace saltus {
 

@@ -8,13 +8,13 @@
 #include <new>
 #include <optional>
 
+#include "output/interrupt.h"
+#include "saltus/dynamics/registry.h"
 #include "tools/audit_files.h"
 #include "tools/audit_tables.h"
 #include "tools/given_gradient.h"
 #include "tools/parallel.h"
 #include "tools/surrogate_flags.h"
-#include "saltus/dynamics/registry.h"
-#include "output/interrupt.h"
 
 DEFINE_bool(width_sweep, false,
             "audit gradients by differences of every width too (always done where there is no exact gradient)");

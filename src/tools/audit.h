@@ -1,9 +1,9 @@
 // Gradients of every contact model against the exact one.
 #pragma once
 
+#include "saltus/audit/audit.h"
 #include "tools/json_output.h"
 #include "tools/program.h"
-#include "saltus/audit/audit.h"
 
 namespace saltus {
 

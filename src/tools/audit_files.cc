@@ -5,9 +5,9 @@
 #include <cstdio>
 #include <limits>
 
+#include "output/interrupt.h"
 #include "tools/audit_tables.h"
 #include "tools/surrogate_flags.h"
-#include "output/interrupt.h"
 
 namespace saltus {
 namespace {

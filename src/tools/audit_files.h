@@ -3,9 +3,9 @@
 
 #include <string>
 
-#include "tools/program.h"
-#include "saltus/audit/audit.h"
 #include "output/figure.h"
+#include "saltus/audit/audit.h"
+#include "tools/program.h"
 
 namespace saltus {
 

@@ -1,10 +1,10 @@
 // The audit as tables: for people and, with all digits, as CSV.
 #pragma once
 
-#include "tools/program.h"
+#include "output/table.h"
 #include "saltus/audit/audit.h"
 #include "saltus/audit/given.h"
-#include "output/table.h"
+#include "tools/program.h"
 
 namespace saltus {
 

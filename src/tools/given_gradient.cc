@@ -1,9 +1,9 @@
 #include "tools/given_gradient.h"
 
+#include "io/file.h"
+#include "saltus/dynamics/registry.h"
 #include "tools/json_output.h"
 #include "tools/program.h"
-#include "saltus/dynamics/registry.h"
-#include "io/file.h"
 
 namespace saltus {
 namespace {

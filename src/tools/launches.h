@@ -3,9 +3,9 @@
 
 #include <vector>
 
-#include "tools/json_output.h"
 #include "exact/launch_solutions.h"
 #include "output/table.h"
+#include "tools/json_output.h"
 
 namespace saltus {
 

@@ -4,9 +4,9 @@
 
 #include <iostream>
 
-#include "tools/program.h"
-#include "saltus/io/scene_file.h"
 #include "physics/scene_generators.h"
+#include "saltus/io/scene_file.h"
+#include "tools/program.h"
 
 DEFINE_string(kind, "gas", "gas (in a box with four walls) or break (a cue ball and a triangle of discs)");
 DEFINE_int32(discs, 100, "how many, the cue ball included");

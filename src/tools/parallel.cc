@@ -9,8 +9,8 @@
 #include <system_error>
 #include <thread>
 
-#include "tools/program.h"
 #include "output/interrupt.h"
+#include "tools/program.h"
 
 namespace saltus {
 namespace {

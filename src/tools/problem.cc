@@ -3,11 +3,11 @@
 #include <filesystem>
 #include <iostream>
 
+#include "output/interrupt.h"
 #include "tools/audit.h"
 #include "tools/audit_files.h"
 #include "tools/launches.h"
 #include "tools/solve.h"
-#include "output/interrupt.h"
 
 namespace saltus {
 

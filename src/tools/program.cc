@@ -16,10 +16,10 @@
 #include <sstream>
 #include <thread>
 
-#include "tools/surrogate_flags.h"
-#include "saltus/dynamics/registry.h"
 #include "io/file.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
+#include "tools/surrogate_flags.h"
 
 DEFINE_string(scene, "", "scene file (YAML)");
 DEFINE_string(contact, "all",
@@ -240,6 +240,14 @@ void WriteAndPrint(const std::function<void()>& write, const std::function<void(
 }
 
 bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
+
+std::string ShippedFile(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path installed = program.parent_path().parent_path() / SALTUS_DATA_FOLDER / path;
+  if (!error && std::filesystem::exists(installed, error)) return installed;
+  return SALTUS_SOURCE_DIR "/" + path;
+}
 
 Scene LoadScene(const std::string& path) {
   std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "saltus/dynamics/simulator.h"
 #include "output/progress.h"
+#include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 #include "saltus/solve/solver.h"
 
@@ -71,6 +71,10 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request);
 int ThreadsFromFlags();
 ProgressMode ProgressFromFlags();
 std::string OutputDirFromFlags();
+
+// A file or folder that comes with saltus, such as "problems/two_balls.yaml": of the installation that the running
+// program belongs to, or else of the source tree.
+std::string ShippedFile(const std::string& path);
 
 // Loads a scene file. Throws InputError.
 Scene LoadScene(const std::string& path);

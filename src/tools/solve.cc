@@ -7,12 +7,12 @@
 #include <new>
 #include <sstream>
 
-#include "tools/parallel.h"
-#include "tools/surrogate_flags.h"
-#include "saltus/dynamics/registry.h"
 #include "output/interrupt.h"
 #include "output/npz.h"
 #include "output/table.h"
+#include "saltus/dynamics/registry.h"
+#include "tools/parallel.h"
+#include "tools/surrogate_flags.h"
 
 namespace saltus {
 namespace {

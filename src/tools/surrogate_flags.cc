@@ -2,8 +2,8 @@
 
 #include <gflags/gflags.h>
 
-#include "tools/program.h"
 #include "saltus/dynamics/registry.h"
+#include "tools/program.h"
 
 DEFINE_string(surrogate, "",
               "what stands in for the gradient, biased: complementarity_aware, smoothed_zeroth, smoothed_first, or "

@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
-#include "tools/json_output.h"
 #include "saltus/control/surrogate.h"
+#include "tools/json_output.h"
 
 namespace saltus {
 

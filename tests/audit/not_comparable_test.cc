@@ -2,8 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "saltus/audit/audit.h"
 #include "physics/scene_generators.h"
+#include "saltus/audit/audit.h"
 #include "test_scenes.h"
 
 namespace saltus {

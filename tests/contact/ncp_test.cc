@@ -1,8 +1,8 @@
 #include "contact/ncp.h"
 
 #include "contact/formulation.h"
-#include "contact/two_contacts.h"
 #include "contact/qcqp.h"
+#include "contact/two_contacts.h"
 
 namespace saltus::testing {
 namespace {

@@ -3,8 +3,8 @@
 #include <random>
 
 #include "contact/formulation.h"
-#include "contact/two_contacts.h"
 #include "contact/lcp_pgs.h"
+#include "contact/two_contacts.h"
 
 namespace saltus::testing {
 namespace {

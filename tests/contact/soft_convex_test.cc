@@ -1,7 +1,7 @@
 #include "contact/soft_convex.h"
 
-#include "contact/formulation.h"
 #include "contact/compliant_warp.h"
+#include "contact/formulation.h"
 
 namespace saltus::testing {
 namespace {

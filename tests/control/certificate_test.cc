@@ -5,10 +5,10 @@
 
 #include <cmath>
 
-#include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
 #include "exact/grid_optimum.h"
 #include "exact/two_disc_optimum.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

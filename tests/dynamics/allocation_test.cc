@@ -5,9 +5,9 @@
 #include <cstdlib>
 #include <new>
 
+#include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "physics/scene_generators.h"
 #include "test_scenes.h"
 
 namespace {

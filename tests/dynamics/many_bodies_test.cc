@@ -4,11 +4,11 @@
 #include <cmath>
 #include <random>
 
+#include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/broad_phase.h"
 #include "saltus/dynamics/islands.h"
 #include "saltus/dynamics/registry.h"
-#include "physics/scene_generators.h"
 
 namespace saltus {
 namespace {

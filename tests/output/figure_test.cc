@@ -8,8 +8,8 @@
 #include <regex>
 #include <set>
 
-#include "output/figure_script.h"
 #include "io/file.h"
+#include "output/figure_script.h"
 
 namespace saltus {
 namespace {

@@ -5,6 +5,7 @@
 
 #include <cstdlib>
 
+#include "io/csv.h"
 #include "test_scenes.h"
 
 namespace saltus {

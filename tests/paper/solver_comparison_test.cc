@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "io/csv.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {

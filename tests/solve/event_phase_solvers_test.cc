@@ -3,9 +3,9 @@
 
 #include <cmath>
 
+#include "exact/two_disc_optimum.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/simulator.h"
-#include "exact/two_disc_optimum.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -7,10 +7,10 @@
 #include <cmath>
 #include <map>
 
+#include "io/csv.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
-#include "output/table.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

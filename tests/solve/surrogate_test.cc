@@ -6,9 +6,9 @@
 
 #include <cmath>
 
+#include "control/smoothed_gradient.h"
 #include "saltus/audit/audit.h"
 #include "saltus/control/exact_run.h"
-#include "control/smoothed_gradient.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"

@@ -14,10 +14,10 @@
 #include <random>
 #include <thread>
 
-#include "tools/run_program.h"
+#include "io/csv.h"
 #include "io/file.h"
 #include "output/npz.h"
-#include "output/table.h"
+#include "tools/run_program.h"
 
 namespace saltus {
 namespace {
@@ -116,7 +116,7 @@ class SweepRunsTest : public testing::Test {
   }
 
   std::string Command(const std::string& more) const {
-    return SALTUS_BINARY_DIR "/problems/saltus_sweep" + Scene("two_balls") + more + " --output_dir=" + directory_;
+    return SALTUS_BINARY_DIR "/bin/saltus_sweep" + Scene("two_balls") + more + " --output_dir=" + directory_;
   }
   std::string Cheap(const std::string& more = "") const { return Command(kCheapSweep + (" " + more)); }
   std::string Store() const { return directory_ + "/sweep.sqlite"; }
@@ -294,7 +294,7 @@ TEST_F(SweepRunsTest, WritesTableArraysAndFigures) {
 }
 
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
-  const std::string base = SALTUS_BINARY_DIR "/problems/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
+  const std::string base = SALTUS_BINARY_DIR "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {
     std::string flags, message;
   } cases[] = {{"--shard=0/3 --output_dir=" + directory_, "--shard=0/3"},

@@ -7,8 +7,8 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "io/csv.h"
 #include "tools/run_program.h"
-#include "output/table.h"
 
 namespace saltus {
 namespace {

@@ -12,8 +12,8 @@
 #include <string>
 #include <thread>
 
-#include "tools/run_program.h"
 #include "io/file.h"
+#include "tools/run_program.h"
 
 namespace saltus {
 namespace {

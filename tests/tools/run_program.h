@@ -36,7 +36,7 @@ inline Outcome RunCommand(const std::string& command) {
 }
 
 // Runs one of the programs, with arguments for a shell.
-inline Outcome RunProgram(const std::string& command) { return RunCommand(SALTUS_BINARY_DIR "/problems/" + command); }
+inline Outcome RunProgram(const std::string& command) { return RunCommand(SALTUS_BINARY_DIR "/bin/" + command); }
 
 inline std::string Scene(const std::string& name) {
   return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml ";

@@ -78,8 +78,8 @@ struct Certificate {
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
 
-  // Of the loss by the control on the given intervals, combined with the thetas: what is left of 2 effort m u + lambda_v
-  // in the mean over an interval, relative to the largest costate.
+  // Of the loss by the control on the given intervals, combined with the thetas: what is left of 2 effort m u +
+  // lambda_v in the mean over an interval, relative to the largest costate.
   std::optional<double> gradient;
 
   // Where the verdict is stationary or stationary on the grid; not with so many impacts that it would take long.
@@ -114,8 +114,8 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
 // The same certificate in other units; its residuals have none.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
-// The curvature at a control that need not be stationary, impacts on nodes taking these with them. Nothing where there is
-// nothing to certify, or that would take long.
+// The curvature at a control that need not be stationary, impacts on nodes taking these with them. Nothing where there
+// is nothing to certify, or that would take long.
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations = {});
 

@@ -16,8 +16,8 @@ namespace saltus {
 using ContactSequence = std::vector<Candidate>;
 
 // Reads `text` into `sequence`. A pair is two names of `scene` with a hyphen between them, in any order; at least one a
-// disc that is not fixed. Names with hyphens may leave two readings: that is refused. Returns what is wrong, and what was
-// expected; empty if nothing is.
+// disc that is not fixed. Names with hyphens may leave two readings: that is refused. Returns what is wrong, and what
+// was expected; empty if nothing is.
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence);
 
 // The text that stands for it, discs in scene order and planes last.

@@ -29,7 +29,7 @@ struct ExactRun {
     double time = 0;
   };
   std::vector<Place> places;
-  bool only_impacts = true;         // no event is a resting or grazing contact
+  bool only_impacts = true;  // no event is a resting or grazing contact
 
   // Ties whose order decides: another one leads to another final state (such as a pile that comes to rest in any case
   // does not). Then also the losses over the orders, each of which is simulated; with several ties, all in orders of

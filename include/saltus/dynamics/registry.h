@@ -31,8 +31,8 @@ std::string WhatIsWrongWith(std::string_view model);
 // Whether options are set that bias the derivative. Precondition: nothing is wrong with the name.
 bool HasBiasedDerivative(std::string_view model);
 
-// Why `model` cannot simulate `scene`: there is no such model (WhatIsWrongWith), the scene is wrong (ValidateStructure),
-// or the model's own reason. Empty if it can.
+// Why `model` cannot simulate `scene`: there is no such model (WhatIsWrongWith), the scene is wrong
+// (ValidateStructure), or the model's own reason. Empty if it can.
 std::string WhyNotApplicable(std::string_view model, const Scene& scene);
 
 // Takes and gives numbers in the scene's units, whatever those the model works in (physics/units.h).

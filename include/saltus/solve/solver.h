@@ -69,8 +69,8 @@ struct BestIterate {
   std::vector<double> control;        // K x C x 2
 };
 
-// kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of the
-// certificate apply, they hold as well, and it is no saddle.
+// kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of
+// the certificate apply, they hold as well, and it is no saddle.
 //
 // Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
 // one may have no losses, if the initial guess already has none.
