@@ -9,8 +9,8 @@ namespace saltus {
 namespace {
 
 constexpr int kMaxSweeps = 20000;
-constexpr int kFirstSweeps = 32;      // before the first direct solution
-constexpr int kLongSweeps = 1024;     // before all guesses are tried
+constexpr int kFirstSweeps = 32;   // before the first direct solution
+constexpr int kLongSweeps = 1024;  // before all guesses are tried
 constexpr int kMostGuesses = 4096;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
 constexpr double kExact = 1e-12;      // likewise, of a direct solution
@@ -82,8 +82,8 @@ Guess NextGuess(double friction, const PressingContact& c, Guess guess) {
   return guess != Guess::kOpen ? Guess::kOpen : c.sliding > 0 ? Guess::kLeft : Guess::kRight;
 }
 
-// The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest that
-// solve it. False, and nothing changed, if the guess is wrong.
+// The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
+// that solve it. False, and nothing changed, if the guess is wrong.
 bool SolveDirectly(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
                    std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
   std::vector<ForceRow> rows;

@@ -164,8 +164,8 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
       if (LossHasVelocities(scene)) sides->AddNone(c, Quantity::kVelocity, normal);
     }
     if (undecided) sides->AddNone(c, Quantity::kPosition, normal);
-    const bool starts = contact.mode == ContactMode::kSlip &&
-                        std::abs(group.SlidingSpeed(contact)) <= internal::kStickSpeed;
+    const bool starts =
+        contact.mode == ContactMode::kSlip && std::abs(group.SlidingSpeed(contact)) <= internal::kStickSpeed;
     if (!starts) continue;
     // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
     const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;

@@ -22,8 +22,8 @@
 namespace saltus {
 
 // How far a gradient is from the exact one, over initial positions, initial velocities and the control. Controls on
-// different grids are compared as forces held over the coarser intervals. Entries whose exact derivative exists from one
-// side only, or from none, are left out.
+// different grids are compared as forces held over the coarser intervals. Entries whose exact derivative exists from
+// one side only, or from none, are left out.
 struct GradientError {
   double relative = 0;  // |g - g_exact| / |g_exact|
   double angle = 0;     // between the two, rad

@@ -26,10 +26,10 @@
 // Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
 //   closed: its normal velocity becomes zero, and the forces of event_forces.h keep it closed until other forces or an
 //   impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself end
-//   with a plastic impact, whose impulse is that of all that would follow. It sticks or slides by Coulomb's law with the same mu; sliding
-//   ends at the exact time, or at once where friction wedges the discs in. Derivatives are those of motion that, after
-//   a small disturbance, comes to rest on the contact again; event_sides.h says where they are one-sided. Reported as
-//   kSustained, again in every step.
+//   with a plastic impact, whose impulse is that of all that would follow. It sticks or slides by Coulomb's law with
+//   the same mu; sliding ends at the exact time, or at once where friction wedges the discs in. Derivatives are those
+//   of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h says where they are
+//   one-sided. Reported as kSustained, again in every step.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, and are exactly in contact at the end of each step. Everything else is exact.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or

@@ -8,10 +8,10 @@
 //   |f_t| <= mu f_n, t.b = 0 unless at a bound  where the two do not slide
 //   f_t = -mu f_n sign(v_t)                     where they do
 //
-// Projected Gauss-Seidel, in the order of the contacts, finds which contacts press, stick and slip; where it takes long,
-// as in a high stack, the forces then come from one linear system; where it goes in circles, all possibilities are tried,
-// if there are few contacts. Where all discs that touch slide, friction can wedge
-// them in: then no forces satisfy this, only an impulse that ends the sliding does.
+// Projected Gauss-Seidel, in the order of the contacts, finds which contacts press, stick and slip; where it takes
+// long, as in a high stack, the forces then come from one linear system; where it goes in circles, all possibilities
+// are tried, if there are few contacts. Where all discs that touch slide, friction can wedge them in: then no forces
+// satisfy this, only an impulse that ends the sliding does.
 #pragma once
 
 #include <span>
@@ -42,9 +42,9 @@ enum class Pressing {
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                              std::span<PressingContact> contacts);
 
-// How far a disc that rests and sticks is carried along its tangent, as a multiple of the height from which it is dropped
-// on its contact, until it rests again. `pressing` (> 0) and `tangential` are the accelerations at which it flies, m/s^2;
-// |tangential| < friction * pressing. Infinite for restitution 1: it does not come to rest.
+// How far a disc that rests and sticks is carried along its tangent, as a multiple of the height from which it is
+// dropped on its contact, until it rests again. `pressing` (> 0) and `tangential` are the accelerations at which it
+// flies, m/s^2; |tangential| < friction * pressing. Infinite for restitution 1: it does not come to rest.
 double DriftOfBounces(double tangential, double pressing, double friction, double restitution);
 
 // Pseudo-inverse of a small square matrix, for equations of which some may follow from others. `matrix`: n x n, row by

@@ -94,12 +94,13 @@ class PressedGroup {
     return true;
   }
 
-  // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it comes
-  // from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small disturbance
-  // dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of their impulse,
-  // normal and friction alike, is what undoes the disturbance. An impulse thus acts along the contact's whole force. A
-  // gap takes longer to close than a velocity to die out, but likewise it is undone by the integral P of that lack of
-  // impulse over time, acting along the force; as the force turns meanwhile, the velocity changes by -P times its rate.
+  // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it
+  // comes from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small
+  // disturbance dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of
+  // their impulse, normal and friction alike, is what undoes the disturbance. An impulse thus acts along the contact's
+  // whole force. A gap takes longer to close than a velocity to die out, but likewise it is undone by the integral P of
+  // that lack of impulse over time, acting along the force; as the force turns meanwhile, the velocity changes by -P
+  // times its rate.
   void ProjectPositions() {
     const auto move = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
     rows_.clear();

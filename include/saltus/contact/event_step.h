@@ -61,8 +61,8 @@ class EventStep {
     failed_ = true;
   }
 
-  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too many
-  // events, or forces were not found.
+  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too
+  // many events, or forces were not found.
   bool Moved(int i) const { return discs_[i].moved; }
   SALTUS_FLATTEN State End(int i) const {
     const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
@@ -273,8 +273,8 @@ class EventStep {
     const T normal_impulse = -bounce * mass * speed;
     ContactMode mode = Value(friction) > 0 ? ContactMode::kSlip : ContactMode::kFrictionless;
     // Without friction only the derivative by it is left of this impulse: none head-on, where any friction sticks.
-    const bool head_on = mode == ContactMode::kFrictionless &&
-                         std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
+    const bool head_on =
+        mode == ContactMode::kFrictionless && std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
     T tangential_impulse = -friction * (head_on ? 0.0 : SignOf(sliding)) * normal_impulse;
     if (mode == ContactMode::kSlip && !(Value(mass) * std::abs(Value(sliding)) > std::abs(Value(tangential_impulse)))) {
       mode = ContactMode::kStick;
