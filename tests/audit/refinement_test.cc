@@ -134,5 +134,42 @@ TEST(Refinement, StepsThatAModelCannotTakeAreNotTried) {
   }
 }
 
+// A puck that slides from the start on. Lifting it has a derivative, pressing it into the ground has none.
+TEST(Refinement, ModelsThatAreRightInSlidingContactAreNotCalledWrong) {
+  Scene scene;
+  scene.name = "puck";
+  scene.duration = 2;
+  scene.steps = 200;
+  scene.gravity = {0, -9.81};
+  scene.bodies = {{.name = "puck", .radius = 0.1, .position = {0, 0.1}, .velocity = {3, 0}}};
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.contact.restitution = 0;
+  scene.contact.friction = 0.3;
+  scene.objective.terminal = {{.body = 0, .target = {2, 0.1}}};
+  scene.optimize = Optimize::kVelocity;
+  scene.free = {0};
+  const OneSided height{0, OneSided::Quantity::kPosition, 1, OneSided::Side::kAbove};
+  EXPECT_THAT(ExactGradientOf(scene)->one_sided, ElementsAre(height));
+  EXPECT_THAT(ComputeGradient("qcqp", scene, Precision::kDouble).one_sided, IsEmpty());
+  for (const auto& [contact, verdict] : {std::pair{"event", Verdict::kRight},
+                                         {"lcp_kkt", Verdict::kConsistent},
+                                         {"qcqp", Verdict::kConsistent},
+                                         {"xpbd", Verdict::kConsistent},
+                                         {"pbd_warp", Verdict::kWrongSign}}) {
+    const RefinementStudy study = StudyRefinement(contact, scene, {.levels = 5, .samples = 3});
+    ASSERT_TRUE(study.ok()) << study.reason;
+    EXPECT_EQ(study.verdict, verdict) << contact;
+    EXPECT_THAT(study.Find(Quantity::kPosition)->one_sided, ElementsAre("py puck"));
+    EXPECT_THAT(study.Find(Quantity::kVelocity)->one_sided, IsEmpty());
+  }
+  // The entry that is not judged does not enter the error either.
+  const ModelGradient exact = *ExactGradientOf(scene);
+  ModelGradient other = exact;
+  other.gradient.initial[1] += 1;
+  EXPECT_EQ(CompareGradients(other, exact).relative, 0);
+  other.gradient.initial[3] += 1;
+  EXPECT_GT(CompareGradients(other, exact).relative, 0.1);
+}
+
 }  // namespace
 }  // namespace saltus

@@ -220,7 +220,8 @@ TEST_P(EventSides, OnDiscs) {
     hill.control = {{0}, {Vec2d(0, 0)}};
     ExpectSlopes("hill", hill, 2e-3, {.position = 4e-4, .velocity = 4e-3, .parameter = 4e-3});
   }
-  // High stacks are unstable; with friction on the ground only their lowest disc slides.
+  // With friction only the lowest disc of a stack slides. One that is shifted off it opens its contact to second order
+  // and falls, at speeds as small as those below which event_disc.h neglects them; so are the differences.
   for (int discs : {2, 3}) {
     Scene stack = Empty(e, 0.3, 0.3);
     stack.planes = {kGround};
@@ -233,7 +234,7 @@ TEST_P(EventSides, OnDiscs) {
       stack.control.bodies.push_back(i);
       stack.control.initial.push_back({i == 0 ? 0 : -1.5 * stack.bodies[i].mass, 0});
     }
-    ExpectSlopes("stack", stack, 2e-3, {.position = 1.6e-2, .count = 4});
+    ExpectSlopes("stack", stack, 1e-2, {.position = 1.6e-2, .count = 4});
   }
 }
 
