@@ -66,10 +66,17 @@ bool Smooth(const Scene& given, Precision precision, int threads, ModelGradient*
 
 }  // namespace
 
+void SetScales(const Scene& scene, ModelGradient* gradient) {
+  const UnitFactors natural(NaturalUnits(scene), scene.units);
+  gradient->duration = scene.duration;
+  gradient->mass = natural.mass;
+  gradient->loss_scale = natural.loss;
+}
+
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision) {
   ModelGradient result;
   result.contact = contact;
-  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
+  SetScales(scene, &result);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(contact, scene, precision, &result);
   return result;
@@ -80,7 +87,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   CHECK(WhyNotValid(surrogate).empty()) << WhyNotValid(surrogate);
   ModelGradient result;
   result.contact = contact;
-  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
+  SetScales(scene, &result);
   result.surrogate = surrogate;
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
