@@ -51,7 +51,8 @@ class StepShooting {
 // The states of the simulator's last rollout, (K + 1) x state size.
 std::vector<double> StatesOf(const Simulator& simulator);
 
-// Of each step, the largest component of its defect, in the scene's units of length or speed. `states` is (K + 1) x state size.
+// Of each step, the largest component of its defect, in the scene's units of length or speed. `states` is (K + 1) x
+// state size.
 std::vector<double> LargestDefects(const Simulator& simulator, std::span<const double> states,
                                    std::span<const double> control);
 
