@@ -402,7 +402,8 @@ std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& e
   const std::unique_ptr<Simulator> fine_model = SimulatorOf(contact_, interval, length * finer);
   const StepMap fine =
       ComposeSteps(*fine_model, StateAt(interval.begin), ForcesFrom(interval.begin, finer), length * finer, bodies);
-  const double coarse_error = (approximate.A - exact.A).norm(), fine_error = (fine.A - exact.A).norm();
+  const double coarse_error = ScaledNorm(approximate.A - exact.A, scene_.duration);
+  const double fine_error = ScaledNorm(fine.A - exact.A, scene_.duration);
   char text[128];
   if (fine_error < 0.5 * coarse_error) {
     std::snprintf(text,

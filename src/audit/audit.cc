@@ -10,18 +10,18 @@
 
 #include "exact/closed_forms.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
+
 
 namespace saltus {
 namespace {
 
-// In natural units, up to those of the loss.
+// All entries in the unit of those by position.
 Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
-  const Units& units = gradient.natural;
+  const double time = gradient.duration;
   std::vector<double> all = gradient.gradient.initial;
-  for (size_t i = 0; i < all.size(); ++i) all[i] *= i % 4 < 2 ? units.length : units.speed();
+  for (size_t i = 0; i < all.size(); ++i) all[i] /= i % 4 < 2 ? 1 : time;
   for (double entry : CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals)) {
-    all.push_back(entry * units.force());
+    all.push_back(entry * gradient.mass / (time * time));
   }
   return Eigen::Map<Eigen::VectorXd>(all.data(), all.size());
 }
@@ -30,7 +30,7 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
   ModelGradient gradient;
   gradient.contact = "closed form";
   gradient.num_steps = scene.steps;
-  gradient.natural = NaturalUnits(scene);
+  SetScales(scene, &gradient);
   gradient.loss = closed_form.loss;
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Vec2d& p = closed_form.gradient.position[i];
@@ -170,7 +170,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   }
   const double scale = reference.norm();
   GradientError error;
-  error.relative = (g - reference).norm() / (scale > 0 ? scale : exact.natural.loss);
+  error.relative = (g - reference).norm() / (scale > 0 ? scale : exact.loss_scale);
   const double cosine = g.dot(reference) / (g.norm() * scale);
   error.angle = std::isfinite(cosine) ? std::acos(std::clamp(cosine, -1.0, 1.0)) : 0.0;
   if (!gradient.initial_error.empty()) error.in_standard_errors = DeviationInStandardErrors(gradient, exact);

@@ -85,11 +85,18 @@ bool Smooth(const Scene& given, Precision precision, int threads, const StopRequ
 
 }  // namespace
 
+void SetScales(const Scene& scene, ModelGradient* gradient) {
+  const UnitFactors natural(NaturalUnits(scene), scene.units);
+  gradient->duration = scene.duration;
+  gradient->mass = natural.mass;
+  gradient->loss_scale = natural.loss;
+}
+
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
                               const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
-  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
+  SetScales(scene, &result);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) FillIn(contact, scene, precision, stop, &result);
   if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
@@ -102,7 +109,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
                                const Surrogate& surrogate, int threads, const StopRequest& stop) {
   ModelGradient result;
   result.contact = contact;
-  result.natural = scene.units.natural ? Units{} : NaturalUnits(scene);
+  SetScales(scene, &result);
   result.surrogate = surrogate;
   result.reason = WhyNotValid(surrogate);
   if (result.ok()) result.reason = WhyNotApplicable(contact, scene);

@@ -182,7 +182,13 @@ Family NormalFaults() {
           {"normal frozen", [](const PairImpact&, ImpactTerms* t) { t->normal = Normal::kFrozen; }}};
 }
 
-// Frobenius norm with velocities multiplied by the time scale.
+// Dense d(end)/d(begin) of free flight for a time.
+void Fly(double time, Variation* x) {
+  for (int i = 0; i < 2; ++i) x->q[i] += time * x->v[i];
+}
+
+}  // namespace
+
 double ScaledNorm(const Eigen::MatrixXd& difference, double time) {
   double sum = 0;
   for (int r = 0; r < difference.rows(); ++r) {
@@ -193,13 +199,6 @@ double ScaledNorm(const Eigen::MatrixXd& difference, double time) {
   }
   return std::sqrt(sum);
 }
-
-// Dense d(end)/d(begin) of free flight for a time.
-void Fly(double time, Variation* x) {
-  for (int i = 0; i < 2; ++i) x->q[i] += time * x->v[i];
-}
-
-}  // namespace
 
 ImpactTerms ExactTerms(const PairImpact& impact) {
   ImpactTerms terms;

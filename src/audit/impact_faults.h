@@ -58,6 +58,9 @@ ImpactTerms ExactTerms(const PairImpact& impact);
 // d(state at the end of the interval) / d(state at its begin) over the discs that move, a before b, [p v] each.
 Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& terms);
 
+// Frobenius norm of a difference of two such linearizations, with velocities multiplied by the time scale.
+double ScaledNorm(const Eigen::MatrixXd& difference, double time);
+
 // The known fault, or faults, with which LinearizeImpact comes close to `model`, in words; nothing if none does.
 // Positions and velocities are compared on the scale of `duration`.
 std::optional<std::string> RecogniseFault(const PairImpact& impact, const Eigen::MatrixXd& model, double duration);

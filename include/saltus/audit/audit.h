@@ -22,9 +22,10 @@
 
 namespace saltus {
 
-// How far a gradient is from the exact one, over initial positions, initial velocities and the control, in the natural
-// units of the scene. Controls on different grids are compared as forces held over the coarser intervals. Entries whose
-// exact derivative exists from one side only, or from none, are left out.
+// How far a gradient is from the exact one, over initial positions, initial velocities and the control. So that entries
+// can be compared, those by velocities are divided by the duration, those by forces by its square over the mass.
+// Controls on different grids are compared as forces held over the coarser intervals. Entries whose exact derivative
+// exists from one side only, or from none, are left out.
 struct GradientError {
   double relative = 0;  // |g - g_exact| / |g_exact|
   double angle = 0;     // between the two, rad

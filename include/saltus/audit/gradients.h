@@ -18,7 +18,9 @@ struct ModelGradient {
   std::string contact;
   std::string reason;  // why there is none: the model cannot take the scene, or its rollout fails, and where
   int num_steps = 0;   // K of the control's shape
-  Units natural = {};  // of the scene, in which entries of different quantities can be compared
+  // Of the scene, in the units of the gradient: with the duration for time, entries by position, by velocity per time
+  // and by force times mass per time squared have one unit.
+  double duration = 1, mass = 1, loss_scale = 1;
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
@@ -38,6 +40,9 @@ struct ModelGradient {
 
   bool ok() const { return reason.empty(); }
 };
+
+// Sets the scales of a gradient: those of the scene.
+void SetScales(const Scene& scene, ModelGradient* gradient);
 
 // An unknown model and a wrong scene are reasons too. Here and below, one that was stopped has the reason kStopped.
 ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
