@@ -12,7 +12,6 @@
 #include "programs/thread_time.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -115,7 +114,7 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
   AuditOptions options;
   options.refinement.samples = kSamples;
   options.attribution = false;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   std::vector<std::string> names, costs;
   for (int i = 0; i < count; ++i) {
     names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[i / tasks_.size()]);

@@ -11,7 +11,6 @@
 #include "programs/thread_time.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/exact/two_disc_optimum.h"
-#include "saltus/io/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -81,7 +80,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   options.learning_rate = DefaultLearningRate(scene);
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
   const SolveReport& report = run->report;
   if (report.losses.empty()) return;

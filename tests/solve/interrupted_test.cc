@@ -60,7 +60,9 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
     EXPECT_NEAR(LossAt(request, report.control), report.final_loss, 1e-12 * report.initial_loss) << most;
   }
   EXPECT_GT(interrupted, 3);
-  if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") EXPECT_GT(with_progress, 0);
+  if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") {
+    EXPECT_GT(with_progress, 0);
+  }
 }
 
 std::vector<std::string> Names() {
