@@ -70,7 +70,7 @@ std::vector<std::string> Names() {
   for (const SolverEntry& solver : AllSolvers()) names.emplace_back(solver.name);
   return names;
 }
-INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](const auto& info) { return info.param; });
+INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](const auto& test) { return test.param; });
 
 TEST(Interrupted, SmoothedGradientsStopInTheMiddleOfTheirSamples) {
   SolverOptions options;
