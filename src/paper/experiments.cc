@@ -22,7 +22,7 @@ void RunSolver(Experiment* experiment, size_t which) {
   options.iterations = kIterations;
   options.learning_rate = experiment->learning_rate;
   options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   SolvedRun& run = experiment->runs[which];
   run.report = Solve(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
   if (!run.report.losses.empty()) {
@@ -89,8 +89,7 @@ bool Experiments::Run(int threads, ProgressMode mode) {
   std::vector<std::string> names;
   for (Experiment& experiment : experiments_) {
     jobs.push_back([&experiment] {
-      experiment.gradient =
-          ComputeGradient(experiment.contact, experiment.scene, experiment.precision, InterruptGuard::Interrupted);
+      experiment.gradient = ComputeGradient(experiment.contact, experiment.scene, experiment.precision, AskedToStop);
     });
     const std::string name = experiment.scene.name + " " + experiment.contact;
     names.push_back(name);

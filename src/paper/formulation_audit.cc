@@ -115,7 +115,7 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
   AuditOptions options;
   options.refinement.samples = kSamples;
   options.attribution = false;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   std::vector<std::string> names, costs;
   for (int i = 0; i < count; ++i) {
     names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[i / tasks_.size()]);

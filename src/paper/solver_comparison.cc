@@ -81,7 +81,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   options.learning_rate = DefaultLearningRate(scene);
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
   const SolveReport& report = run->report;
   if (report.losses.empty()) return;

@@ -40,7 +40,7 @@ std::optional<ModelGradient> FindReference(const Request& request, Progress* pro
   using Reference = std::optional<ModelGradient>;
   const auto found =
       ComputeAll<Reference>({"exact gradient"}, 1, progress, [scene = request.scene](int, const SayNote&, const auto&) {
-        return ExactGradientOf(scene, InterruptGuard::Interrupted);
+        return ExactGradientOf(scene, AskedToStop);
       });
   return found.results[0].value_or(std::nullopt);
 }
@@ -107,7 +107,7 @@ AuditReport RunAudit(const Request& request, bool needs_reference) {
     throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
   }
   if (request.contacts.size() == 1) options.threads = request.threads;
-  options.stop = InterruptGuard::Interrupted;
+  options.stop = AskedToStop;
   Progress progress(request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size());
   AuditReport report;
   report.reference = FindReference(request, &progress);

@@ -1,5 +1,7 @@
 #include "tools/parallel.h"
 
+#include <glog/logging.h>
+
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -89,6 +91,12 @@ void Work(Board* board) {
 }
 
 }  // namespace
+
+bool AskedToStop() {
+  if (!InterruptGuard::Interrupted()) return false;
+  if (FLAGS_minloglevel != google::GLOG_FATAL) FLAGS_minloglevel = google::GLOG_FATAL;
+  return true;
+}
 
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
   const auto board = std::make_shared<Board>();

@@ -17,6 +17,9 @@ namespace saltus {
 using SayNote = std::function<void(const std::string& note)>;
 using Job = std::function<void(int index, const SayNote& say)>;
 
+// For jobs to ask: InterruptGuard::Interrupted(). Once it is so, Ceres' log no longer says that evaluations failed.
+bool AskedToStop();
+
 struct JobsEnd {
   std::vector<char> started;  // of each job
   bool complete = false;      // all are done
@@ -25,7 +28,7 @@ struct JobsEnd {
 
 // Calls job(i) for i = 0..names.size()-1 on `threads` threads, each once, until interrupted. Which jobs are at work
 // stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
-// ask InterruptGuard::Interrupted() themselves, have half a second to come back before the program goes on without
+// ask AskedToStop(), have half a second to come back before the program goes on without
 // them. What they use must therefore not go away; RunMain ends the process without waiting for them. What a job throws
 // is thrown here, when the others are done.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);

@@ -103,7 +103,7 @@ SolvedRuns SolveAll(const Request& request) {
         const auto& [contact, solver] = tasks[i];
         SolverOptions options = request.options;
         if (tasks.size() == 1) options.threads = request.threads;
-        options.stop = InterruptGuard::Interrupted;
+        options.stop = AskedToStop;
         options.status = say;
         try {
           return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);

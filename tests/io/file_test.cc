@@ -41,5 +41,18 @@ TEST(FileTest, ErrorsNameTheFileAndTheCause) {
   EXPECT_THAT(read.status().message(), HasSubstr("No such file"));
 }
 
+TEST(FileTest, FoldersAndEndlessDevicesAreErrors) {
+  const StatusOr<std::string> folder = ReadFile(testing::TempDir());
+  ASSERT_FALSE(folder.ok());
+  EXPECT_THAT(folder.status().message(), HasSubstr("directory"));
+  const StatusOr<std::string> endless = ReadFile("/dev/zero", 1000);
+  ASSERT_FALSE(endless.ok());
+  EXPECT_THAT(endless.status().message(), HasSubstr("/dev/zero: has more than 1000 bytes"));
+  const std::string path = testing::TempDir() + "file_test_limit";
+  ASSERT_TRUE(WriteFileAtomically(path, "12345").ok());
+  EXPECT_TRUE(ReadFile(path, 5).ok());
+  EXPECT_FALSE(ReadFile(path, 4).ok());
+}
+
 }  // namespace
 }  // namespace saltus

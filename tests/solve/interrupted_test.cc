@@ -60,7 +60,9 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
     EXPECT_NEAR(LossAt(request, report.control), report.final_loss, 1e-12 * report.initial_loss) << most;
   }
   EXPECT_GT(interrupted, 3);
-  if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") EXPECT_GT(with_progress, 0);
+  if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") {
+    EXPECT_GT(with_progress, 0);
+  }
 }
 
 std::vector<std::string> Names() {
@@ -68,7 +70,7 @@ std::vector<std::string> Names() {
   for (const SolverEntry& solver : AllSolvers()) names.emplace_back(solver.name);
   return names;
 }
-INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](const auto& info) { return info.param; });
+INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](const auto& test) { return test.param; });
 
 TEST(Interrupted, SmoothedGradientsStopInTheMiddleOfTheirSamples) {
   SolverOptions options;
