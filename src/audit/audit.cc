@@ -213,7 +213,8 @@ std::string ModelAudit::Why() const {
 }
 
 std::string WhyNotComparable(std::string_view contact, const Scene& scene) {
-  const bool spins = FindContactModel(contact)->spins && scene.contact.friction > 0;
+  const ModelTraits* traits = FindContactModel(contact);
+  const bool spins = traits != nullptr && traits->spins && scene.contact.friction > 0;
   return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
 }
 

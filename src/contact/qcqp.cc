@@ -48,7 +48,7 @@ std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen:
     if (x[i] > low[i] && x[i] < high[i]) inside.push_back(i);
   }
   const auto checked = [&](const Eigen::VectorXd& found) -> std::optional<Eigen::VectorXd> {
-    if (!ended && !IsMinimum(A, c, low, high, found)) return std::nullopt;
+    if (!found.allFinite() || (!ended && !IsMinimum(A, c, low, high, found))) return std::nullopt;
     return found;
   };
   if (inside.empty()) return checked(x);

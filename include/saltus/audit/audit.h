@@ -86,7 +86,7 @@ ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision pr
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
 // Why the exact gradient of `scene` is not what the model's should be, though the model can take the scene: the exact
-// discs do not spin, and friction turns the model's. Empty if the two can be compared. Precondition: the name is known.
+// discs do not spin, and friction turns the model's. Empty if the two can be compared.
 std::string WhyNotComparable(std::string_view contact, const Scene& scene);
 
 // The exact gradient of a scene, or nothing; nothing too if it was stopped.
