@@ -234,8 +234,8 @@ NamedScene RandomScene(std::uint32_t seed) {
   while (true) {
     Scene scene;
     scene.name = "seed_" + std::to_string(seed);
-    scene.duration = random.Uniform(0.15, 0.9);
-    scene.steps = random.Integer(20, 60);
+    scene.duration = random.Uniform(0.1, 0.6);
+    scene.steps = random.Integer(20, 40);
     SetContact(&random, &scene);
     kind.make(&random, &scene);
     Push(&random, &scene);
