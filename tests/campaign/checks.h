@@ -15,7 +15,7 @@ inline constexpr char kFailure[] = "FAILED ";
 // Simulates the scene with the contact model `event`, and checks that
 //   - every state is finite,
 //   - nothing overlaps by more than 1e-9 of the scene's size,
-//   - energy, that of gravity and of the constant forces included, never grows by more than 1e-9 of the largest,
+//   - energy, that of gravity and of the constant forces included, never grows by more than 1e-9 of its scale,
 //   - without planes and fixed discs forces alone change the momentum;
 // and with `gradient`, that the gradient agrees with differences of the loss, along a random direction each of initial
 // positions, velocities and the control. Differences are one-sided, on both sides, at three widths h, h/2, h/4, and

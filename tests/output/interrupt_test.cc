@@ -7,6 +7,9 @@
 namespace saltus {
 namespace {
 
+// A shell makes what it runs in the background ignore interrupts.
+[[maybe_unused]] const auto inherited = std::signal(SIGINT, SIG_DFL);
+
 volatile std::sig_atomic_t seen = 0;
 void Remember(int signal) { seen = signal; }
 

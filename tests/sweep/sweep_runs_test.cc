@@ -40,6 +40,7 @@ class Background {
   explicit Background(const std::string& command) {
     process_ = fork();
     if (process_ != 0) return;
+    std::signal(SIGINT, SIG_DFL);  // a shell makes what it runs in the background ignore interrupts
     const std::string silent = "exec " + command + " >/dev/null 2>&1";
     execl("/bin/sh", "sh", "-c", silent.c_str(), nullptr);
     _exit(127);
