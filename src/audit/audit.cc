@@ -11,7 +11,6 @@
 #include "exact/closed_forms.h"
 #include "saltus/dynamics/registry.h"
 
-
 namespace saltus {
 namespace {
 

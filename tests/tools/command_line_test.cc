@@ -309,7 +309,31 @@ TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
     EXPECT_EQ(run["certificate"]["verdict"], "stationary");
     EXPECT_EQ(run["certificate"]["scope"], "local");
     EXPECT_EQ(run["certificate"]["impacts"].size(), 1u);
+    EXPECT_EQ(run["certificate"]["curvature"]["kind"], "minimum");
+    EXPECT_GT(run["certificate"]["curvature"]["smallest"], 0.5);
+    EXPECT_EQ(run["certificate"]["curvature"]["direction"].size(), 480u);
   }
+}
+
+// What a solver has converged on is named beside the verdict, which is of the exact loss.
+TEST(CommandLine, ConvergedSaysOnWhichLoss) {
+  const std::string solve =
+      "saltus_solve" + Scene("two_balls") + "--contact=convex_toi,event --solver=ceres_lm,grid_optimum --progress=none";
+  const Outcome table = RunProgram(solve);
+  EXPECT_THAT(table.output, HasSubstr("exact loss is at"));
+  EXPECT_THAT(table.output, HasSubstr("converged under convex_toi"));
+  EXPECT_THAT(table.output, HasSubstr("not stationary"));
+  EXPECT_THAT(table.output, HasSubstr("minimum on the grid"));
+  int converged = 0;
+  for (const json& run : json::parse(RunProgram(solve + " --json").output)["runs"]) {
+    EXPECT_EQ(run["certificate"]["of"], "exact_loss");
+    EXPECT_EQ(run.contains("converged_under"), run["termination"] == "converged");
+    if (run["termination"] != "converged") continue;
+    ++converged;
+    EXPECT_EQ(run["converged_under"], run["contact"]);
+    if (run["contact"] == "event") EXPECT_EQ(run["certificate"]["verdict"], "stationary_on_grid");
+  }
+  EXPECT_EQ(converged, 2);
 }
 
 TEST(CommandLine, SequencesAreReadFromAFlag) {
