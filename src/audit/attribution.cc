@@ -503,7 +503,9 @@ const char* BlockToString(Block block) {
 }
 
 Attribution AttributeError(std::string_view contact, const Scene& given, const StopRequest& stop) {
-  if (std::string why_not = WhyNotApplicable(contact, given); !why_not.empty()) return {.reason = std::move(why_not)};
+  Attribution refused;
+  refused.reason = WhyNotApplicable(contact, given);
+  if (!refused.ok()) return refused;
   const Scene scene = InNaturalUnits(given);
   Attribution own = Attributor(contact, scene, stop).Run();
   if (!own.ok() || own.contacts.empty()) return own;

@@ -437,7 +437,9 @@ const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
 
 RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options,
                                 const StopRequest& stop) {
-  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
+  RefinementStudy refused;
+  refused.reason = WhyNotApplicable(contact, scene);
+  if (!refused.ok()) return refused;
   if (!scene.units.natural) {
     const Scene natural = InNaturalUnits(scene);
     RefinementStudy study = StudyRefinement(contact, natural, options, stop);

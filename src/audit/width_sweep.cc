@@ -225,7 +225,9 @@ std::string WidthSweepStudy::Summary() const {
 
 WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options,
                             const StopRequest& stop) {
-  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.reason = std::move(why_not)};
+  WidthSweepStudy refused;
+  refused.reason = WhyNotApplicable(contact, scene);
+  if (!refused.ok()) return refused;
   if (!scene.units.natural) {
     const Scene natural = InNaturalUnits(scene);
     WidthSweepStudy study = SweepWidths(contact, natural, options, stop);
