@@ -3,7 +3,9 @@
 #include <glog/logging.h>
 
 #include <cmath>
+#include <numeric>
 
+#include "running_loss.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 
@@ -37,6 +39,24 @@ bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::ve
   }
   run->loss += EffortLoss(scene.objective, control, simulator->step());
   return true;
+}
+
+// Running and via terms, and the price of time.
+void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                     const std::vector<double>& durations, ExactRun* run) {
+  const Objective& objective = scene.objective;
+  std::vector<double> lengths = durations;
+  if (lengths.empty()) lengths.assign(scene.steps, scene.dt());
+  if (objective.duration) {
+    run->loss += objective.duration->weight * std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  }
+  if (objective.running.empty() && objective.via.empty()) return;
+  if (!run->only_impacts) {
+    run->ok = false;
+    run->reason = "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+    return;
+  }
+  run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));
 }
 
 }  // namespace
@@ -75,6 +95,7 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
   }
   run.ok = true;
   run.loss += TerminalLoss(scene.objective, x, 4);
+  AddLossOnTheWay(scene, initial, control, durations, &run);
   return run;
 }
 

@@ -15,6 +15,7 @@ int Offset(const TerminalTerm& term, int body_size) {
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size) {
   double loss = 0;
   for (const TerminalTerm& term : objective.terminal) {
+    if (term.hard) continue;
     const double* q = &x[Offset(term, body_size)];
     if (term.component) {
       loss += term.weight * q[*term.component];
@@ -30,6 +31,7 @@ void TerminalGradient(const Objective& objective, std::span<const double> x, int
                       std::span<double> gradient) {
   std::fill(gradient.begin(), gradient.end(), 0.0);
   for (const TerminalTerm& term : objective.terminal) {
+    if (term.hard) continue;
     const int at = Offset(term, body_size);
     if (term.component) {
       gradient[at + *term.component] += term.weight;

@@ -53,6 +53,7 @@ class Rules {
     CheckControl();
     CheckObjective();
     CheckFree();
+    CheckNoContact();
     if (!error_) CheckOverlap();  // meaningful for finite numbers only
     return error_;
   }
@@ -159,9 +160,71 @@ class Rules {
            "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
                std::to_string(control.bodies.size()) + " controlled bodies");
     for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    Bounds("control.max", control.max);
+    Bounds("control.max_norm", control.max_norm);
     Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
            "optimize",
            "found control, expected velocity, position or none: no body is controlled");
+  }
+
+  // Of the forces on the controlled bodies.
+  void Bounds(const char* key, const std::vector<double>& bounds) {
+    Expect(bounds.empty() || bounds.size() == scene_.control.bodies.size(),
+           key,
+           "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
+               std::to_string(scene_.control.bodies.size()) + " controlled bodies");
+    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], kPositive);
+  }
+
+  void CheckRunning() {
+    for (std::size_t i = 0; i < scene_.objective.running.size(); ++i) {
+      const RunningTerm& term = scene_.objective.running[i];
+      BodyIndex(At("objective.running", i, "body"), term.body);
+      const std::string key = At("objective.running", i, "target");
+      Expect(!term.times.empty() && term.times.size() == term.targets.size(), key, "expected rows [time, x, y]");
+      for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
+        Number(At(key.c_str(), k) + "[0]", term.times[k], kAny);
+        Vector(At(key.c_str(), k), term.targets[k]);
+        Expect(k == 0 || term.times[k] > term.times[k - 1], At(key.c_str(), k) + "[0]", "expected times that rise");
+      }
+      Number(At("objective.running", i, "weight"), term.weight, kNotNegative);
+    }
+  }
+
+  void CheckVia() {
+    for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const ViaTerm& term = scene_.objective.via[i];
+      BodyIndex(At("objective.via", i, "body"), term.body);
+      Vector(At("objective.via", i, "target"), term.target);
+      Number(At("objective.via", i, "weight"), term.weight, kNotNegative);
+      Expect(term.time > 0 && term.time < scene_.duration,
+             At("objective.via", i, "time"),
+             "found " + ToText(term.time) + ", expected a time between 0 and the duration, " + ToText(scene_.duration));
+    }
+  }
+
+  void CheckFreeDuration() {
+    if (!scene_.objective.duration) return;
+    const FreeDuration& duration = *scene_.objective.duration;
+    Number("objective.duration.min", duration.min, kPositive);
+    Number("objective.duration.max", duration.max, kPositive);
+    Expect(duration.min <= duration.max, "objective.duration.max", "found a number below min, expected min or more");
+    Number("objective.duration.weight", duration.weight, kNotNegative);
+  }
+
+  void CheckNoContact() {
+    for (std::size_t i = 0; i < scene_.no_contact.size(); ++i) {
+      const NoContact& pair = scene_.no_contact[i];
+      BodyIndex(At("no_contact", i) + "[0]", pair.a);
+      if (pair.plane) {
+        Expect(pair.b >= 0 && pair.b < static_cast<int>(scene_.planes.size()),
+               At("no_contact", i) + "[1]",
+               "expected one of the scene's planes");
+      } else {
+        BodyIndex(At("no_contact", i) + "[1]", pair.b);
+        Expect(pair.a != pair.b, At("no_contact", i), "found the same body twice, expected two");
+      }
+    }
   }
 
   void CheckObjective() {
@@ -174,8 +237,14 @@ class Rules {
       Expect(!term.component || *term.component == 0 || *term.component == 1,
              At("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
+      Expect(!term.hard || !term.component,
+             At("objective.terminal", i, "hard"),
+             "found a hard term with a component, expected a target: a linear term is no constraint");
     }
     Number("objective.effort", scene_.objective.effort, kNotNegative);
+    CheckRunning();
+    CheckVia();
+    CheckFreeDuration();
     Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
            "objective.terminal",
            "found no term, expected at least one: there is something to optimize");
@@ -228,6 +297,11 @@ class Rules {
 };
 
 }  // namespace
+
+bool Objective::HasConstraints() const {
+  const auto hard = [](const auto& term) { return term.hard; };
+  return std::any_of(terminal.begin(), terminal.end(), hard) || std::any_of(via.begin(), via.end(), hard);
+}
 
 bool Objective::IsSumOfSquares() const {
   return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
