@@ -51,20 +51,16 @@ ForceAt ForcesOf(const Scene& scene, const Trial& trial) {
   };
 }
 
-// Shares `steps` out over phases by their lengths, at least one each.
+// Shares `steps` out over phases that end at `ends`, as a grid of equal steps would, but at least one each.
 std::vector<int> ShareSteps(int steps, const std::vector<double>& ends) {
   const int phases = static_cast<int>(ends.size());
-  std::vector<int> share(phases, 1);
-  double begin = 0;
-  int left = steps - phases;
+  std::vector<int> share;
+  int node = 0;
   for (int j = 0; j < phases; ++j) {
-    const double rest = ends.back() - begin;
-    const int more = j + 1 == phases || !(rest > 0)
-                         ? left
-                         : std::clamp(static_cast<int>(std::lround(left * (ends[j] - begin) / rest)), 0, left);
-    share[j] += more;
-    left -= more;
-    begin = ends[j];
+    const int last = steps - (phases - 1 - j);  // leaves one for each that follows
+    const int end = j + 1 == phases ? steps : static_cast<int>(std::floor(steps * (ends[j] / ends.back())));
+    share.push_back(std::clamp(end, node + 1, last) - node);
+    node += share.back();
   }
   return share;
 }
