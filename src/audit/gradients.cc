@@ -6,12 +6,23 @@
 #include <cmath>
 
 #include "control/smoothed_gradient.h"
+#include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {
+
+// Bounds and pairs that must not touch do not change the loss.
+std::string WhyNotGradient(const Scene& scene) {
+  Scene unbounded = scene;
+  unbounded.control.max.clear();
+  unbounded.control.max_norm.clear();
+  unbounded.no_contact.clear();
+  const std::string found = BeyondTerminalCost(unbounded);
+  return found.empty() ? "" : "the scene has " + found + ", of which there is no gradient by shooting";
+}
 
 // Loss, events and the adjoint's gradient.
 void FillIn(std::string_view contact, const Scene& scene, Precision precision, const StopRequest& stop,
@@ -98,6 +109,7 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   result.contact = contact;
   SetScales(scene, &result);
   result.reason = WhyNotApplicable(contact, scene);
+  if (result.ok()) result.reason = WhyNotGradient(scene);
   if (result.ok()) FillIn(contact, scene, precision, stop, &result);
   if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
     result.one_sided = OneSidedDerivatives(InNaturalUnits(scene));
@@ -113,6 +125,7 @@ ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Pre
   result.surrogate = surrogate;
   result.reason = WhyNotValid(surrogate);
   if (result.ok()) result.reason = WhyNotApplicable(contact, scene);
+  if (result.ok()) result.reason = WhyNotGradient(scene);
   if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
   FillIn(ContactWith(surrogate, contact), scene, precision, stop, &result);

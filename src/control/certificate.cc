@@ -433,6 +433,9 @@ class Certifier {
 std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   if (scene.optimize != Optimize::kControl || scene.control.bodies.empty()) return "no control is optimized";
   if (scene.objective.effort == 0) return "without a cost of effort forces and costates are not related";
+  if (const std::string found = BeyondTerminalCost(scene); !found.empty()) {
+    return "the scene has " + found + "; the conditions are those without";
+  }
   if (!exact.ok) return exact.reason;
   if (!exact.only_impacts) return "discs rest on or graze each other or a plane; the conditions are those of impacts";
   return "";

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <numeric>
 
 #include "contact/event_ties.h"
+#include "running_loss.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/units.h"
@@ -78,11 +80,34 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   return "";
 }
 
+// Running and via terms, and the price of time.
+void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                     const std::vector<double>& durations, ExactRun* run) {
+  const Objective& objective = scene.objective;
+  std::vector<double> lengths = durations;
+  if (lengths.empty()) lengths.assign(scene.steps, scene.dt());
+  if (objective.duration) {
+    run->loss += objective.duration->weight * std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  }
+  if (objective.running.empty() && objective.via.empty()) return;
+  if (!run->only_impacts) {
+    run->ok = false;
+    run->reason = "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+    return;
+  }
+  run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));
+}
+
 // `scene` in the order of ties that is asked for. Precondition: the model can take the scene.
-ExactRun SimulateInOrder(const std::string& model, Scene scene, const std::vector<double>& initial,
+ExactRun SimulateInOrder(const std::string& model, const Scene& whole, const std::vector<double>& initial,
                          const std::vector<double>& control, const std::vector<double>& durations, int tie_order) {
   ExactRun run;
   run.end = initial;
+  Scene scene = whole;
+  // Of parts of the horizon, which know no other times.
+  scene.objective.running.clear();
+  scene.objective.via.clear();
+  scene.objective.duration.reset();
   if (durations.empty()) {
     if (!RunEqualIntervals(model, scene, control, 0, 0, tie_order, &run.end, &run)) return run;
   } else {
@@ -101,6 +126,7 @@ ExactRun SimulateInOrder(const std::string& model, Scene scene, const std::vecto
   }
   run.ok = true;
   run.loss += TerminalLoss(scene.objective, run.end, 4);
+  AddLossOnTheWay(whole, initial, control, durations, &run);
   return run;
 }
 
@@ -182,6 +208,7 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
     run.ambiguous.clear();
     run.spread.reset();
   }
+
   return run;
 }
 

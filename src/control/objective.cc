@@ -16,9 +16,21 @@ int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
 
 }  // namespace
 
+std::string BeyondTerminalCost(const Scene& scene) {
+  const Objective& objective = scene.objective;
+  if (!objective.running.empty()) return "running terms";
+  if (!objective.via.empty()) return "via terms";
+  if (objective.duration) return "a free duration";
+  if (objective.HasConstraints()) return "hard terms";
+  if (!scene.control.max.empty() || !scene.control.max_norm.empty()) return "bounds on the control";
+  if (!scene.no_contact.empty()) return "pairs that must not touch";
+  return "";
+}
+
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size) {
   double loss = 0;
   for (const TerminalTerm& term : objective.terminal) {
+    if (term.hard) continue;
     const double* q = &x[Offset(term, body_size, x.size())];
     if (term.component) {
       loss += term.weight * q[*term.component];
@@ -35,6 +47,7 @@ void TerminalGradient(const Objective& objective, std::span<const double> x, int
   CHECK_EQ(gradient.size(), x.size());
   std::fill(gradient.begin(), gradient.end(), 0.0);
   for (const TerminalTerm& term : objective.terminal) {
+    if (term.hard) continue;
     const int at = Offset(term, body_size, x.size());
     if (term.component) {
       gradient[at + *term.component] += term.weight;

@@ -281,8 +281,14 @@ class SceneReader {
   Body ReadBody(const Value& value);
   Plane ReadPlane(const Value& value);
   ContactParameters ReadContact(const Value& value);
+  std::vector<double> ReadBounds(const Value& value, size_t count);
   Control ReadControl(const Value& value);
+  TerminalTerm::Quantity ReadQuantity(const Fields& fields);
   TerminalTerm ReadTerm(const Value& value);
+  RunningTerm ReadRunning(const Value& value);
+  ViaTerm ReadVia(const Value& value);
+  FreeDuration ReadFreeDuration(const Value& value);
+  NoContact ReadNoContact(const Value& value);
   Objective ReadObjective(const Value& value);
   void ReadBodies(const Value& value);
 
@@ -398,24 +404,38 @@ ContactParameters SceneReader::ReadContact(const Value& value) {
   return contact;
 }
 
+// One number for all, or a list with one for each.
+std::vector<double> SceneReader::ReadBounds(const Value& value, size_t count) {
+  if (!value.node.IsSequence()) return std::vector<double>(count, ReadNumber(value));
+  std::vector<double> bounds;
+  for (const Value& bound : ReadList(value, "a number, or a list of numbers")) bounds.push_back(ReadNumber(bound));
+  return bounds;
+}
+
 Control SceneReader::ReadControl(const Value& value) {
-  const Fields fields = ReadFields(value, {"bodies", "initial"});
+  const Fields fields = ReadFields(value, {"bodies", "initial", "max", "max_norm"});
   Control control;
   control.bodies = ReadBodyNames(fields.Require("bodies", "a list of names of bodies"));
   const Value& initial = fields.Require("initial", "a list with one force [x, y] per controlled body, in N");
   for (const Value& force : ReadList(initial, "a list with one force [x, y] per controlled body")) {
     control.initial.push_back(ReadVector(force));
   }
+  if (const Value* max = fields.Find("max")) control.max = ReadBounds(*max, control.bodies.size());
+  if (const Value* norm = fields.Find("max_norm")) control.max_norm = ReadBounds(*norm, control.bodies.size());
   return control;
 }
 
+TerminalTerm::Quantity SceneReader::ReadQuantity(const Fields& fields) {
+  const Value& quantity = fields.Require("quantity", "position or velocity");
+  return ReadChoice(quantity, {"position", "velocity"}) == 0 ? TerminalTerm::Quantity::kPosition
+                                                             : TerminalTerm::Quantity::kVelocity;
+}
+
 TerminalTerm SceneReader::ReadTerm(const Value& value) {
-  const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight"});
+  const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight", "hard"});
   TerminalTerm term;
   term.body = ReadBodyName(fields.Require("body", "the name of a body"));
-  const Value& quantity = fields.Require("quantity", "position or velocity");
-  term.quantity = ReadChoice(quantity, {"position", "velocity"}) == 0 ? TerminalTerm::Quantity::kPosition
-                                                                      : TerminalTerm::Quantity::kVelocity;
+  term.quantity = ReadQuantity(fields);
   if (const Value* component = fields.Find("component")) {
     term.component = ReadChoice(*component, {"x", "y"});
     if (const Value* target = fields.Find("target")) {
@@ -424,17 +444,87 @@ TerminalTerm SceneReader::ReadTerm(const Value& value) {
   } else {
     term.target = ReadVector(fields.Require("target", "the target [x, y], or component: x or y"));
   }
+  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
+  if (const Value* weight = fields.Find("weight")) {
+    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
+    term.weight = ReadNumber(*weight);
+  }
+  return term;
+}
+
+RunningTerm SceneReader::ReadRunning(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "quantity", "target", "weight"});
+  RunningTerm term;
+  term.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  term.quantity = ReadQuantity(fields);
+  constexpr char kRow[] = "a row [time, x, y]";
+  for (const Value& row : ReadList(fields.Require("target", "rows [time, x, y]"), "a list of rows [time, x, y]")) {
+    const std::vector<Value> entries = ReadList(row, kRow);
+    if (entries.size() != 3) FailExpected(row, kRow);
+    term.times.push_back(ReadNumber(entries[0]));
+    term.targets.emplace_back(ReadNumber(entries[1]), ReadNumber(entries[2]));
+  }
   if (const Value* weight = fields.Find("weight")) term.weight = ReadNumber(*weight);
   return term;
 }
 
+ViaTerm SceneReader::ReadVia(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "time", "quantity", "target", "weight", "hard"});
+  ViaTerm term;
+  term.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  term.time = ReadNumber(fields.Require("time", "the time in s"));
+  term.quantity = ReadQuantity(fields);
+  term.target = ReadVector(fields.Require("target", "the target [x, y]"));
+  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
+  if (const Value* weight = fields.Find("weight")) {
+    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
+    term.weight = ReadNumber(*weight);
+  }
+  return term;
+}
+
+FreeDuration SceneReader::ReadFreeDuration(const Value& value) {
+  const Fields fields = ReadFields(value, {"free", "min", "max", "weight"});
+  if (const Value& free = fields.Require("free", "free: true"); !ReadBool(free)) {
+    Fail(free, "found false, expected true, or no key duration: the scene's own is meant then");
+  }
+  FreeDuration duration;
+  duration.min = ReadNumber(fields.Require("min", "the shortest duration in s"));
+  duration.max = ReadNumber(fields.Require("max", "the longest duration in s"));
+  if (const Value* weight = fields.Find("weight")) duration.weight = ReadNumber(*weight);
+  return duration;
+}
+
+// Two names, of discs or of a disc and a plane.
+NoContact SceneReader::ReadNoContact(const Value& value) {
+  constexpr char kExpected[] = "a pair [body, body or plane]";
+  const std::vector<Value> names = ReadList(value, kExpected);
+  if (names.size() != 2) FailExpected(value, kExpected);
+  NoContact pair;
+  pair.a = ReadBodyName(names[0]);
+  const std::string& second = ReadName(names[1]);
+  for (size_t i = 0; i < scene_.planes.size(); ++i) {
+    if (scene_.planes[i].name == second) return {pair.a, static_cast<int>(i), true};
+  }
+  pair.b = ReadBodyName(names[1]);
+  if (pair.b < pair.a) std::swap(pair.a, pair.b);
+  return pair;
+}
+
 Objective SceneReader::ReadObjective(const Value& value) {
-  const Fields fields = ReadFields(value, {"terminal", "effort"});
+  const Fields fields = ReadFields(value, {"terminal", "effort", "running", "via", "duration"});
   Objective objective;
   for (const Value& term : ReadList(fields.Require("terminal", "a list of terms"), "a list of terms")) {
     objective.terminal.push_back(ReadTerm(term));
   }
   if (const Value* effort = fields.Find("effort")) objective.effort = ReadNumber(*effort);
+  if (const Value* running = fields.Find("running")) {
+    for (const Value& term : ReadList(*running, "a list of terms")) objective.running.push_back(ReadRunning(term));
+  }
+  if (const Value* via = fields.Find("via")) {
+    for (const Value& term : ReadList(*via, "a list of terms")) objective.via.push_back(ReadVia(term));
+  }
+  if (const Value* duration = fields.Find("duration")) objective.duration = ReadFreeDuration(*duration);
   return objective;
 }
 
@@ -456,6 +546,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
                                     "contact",
                                     "control",
                                     "objective",
+                                    "no_contact",
                                     "optimize",
                                     "free"});
   scene_.name = ReadName(fields.Require("name", "the name of the scene"));
@@ -469,6 +560,9 @@ Scene SceneReader::Read(const YAML::Node& root) {
   if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
   if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
   scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
+  if (const Value* pairs = fields.Find("no_contact")) {
+    for (const Value& pair : ReadList(*pairs, "a list of pairs")) scene_.no_contact.push_back(ReadNoContact(pair));
+  }
   const Value& optimize = fields.Require("optimize", "control, velocity, position or none");
   constexpr Optimize kChoices[] = {Optimize::kControl, Optimize::kVelocity, Optimize::kPosition, Optimize::kNone};
   scene_.optimize = kChoices[ReadChoice(optimize, {"control", "velocity", "position", "none"})];
@@ -548,25 +642,91 @@ void WriteContact(YAML::Emitter* out, const ContactParameters& contact) {
   *out << YAML::EndMap;
 }
 
+void WriteBounds(YAML::Emitter* out, const char* key, const std::vector<double>& bounds) {
+  if (bounds.empty()) return;
+  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
+  for (const double bound : bounds) *out << ToText(bound);
+  *out << YAML::EndSeq;
+}
+
 void WriteControl(YAML::Emitter* out, const Scene& scene) {
   *out << YAML::Key << "control" << YAML::Value << YAML::BeginMap;
   WriteNames(out, "bodies", scene, scene.control.bodies);
   *out << YAML::Key << "initial" << YAML::Value << YAML::Flow << YAML::BeginSeq;
   for (const Vec2d& force : scene.control.initial) *out << force;
-  *out << YAML::EndSeq << YAML::EndMap;
+  *out << YAML::EndSeq;
+  WriteBounds(out, "max", scene.control.max);
+  WriteBounds(out, "max_norm", scene.control.max_norm);
+  *out << YAML::EndMap;
+}
+
+void WriteQuantity(YAML::Emitter* out, TerminalTerm::Quantity quantity) {
+  WriteField(out, "quantity", quantity == TerminalTerm::Quantity::kPosition ? "position" : "velocity");
+}
+
+// The weight of a term that may be a constraint instead.
+void WriteWeight(YAML::Emitter* out, double weight, bool hard) {
+  if (hard) {
+    WriteField(out, "hard", true);
+  } else {
+    WriteField(out, "weight", weight);
+  }
 }
 
 void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteField(out, "body", scene.bodies[term.body].name);
-  WriteField(out, "quantity", term.quantity == TerminalTerm::Quantity::kPosition ? "position" : "velocity");
+  WriteQuantity(out, term.quantity);
   if (term.component) {
     WriteField(out, "component", *term.component == 0 ? "x" : "y");
   } else {
     WriteField(out, "target", term.target);
   }
+  WriteWeight(out, term.weight, term.hard);
+  *out << YAML::EndMap;
+}
+
+void WriteRunning(YAML::Emitter* out, const Scene& scene, const RunningTerm& term) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "body", scene.bodies[term.body].name);
+  WriteQuantity(out, term.quantity);
+  *out << YAML::Key << "target" << YAML::Value << YAML::BeginSeq;
+  for (size_t i = 0; i < term.times.size(); ++i) {
+    *out << YAML::BeginSeq << ToText(term.times[i]) << ToText(term.targets[i][0]) << ToText(term.targets[i][1])
+         << YAML::EndSeq;
+  }
+  *out << YAML::EndSeq;
   WriteField(out, "weight", term.weight);
   *out << YAML::EndMap;
+}
+
+void WriteVia(YAML::Emitter* out, const Scene& scene, const ViaTerm& term) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "body", scene.bodies[term.body].name);
+  WriteField(out, "time", term.time);
+  WriteQuantity(out, term.quantity);
+  WriteField(out, "target", term.target);
+  WriteWeight(out, term.weight, term.hard);
+  *out << YAML::EndMap;
+}
+
+void WriteFreeDuration(YAML::Emitter* out, const FreeDuration& duration) {
+  *out << YAML::Key << "duration" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "free", true);
+  WriteField(out, "min", duration.min);
+  WriteField(out, "max", duration.max);
+  WriteField(out, "weight", duration.weight);
+  *out << YAML::EndMap;
+}
+
+// A list of terms under a key, if there are any.
+template <typename Term>
+void WriteTerms(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<Term>& terms,
+                void (*write)(YAML::Emitter*, const Scene&, const Term&)) {
+  if (terms.empty()) return;
+  *out << YAML::Key << key << YAML::Value << YAML::BeginSeq;
+  for (const Term& term : terms) write(out, scene, term);
+  *out << YAML::EndSeq;
 }
 
 void WriteObjective(YAML::Emitter* out, const Scene& scene) {
@@ -575,7 +735,15 @@ void WriteObjective(YAML::Emitter* out, const Scene& scene) {
   for (const TerminalTerm& term : scene.objective.terminal) WriteTerm(out, scene, term);
   *out << YAML::EndSeq;
   WriteField(out, "effort", scene.objective.effort);
+  WriteTerms(out, "running", scene, scene.objective.running, WriteRunning);
+  WriteTerms(out, "via", scene, scene.objective.via, WriteVia);
+  if (scene.objective.duration) WriteFreeDuration(out, *scene.objective.duration);
   *out << YAML::EndMap;
+}
+
+void WriteNoContact(YAML::Emitter* out, const Scene& scene, const NoContact& pair) {
+  *out << YAML::Flow << YAML::BeginSeq << scene.bodies[pair.a].name
+       << (pair.plane ? scene.planes[pair.b].name : scene.bodies[pair.b].name) << YAML::EndSeq;
 }
 
 }  // namespace
@@ -629,6 +797,7 @@ std::string WriteScene(const Scene& scene) {
   WriteContact(&out, scene.contact);
   if (scene.num_controlled() > 0) WriteControl(&out, scene);
   WriteObjective(&out, scene);
+  WriteTerms(&out, "no_contact", scene, scene.no_contact, WriteNoContact);
   WriteField(&out, "optimize", OptimizeToString(scene.optimize));
   if (!scene.free.empty()) WriteNames(&out, "free", scene, scene.free);
   out << YAML::EndMap;

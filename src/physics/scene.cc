@@ -72,6 +72,7 @@ class Rules {
     CheckControl();
     CheckObjective();
     CheckFree();
+    CheckNoContact();
     if (all_ && !error_) CheckOverlap();  // meaningful for finite numbers only
     return error_;
   }
@@ -191,10 +192,73 @@ class Rules {
              std::to_string(control.bodies.size()) + " controlled bodies";
     });
     for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    Bounds("control.max", control.max);
+    Bounds("control.max_norm", control.max_norm);
     if (!all_) return;
     Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
            {"optimize"},
            "found control, expected velocity, position or none: no body is controlled");
+  }
+
+  // Of the forces on the controlled bodies.
+  void Bounds(const char* key, const std::vector<double>& bounds) {
+    Expect(bounds.empty() || bounds.size() == scene_.control.bodies.size(), {key}, [&] {
+      return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
+             std::to_string(scene_.control.bodies.size()) + " controlled bodies";
+    });
+    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], kPositive);
+  }
+
+  void CheckRunning() {
+    for (std::size_t i = 0; i < scene_.objective.running.size(); ++i) {
+      const RunningTerm& term = scene_.objective.running[i];
+      BodyIndex(At("objective.running", i, "body"), term.body);
+      const Key target = At("objective.running", i, "target");
+      Expect(!term.times.empty() && term.times.size() == term.targets.size(), target, "expected rows [time, x, y]");
+      for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
+        const Key row{target.list, target.index, target.field, static_cast<int>(k)};
+        Number(row, term.times[k], kAny);
+        for (int j = 0; j < 2; ++j) Number(row, term.targets[k][j], kAny);
+        Expect(k == 0 || term.times[k] > term.times[k - 1], row, "expected times that rise from row to row");
+      }
+      Number(At("objective.running", i, "weight"), term.weight, kNotNegative);
+    }
+  }
+
+  void CheckVia() {
+    for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const ViaTerm& term = scene_.objective.via[i];
+      BodyIndex(At("objective.via", i, "body"), term.body);
+      Vector(At("objective.via", i, "target"), term.target);
+      Number(At("objective.via", i, "weight"), term.weight, kNotNegative);
+      Expect(term.time > 0 && term.time < scene_.duration, At("objective.via", i, "time"), [&] {
+        return "found " + ToText(term.time) + ", expected a time between 0 and the duration, " +
+               ToText(scene_.duration);
+      });
+    }
+  }
+
+  void CheckFreeDuration() {
+    if (!scene_.objective.duration) return;
+    const FreeDuration& duration = *scene_.objective.duration;
+    Number({"objective.duration.min"}, duration.min, kPositive);
+    Number({"objective.duration.max"}, duration.max, kPositive);
+    Expect(duration.min <= duration.max, {"objective.duration.max"}, "found a number below min, expected min or more");
+    Number({"objective.duration.weight"}, duration.weight, kNotNegative);
+  }
+
+  void CheckNoContact() {
+    for (std::size_t i = 0; i < scene_.no_contact.size(); ++i) {
+      const NoContact& pair = scene_.no_contact[i];
+      const Key key = At("no_contact", i);
+      BodyIndex(key, pair.a);
+      if (pair.plane) {
+        Expect(pair.b >= 0 && pair.b < static_cast<int>(scene_.planes.size()), key, "expected one of the scene's planes");
+      } else {
+        BodyIndex(key, pair.b);
+        Expect(pair.a < pair.b, key, "expected two different bodies, in the order of their indices");
+      }
+    }
   }
 
   void CheckObjective() {
@@ -207,8 +271,14 @@ class Rules {
       Expect(!term.component || *term.component == 0 || *term.component == 1,
              At("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
+      Expect(!term.hard || !term.component,
+             At("objective.terminal", i, "hard"),
+             "found a hard term with a component, expected a target: a linear term is no constraint");
     }
     Number({"objective.effort"}, scene_.objective.effort, kNotNegative);
+    CheckRunning();
+    CheckVia();
+    CheckFreeDuration();
     if (!all_) return;
     Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
            {"objective.terminal"},
@@ -269,6 +339,11 @@ class Rules {
 };
 
 }  // namespace
+
+bool Objective::HasConstraints() const {
+  const auto hard = [](const auto& term) { return term.hard; };
+  return std::any_of(terminal.begin(), terminal.end(), hard) || std::any_of(via.begin(), via.end(), hard);
+}
 
 bool Objective::IsSumOfSquares() const {
   return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });

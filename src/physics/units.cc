@@ -180,15 +180,36 @@ Scene InUnits(const Scene& scene, const Units& units) {
   out.contact.stiffness *= by.force / by.length;
   out.contact.damping *= by.force / by.speed;
   for (Vec2d& force : out.control.initial) force *= by.force;
-  for (TerminalTerm& term : out.objective.terminal) {
-    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
-    const double size = position ? by.length : by.speed;
-    if (position && !term.component) {
-      convert_position(&term.target);
-    } else if (!term.component) {
-      term.target *= by.speed;
+  out.control.max = Multiplied(std::move(out.control.max), by.force);
+  out.control.max_norm = Multiplied(std::move(out.control.max_norm), by.force);
+  const auto size_of = [&](const auto& term) {
+    return term.quantity == TerminalTerm::Quantity::kPosition ? by.length : by.speed;
+  };
+  const auto convert_target = [&](const auto& term, Vec2d* target) {
+    if (term.quantity == TerminalTerm::Quantity::kPosition) {
+      convert_position(target);
+    } else {
+      *target *= by.speed;
     }
-    term.weight *= by.loss / (term.component ? size : size * size);
+  };
+  for (TerminalTerm& term : out.objective.terminal) {
+    if (!term.component) convert_target(term, &term.target);
+    term.weight *= by.loss / (term.component ? size_of(term) : size_of(term) * size_of(term));
+  }
+  for (ViaTerm& term : out.objective.via) {
+    convert_target(term, &term.target);
+    term.time *= by.time;
+    term.weight *= by.loss / (size_of(term) * size_of(term));
+  }
+  for (RunningTerm& term : out.objective.running) {
+    for (Vec2d& target : term.targets) convert_target(term, &target);
+    term.times = Multiplied(std::move(term.times), by.time);
+    term.weight *= by.loss / (size_of(term) * size_of(term) * by.time);
+  }
+  if (std::optional<FreeDuration>& free = out.objective.duration) {
+    free->min *= by.time;
+    free->max *= by.time;
+    free->weight *= by.loss / by.time;
   }
   out.objective.effort *= by.loss / (by.force * by.force * by.time);
   return out;

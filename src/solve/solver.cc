@@ -7,12 +7,14 @@
 #include "ceres_lagrangian.h"
 #include "ceres_lbfgs.h"
 #include "ceres_lm.h"
+#include "ceres_phases.h"
 #include "ceres_shooting.h"
 #include "gradient_descent.h"
 #include "grid_solver.h"
 #include "hmp.h"
 #include "mode_search.h"
 #include "phase_solution.h"
+#include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 #include "solve_units.h"
@@ -48,6 +50,12 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
   return "";
 }
 
+// What only a solver with constraints and states on the way can take.
+std::string WhyNotPlain(const Scene& scene) {
+  const std::string found = BeyondTerminalCost(scene);
+  return found.empty() ? "" : "the scene has " + found + ", which ceres_phases takes";
+}
+
 std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
   if (std::string wrong = WhyNotValid(surrogate); !wrong.empty()) return wrong;
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
@@ -80,6 +88,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp, true},
       {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
   };
@@ -98,6 +107,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   const SolverEntry* entry = FindSolver(solver);
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
+  if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
     converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);

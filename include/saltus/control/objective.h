@@ -7,10 +7,16 @@
 
 #include <Eigen/Core>
 #include <span>
+#include <string>
 
 #include "saltus/physics/scene.h"
 
 namespace saltus {
+
+// What a scene asks for besides terminal terms and effort, in words: bounds, constraints, or costs on the way. Empty if it
+// asks for nothing else. Its loss is then not all that counts, or not that of the functions below, which know terminal
+// terms that are not hard and the effort only.
+std::string BeyondTerminalCost(const Scene& scene);
 
 // Sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers, overwritten).
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size);

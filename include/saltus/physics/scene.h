@@ -54,6 +54,8 @@ struct ContactParameters {
 struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
+  // Bounds, > 0, one per controlled body, or none: N, of each component of the force, and of its length.
+  std::vector<double> max, max_norm;
 
   bool operator==(const Control&) const = default;
 };
@@ -67,17 +69,55 @@ struct TerminalTerm {
   std::optional<int> component = std::nullopt;
   Vec2d target = Vec2d::Zero();  // m or m/s; not used with a component
   double weight = 1;             // any sign with a component, else >= 0
+  bool hard = false;             // a constraint, q(T) = target: no part of the loss, and no component or weight
 
   bool operator==(const TerminalTerm&) const = default;
 };
 
-// loss = sum of terminal terms + effort * sum over controlled bodies of the integral of |u|^2 dt
+// weight * the integral of |q(t) - r(t)|^2 dt: r goes straight from target to target, and is constant outside their
+// times.
+struct RunningTerm {
+  int body = 0;
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+  std::vector<double> times;   // s, rising; at least one
+  std::vector<Vec2d> targets;  // m or m/s, one per time
+  double weight = 1;           // 1/s, >= 0
+
+  bool operator==(const RunningTerm&) const = default;
+};
+
+// weight * |q(time) - target|^2; or a constraint, q(time) = target.
+struct ViaTerm {
+  int body = 0;
+  double time = 0;  // s, in (0, duration)
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+  Vec2d target = Vec2d::Zero();
+  double weight = 1;  // >= 0
+  bool hard = false;
+
+  bool operator==(const ViaTerm&) const = default;
+};
+
+// A final time that is free: weight * T is part of the loss.
+struct FreeDuration {
+  double min = 0, max = 0;  // s, 0 < min <= max
+  double weight = 0;        // 1/s, >= 0
+
+  bool operator==(const FreeDuration&) const = default;
+};
+
+// loss = sum of terminal, running and via terms + effort * sum over controlled bodies of the integral of |u|^2 dt
 struct Objective {
   std::vector<TerminalTerm> terminal;
   double effort = 0;  // >= 0
+  std::vector<RunningTerm> running;
+  std::vector<ViaTerm> via;
+  std::optional<FreeDuration> duration;  // none: the scene's
 
   // True if every term is a square, so that least-squares solvers apply: no term has a component.
   bool IsSumOfSquares() const;
+  // True if a term is hard.
+  bool HasConstraints() const;
 
   bool operator==(const Objective&) const = default;
 };
@@ -100,6 +140,14 @@ struct Units {
   bool operator==(const Units&) const = default;
 };
 
+// Two discs, or a disc and a plane (then b is its index), that must not touch: a constraint.
+struct NoContact {
+  int a = 0, b = 0;
+  bool plane = false;
+
+  bool operator==(const NoContact&) const = default;
+};
+
 // What the solvers may change.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
 
@@ -116,6 +164,7 @@ struct Scene {
   ContactParameters contact;
   Control control;  // empty if nothing is pushed
   Objective objective;
+  std::vector<NoContact> no_contact;
   Optimize optimize = Optimize::kNone;
   // For kVelocity and kPosition: whose, at least one; else not used. Indices of bodies that are not fixed, without
   // repetition.

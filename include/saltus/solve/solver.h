@@ -109,6 +109,7 @@ struct SolverEntry {
   bool exact_only = false;       // takes the event-driven contact model and no other
   bool takes_surrogate = false;  // needs no more of a gradient than a direction
   bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
+  bool constraints = false;      // takes what BeyondTerminalCost() names
 };
 
 const std::vector<SolverEntry>& AllSolvers();

@@ -1,0 +1,269 @@
+// The pieces of a motion through impacts as functions for Ceres: steps of free flight whose length is a variable,
+// impacts between them, and what is asked of the motion. Templates on T, double or a Jet.
+//
+// A phase is the time between two cuts (impacts, or instants that a term of the objective names), of n equal steps. A
+// step has the length h = (end - begin) / n, with `begin` and `end` the times of the cuts, which are variables too. A
+// node is the state [p_x p_y v_x v_y] of a disc between two steps. SI units, or any others that fit.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <optional>
+
+#include "impact.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+// Which step of its phase, from 0, out of how many.
+struct StepOfPhase {
+  int index = 0, count = 1;
+
+  template <typename T>
+  T Length(const T* begin, const T* end) const {
+    return (end[0] - begin[0]) / double(count);
+  }
+};
+
+// The acceleration of a disc in free flight, m/s^2; `force` is null if nothing pushes it.
+template <typename T>
+Vec2<T> FlightAcceleration(const Vec2d& gravity, double inverse_mass, const T* force) {
+  Vec2<T> a = gravity.template cast<T>();
+  if (force != nullptr) a += Vec2<T>(inverse_mass * force[0], inverse_mass * force[1]);
+  return a;
+}
+
+// Where free flight for a time s leads from x.
+template <typename T>
+void Fly(const T* x, const Vec2<T>& a, const T& s, T* next) {
+  for (int j = 0; j < 2; ++j) {
+    next[j] = x[j] + s * (x[2 + j] + 0.5 * s * a[j]);
+    next[2 + j] = x[2 + j] + s * a[j];
+  }
+}
+
+// A step of a pushed disc. Blocks: node, force (2), begin, end, next node. Rows: 4 equalities next - f(node, force, h),
+// and the costs sqrt(effort h) force.
+struct PushedStep {
+  StepOfPhase step;
+  Vec2d gravity;
+  double inverse_mass, effort;
+  double least;  // s, of the length in the cost, whose root has no derivative at 0
+
+  static constexpr int kEqualities = 4, kRows = 6;
+  template <typename T>
+  bool operator()(const T* x, const T* force, const T* begin, const T* end, const T* next, T* rows) const {
+    using std::sqrt;
+    const T h = step.Length(begin, end);
+    Fly(x, FlightAcceleration(gravity, inverse_mass, force), h, rows);
+    for (int j = 0; j < 4; ++j) rows[j] = next[j] - rows[j];
+    const T scale = std::sqrt(effort) * (Value(h) > least ? T(sqrt(h)) : T(std::sqrt(least)));
+    for (int j = 0; j < 2; ++j) rows[4 + j] = scale * force[j];
+    return true;
+  }
+};
+
+// The same for a disc that nothing pushes. Blocks: node, begin, end, next node.
+struct CoastingStep {
+  StepOfPhase step;
+  Vec2d gravity;
+
+  static constexpr int kRows = 4;
+  template <typename T>
+  bool operator()(const T* x, const T* begin, const T* end, const T* next, T* rows) const {
+    Fly(x, FlightAcceleration<T>(gravity, 0, nullptr), step.Length(begin, end), rows);
+    for (int j = 0; j < 4; ++j) rows[j] = next[j] - rows[j];
+    return true;
+  }
+};
+
+// An impact. Blocks: the nodes before and after of each disc that moves, of a first. Rows: the equalities gap = 0, and
+// after - g(before) of each such disc; the inequality that the two do not separate.
+struct ImpactCut {
+  ImpactLaw law;
+  std::optional<HalfPlane<double>> plane;  // in the place of b
+  std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
+
+  bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
+  int num_moving() const { return Moves(0) + Moves(1); }
+  int num_equalities() const { return 1 + 4 * num_moving(); }
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* rows) const {
+    std::array<Vec2<T>, 2> p, v;
+    int block = 0;
+    for (int side = 0; side < 2; ++side) {
+      p[side] = v[side] = Vec2<T>(T(0), T(0));
+      if (at[side]) p[side] = at[side]->template cast<T>();
+      if (!Moves(side)) continue;
+      const T* x = blocks[block];
+      block += 2;
+      p[side] = Vec2<T>(x[0], x[1]);
+      v[side] = Vec2<T>(x[2], x[3]);
+    }
+    const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
+    const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]));
+    *rows++ = apart.distance - law.reach;
+    block = 0;
+    for (int side = 0; side < 2; ++side) {
+      if (!Moves(side)) continue;
+      const T* after = blocks[block + 1];
+      block += 2;
+      const double gain = side == 0 ? law.inverse_mass_a : -law.inverse_mass_b;
+      for (int j = 0; j < 2; ++j) *rows++ = after[j] - p[side][j];
+      for (int j = 0; j < 2; ++j) *rows++ = after[2 + j] - v[side][j] - gain * impact.impulse[j];
+    }
+    *rows++ = impact.speed;
+    return true;
+  }
+};
+
+// r(t) of a running term.
+template <typename T>
+Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
+  size_t next = 0;
+  while (next < term.times.size() && term.times[next] <= Value(t)) ++next;
+  if (next == 0) return term.targets.front().cast<T>();
+  if (next == term.times.size()) return term.targets.back().cast<T>();
+  const double length = term.times[next] - term.times[next - 1];
+  const Vec2d& from = term.targets[next - 1];
+  return from.cast<T>() + Scale(T((t - term.times[next - 1]) / length), Vec2d(term.targets[next] - from));
+}
+
+// Nodes and weights of the quadrature of Gauss and Legendre on [0, 1], exact for the square of a quadratic.
+inline constexpr std::array<double, 3> kGaussNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
+inline constexpr std::array<double, 3> kGaussWeights = {5.0 / 18, 4.0 / 9, 5.0 / 18};
+
+// A running term over a step: costs whose squares sum up to the integral, exact but where the target turns. Blocks:
+// node, force if the disc is pushed, begin, end. Rows: 6.
+struct RunningCost {
+  StepOfPhase step;
+  Vec2d gravity;
+  double inverse_mass;
+  bool pushed;
+  double least;  // s, as of PushedStep
+  RunningTerm term;
+  static constexpr int kRows = 6;
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* rows) const {
+    using std::sqrt;
+    const T* x = blocks[0];
+    const T* force = pushed ? blocks[1] : nullptr;
+    const T* begin = blocks[pushed ? 2 : 1];
+    const T h = step.Length(begin, blocks[pushed ? 3 : 2]);
+    const T length = Value(h) > least ? h : T(least);
+    for (size_t i = 0; i < kGaussNodes.size(); ++i) {
+      T there[4];
+      Fly(x, FlightAcceleration(gravity, inverse_mass, force), T(kGaussNodes[i] * h), there);
+      const Vec2<T> target = TargetAt(term, T(begin[0] + (step.index + kGaussNodes[i]) * h));
+      const T* q = term.quantity == TerminalTerm::Quantity::kPosition ? there : there + 2;
+      const T scale = std::sqrt(term.weight * kGaussWeights[i]) * sqrt(length);
+      for (int j = 0; j < 2; ++j) *rows++ = scale * (q[j] - target[j]);
+    }
+    return true;
+  }
+};
+
+// Bounds on a force, in parts of the bound. Block: force. Rows: 4 inequalities |u_x|, |u_y| <= most; or one |u| <=
+// most.
+struct ComponentBound {
+  double most;
+  static constexpr int kRows = 4;
+  template <typename T>
+  bool operator()(const T* force, T* rows) const {
+    for (int j = 0; j < 2; ++j) {
+      rows[2 * j] = force[j] / most - 1.0;
+      rows[2 * j + 1] = -force[j] / most - 1.0;
+    }
+    return true;
+  }
+};
+struct NormBound {
+  double most;
+  static constexpr int kRows = 1;
+  template <typename T>
+  bool operator()(const T* force, T* rows) const {
+    rows[0] = 0.5 * ((force[0] * force[0] + force[1] * force[1]) / (most * most) - 1.0);
+    return true;
+  }
+};
+
+// least <= end - begin. Blocks: begin, end. Row: an inequality.
+struct LengthBound {
+  double least = 0;
+  static constexpr int kRows = 1;
+  template <typename T>
+  bool operator()(const T* begin, const T* end, T* rows) const {
+    rows[0] = least - (end[0] - begin[0]);
+    return true;
+  }
+};
+
+// scale (q - target) with q the position or velocity of a node. Rows: 2, costs or equalities.
+struct NodeTarget {
+  TerminalTerm::Quantity quantity;
+  Vec2d target;
+  double scale;
+  static constexpr int kRows = 2;
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    const T* q = quantity == TerminalTerm::Quantity::kPosition ? x : x + 2;
+    for (int j = 0; j < 2; ++j) rows[j] = scale * (q[j] - target[j]);
+    return true;
+  }
+};
+
+// Two discs (or a disc and a plane) that are not to meet, at the end of a step of a phase. Blocks: of each disc that
+// moves the node there, or if it coasts that at the beginning of the phase; then begin and end. Row: the inequality
+// reach - distance <= 0, in parts of the reach.
+struct Clearance {
+  struct Side {
+    std::optional<Vec2d> at;  // of a fixed disc
+    bool coasts = false;
+  };
+  double reach;
+  std::optional<HalfPlane<double>> plane;  // in the place of b
+  std::array<Side, 2> sides;
+  StepOfPhase step;
+  Vec2d gravity;
+
+  int num_moving() const { return !sides[0].at + (!plane && !sides[1].at); }
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* rows) const {
+    const T* begin = blocks[num_moving()];
+    const T* end = blocks[num_moving() + 1];
+    std::array<Vec2<T>, 2> p;
+    for (int side = 0, block = 0; side < (plane ? 1 : 2); ++side) {
+      if (sides[side].at) {
+        p[side] = sides[side].at->template cast<T>();
+        continue;
+      }
+      const T* x = blocks[block++];
+      T there[4] = {x[0], x[1], x[2], x[3]};
+      if (sides[side].coasts) {
+        Fly(x, FlightAcceleration<T>(gravity, 0, nullptr), T(step.Length(begin, end) * (step.index + 1.0)), there);
+      }
+      p[side] = Vec2<T>(there[0], there[1]);
+    }
+    const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
+    rows[0] = 1.0 - apart.distance / reach;
+    return true;
+  }
+};
+
+// sqrt(weight T), so that the loss gains weight T. Block: the final time.
+struct DurationPrice {
+  double weight;
+  static constexpr int kRows = 1;
+  template <typename T>
+  bool operator()(const T* end, T* rows) const {
+    using std::sqrt;
+    if (!(Value(end[0]) > 0)) return false;
+    rows[0] = sqrt(weight * end[0]);
+    return true;
+  }
+};
+
+}  // namespace saltus

@@ -1,0 +1,76 @@
+// Constrained nonlinear least squares on Ceres, which knows no constraints:
+//
+//   minimize sum |f(x)|^2   subject to   c(x) = 0,  d(x) <= 0
+//
+// by an augmented Lagrangian whose residuals stay least squares. With a weight w and a multiplier l for each row,
+//
+//   equality     sqrt(w) (c + l / w),          after each solve  l += w c
+//   inequality   sqrt(w) max(0, d + l / w),    after each solve  l = max(0, l + w d)
+//
+// and w grows tenfold from solve to solve. At the end 2 l is the multiplier of the Lagrangian sum |f|^2 + ....
+//
+// Rows are expected to be of order one: variables and functions without units (e.g. Nocedal, Wright, "Numerical
+// Optimization", chapter 17).
+#pragma once
+
+#include <ceres/cost_function.h>
+#include <ceres/problem.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace saltus {
+
+// What the rows of a function are, in this order: equalities, inequalities, and then costs.
+struct RowRoles {
+  int equalities = 0;
+  int inequalities = 0;
+};
+
+class AugmentedLagrangian {
+ public:
+  struct Options {
+    int iterations = 200;                                    // of all solves together, at most
+    int rounds = 16;                                         // solves, at most
+    double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
+    double tolerance = 1e-10;                                // largest violation of a row
+    // Called after each iteration with the sum of squares of the cost rows; false interrupts.
+    std::function<bool(double cost)> callback = nullptr;
+  };
+  struct Summary {
+    bool usable = false;     // no solve failed
+    bool converged = false;  // no row is violated by more than the tolerance, and the last solve gained nothing more
+    bool interrupted = false;
+    double cost = 0;       // sum of squares of the cost rows
+    double violation = 0;  // largest of a row
+    int iterations = 0, jacobians = 0;
+  };
+
+  AugmentedLagrangian();
+  ~AugmentedLagrangian();
+
+  // Adds a function of parameter blocks that outlive this object.
+  void Add(std::unique_ptr<ceres::CostFunction> function, const RowRoles& roles, const std::vector<double*>& blocks);
+  // For constant blocks and bounds.
+  ceres::Problem& problem() { return problem_; }
+
+  // From where the parameter blocks stand; leaves them at the best point.
+  Summary Minimize(const Options& options);
+
+ private:
+  class Weighted;
+  struct Weights {
+    double equality = 0, inequality = 0;
+  };
+
+  double Cost() const;
+  double UpdateMultipliers(double* cost);
+
+  Weights weights_;
+  ceres::Problem problem_;
+  std::vector<std::pair<Weighted*, std::vector<double*>>> functions_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,320 @@
+#include "phase_transcription.h"
+
+#include <ceres/autodiff_cost_function.h>
+#include <ceres/dynamic_autodiff_cost_function.h>
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace saltus {
+namespace {
+
+constexpr int kStride = 4;             // derivatives in one pass
+constexpr double kLeastLength = 1e-6;  // of a step of mean length, below which its effort is not smaller
+
+template <typename Function>
+std::unique_ptr<ceres::CostFunction> Dynamic(Function function, int rows, std::span<const int> block_sizes) {
+  auto cost =
+      std::make_unique<ceres::DynamicAutoDiffCostFunction<Function, kStride>>(new Function(std::move(function)));
+  for (const int size : block_sizes) cost->AddParameterBlock(size);
+  cost->SetNumResiduals(rows);
+  return cost;
+}
+
+template <int... kBlocks, typename Function>
+std::unique_ptr<ceres::CostFunction> Sized(Function function) {
+  constexpr int kRows = Function::kRows;
+  return std::make_unique<ceres::AutoDiffCostFunction<Function, kRows, kBlocks...>>(new Function(std::move(function)));
+}
+
+std::optional<Vec2d> FixedAt(const Scene& scene, int body) {
+  if (!scene.bodies[body].fixed) return std::nullopt;
+  return scene.bodies[body].position;
+}
+
+ImpactCut MakeCut(const Scene& scene, const Candidate& c) {
+  ImpactCut cut{MakeImpactLaw(scene, c), std::nullopt, {FixedAt(scene, c.a), std::nullopt}};
+  if (c.plane) {
+    cut.plane = MakeHalfPlane(scene.planes[c.b]);
+  } else {
+    cut.at[1] = FixedAt(scene, c.b);
+  }
+  return cut;
+}
+
+bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane && c.b == body); }
+
+}  // namespace
+
+PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps,
+                                       const ForceAt& force)
+    : scene_(scene),
+      cuts_(std::move(cuts)),
+      steps_(std::move(steps)),
+      place_(scene.bodies.size(), -1),
+      dense_(scene.bodies.size(), false) {
+  CHECK_EQ(steps_.size(), cuts_.size() + 1);
+  for (const int body : scene_.control.bodies) dense_[body] = true;
+  for (const RunningTerm& term : scene_.objective.running) dense_[term.body] = true;
+  for (int c = 0; c < scene_.num_controlled(); ++c) place_[scene_.control.bodies[c]] = c;
+  times_ = {0.0};
+  boundary_ = {0};
+  for (int j = 0; j < num_phases(); ++j) {
+    const double end = j + 1 < num_phases() ? cuts_[j].time : scene_.duration;
+    if (steps_[j] > 0) {
+      times_.push_back(end);
+    } else {
+      times_.back() = end;
+    }
+    boundary_.push_back(static_cast<int>(times_.size()) - 1);
+  }
+  Lay(force);
+  AddSteps();
+  AddImpacts();
+  AddBounds();
+  AddTerms();
+}
+
+bool PhaseTranscription::Concerns(int body) const {
+  if (scene_.bodies[body].fixed) return false;
+  if (dense_[body]) return true;
+  const auto is_of_body = [&](const auto& term) { return term.body == body; };
+  const Objective& objective = scene_.objective;
+  if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
+  if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
+  return std::any_of(
+      cuts_.begin(), cuts_.end(), [&](const PhaseCut& cut) { return cut.impact && TakesPart(*cut.impact, body); });
+}
+
+// Nodes, from a motion with open gaps at its impacts.
+void PhaseTranscription::Lay(const ForceAt& force) {
+  std::vector<int> last(scene_.num_bodies(), -1);
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    const Body& body = scene_.bodies[i];
+    if (Concerns(i)) last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+  }
+  num_initial_nodes_ = static_cast<int>(nodes_.size());
+  tracks_.resize(scene_.num_bodies());
+  for (int j = 0; j < num_phases(); ++j) {
+    const double begin = *Begin(j), length = *End(j) - begin;
+    first_force_.push_back(static_cast<int>(forces_.size()));
+    for (int k = 0; k < steps_[j]; ++k) {
+      for (int c = 0; c < scene_.num_controlled(); ++c) {
+        const Vec2d u = force(c, begin + (k + 0.5) * length / steps_[j]);
+        forces_.push_back({u[0], u[1]});
+      }
+    }
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (last[i] < 0) continue;
+      std::vector<int> track = {last[i]};
+      const int steps = StepsOf(i, j);
+      for (int k = 0; k < steps; ++k) {
+        const double* u = place_[i] >= 0 ? ForceOn(i, j, k) : nullptr;
+        Node next;
+        Fly(nodes_[track.back()].data(),
+            FlightAcceleration(scene_.gravity, 1 / scene_.bodies[i].mass, u),
+            length / steps,
+            next.data());
+        track.push_back(AddNode(next));
+      }
+      last[i] = track.back();
+      tracks_[i].push_back(std::move(track));
+    }
+    if (j + 1 < num_phases() && cuts_[j].impact) Strike(*cuts_[j].impact, &last);
+  }
+  final_ = last;
+}
+
+// The impact as if the two touched; not if they separate.
+void PhaseTranscription::Strike(const Candidate& c, std::vector<int>* last) {
+  const ImpactCut cut = MakeCut(scene_, c);
+  ImpactNodes nodes;
+  std::array<Vec2d, 2> p = {Vec2d(0, 0), Vec2d(0, 0)}, v = p;
+  for (int side = 0; side < 2; ++side) {
+    if (cut.at[side]) p[side] = *cut.at[side];
+    if (!cut.Moves(side)) continue;
+    nodes.before[side] = (*last)[side == 0 ? c.a : c.b];
+    const Node& x = nodes_[nodes.before[side]];
+    p[side] = {x[0], x[1]};
+    v[side] = {x[2], x[3]};
+  }
+  const Separation<double> apart = cut.plane ? Separate<double>(p[0], *cut.plane) : Separate<double>(p[0], p[1]);
+  const Impact<double> impact = MakeImpact<double>(cut.law, apart.normal, Vec2d(v[0] - v[1]));
+  for (int side = 0; side < 2; ++side) {
+    if (!cut.Moves(side)) continue;
+    Node after = nodes_[nodes.before[side]];
+    const double gain = side == 0 ? cut.law.inverse_mass_a : -cut.law.inverse_mass_b;
+    for (int k = 0; k < 2 && impact.speed < 0; ++k) after[2 + k] += gain * impact.impulse[k];
+    nodes.after[side] = AddNode(after);
+    (*last)[side == 0 ? c.a : c.b] = nodes.after[side];
+  }
+  impacts_.push_back(nodes);
+}
+
+int PhaseTranscription::AddNode(const Node& node) {
+  nodes_.push_back(node);
+  return static_cast<int>(nodes_.size()) - 1;
+}
+
+void PhaseTranscription::AddSteps() {
+  const double least = LeastLength();
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    for (size_t j = 0; j < tracks_[i].size(); ++j) {
+      const std::vector<int>& track = tracks_[i][j];
+      const int steps = static_cast<int>(track.size()) - 1;
+      for (int k = 0; k < steps; ++k) {
+        double *x = NodeAt(track[k]), *next = NodeAt(track[k + 1]);
+        const StepOfPhase step{k, steps};
+        if (place_[i] >= 0) {
+          problem_.Add(Sized<4, 2, 1, 1, 4>(
+                           PushedStep{step, scene_.gravity, 1 / scene_.bodies[i].mass, scene_.objective.effort, least}),
+                       {.equalities = 4},
+                       {x, ForceOn(i, static_cast<int>(j), k), Begin(j), End(j), next});
+        } else {
+          problem_.Add(
+              Sized<4, 1, 1, 4>(CoastingStep{step, scene_.gravity}), {.equalities = 4}, {x, Begin(j), End(j), next});
+        }
+      }
+    }
+  }
+  for (int i = 0; i < num_initial_nodes_; ++i) problem_.problem().SetParameterBlockConstant(NodeAt(i));
+}
+
+double PhaseTranscription::LeastLength() const {
+  return kLeastLength * scene_.duration / std::accumulate(steps_.begin(), steps_.end(), 0);
+}
+
+void PhaseTranscription::AddImpacts() {
+  for (size_t k = 0, strike = 0; k < cuts_.size(); ++k) {
+    if (!cuts_[k].impact) continue;
+    const ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
+    const ImpactNodes& nodes = impacts_[strike++];
+    std::vector<double*> blocks;
+    for (int side = 0; side < 2; ++side) {
+      if (!cut.Moves(side)) continue;
+      blocks.push_back(NodeAt(nodes.before[side]));
+      blocks.push_back(NodeAt(nodes.after[side]));
+    }
+    const int equalities = cut.num_equalities();
+    problem_.Add(Dynamic(cut, equalities + 1, std::vector<int>(blocks.size(), 4)),
+                 {.equalities = equalities, .inequalities = 1},
+                 blocks);
+  }
+}
+
+void PhaseTranscription::AddBounds() {
+  for (int j = 0; j < num_phases(); ++j) {
+    if (steps_[j] == 0) continue;
+    problem_.Add(Sized<1, 1>(LengthBound{}), {.inequalities = 1}, {Begin(j), End(j)});
+  }
+  const saltus::Control& control = scene_.control;
+  for (size_t k = 0; k < forces_.size(); ++k) {
+    const int c = static_cast<int>(k) % scene_.num_controlled();
+    if (!control.max.empty()) {
+      problem_.Add(Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4}, {forces_[k].data()});
+    }
+    if (!control.max_norm.empty()) {
+      problem_.Add(Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1}, {forces_[k].data()});
+    }
+  }
+}
+
+void PhaseTranscription::AddTerms() {
+  for (const TerminalTerm& term : scene_.objective.terminal) {
+    if (scene_.bodies[term.body].fixed) continue;
+    const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
+    problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, scale}),
+                 {.equalities = term.hard ? NodeTarget::kRows : 0},
+                 {NodeAt(final_[term.body])});
+  }
+  for (const ViaTerm& term : scene_.objective.via) {
+    for (size_t k = 0; k < cuts_.size(); ++k) {
+      if (cuts_[k].impact || cuts_[k].time != term.time) continue;
+      const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
+      problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, scale}),
+                   {.equalities = term.hard ? NodeTarget::kRows : 0},
+                   {NodeAt(tracks_[term.body][k].back())});
+    }
+  }
+  for (const RunningTerm& term : scene_.objective.running) AddRunning(term);
+  ceres::Problem& problem = problem_.problem();
+  problem.SetParameterBlockConstant(Begin(0));
+  for (size_t k = 0; k < cuts_.size(); ++k) {
+    if (!cuts_[k].impact) problem.SetParameterBlockConstant(End(static_cast<int>(k)));
+  }
+  double* end = End(num_phases() - 1);
+  if (const std::optional<FreeDuration>& free = scene_.objective.duration) {
+    problem.SetParameterLowerBound(end, 0, free->min);
+    problem.SetParameterUpperBound(end, 0, free->max);
+    if (free->weight > 0) problem_.Add(Sized<1>(DurationPrice{free->weight}), {}, {end});
+  } else {
+    problem.SetParameterBlockConstant(end);
+  }
+}
+
+void PhaseTranscription::AddRunning(const RunningTerm& term) {
+  const Body& body = scene_.bodies[term.body];
+  if (body.fixed) return;
+  const bool pushed = place_[term.body] >= 0;
+  for (int j = 0; j < num_phases(); ++j) {
+    for (int k = 0; k < steps_[j]; ++k) {
+      std::vector<double*> blocks = {NodeAt(tracks_[term.body][j][k])};
+      std::vector<int> sizes = {4};
+      if (pushed) {
+        blocks.push_back(ForceOn(term.body, j, k));
+        sizes.push_back(2);
+      }
+      blocks.insert(blocks.end(), {Begin(j), End(j)});
+      sizes.insert(sizes.end(), {1, 1});
+      const RunningCost cost{{k, steps_[j]}, scene_.gravity, 1 / body.mass, pushed, LeastLength(), term};
+      problem_.Add(Dynamic(cost, RunningCost::kRows, sizes), {}, blocks);
+    }
+  }
+}
+
+void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
+  const ImpactCut cut = MakeCut(scene_, c);
+  for (int j = 0; j < num_phases(); ++j) {
+    for (int k = 0; k < steps_[j]; ++k) {
+      Clearance clearance{cut.law.reach * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
+      std::vector<double*> blocks;
+      std::vector<int> sizes;
+      for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+        const int body = side == 0 ? c.a : c.b;
+        clearance.sides[side].at = cut.at[side];
+        if (cut.at[side]) continue;
+        CHECK(!tracks_[body].empty());
+        clearance.sides[side].coasts = !dense_[body];
+        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k + 1 : 0]));
+        sizes.push_back(4);
+      }
+      blocks.insert(blocks.end(), {Begin(j), End(j)});
+      sizes.insert(sizes.end(), {1, 1});
+      problem_.Add(Dynamic(clearance, 1, sizes), {.inequalities = 1}, blocks);
+    }
+  }
+}
+
+AugmentedLagrangian::Summary PhaseTranscription::Minimize(const AugmentedLagrangian::Options& options) {
+  return problem_.Minimize(options);
+}
+
+std::vector<double> PhaseTranscription::CutTimes() const {
+  std::vector<double> times;
+  for (size_t k = 0; k < cuts_.size(); ++k) times.push_back(times_[boundary_[k + 1]]);
+  return times;
+}
+
+void PhaseTranscription::Control(std::vector<double>* control, std::vector<double>* durations) const {
+  control->clear();
+  durations->clear();
+  for (int j = 0; j < num_phases(); ++j) {
+    for (int k = 0; k < steps_[j]; ++k)
+      durations->push_back((times_[boundary_[j + 1]] - times_[boundary_[j]]) / steps_[j]);
+  }
+  for (const std::array<double, 2>& force : forces_) control->insert(control->end(), force.begin(), force.end());
+}
+
+}  // namespace saltus

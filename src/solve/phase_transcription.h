@@ -1,0 +1,97 @@
+// A motion through a given sequence of impacts as a constrained least squares problem in which every step is a cost.
+//
+// The cuts (impacts, and instants that terms of the objective name) divide [0, T] into phases of free length. Unknown
+// are the times of the cuts, the nodes of every disc that the problem concerns and the forces of each step; impacts
+// happen only between phases, so every function is smooth. The functions are those of control/phase_costs.h.
+//
+// Numbers are expected to be of order one: the scene is one without units (its lengths, times and loss of order one).
+#pragma once
+
+#include <array>
+#include <functional>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "augmented_lagrangian.h"
+#include "control/phase_costs.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+struct PhaseCut {
+  std::optional<Candidate> impact;  // none: an instant that does not move
+  double time = 0;                  // s; of an impact, where the search starts
+};
+
+// Pieces of constant force: that on controlled disc c at time t.
+using ForceAt = std::function<Vec2d(int c, double t)>;
+
+class PhaseTranscription {
+ public:
+  // `steps` has one number a phase, cuts.size() + 1 in all; a phase of no steps has no length, and its impact happens
+  // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
+  // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
+  // time within [0, T]; some phase has steps.
+  PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force);
+  PhaseTranscription(const PhaseTranscription&) = delete;
+
+  // A pair that is not to meet, at the end of each step: it stays apart by `margin` times the distance at which it
+  // would touch.
+  void KeepApart(const Candidate& pair, double margin);
+
+  AugmentedLagrangian::Summary Minimize(const AugmentedLagrangian::Options& options);
+
+  // The times of the cuts, and the final time.
+  std::vector<double> CutTimes() const;
+  double Duration() const { return times_.back(); }
+  // One row a step, of all controlled discs, and the steps' lengths.
+  void Control(std::vector<double>* control, std::vector<double>* durations) const;
+
+ private:
+  using Node = std::array<double, 4>;
+  // Of the two sides of an impact; -1 of one that does not move.
+  struct ImpactNodes {
+    std::array<int, 2> before = {-1, -1}, after = {-1, -1};
+  };
+
+  int num_phases() const { return static_cast<int>(steps_.size()); }
+  bool Concerns(int body) const;
+  int StepsOf(int body, int phase) const { return dense_[body] ? steps_[phase] : std::min(steps_[phase], 1); }
+  double* NodeAt(int i) { return nodes_[i].data(); }
+  double* ForceOn(int body, int phase, int step) {
+    return forces_[first_force_[phase] + step * scene_.num_controlled() + place_[body]].data();
+  }
+  double* Begin(int phase) { return &times_[boundary_[phase]]; }
+  double* End(int phase) { return &times_[boundary_[phase + 1]]; }
+
+  void Lay(const ForceAt& force);
+  void Strike(const Candidate& c, std::vector<int>* last);
+  int AddNode(const Node& node);
+  void AddSteps();
+  void AddImpacts();
+  void AddBounds();
+  void AddTerms();
+  void AddRunning(const RunningTerm& term);
+  double LeastLength() const;
+
+  Scene scene_;
+  std::vector<PhaseCut> cuts_;
+  std::vector<int> steps_;
+  std::vector<int> place_;     // of each disc in the control, or -1
+  std::vector<bool> dense_;    // of each disc: it has a node at each step, not only at the ends of phases
+  std::vector<double> times_;  // of the boundaries of phases: 0, those of the cuts, T
+  std::vector<int>
+      boundary_;  // of each phase and after the last one: which of the times; one that has no length shares it
+  std::vector<Node> nodes_;  // the initial ones first
+  int num_initial_nodes_ = 0;
+  std::vector<std::vector<std::vector<int>>> tracks_;  // of each disc that the problem concerns and phase: its nodes
+  std::vector<int> final_;                             // of each disc: its last node
+  std::vector<ImpactNodes> impacts_;
+  std::vector<std::array<double, 2>> forces_;  // step by step, of all controlled discs
+  std::vector<int> first_force_;               // of each phase
+  AugmentedLagrangian problem_;
+};
+
+}  // namespace saltus

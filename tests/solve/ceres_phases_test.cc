@@ -1,0 +1,142 @@
+// Ceres through collisions with a cost for every step, against optima in continuous time with bounds, hard constraints,
+// free time and running costs; and what its sequences are mended to.
+#include <gmock/gmock.h>
+
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <numeric>
+
+#include "saltus/control/exact_run.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using Json = nlohmann::json;
+
+Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
+
+std::vector<Json> References() {
+  std::ifstream file(SALTUS_SOURCE_DIR "/data/constrained_references.json");
+  const Json document = Json::parse(file);
+  return {document["optima"].begin(), document["optima"].end()};
+}
+
+// The task of two balls with what a reference changes.
+Scene SceneOf(const Json& reference, int steps) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = steps;
+  if (reference.contains("target_start")) scene.bodies[1].position = VectorOf(reference["target_start"]);
+  if (reference.contains("effort")) scene.objective.effort = reference["effort"];
+  scene.objective.terminal[0].hard = reference.value("hard", false);
+  if (const auto control = reference.find("control"); control != reference.end()) {
+    if (control->contains("max")) scene.control.max = {(*control)["max"].get<double>()};
+    if (control->contains("max_norm")) scene.control.max_norm = {(*control)["max_norm"].get<double>()};
+  }
+  if (const auto duration = reference.find("duration"); duration != reference.end()) {
+    scene.objective.duration = FreeDuration{(*duration)["min"], (*duration)["max"], (*duration)["weight"]};
+  }
+  if (const auto running = reference.find("running"); running != reference.end()) {
+    RunningTerm term;
+    for (const Json& row : *running) {
+      term.times.push_back(row[0]);
+      term.targets.emplace_back(row[1].get<double>(), row[2].get<double>());
+    }
+    scene.objective.running = {term};
+  }
+  return scene;
+}
+
+class ConstrainedOptimum : public testing::TestWithParam<Json> {};
+
+TEST_P(ConstrainedOptimum, IsReachedFromThePapersGuess) {
+  const Json& reference = GetParam();
+  const Scene scene = SceneOf(reference, 480);
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  const double optimum = reference["loss"];
+  EXPECT_GT(report.final_loss, optimum - 1e-9) << "below the optimum in continuous time";
+  EXPECT_LT(report.final_loss, optimum + 3e-6);
+  if (reference.contains("loss_480")) EXPECT_NEAR(report.final_loss, reference["loss_480"].get<double>(), 1e-9);
+
+  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  ASSERT_TRUE(exact.ok) << exact.reason;
+  EXPECT_DOUBLE_EQ(exact.loss, report.final_loss);
+  ASSERT_EQ(exact.events.size(), 1u);
+  EXPECT_NEAR(exact.events[0].time, reference["impact_time"].get<double>(), 2e-5);
+  if (reference.contains("duration_found")) {
+    const double duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+    EXPECT_NEAR(duration, reference["duration_found"].get<double>(), 2e-5);
+  }
+}
+
+TEST_P(ConstrainedOptimum, KeepsBoundsAndConstraintsOnTheExactRollOut) {
+  const Json& reference = GetParam();
+  const Scene scene = SceneOf(reference, 240);
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  for (size_t k = 0; k < report.control.size(); k += 2) {
+    const Vec2d u(report.control[k], report.control[k + 1]);
+    if (!scene.control.max.empty()) EXPECT_LE(u.cwiseAbs().maxCoeff(), scene.control.max[0] * (1 + 1e-12));
+    if (!scene.control.max_norm.empty()) EXPECT_LE(u.norm(), scene.control.max_norm[0] * (1 + 1e-12));
+  }
+  if (!scene.objective.terminal[0].hard) return;
+  // The miss of the target is what its term would cost if it were soft.
+  Scene soft = scene;
+  soft.objective.terminal[0].hard = false;
+  const double miss = SimulateExactly(soft, report.initial_state, report.control, report.durations).loss -
+                      SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
+  EXPECT_LT(miss, 1e-18 + 4 * std::numeric_limits<double>::epsilon() * report.final_loss);
+}
+
+// A control that is constant over each step is off by the square of the step.
+TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
+  const Json& reference = GetParam();
+  std::vector<double> gaps;
+  for (const int steps : {60, 240, 960}) {
+    const SolveReport report = Solve("ceres_phases", {SceneOf(reference, steps), "event"}, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << steps << " steps: " << report.reason;
+    gaps.push_back(report.final_loss - reference["loss"].get<double>());
+  }
+  if (gaps[0] < 1e-9) return;  // the optimum is constant itself
+  const double order = std::log(gaps[0] / gaps[2]) / std::log(16.0);
+  EXPECT_NEAR(order, 2, 0.15);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()), [](const auto& info) {
+  std::string name = info.param["name"];
+  std::replace(name.begin(), name.end(), '.', '_');
+  return name;
+});
+
+TEST(CeresPhases, TakesAtMostTwentyIterationsFromThePapersGuess) {
+  const SolveReport report = Solve("ceres_phases", {ProblemScene("two_balls"), "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LE(report.iterations, 20);
+}
+
+TEST(CeresPhases, SaysSoWhereTheTargetIsOutOfReach) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.terminal[0].hard = true;
+  scene.control.max = {1.2};  // it takes at least 1.434
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_NE(report.termination, Termination::kConverged);
+  EXPECT_THAT(report.reason, HasSubstr("least violation"));
+}
+
+TEST(CeresPhases, OtherSolversSayWhatTheyCannotTake) {
+  Scene scene = ProblemScene("two_balls");
+  scene.control.max = {3.5};
+  for (const SolverEntry& solver : AllSolvers()) {
+    if (solver.name == "ceres_phases") continue;
+    const SolveReport report = Solve(solver.name, {scene, "event"}, {});
+    EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver.name;
+    EXPECT_THAT(report.reason, HasSubstr("bounds on the control")) << solver.name;
+  }
+}
+
+}  // namespace
+}  // namespace saltus
