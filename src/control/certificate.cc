@@ -480,6 +480,7 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
     impact.speed *= by.speed;
     impact.multiplier *= by.loss / by.length;
   }
+  for (Tie& tie : certificate.ambiguous) tie.time *= by.time;
   for (std::optional<double>* gradient :
        {&certificate.gradient_early, &certificate.gradient_late, &certificate.gradient_combined}) {
     if (*gradient) **gradient *= by.loss / by.force;

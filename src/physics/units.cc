@@ -113,6 +113,11 @@ UnitFactors::UnitFactors(const Units& from, const Units& to)
 
 Units NaturalUnits(const Scene& scene) {
   if (scene.units.natural) return scene.units;
+  if (ValidateStructure(scene)) {  // whoever asks is told so by what checks it
+    Units units = scene.units;
+    units.natural = true;
+    return units;
+  }
   // In the scene's own first.
   Units units;
   units.length = LengthOf(scene);

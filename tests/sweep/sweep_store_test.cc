@@ -216,8 +216,8 @@ TEST(SweepPoint, TravelsAsBytesWithoutLosingBits) {
   EXPECT_TRUE(std::signbit(std::get<double>(DecodePointResult(Encode(result)).row[1])));
 }
 
-// A limit that is over at once stops a solver where it first looks at the clock.
-TEST(SweepPoint, AStoppedPointHoldsWhatItHasReached) {
+// A limit that is over at once stops a solver where it first looks at the clock: in its first rollout.
+TEST(SweepPoint, IsStoppedAtItsTimeLimit) {
   Request request = Study().request();
   request.contacts = {"direct_toi"};
   request.solvers = {"gd"};
@@ -231,8 +231,7 @@ TEST(SweepPoint, AStoppedPointHoldsWhatItHasReached) {
   };
   EXPECT_EQ(column("termination"), SweepValue("failed"));
   EXPECT_EQ(column("reason"), SweepValue("stopped at the time limit of 1e-09 s"));
-  EXPECT_NEAR(ToNumber(column("initial_loss")), 2.0585, 1e-4);  // as published
-  EXPECT_EQ(column("final_loss"), column("initial_loss"));
+  EXPECT_EQ(column("final_loss"), SweepValue());
 }
 
 TEST(SweepPoint, AnImpossiblePointFailsWithKeyAndReason) {

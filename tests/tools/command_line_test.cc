@@ -325,7 +325,8 @@ TEST(CommandLine, ConvergedSaysOnWhichLoss) {
   EXPECT_THAT(table.output, HasSubstr("not stationary"));
   EXPECT_THAT(table.output, HasSubstr("minimum on the grid"));
   int converged = 0;
-  for (const json& run : json::parse(RunProgram(solve + " --json").output)["runs"]) {
+  const json document = json::parse(RunProgram(solve + " --json").output);
+  for (const json& run : document["runs"]) {
     EXPECT_EQ(run["certificate"]["of"], "exact_loss");
     EXPECT_EQ(run.contains("converged_under"), run["termination"] == "converged");
     if (run["termination"] != "converged") continue;

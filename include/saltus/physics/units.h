@@ -40,7 +40,7 @@ Scene InNaturalUnits(const Scene& scene);
 // The same scene in the units it has, but for the origin: that of its natural ones.
 Scene NearOrigin(const Scene& scene);
 
-// Its natural units.
+// Its natural units; of a scene that is not valid, those that it has.
 Units NaturalUnits(const Scene& scene);
 
 // A position in the units `from`, in those of `to`.
