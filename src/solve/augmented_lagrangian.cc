@@ -9,9 +9,9 @@ namespace saltus {
 namespace {
 
 constexpr double kGrowth = 10;          // of the weights, from solve to solve
-constexpr double kLargestWeight = 1e9;  // more would leave nothing of the costs in double precision
+constexpr double kLargestWeight = 1e7;  // more would leave nothing of the costs in double precision
 // Relative change of the cost that ends a solve: the first ones only prepare the next.
-constexpr double kTolerances[] = {1e-3, 1e-6, 1e-11};
+constexpr double kTolerances[] = {1e-3, 1e-6, 1e-13};
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;

@@ -47,7 +47,7 @@ SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& 
   }
   run.report().evaluations = jacobians;
   auto [termination, reason] = Judge(scene, solution, options.iterations);
-  if (saddle) reason = DescribeSaddle(*saddle, reason);
+  if (saddle) reason = DescribeSaddle(reason);
   return run.Finish(solution.trial, solution.minimum.loss, termination, std::move(reason));
 }
 

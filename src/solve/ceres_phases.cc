@@ -16,6 +16,8 @@ namespace {
 
 constexpr double kVanished = 1e-3;                    // of the horizon: a phase so short wants to be none
 constexpr double kFeasible = 1e-8;                    // largest violation on the exact roll-out
+constexpr int kMostIterations = 150;                  // of one attempt: a wrong sequence does not end by itself
+constexpr int kSnaps = 2;                             // of impacts to nodes
 constexpr int kMostAttempts = 24;                     // sequences
 constexpr double kMargins[] = {0, 1e-6, 1e-5, 1e-4};  // of the reach, by which pairs that must not meet stay apart
 
@@ -71,25 +73,29 @@ class PhaseSolver {
 
   SolveReport Solve() {
     Plan plan{SequenceFor(run_.options(), run_.guess())};
-    const Flight flight = FlightOf(scene_, run_.guess());
-    std::vector<double> times = GuessFrom(scene_, flight, plan.sequence).times;
-    Trial from = run_.guess();
+    // From where an attempt starts: a motion that is real, since one that is not has gone astray.
+    Start start{GuessFrom(scene_, FlightOf(scene_, run_.guess()), plan.sequence).times, run_.guess()};
     std::optional<Attempt> best, last;
     while (static_cast<int>(tried_.size()) < kMostAttempts && iterations_ < run_.options().iterations) {
       tried_.push_back(plan);
-      last = Try(plan, times, from);
+      last = Try(plan, start.times, start.trial);
       if (!last || last->summary.interrupted) break;
+      if (last->realized) start = {last->times, last->trial};
       if (last->feasible() && (!best || last->loss() < best->loss())) best = last;
       const std::optional<Plan> next = Mend(*last);
       if (!next) break;
-      times = TimesFor(*next, *last);
       plan = *next;
-      from = last->trial;
+      start = StartFor(plan, *last, std::move(start));
     }
     return Report(best, last);
   }
 
  private:
+  struct Start {
+    std::vector<double> times;  // of the impacts, s
+    Trial trial;
+  };
+
   // One solve along a plan, from the impact times and forces given; nothing if its steps do not suffice.
   std::optional<Attempt> Try(const Plan& plan, const std::vector<double>& times, const Trial& from) {
     std::vector<PhaseCut> cuts;
@@ -97,7 +103,7 @@ class PhaseSolver {
     for (const ViaTerm& via : scene_.objective.via) cuts.push_back({std::nullopt, via.time});
     std::stable_sort(cuts.begin(), cuts.end(), [](const PhaseCut& a, const PhaseCut& b) { return a.time < b.time; });
     Scene scene = scene_;
-    scene.duration = std::accumulate(from.durations.begin(), from.durations.end(), 0.0);
+    scene.duration = Duration(from);
     std::vector<double> ends;
     for (const PhaseCut& cut : cuts) ends.push_back(cut.time);
     if (!plan.ends_with_impact) ends.push_back(scene.duration);
@@ -112,7 +118,7 @@ class PhaseSolver {
       PhaseTranscription transcription(scene, cuts, steps, ForcesOf(scene, from));
       for (const NoContact& pair : scene.no_contact) transcription.KeepApart({pair.a, pair.b, pair.plane}, margin);
       AugmentedLagrangian::Options options;
-      options.iterations = run_.options().iterations - iterations_;
+      options.iterations = std::min(kMostIterations, run_.options().iterations - iterations_);
       options.callback = [&](double cost) { return run_.Record(cost); };
       attempt = {plan, {}, transcription.Minimize(options), {}};
       iterations_ += attempt.summary.iterations;
@@ -122,20 +128,43 @@ class PhaseSolver {
         if (cuts[k].impact) attempt.times.push_back(found[k]);
       }
       transcription.Control(&attempt.trial.control, &attempt.trial.durations);
-      RollOut(&attempt);
+      RollOut(&attempt, steps);
       if (!TouchesForbidden(attempt) || attempt.summary.interrupted) break;
     }
     return attempt;
   }
 
-  void RollOut(Attempt* attempt) const {
+  void RollOut(Attempt* attempt, const std::vector<int>& steps) const {
     Trial& trial = attempt->trial;
     // A phase that vanished may be a little less than nothing.
     for (double& duration : trial.durations) duration = std::max(duration, 1e-12 * scene_.duration);
     ClampToBounds(&trial.control);
+    Simulate(attempt);
+    // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step.
+    for (int round = 0; round < kSnaps && attempt->realized && scene_.objective.via.empty(); ++round) {
+      double begin = 0;
+      size_t k = 0;
+      for (size_t j = 0; j < steps.size(); ++j) {
+        const bool last = j >= trial.exact.events.size();
+        const double end = last ? Duration(trial) : trial.exact.events[j].time;
+        std::fill_n(trial.durations.begin() + k, steps[j], (end - begin) / std::max(1, steps[j]));
+        if (!last) attempt->times[j] = end;
+        k += steps[j];
+        begin = end;
+      }
+      Simulate(attempt);
+    }
+    attempt->violation = Violation(*attempt);
+  }
+
+  void Simulate(Attempt* attempt) const {
+    Trial& trial = attempt->trial;
     trial.exact = SimulateExactly(scene_, InitialState(scene_), trial.control, trial.durations);
     attempt->realized = IsRealized(scene_, trial.exact, attempt->plan.sequence, attempt->times);
-    attempt->violation = Violation(*attempt);
+  }
+
+  static double Duration(const Trial& trial) {
+    return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0);
   }
 
   // Multipliers leave about 1e-10 beyond a bound.
@@ -180,7 +209,7 @@ class PhaseSolver {
   std::optional<Plan> Mend(const Attempt& attempt) const {
     const Plan& plan = attempt.plan;
     const size_t impacts = attempt.times.size();
-    const double end = std::accumulate(attempt.trial.durations.begin(), attempt.trial.durations.end(), 0.0);
+    const double end = Duration(attempt.trial);
     const double vanished = kVanished * scene_.duration;
     std::vector<Plan> plans;
     for (size_t k = 0; k + 1 < impacts; ++k) {
@@ -199,15 +228,15 @@ class PhaseSolver {
     return *next;
   }
 
-  // Where the impacts of a mended plan start.
-  std::vector<double> TimesFor(const Plan& plan, const Attempt& attempt) const {
-    if (plan.sequence.size() == attempt.times.size()) return attempt.times;
-    if (plan.sequence == attempt.trial.exact.contacts) {
-      std::vector<double> times;
-      for (const Event& event : attempt.trial.exact.events) times.push_back(event.time);
-      return times;
+  // Where an attempt at a mended plan starts, if the one before started or ended at `start`.
+  Start StartFor(const Plan& plan, const Attempt& last, Start start) const {
+    if (plan.sequence == last.trial.exact.contacts) {
+      start = {{}, last.trial};
+      for (const Event& event : last.trial.exact.events) start.times.push_back(event.time);
     }
-    return {attempt.times.begin(), attempt.times.end() - 1};
+    // Without an impact that is dropped; those in excess go first.
+    start.times.resize(plan.sequence.size(), start.times.empty() ? 0.5 * Duration(start.trial) : start.times.back());
+    return start;
   }
 
   SolveReport Report(const std::optional<Attempt>& best, const std::optional<Attempt>& last) {

@@ -156,7 +156,7 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
       const bool ended = found.termination != Termination::kFailed && found.trial.exact.ok;
       if (ended && found.trial.exact.loss <= next.trial.exact.loss) next = std::move(found);
     }
-    next.reason = DescribeSaddle(attempt.trial, next.reason);
+    next.reason = DescribeSaddle(next.reason);
     attempt = std::move(next);
   }
   run.report().certificate = std::move(attempt.certificate);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <sstream>
 
 #include "hmp_roots.h"
 #include "saltus/dynamics/registry.h"
@@ -146,11 +145,7 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
   return Certify(scene, InitialState(scene), trial.control, trial.durations);
 }
 
-std::string DescribeSaddle(const Trial& saddle, const std::string& then) {
-  std::ostringstream text;
-  text << "left a saddle of loss " << saddle.exact.loss << (then.empty() ? "" : "; ") << then;
-  return text.str();
-}
+std::string DescribeSaddle(const std::string& then) { return "left a saddle" + (then.empty() ? "" : "; " + then); }
 
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
   constexpr int kLargest = 4, kLengths = 24;  // powers of two

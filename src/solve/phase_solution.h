@@ -69,7 +69,7 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
 inline constexpr int kMostSaddles = 5;  // left one after the other
 // Remarks for a person: that it was left, and what came after.
-std::string DescribeSaddle(const Trial& saddle, const std::string& then);
+std::string DescribeSaddle(const std::string& then);
 
 // Whether the exact run has these impacts, at these times, and no others.
 bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,

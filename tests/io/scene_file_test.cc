@@ -90,6 +90,45 @@ TEST(ParseScene, ReadsEveryKey) {
   EXPECT_EQ(SceneOf(ParseScene(kEverything, "test.yaml")), expected);
 }
 
+// Every key of bounds, constraints and costs on the way.
+constexpr char kConstrained[] = R"(name: constrained
+duration: 1
+steps: 100
+bodies:
+  - {name: a, radius: 0.2, mass: 1, position: [-2, 2]}
+  - {name: b, radius: 0.1, mass: 1, position: [-1, 1]}
+  - {name: c, radius: 0.1, mass: 1, position: [1, 1]}
+planes: [{name: ground, point: [0, -1], normal: [0, 1]}]
+control: {bodies: [a, b], initial: [[3, 4], [5, 6]], max: 3.5, max_norm: [4, 5]}
+objective:
+  terminal: [{body: b, quantity: position, target: [0, 0], hard: true}]
+  running: [{body: a, quantity: velocity, target: [[0, 1, 2], [0.5, 3, 4]], weight: 2}]
+  via:
+    - {body: a, time: 0.5, quantity: position, target: [-1, 1], weight: 10}
+    - {body: b, time: 0.25, quantity: velocity, target: [1, 0], hard: true}
+  effort: 0.1
+  duration: {free: true, min: 0.5, max: 2, weight: 0.25}
+no_contact: [[c, a], [b, ground]]
+optimize: control
+)";
+
+TEST(ParseScene, ReadsBoundsConstraintsAndCostsOnTheWay) {
+  const Scene scene = SceneOf(ParseScene(kConstrained, "test.yaml"));
+  EXPECT_EQ(scene.control.max, std::vector<double>({3.5, 3.5}));
+  EXPECT_EQ(scene.control.max_norm, std::vector<double>({4, 5}));
+  EXPECT_TRUE(scene.objective.terminal.at(0).hard);
+  ASSERT_EQ(scene.objective.running.size(), 1u);
+  const RunningTerm running{0, TerminalTerm::Quantity::kVelocity, {0, 0.5}, {{1, 2}, {3, 4}}, 2};
+  EXPECT_EQ(scene.objective.running[0], running);
+  const std::vector<ViaTerm> via = {
+      {.body = 0, .time = 0.5, .target = {-1, 1}, .weight = 10},
+      {.body = 1, .time = 0.25, .quantity = TerminalTerm::Quantity::kVelocity, .target = {1, 0}, .hard = true}};
+  EXPECT_EQ(scene.objective.via, via);
+  EXPECT_EQ(scene.objective.duration, (FreeDuration{0.5, 2, 0.25}));
+  EXPECT_EQ(scene.no_contact, (std::vector<NoContact>{{0, 2, false}, {1, 0, true}}));
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);
+}
+
 TEST(ParseScene, FillsInDefaults) {
   const Scene scene = SceneOf(ParseScene(R"(name: a
 duration: 1
@@ -198,6 +237,35 @@ struct Case {
   const char* key;
   const char* message;  // part of it
 };
+
+TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
+  const Case cases[] = {
+      {"max: 3.5", "max: 0", 9, "control.max[0]", "found 0, expected a positive number"},
+      {"[4, 5]}", "[4]}", 9, "control.max_norm", "found 1 bounds, expected one number, or one for each of the 2"},
+      {"hard: true}]", "hard: true, weight: 2}]", 11, "objective.terminal[0].weight", "the term is hard"},
+      {"target: [0, 0], hard",
+       "component: x, hard",
+       11,
+       "objective.terminal[0].hard",
+       "found a hard term with a component"},
+      {"[0.5, 3, 4]", "[0, 3, 4]", 12, "objective.running[0].target[1]", "rise"},
+      {"[0.5, 3, 4]", "[3, 4]", 12, "objective.running[0].target[1]", "a row [time, x, y]"},
+      {"time: 0.5", "time: 1", 14, "objective.via[0].time", "between 0 and the duration"},
+      {"time: 0.5, ", "", 14, "objective.via[0].time", "expected the time in s"},
+      {"free: true", "free: false", 17, "objective.duration.free", "expected true"},
+      {"max: 2", "max: 0.1", 17, "objective.duration.max", "expected min or more"},
+      {"[c, a]", "[c, c]", 18, "no_contact[0]", "two different bodies"},
+      {"[c, a]", "[c]", 18, "no_contact[0]", "a pair [body, body or plane]"},
+      {"[c, a]", "[c, grund]", 18, "no_contact[0][1]", "the name of a body"},
+  };
+  for (const Case& c : cases) {
+    SCOPED_TRACE(c.to);
+    const SceneFileError error = ErrorOf(Replaced(kConstrained, c.from, c.to));
+    EXPECT_EQ(error.line, c.line);
+    EXPECT_EQ(error.key, c.key);
+    EXPECT_THAT(error.message, HasSubstr(c.message));
+  }
+}
 
 TEST(ParseScene, SaysWhereAndWhy) {
   const Case cases[] = {

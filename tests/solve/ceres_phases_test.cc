@@ -96,7 +96,7 @@ TEST_P(ConstrainedOptimum, KeepsBoundsAndConstraintsOnTheExactRollOut) {
 TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
   const Json& reference = GetParam();
   std::vector<double> gaps;
-  for (const int steps : {60, 240, 960}) {
+  for (const int steps : {30, 120, 480}) {
     const SolveReport report = Solve("ceres_phases", {SceneOf(reference, steps), "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << steps << " steps: " << report.reason;
     gaps.push_back(report.final_loss - reference["loss"].get<double>());

@@ -55,7 +55,7 @@ struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
   // Bounds, > 0, one per controlled body, or none: N, of each component of the force, and of its length.
-  std::vector<double> max, max_norm;
+  std::vector<double> max = {}, max_norm = {};
 
   bool operator==(const Control&) const = default;
 };
@@ -110,9 +110,9 @@ struct FreeDuration {
 struct Objective {
   std::vector<TerminalTerm> terminal;
   double effort = 0;  // >= 0
-  std::vector<RunningTerm> running;
-  std::vector<ViaTerm> via;
-  std::optional<FreeDuration> duration;  // none: the scene's
+  std::vector<RunningTerm> running = {};
+  std::vector<ViaTerm> via = {};
+  std::optional<FreeDuration> duration = std::nullopt;  // none: the scene's
 
   // True if every term is a square, so that least-squares solvers apply: no term has a component.
   bool IsSumOfSquares() const;
