@@ -253,7 +253,8 @@ class Rules {
       const Key key = At("no_contact", i);
       BodyIndex(key, pair.a);
       if (pair.plane) {
-        Expect(pair.b >= 0 && pair.b < static_cast<int>(scene_.planes.size()), key, "expected one of the scene's planes");
+        Expect(
+            pair.b >= 0 && pair.b < static_cast<int>(scene_.planes.size()), key, "expected one of the scene's planes");
       } else {
         BodyIndex(key, pair.b);
         Expect(pair.a < pair.b, key, "expected two different bodies, in the order of their indices");

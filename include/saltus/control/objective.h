@@ -13,9 +13,9 @@
 
 namespace saltus {
 
-// What a scene asks for besides terminal terms and effort, in words: bounds, constraints, or costs on the way. Empty if it
-// asks for nothing else. Its loss is then not all that counts, or not that of the functions below, which know terminal
-// terms that are not hard and the effort only.
+// What a scene asks for besides terminal terms and effort, in words: bounds, constraints, or costs on the way. Empty if
+// it asks for nothing else. Its loss is then not all that counts, or not that of the functions below, which know
+// terminal terms that are not hard and the effort only.
 std::string BeyondTerminalCost(const Scene& scene);
 
 // Sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers, overwritten).
