@@ -276,7 +276,9 @@ const char* MeaningOf(ContactClass contact_class) {
 }
 
 ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop) {
-  if (std::string why_not = WhyNotApplicable(contact, scene); !why_not.empty()) return {.words = std::move(why_not)};
+  ContactRecognition refused;
+  refused.words = WhyNotApplicable(contact, scene);
+  if (!refused.words.empty()) return refused;
   const Scene natural = InNaturalUnits(scene);
   return Recogniser(contact, natural, stop).Run();
 }

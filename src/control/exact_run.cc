@@ -77,6 +77,11 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
           durations.begin(), durations.end(), [](double value) { return value >= 0 && std::isfinite(value); })) {
     return "durations: expected finite numbers >= 0";
   }
+  const double sum = std::accumulate(durations.begin(), durations.end(), 0.0);
+  if (!durations.empty() && !scene.objective.duration && std::abs(sum - scene.duration) > 1e-9 * scene.duration) {
+    return "durations: found a sum of " + std::to_string(sum) + ", expected the scene's duration, " +
+           std::to_string(scene.duration);
+  }
   return "";
 }
 

@@ -103,7 +103,7 @@ class PhaseSolver {
     for (const ViaTerm& via : scene_.objective.via) cuts.push_back({std::nullopt, via.time});
     std::stable_sort(cuts.begin(), cuts.end(), [](const PhaseCut& a, const PhaseCut& b) { return a.time < b.time; });
     Scene scene = scene_;
-    scene.duration = Duration(from);
+    if (scene.objective.duration) scene.duration = Duration(from);
     std::vector<double> ends;
     for (const PhaseCut& cut : cuts) ends.push_back(cut.time);
     if (!plan.ends_with_impact) ends.push_back(scene.duration);
@@ -138,6 +138,10 @@ class PhaseSolver {
     Trial& trial = attempt->trial;
     // A phase that vanished may be a little less than nothing.
     for (double& duration : trial.durations) duration = std::max(duration, 1e-12 * scene_.duration);
+    if (!scene_.objective.duration) {
+      const double whole = Duration(trial);
+      for (double& duration : trial.durations) duration *= scene_.duration / whole;
+    }
     ClampToBounds(&trial.control);
     Simulate(attempt);
     // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step.
