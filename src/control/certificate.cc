@@ -579,6 +579,8 @@ std::string VerdictInWords(const Certificate& certificate) {
       return what + " on the grid";
     case Certificate::Verdict::kNotStationary:
       return "not stationary";
+    case Certificate::Verdict::kAmbiguous:
+      return "ambiguous";
     case Certificate::Verdict::kNotApplicable:
       return "";
   }
