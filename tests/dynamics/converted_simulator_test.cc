@@ -99,7 +99,7 @@ TEST_P(InNaturalUnitsTest, LinearizationsAreTheSame) {
 
 INSTANTIATE_TEST_SUITE_P(Models, InNaturalUnitsTest,
                          testing::Values("direct_toi", "compliant_warp", "pbd_brax", "event"),
-                         [](const auto& info) { return std::string(info.param); });
+                         [](const auto& test) { return std::string(test.param); });
 
 }  // namespace
 }  // namespace saltus

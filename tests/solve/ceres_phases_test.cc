@@ -60,7 +60,9 @@ TEST_P(ConstrainedOptimum, IsReachedFromThePapersGuess) {
   const double optimum = reference["loss"];
   EXPECT_GT(report.final_loss, optimum - 1e-9) << "below the optimum in continuous time";
   EXPECT_LT(report.final_loss, optimum + 3e-6);
-  if (reference.contains("loss_480")) EXPECT_NEAR(report.final_loss, reference["loss_480"].get<double>(), 1e-9);
+  if (reference.contains("loss_480")) {
+    EXPECT_NEAR(report.final_loss, reference["loss_480"].get<double>(), 1e-9);
+  }
 
   const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
   ASSERT_TRUE(exact.ok) << exact.reason;
@@ -80,8 +82,12 @@ TEST_P(ConstrainedOptimum, KeepsBoundsAndConstraintsOnTheExactRollOut) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   for (size_t k = 0; k < report.control.size(); k += 2) {
     const Vec2d u(report.control[k], report.control[k + 1]);
-    if (!scene.control.max.empty()) EXPECT_LE(u.cwiseAbs().maxCoeff(), scene.control.max[0] * (1 + 1e-12));
-    if (!scene.control.max_norm.empty()) EXPECT_LE(u.norm(), scene.control.max_norm[0] * (1 + 1e-12));
+    if (!scene.control.max.empty()) {
+      EXPECT_LE(u.cwiseAbs().maxCoeff(), scene.control.max[0] * (1 + 1e-12));
+    }
+    if (!scene.control.max_norm.empty()) {
+      EXPECT_LE(u.norm(), scene.control.max_norm[0] * (1 + 1e-12));
+    }
   }
   if (!scene.objective.terminal[0].hard) return;
   // The miss of the target is what its term would cost if it were soft.
@@ -106,8 +112,8 @@ TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
   EXPECT_NEAR(order, 2, 0.15);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()), [](const auto& info) {
-  std::string name = info.param["name"];
+INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()), [](const auto& test) {
+  std::string name = test.param["name"];
   std::replace(name.begin(), name.end(), '.', '_');
   return name;
 });

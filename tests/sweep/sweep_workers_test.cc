@@ -80,7 +80,9 @@ TEST(WorkerPool, StopsWhatTakesTooLong) {
   for (auto& [task, result] : results) {
     // On a machine that is busy enough anything is late: then once more.
     while (task != 1 && result.end == WorkerPool::End::kTooLate) result = RunOne(task, &pool);
-    if (task != 1) EXPECT_EQ(result.end, WorkerPool::End::kAnswered) << task;
+    if (task != 1) {
+      EXPECT_EQ(result.end, WorkerPool::End::kAnswered) << task;
+    }
   }
 }
 

@@ -332,7 +332,9 @@ TEST(CommandLine, ConvergedSaysOnWhichLoss) {
     if (run["termination"] != "converged") continue;
     ++converged;
     EXPECT_EQ(run["converged_under"], run["contact"]);
-    if (run["contact"] == "event") EXPECT_EQ(run["certificate"]["verdict"], "stationary_on_grid");
+    if (run["contact"] == "event") {
+      EXPECT_EQ(run["certificate"]["verdict"], "stationary_on_grid");
+    }
   }
   EXPECT_EQ(converged, 2);
 }
