@@ -73,11 +73,12 @@ Table CertificateTable(const SolvedRuns& solved) {
     if (!run.certificate) continue;
     const Certificate& certificate = *run.certificate;
     const std::string verdict = VerdictInWords(certificate);
+    const bool looked_at = certificate.IsStationary() && certificate.curvature;
     table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
                   run.report.solver,
                   verdict.empty() ? "not certified" : verdict,
                   ResidualOf(certificate),
-                  certificate.curvature ? std::optional(certificate.curvature->smallest) : std::nullopt,
+                  looked_at ? std::optional(certificate.curvature->smallest) : std::nullopt,
                   MeaningOf(certificate)});
   }
   return table;
