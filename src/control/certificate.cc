@@ -6,8 +6,8 @@
 
 #include "condensed.h"
 #include "flight.h"
+#include "physics/time_grid.h"
 #include "saltus/control/objective.h"
-#include "saltus/physics/time_grid.h"
 #include "saltus/physics/units.h"
 
 namespace saltus {
