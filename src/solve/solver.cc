@@ -122,7 +122,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
     Confirm(converted, &report);
     return InSiUnits(converted.scene, std::move(report));
   }
-  report.contact = request.contact;
+  report.contact = request.contact.name();
   report.solver = solver;
   report.surrogate = options.surrogate;
   report.termination = Termination::kNotApplicable;
