@@ -1,12 +1,13 @@
 #include "output/progress.h"
 
-#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <utility>
+
+#include "output/text_layout.h"
 
 namespace saltus {
 namespace {
@@ -58,12 +59,6 @@ std::string Truncate(std::string text, size_t columns) {
     if (starts_character && ++width > columns) return text.substr(0, i);
   }
   return text;
-}
-
-size_t TerminalColumns(std::FILE* sink) {
-  winsize size{};
-  const bool known = ioctl(fileno(sink), TIOCGWINSZ, &size) == 0 && size.ws_col > 0;
-  return known ? size.ws_col : kDefaultColumns;
 }
 
 }  // namespace
@@ -132,7 +127,7 @@ void Progress::Draw() {
   state_.elapsed = Seconds();
   if (bar_) {
     // One column is left free: some terminals wrap a full line. "\033[K" erases what a longer line left.
-    std::fprintf(sink_, "\r%s\033[K", ProgressBar(state_, TerminalColumns(sink_) - 1).c_str());
+    std::fprintf(sink_, "\r%s\033[K", ProgressBar(state_, TerminalColumns(sink_, kDefaultColumns) - 1).c_str());
   } else {
     std::fprintf(sink_, "%s\n", ProgressLine(state_).c_str());
   }

@@ -32,15 +32,32 @@ std::string_view AnsiColour(Tone tone) {
   return "";
 }
 
-// Columns that UTF-8 text takes on a terminal, were every code point one column wide.
-size_t Width(std::string_view text) {
-  return static_cast<size_t>(
-      std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
+std::string Pad(const std::string& text, size_t width, bool right) {
+  const std::string space(width - std::min(width, DisplayWidth(text)), ' ');
+  return right ? space + text : text + space;
 }
 
-std::string Pad(const std::string& text, size_t width, bool right) {
-  const std::string space(width - std::min(width, Width(text)), ' ');
-  return right ? space + text : text + space;
+// Columns of the widest line or word.
+size_t Widest(std::string_view text, std::string_view separators) {
+  size_t widest = 0;
+  for (size_t begin = 0; begin <= text.size();) {
+    const size_t end = std::min(text.find_first_of(separators, begin), text.size());
+    widest = std::max(widest, DisplayWidth(text.substr(begin, end - begin)));
+    begin = end + 1;
+  }
+  return widest;
+}
+
+constexpr size_t kGap = 2;        // columns between those of a table
+constexpr size_t kPhrase = 12;    // columns to which texts of a few words may be wrapped,
+constexpr size_t kName = 20;      // keys,
+constexpr size_t kSentence = 24;  // and long texts
+constexpr size_t kSqueezed = 4;   // the narrowest that a column of text gets where there is no room
+
+size_t WidthOf(const std::vector<size_t>& widths) {
+  size_t sum = 0;
+  for (const size_t width : widths) sum += width + kGap;
+  return widths.empty() ? 0 : sum - kGap;
 }
 
 bool IsAlphanumeric(std::string_view text, size_t i) {
@@ -115,6 +132,11 @@ std::string Cell::Exact() const {
   return std::string(buffer.data(), std::to_chars(buffer.data(), buffer.data() + buffer.size(), *number).ptr);
 }
 
+Table::Table(std::vector<Column> columns, size_t keys) : columns_(std::move(columns)), keys_(keys) {
+  CHECK_GE(keys, 1);
+  CHECK_LE(keys, columns_.size());
+}
+
 void Table::AddRow(std::vector<Cell> row) {
   CHECK_EQ(row.size(), columns_.size());
   rows_.push_back(std::move(row));
@@ -125,7 +147,8 @@ bool Table::IsNumeric(size_t column) const {
 }
 
 std::string Table::Display(size_t row, size_t column) const {
-  return rows_[row][column].Display(columns_[column].significant_digits);
+  const Cell& cell = rows_[row][column];
+  return cell.Display(cell.significant_digits().value_or(columns_[column].significant_digits));
 }
 
 std::string Table::ToMarkdown() const {
@@ -134,7 +157,7 @@ std::string Table::ToMarkdown() const {
     std::vector<std::string> texts = {EscapeMarkdown(columns_[j].header)};
     for (size_t i = 0; i < rows_.size(); ++i) texts.push_back(EscapeMarkdown(Display(i, j)));
     size_t width = 3;
-    for (const std::string& text : texts) width = std::max(width, Width(text));
+    for (const std::string& text : texts) width = std::max(width, DisplayWidth(text));
     const bool right = IsNumeric(j);
     const std::string rule = std::string(width + 1, '-') + (right ? ":" : "-");
     texts.insert(texts.begin() + 1, rule);
@@ -175,7 +198,7 @@ std::string Table::ToHtml() const {
     for (size_t j = 0; j < columns_.size(); ++j) {
       const std::string text = Display(i, j);
       std::string classes = alignment[j];
-      const std::string_view length = Width(text) > kLongText ? "long" : "";
+      const std::string_view length = DisplayWidth(text) > kLongText ? "long" : "";
       for (const std::string_view name : {ToneName(rows_[i][j].tone()), length}) {
         if (!name.empty()) classes += (classes.empty() ? "" : " ") + std::string(name);
       }
@@ -186,27 +209,128 @@ std::string Table::ToHtml() const {
   return html + "</tbody>\n</table>\n";
 }
 
-std::string Table::ToText(bool colour) const {
-  std::vector<std::string> lines(rows_.size() + 2);
+std::vector<Table::TextColumn> Table::MeasureText() const {
+  std::vector<TextColumn> columns;
   for (size_t j = 0; j < columns_.size(); ++j) {
-    size_t width = Width(columns_[j].header);
-    for (size_t i = 0; i < rows_.size(); ++i) width = std::max(width, Width(Display(i, j)));
-    const bool right = IsNumeric(j);
-    const std::string gap = j == 0 ? "" : "  ";
-    lines[0] += gap + Pad(columns_[j].header, width, right);
-    lines[1] += gap + std::string(width, '-');
+    TextColumn column{.index = j, .right = IsNumeric(j)};
+    const std::string& header = columns_[j].header;
+    column.natural = std::max<size_t>(Widest(header, "\n"), 1);
+    column.least = std::max<size_t>(Widest(header, " \n"), 1);
+    bool empty = true;
     for (size_t i = 0; i < rows_.size(); ++i) {
-      const std::string_view start = colour ? AnsiColour(rows_[i][j].tone()) : "";
-      const std::string padded = Pad(Display(i, j), width, right);
-      lines[i + 2] += gap + std::string(start) + padded + (start.empty() ? "" : "\033[0m");
+      const std::string text = Display(i, j);
+      const size_t natural = Widest(text, "\n");
+      const size_t readable = natural > kLongText ? kSentence : std::min(natural, j < keys_ ? kName : kPhrase);
+      column.natural = std::max(column.natural, natural);
+      column.least = std::max({column.least, readable, column.right ? natural : Widest(text, " \n")});
+      empty &= text.empty();
     }
+    if (j < keys_ || !empty || rows_.empty()) columns.push_back(column);
   }
+  return columns;
+}
+
+bool Table::FitsOneLine(size_t width) const {
+  std::vector<size_t> widths;
+  for (const TextColumn& column : MeasureText()) widths.push_back(column.natural);
+  return WidthOf(widths) <= width;
+}
+
+std::vector<size_t> Table::FitWidths(const std::vector<TextColumn>& columns, size_t width) {
+  std::vector<size_t> widths;
+  for (const TextColumn& column : columns) widths.push_back(column.least);
+  // What is left goes to the column that is wrapped most,
+  for (size_t used = WidthOf(widths); used < width; ++used) {
+    size_t most = 0;
+    for (size_t j = 1; j < columns.size(); ++j) {
+      if (columns[j].natural * widths[most] > columns[most].natural * widths[j]) most = j;
+    }
+    if (widths[most] >= columns[most].natural) break;
+    ++widths[most];
+  }
+  // and what is missing is taken from the widest text, whose words then break.
+  while (WidthOf(widths) > width) {
+    size_t widest = columns.size();
+    for (size_t j = 0; j < columns.size(); ++j) {
+      if (columns[j].right || widths[j] <= kSqueezed) continue;
+      if (widest == columns.size() || widths[j] > widths[widest]) widest = j;
+    }
+    if (widest == columns.size()) break;
+    --widths[widest];
+  }
+  return widths;
+}
+
+std::string Table::ToText(const TextLayout& layout) const {
+  const std::vector<TextColumn> columns = MeasureText();
+  const auto keys_end = columns.begin() + static_cast<std::ptrdiff_t>(keys_);
   std::string text;
-  for (std::string& line : lines) {
-    line.erase(line.find_last_not_of(' ') + 1);
-    text += line + '\n';
+  for (auto next = keys_end; text.empty() || next != columns.end();) {
+    std::vector<TextColumn> block(columns.begin(), keys_end);
+    size_t width = 0;
+    for (const TextColumn& key : block) width += key.least + kGap;
+    for (; next != columns.end(); ++next) {
+      if (block.size() > keys_ && width + next->least > layout.width) break;
+      width += next->least + kGap;
+      block.push_back(*next);
+    }
+    if (!text.empty()) text += '\n';
+    AppendText(block, FitWidths(block, layout.width), layout.colour, &text);
   }
   return text;
+}
+
+void Table::AppendText(const std::vector<TextColumn>& columns, const std::vector<size_t>& widths, bool colour,
+                       std::string* text) const {
+  // Appends one row, on as many lines as it takes.
+  const auto append = [&](const auto& text_of, const auto& tone_of) {
+    std::vector<std::vector<std::string>> cells;
+    size_t height = 0;
+    for (size_t j = 0; j < columns.size(); ++j) {
+      cells.push_back(WrapText(text_of(columns[j].index), widths[j]));
+      height = std::max(height, cells.back().size());
+    }
+    for (size_t k = 0; k < height; ++k) {
+      std::string line;
+      size_t blank = 0;  // columns that are not needed unless something follows
+      for (size_t j = 0; j < columns.size(); ++j) {
+        const std::string part = k < cells[j].size() ? cells[j][k] : "";
+        const std::string padded = Pad(part, widths[j], columns[j].right);
+        const size_t end = padded.find_last_not_of(' ') + 1;
+        if (end > 0) {
+          const std::string_view start = colour ? AnsiColour(tone_of(columns[j].index)) : "";
+          line +=
+              std::string(blank, ' ') + std::string(start) + padded.substr(0, end) + (start.empty() ? "" : "\033[0m");
+          blank = 0;
+        }
+        blank += padded.size() - end + kGap;
+      }
+      *text += line + '\n';
+    }
+  };
+  const auto plain = [](size_t) { return Tone::kPlain; };
+  append([&](size_t j) { return columns_[j].header; }, plain);
+  std::vector<std::string> rules(columns_.size());
+  for (size_t j = 0; j < columns.size(); ++j) rules[columns[j].index].assign(widths[j], '-');
+  append([&](size_t j) { return rules[j]; }, plain);
+  for (size_t i = 0; i < rows_.size(); ++i) {
+    append([&](size_t j) { return Display(i, j); }, [&](size_t j) { return rows_[i][j].tone(); });
+  }
+}
+
+Table Table::Transposed(std::string corner, size_t keys) const {
+  std::vector<Column> columns = {{std::move(corner)}};
+  for (size_t i = 0; i < rows_.size(); ++i) columns.push_back({Display(i, 0)});
+  Table table(columns, keys);
+  for (size_t j = 1; j < columns_.size(); ++j) {
+    std::vector<Cell> row = {columns_[j].header};
+    for (const auto& cells : rows_) {
+      row.push_back(cells[j]);
+      row.back().WithDigits(cells[j].significant_digits().value_or(columns_[j].significant_digits));
+    }
+    table.AddRow(std::move(row));
+  }
+  return table;
 }
 
 std::string EscapeHtml(std::string_view text) {

@@ -1,4 +1,4 @@
-// Tables: built once, written as Markdown, CSV, HTML or aligned text.
+// Tables: built once, written as Markdown, CSV, HTML or text that fits a terminal.
 #pragma once
 
 #include <concepts>
@@ -9,6 +9,8 @@
 #include <utility>
 #include <variant>
 #include <vector>
+
+#include "output/text_layout.h"
 
 namespace saltus {
 
@@ -37,7 +39,14 @@ class Cell {
     return *this;
   }
 
+  // Displays it with so many digits whatever its column has.
+  Cell& WithDigits(int significant_digits) {
+    significant_digits_ = significant_digits;
+    return *this;
+  }
+
   Tone tone() const { return tone_; }
+  std::optional<int> significant_digits() const { return significant_digits_; }
   bool IsText() const { return std::holds_alternative<std::string>(value_); }
 
   // For a person: floating-point numbers with at most `significant_digits`; empty if there is nothing.
@@ -49,6 +58,7 @@ class Cell {
  private:
   std::variant<std::monostate, std::string, int64_t, double> value_;
   Tone tone_ = Tone::kPlain;
+  std::optional<int> significant_digits_;
 };
 
 struct Column {
@@ -58,7 +68,9 @@ struct Column {
 
 class Table {
  public:
-  explicit Table(std::vector<Column> columns) : columns_(std::move(columns)) {}
+  // The first `keys` columns name a row: text repeats them wherever a row goes on below.
+  // Precondition: 1 <= keys <= columns.
+  explicit Table(std::vector<Column> columns, size_t keys = 1);
 
   // Precondition: one cell a column.
   void AddRow(std::vector<Cell> row);
@@ -76,15 +88,37 @@ class Table {
   // that of their tone where these apply.
   std::string ToHtml() const;
 
-  // Aligned columns for a terminal; with `colour`, ANSI escapes show the tones.
-  std::string ToText(bool colour = false) const;
+  // Aligned columns without those that have no content. If they are too wide, texts are wrapped, and columns that still
+  // find no room follow below, after the keys once more.
+  std::string ToText(const TextLayout& layout = {}) const;
+
+  // Whether the text has every row on one line.
+  bool FitsOneLine(size_t width) const;
+
+  // Rows become columns and columns rows: each of these begins with the header of its column, under `corner`, and each
+  // of those has the first cell of its row for a header. The first `keys` columns are keys.
+  Table Transposed(std::string corner, size_t keys) const;
 
  private:
   // A column without text is a column of numbers, aligned to the right.
   bool IsNumeric(size_t column) const;
   std::string Display(size_t row, size_t column) const;
 
+  // A column of the text: what can be said of its width before it is known who stands beside it.
+  struct TextColumn {
+    size_t index = 0;
+    size_t natural = 0;  // width, if nothing is wrapped
+    size_t least = 0;    // narrower than this it is hard to read
+    bool right = false;  // aligned
+  };
+  std::vector<TextColumn> MeasureText() const;
+  static std::vector<size_t> FitWidths(const std::vector<TextColumn>& columns, size_t width);
+  // Some columns beside each other, each with its width.
+  void AppendText(const std::vector<TextColumn>& columns, const std::vector<size_t>& widths, bool colour,
+                  std::string* text) const;
+
   std::vector<Column> columns_;
+  size_t keys_;
   std::vector<std::vector<Cell>> rows_;
 };
 

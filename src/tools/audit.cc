@@ -1,9 +1,7 @@
 #include "tools/audit.h"
 
 #include <gflags/gflags.h>
-#include <unistd.h>
 
-#include <cstdlib>
 #include <iostream>
 #include <new>
 #include <optional>
@@ -73,9 +71,6 @@ Json GivenToJson(const GivenAudit& audit) {
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
 }
 
-// Colour is for people only: not in files and pipes, nor where NO_COLOR asks for none.
-bool WantsColour() { return isatty(STDOUT_FILENO) != 0 && std::getenv("NO_COLOR") == nullptr; }
-
 // "exact d/dpy puck: from above only, not judged"
 std::string Describe(const Scene& scene, const OneSided& entry) {
   const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
@@ -133,31 +128,35 @@ AuditReport RunAudit(const Request& request, bool needs_reference) {
 }
 
 void PrintAuditTable(const Request& request, const AuditReport& report) {
-  const bool colour = WantsColour();
+  const TextLayout layout = LayoutOfStandardOutput();
+  const std::string& name = request.scene.name;
+  const auto print = [&](const std::string& caption, const Table& table) {
+    std::cout << Paragraph(name + ": " + caption, layout.width) << "\n" << table.ToText(layout) << "\n";
+  };
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
-  std::cout << request.scene.name << ": "
-            << (surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : "gradient")
-            << " of the loss at the initial guess\n\n"
-            << GradientTable(request, report).ToText(colour) << "\n\n"
-            << request.scene.name << ": verdicts\n\n"
-            << VerdictTable(report).ToText(colour) << "\n";
+  Table gradients = GradientTable(request, report);
+  // A row an entry, whose exact value is beside it wherever it goes on.
+  if (!gradients.FitsOneLine(layout.width)) gradients = gradients.Transposed("entry", report.reference ? 2 : 1);
+  print((surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : std::string("gradient")) +
+            " of the loss at the initial guess",
+        gradients);
+  print("verdicts", VerdictTable(report));
   const Table plateaus = PlateauTable(report);
-  if (!plateaus.rows().empty()) {
-    std::cout << "\n" << request.scene.name << ": differences of the loss\n\n" << plateaus.ToText(colour) << "\n";
-  }
+  if (!plateaus.rows().empty()) print("differences of the loss", plateaus);
+  std::string remarks;
+  const auto remark = [&](const std::string& text) { remarks += Paragraph(text, layout.width, 2); };
   if (report.reference) {
-    for (const OneSided& entry : report.reference->one_sided) std::cout << Describe(request.scene, entry) << "\n";
+    for (const OneSided& entry : report.reference->one_sided) remark(Describe(request.scene, entry));
   }
   for (const ModelAudit& audit : report.models) {
-    if (!audit.gradient.ok()) std::cout << audit.gradient.contact << ": " << audit.gradient.reason << "\n";
-    if (audit.gradient.ok() && audit.interrupted) {
-      std::cout << audit.gradient.contact << ": interrupted; there is no more than its gradient\n";
-    }
+    const std::string& contact = audit.gradient.contact;
+    if (!audit.gradient.ok()) remark(contact + ": " + audit.gradient.reason);
+    if (audit.gradient.ok() && audit.interrupted) remark(contact + ": interrupted; there is no more than its gradient");
     if (audit.attribution && !audit.attribution->sequence.empty()) {
-      std::cout << audit.gradient.contact << ": " << audit.attribution->sequence << "\n";
+      remark(contact + ": " + audit.attribution->sequence);
     }
   }
-  std::cout << std::endl;
+  std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
 }
 
 int AuditExitCode(const Request& request, const AuditReport& report) {
@@ -196,8 +195,10 @@ int AuditMain(int argc, char** argv) {
           } else {
             PrintAuditTable(request, report);
             if (given) {
-              std::cout << given->name << ": " << VerdictToString(WorstOf(given->entries)) << "\n\n"
-                        << GivenTable(given->entries).ToText(WantsColour()) << std::endl;
+              const TextLayout layout = LayoutOfStandardOutput();
+              std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width)
+                        << "\n"
+                        << GivenTable(given->entries).ToText(layout) << std::endl;
             }
           }
         };

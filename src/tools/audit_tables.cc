@@ -88,6 +88,11 @@ Table GradientTable(const Request& request, const AuditReport& report) {
     row.push_back(error ? Cell(error->angle) : Cell());
     table.AddRow(std::move(row));
   };
+  if (report.reference) {
+    const bool one = report.reference->ambiguous.empty();
+    const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
+    add(GradientRow(request.scene, name, *report.reference), std::nullopt);
+  }
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
     const ModelGradient& gradient = audit.gradient;
@@ -95,11 +100,6 @@ Table GradientTable(const Request& request, const AuditReport& report) {
     if (gradient.initial_error.empty()) continue;
     add(GradientRow(request.scene, "  standard error", {}, gradient.initial_error, gradient.control_error),
         std::nullopt);
-  }
-  if (report.reference) {
-    const bool one = report.reference->ambiguous.empty();
-    const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
-    add(GradientRow(request.scene, name, *report.reference), std::nullopt);
   }
   return table;
 }

@@ -11,7 +11,7 @@ namespace saltus {
 // Right and consistent verdicts are good, wrong ones bad.
 Tone ToneOf(Verdict verdict);
 
-// Loss and gradient at the scene's own steps, one row a model (a second one for standard errors), the exact one last.
+// Loss and gradient at the scene's own steps, one row a model (a second one for standard errors), the exact one first.
 Table GradientTable(const Request& request, const AuditReport& report);
 
 // Verdicts, and for wrong models the first wrong step and why. Toned.

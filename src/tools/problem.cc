@@ -36,7 +36,7 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
         if (!solved.runs.empty()) PrintSolveTable(request, solved);
         if (!launches.empty()) {
           std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
-                    << LaunchTable(launches).ToText();
+                    << LaunchTable(launches).ToText(LayoutOfStandardOutput());
         }
       }
     };

@@ -11,6 +11,7 @@
 #include "output/npz.h"
 #include "output/table.h"
 #include "saltus/dynamics/registry.h"
+#include "tools/certificate_table.h"
 #include "tools/parallel.h"
 #include "tools/surrogate_flags.h"
 
@@ -188,37 +189,35 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                {"gradients"},
                {"seconds", 3},
                {"termination"},
-               {"exact loss is at"},
-               {"remark"}});
+               {"remark"}},
+              2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
-    if (report.losses.empty()) {
-      table.AddRow({LabelOf(report.contact, report.surrogate),
-                    report.solver,
-                    "",
-                    "",
-                    "",
-                    "",
-                    "",
-                    "",
-                    TerminationToString(report.termination),
-                    "",
-                    report.reason});
-      continue;
-    }
+    const bool ran = !report.losses.empty();
+    const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
     table.AddRow({LabelOf(report.contact, report.surrogate),
                   report.solver,
-                  report.initial_loss,
-                  report.final_loss,
-                  run.exact.ok ? std::optional(run.exact.loss) : std::nullopt,
-                  report.iterations,
-                  report.evaluations,
-                  report.seconds,
+                  of_run(report.initial_loss),
+                  of_run(report.final_loss),
+                  run.exact.ok ? of_run(run.exact.loss) : Cell(),
+                  of_run(report.iterations),
+                  of_run(report.evaluations),
+                  of_run(report.seconds),
                   TerminationInWords(report),
-                  run.certificate ? VerdictInWords(*run.certificate) : "",
-                  Remark(run)});
+                  ran ? Remark(run) : report.reason});
   }
-  std::cout << request.scene.name << ": " << request.scene.steps << " steps\n\n" << table.ToText() << std::endl;
+  const TextLayout layout = LayoutOfStandardOutput();
+  const std::string& name = request.scene.name;
+  std::cout << name << ": " << request.scene.steps << " steps\n\n" << table.ToText(layout) << std::endl;
+  const Table certificates = CertificateTable(solved);
+  if (certificates.rows().empty()) return;
+  char tolerance[16];
+  std::snprintf(tolerance, sizeof tolerance, "%g", kCertificateTolerance);
+  std::cout << Paragraph(name + ": certificates of the exact loss, stationary with a residual of at most " + tolerance +
+                             ", a minimum with positive curvature (1 is that of the effort alone)",
+                         layout.width)
+            << "\n"
+            << certificates.ToText(layout) << std::endl;
 }
 
 void WriteSolutions(const Request& request, const SolvedRuns& solved) {

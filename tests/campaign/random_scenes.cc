@@ -84,7 +84,7 @@ class Tally {
       }
       table.AddRow({what, number, list});
     }
-    return table.ToText(/*colour=*/false);
+    return table.ToText(LayoutOfStandardOutput());
   }
 
  private:

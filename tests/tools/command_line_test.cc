@@ -2,10 +2,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 #include <string>
+#include <vector>
 
 #include "io/csv.h"
 #include "tools/run_program.h"
@@ -14,7 +17,10 @@ namespace saltus {
 namespace {
 
 using nlohmann::json;
+using testing::Contains;
+using testing::ContainsRegex;
 using testing::HasSubstr;
+using testing::Not;
 
 TEST(CommandLine, TwoBallsByGradientDescent) {
   const Outcome outcome = RunProgram("two_balls --contact=direct_toi --solver=gd --json --progress=none");
@@ -189,7 +195,7 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
   EXPECT_EQ(run["standard_error"].size(), 960u);
   EXPECT_EQ(run["evaluations"], 3);
 
-  const Outcome tables = RunProgram("saltus_audit" + flags);
+  const Outcome tables = RunProgramIn(1000, "saltus_audit" + flags);
   EXPECT_THAT(tables.output, HasSubstr("surrogate of the gradient (smoothed_zeroth, biased)"));
   EXPECT_THAT(tables.output, HasSubstr("direct (smoothed_zeroth, biased)"));
   EXPECT_THAT(tables.output, HasSubstr("standard errors from the exact gradient"));
@@ -268,8 +274,9 @@ TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
 TEST(CommandLine, TheAuditWritesTablesAndFigures) {
   const std::string dir = testing::TempDir() + "/audit_" + std::to_string(getpid());
   const Outcome outcome =
-      RunProgram("saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
-                 Scene("two_balls"));
+      RunProgramIn(1000,
+                   "saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
+                       Scene("two_balls"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   EXPECT_THAT(outcome.output, HasSubstr("acceleration at the impact ignored"));
   EXPECT_THAT(outcome.output, HasSubstr("agrees with narrow differences, not with wide ones"));
@@ -319,7 +326,7 @@ TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
 TEST(CommandLine, ConvergedSaysOnWhichLoss) {
   const std::string solve =
       "saltus_solve" + Scene("two_balls") + "--contact=convex_toi,event --solver=ceres_lm,grid_optimum --progress=none";
-  const Outcome table = RunProgram(solve);
+  const Outcome table = RunProgramIn(1000, solve);
   EXPECT_THAT(table.output, HasSubstr("exact loss is at"));
   EXPECT_THAT(table.output, HasSubstr("converged under convex_toi"));
   EXPECT_THAT(table.output, HasSubstr("not stationary"));
@@ -337,6 +344,78 @@ TEST(CommandLine, ConvergedSaysOnWhichLoss) {
     }
   }
   EXPECT_EQ(converged, 2);
+}
+
+// Lines of a text, each without the spaces that align it.
+std::vector<std::string> WordsByLine(const std::string& text) {
+  std::vector<std::string> lines;
+  std::stringstream stream(text);
+  for (std::string line; std::getline(stream, line);) {
+    std::stringstream words(line);
+    std::string joined;
+    for (std::string word; words >> word;) joined += (joined.empty() ? "" : " ") + word;
+    lines.push_back(joined);
+  }
+  return lines;
+}
+
+TEST(CommandLine, CertificatesAreInTheTextInWords) {
+  const Outcome outcome =
+      RunProgramIn(400, "two_balls --contact=event,direct_toi --solver=hmp,gd --iterations=20 --progress=none");
+  EXPECT_EQ(outcome.exit_code, 1) << outcome.errors;  // gd does not converge
+  const std::vector<std::string> lines = WordsByLine(outcome.output);
+  EXPECT_THAT(outcome.output, HasSubstr("stationary with a residual of at most 1e-06"));
+  EXPECT_THAT(lines, Contains("contact solver exact loss is at residual smallest curvature what it means"));
+  EXPECT_THAT(lines,
+              Contains(ContainsRegex("^event hmp minimum [0-9.e-]+ 0.97[0-9] no small change of the control lowers the "
+                                     "loss; other sequences of impacts may be better$")));
+  EXPECT_THAT(lines,
+              Contains(ContainsRegex("^direct_toi gd not stationary 0.[0-9]+ small changes of the control lower the "
+                                     "loss: .* is off most$")));
+
+  const Outcome searched =
+      RunProgramIn(400, "saltus_solve --contact=event --solver=mode_search --progress=none" + Scene("two_balls"));
+  EXPECT_THAT(searched.output, HasSubstr("it is the best of 3 sequences of impacts"));
+
+  const Outcome velocity = RunProgramIn(400, "ground_wall --contact=event --solver=ceres_lm --progress=none");
+  EXPECT_THAT(velocity.output, Not(HasSubstr("certificate"))) << "of controls only";
+}
+
+// Whatever the terminal, lines fit it and no word is lost.
+TEST(CommandLine, TablesFitTheTerminal) {
+  const std::string command = "two_balls --solver=ceres_lbfgs --contact=event,direct,lcp --progress=none";
+  const auto longest = [](const std::string& text) {
+    size_t columns = 0;
+    std::stringstream stream(text);
+    for (std::string line; std::getline(stream, line);) columns = std::max(columns, line.size());
+    return columns;
+  };
+  const std::string wide = RunProgramIn(1000, command).output;
+  EXPECT_GT(longest(wide), 200u);
+  EXPECT_THAT(wide, HasSubstr("d/dux[0] striker  d/duy[0] striker"));
+  EXPECT_LE(longest(RunProgram(command).output), 100u) << "in a pipe";
+  for (const int columns : {60, 80, 132}) {
+    const std::string text = RunProgramIn(columns, command).output;
+    EXPECT_LE(longest(text), columns);
+    std::stringstream words(wide);
+    for (std::string word; words >> word;) {
+      // Rules and seconds are not the same twice.
+      if (word.find_first_not_of("-0123456789.e") == std::string::npos) continue;
+      EXPECT_THAT(text, HasSubstr(word)) << columns;
+    }
+  }
+}
+
+// Position and velocity of 20 discs, and the first force on one: rows, not columns.
+TEST(CommandLine, AGradientOfManyDiscsHasARowAnEntry) {
+  const std::string scene = testing::TempDir() + "/gas_" + std::to_string(getpid()) + ".yaml";
+  ASSERT_EQ(RunProgram("saltus_scene --discs=20 --steps=20 >" + scene).exit_code, 0);
+  const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none --scene=" + scene);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const std::vector<std::string> lines = WordsByLine(outcome.output);
+  const auto entries =
+      std::count_if(lines.begin(), lines.end(), [](const std::string& line) { return line.substr(0, 3) == "d/d"; });
+  EXPECT_EQ(entries, 4 * 20 + 2);
 }
 
 TEST(CommandLine, SequencesAreReadFromAFlag) {

@@ -38,6 +38,11 @@ inline Outcome RunCommand(const std::string& command) {
 // Runs one of the programs, with arguments for a shell.
 inline Outcome RunProgram(const std::string& command) { return RunCommand(SALTUS_BINARY_DIR "/bin/" + command); }
 
+// The same on a terminal of so many columns.
+inline Outcome RunProgramIn(int columns, const std::string& command) {
+  return RunCommand("COLUMNS=" + std::to_string(columns) + " " SALTUS_BINARY_DIR "/bin/" + command);
+}
+
 inline std::string Scene(const std::string& name) {
   return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml ";
 }
