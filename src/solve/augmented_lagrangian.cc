@@ -10,8 +10,9 @@ namespace {
 
 constexpr double kGrowth = 10;          // of the weights, from solve to solve
 constexpr double kLargestWeight = 1e7;  // more would leave nothing of the costs in double precision
-// Relative change of the cost that ends a solve: the first ones only prepare the next.
-constexpr double kTolerances[] = {1e-3, 1e-6, 1e-13};
+// Relative change of the cost that ends a solve: the first ones only prepare the next. The last one leaves conditions
+// of first order open by its root.
+constexpr double kTolerances[] = {1e-3, 1e-6, 3e-14};
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;
