@@ -18,7 +18,7 @@
 
 #include "costate_sweep.h"
 #include "optimality_conditions.h"
-#include "saltus/physics/time_grid.h"
+#include "physics/time_grid.h"
 
 namespace saltus {
 namespace {

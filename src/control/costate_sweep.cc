@@ -5,7 +5,7 @@
 
 #include "phase_costs.h"
 #include "saltus/control/objective.h"
-#include "saltus/physics/time_grid.h"
+#include "physics/time_grid.h"
 
 namespace saltus {
 namespace {

@@ -5,7 +5,7 @@
 #include "impact_jump.h"
 #include "optimality_conditions.h"
 #include "saltus/control/objective.h"
-#include "saltus/physics/time_grid.h"
+#include "physics/time_grid.h"
 
 namespace saltus {
 namespace {
