@@ -146,11 +146,12 @@ class PhaseSolver {
     Simulate(attempt);
     // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step.
     for (int round = 0; round < kSnaps && attempt->realized && scene_.objective.via.empty(); ++round) {
+      const double whole = Duration(trial);
       double begin = 0;
       size_t k = 0;
       for (size_t j = 0; j < steps.size(); ++j) {
         const bool last = j >= trial.exact.events.size();
-        const double end = last ? Duration(trial) : trial.exact.events[j].time;
+        const double end = last ? whole : trial.exact.events[j].time;
         std::fill_n(trial.durations.begin() + k, steps[j], (end - begin) / std::max(1, steps[j]));
         if (!last) attempt->times[j] = end;
         k += steps[j];
