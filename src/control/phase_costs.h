@@ -83,6 +83,7 @@ struct ImpactCut {
   ImpactLaw law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
+  double overlap = 0;                      // of the reach: the gap is -overlap * reach instead
 
   bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
   int num_moving() const { return Moves(0) + Moves(1); }
@@ -103,7 +104,7 @@ struct ImpactCut {
     }
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
     const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]));
-    *rows++ = apart.distance - law.reach;
+    *rows++ = apart.distance - (1 - overlap) * law.reach;
     block = 0;
     for (int side = 0; side < 2; ++side) {
       if (!Moves(side)) continue;

@@ -1,0 +1,180 @@
+#include "phase_attempt.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "phase_transcription.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kMostIterations = 400;  // of one solve
+constexpr int kSnaps = 2;             // of impacts to nodes
+// Of the reach: by so much pairs that must not meet stay apart, and impacts at the same time come early, until rounding
+// does not decide any more what the roll-out does.
+constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
+
+// Shares `steps` out over phases that end at `ends`, as a grid of equal steps would: none to those that are tied, at
+// least one to each other.
+std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const std::vector<bool>& empty) {
+  int left = static_cast<int>(std::count(empty.begin(), empty.end(), false));  // phases still to be served
+  std::vector<int> share;
+  int node = 0;
+  for (size_t j = 0; j < ends.size(); ++j) {
+    if (empty[j]) {
+      share.push_back(0);
+      continue;
+    }
+    --left;
+    const int last = steps - left;  // leaves one for each that follows
+    const int end = left == 0 ? steps : static_cast<int>(std::floor(steps * (ends[j] / ends.back())));
+    share.push_back(std::clamp(end, node + 1, last) - node);
+    node += share.back();
+  }
+  return share;
+}
+
+class TranscribedPlan {
+ public:
+  TranscribedPlan(PhaseRun* run, const PhasePlan& plan, const PlanStart& start)
+      : run_(*run), plan_(plan), scene_(run->scene()), start_(start) {
+    if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
+    for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
+    apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
+    std::vector<double> ends = start.times;
+    ends.push_back(scene_.duration);
+    std::vector<bool> empty = {false};  // phases
+    empty.insert(empty.end(), plan.tied.begin(), plan.tied.end());
+    const auto phases = std::count(empty.begin(), empty.end(), false);
+    if (phases <= scene_.steps) steps_ = ShareSteps(scene_.steps, ends, empty);
+  }
+
+  PlanAttempt Try(const MayGoOn& may_go_on) {
+    PlanAttempt attempt;
+    if (steps_.empty()) return attempt;
+    for (const double margin : kMargins) {
+      const bool tied = plan_.HasTies();
+      if (tied && margin == 0) continue;
+      Solve(margin, may_go_on, &attempt);
+      if (attempt.interrupted || !attempt.converged) break;
+      if (!TouchesApart(attempt) && (!tied || attempt.realized)) break;
+      start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+    }
+    return attempt;
+  }
+
+ private:
+  void Solve(double margin, const MayGoOn& may_go_on, PlanAttempt* attempt) {
+    std::vector<PhaseCut> cuts;
+    int ties = 0;  // the earlier of impacts at the same time come earlier
+    for (size_t k = plan_.cuts.size(); k-- > 0;) {
+      ties = plan_.tied[k] ? ties + 1 : 0;
+      cuts.insert(cuts.begin(), {plan_.cuts[k], start_.times[k], ties * margin});
+    }
+    PhaseTranscription transcription(scene_, cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);
+    const auto read = [&] {
+      attempt->times = transcription.CutTimes();
+      attempt->times.push_back(transcription.Duration());
+      attempt->speeds = transcription.CutSpeeds();
+    };
+    bool left = false;
+    AugmentedLagrangian::Options options;
+    options.iterations = kMostIterations;
+    options.callback = [&](double cost) {
+      if (!run_.Record(cost)) return false;
+      read();
+      left = !may_go_on(attempt->times, attempt->speeds);
+      return !left;
+    };
+    const AugmentedLagrangian::Summary summary = transcription.Minimize(options);
+    read();
+    attempt->valid = true;
+    attempt->converged = summary.converged;
+    attempt->interrupted = summary.interrupted && !left;
+    attempt->jacobians += summary.jacobians;
+    transcription.Control(&attempt->trial.control, &attempt->trial.durations);
+    RollOut(attempt);
+  }
+
+  void RollOut(PlanAttempt* attempt) const {
+    Trial& trial = attempt->trial;
+    // A phase that vanished may be a little less than nothing.
+    for (double& duration : trial.durations) duration = std::max(duration, 1e-12 * scene_.duration);
+    if (!scene_.objective.duration) {
+      const double whole = DurationOf(trial);
+      for (double& duration : trial.durations) duration *= scene_.duration / whole;
+    }
+    ClampToBounds(&trial.control);
+    Simulate(attempt);
+    for (int round = 0; round < kSnaps && attempt->realized; ++round) {
+      Snap(attempt);
+      Simulate(attempt);
+    }
+    attempt->violation = ViolationOf(scene_, trial);
+  }
+
+  // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step.
+  void Snap(PlanAttempt* attempt) const {
+    Trial& trial = attempt->trial;
+    std::vector<double> ends;
+    size_t event = 0;
+    for (size_t k = 0; k < plan_.cuts.size(); ++k) {
+      ends.push_back(plan_.cuts[k] ? trial.exact.events[event++].time : attempt->times[k]);
+      attempt->times[k] = ends.back();
+    }
+    ends.push_back(DurationOf(trial));
+    for (size_t k = plan_.cuts.size(); k-- > 0;) {
+      if (plan_.tied[k]) ends[k] = ends[k + 1];
+    }
+    double begin = 0;
+    auto duration = trial.durations.begin();
+    for (size_t j = 0; j < steps_.size(); ++j) {
+      duration = std::fill_n(duration, steps_[j], (ends[j] - begin) / std::max(1, steps_[j]));
+      begin = ends[j];
+    }
+  }
+
+  void Simulate(PlanAttempt* attempt) const {
+    Trial& trial = attempt->trial;
+    trial.exact = SimulateExactly(scene_, InitialState(scene_), trial.control, trial.durations);
+    std::vector<double> times;
+    for (size_t k = 0; k < plan_.cuts.size(); ++k) {
+      if (plan_.cuts[k]) times.push_back(attempt->times[k]);
+    }
+    attempt->realized = IsRealized(scene_, trial.exact, plan_.Sequence(), times);
+  }
+
+  // Multipliers leave about 1e-10 beyond a bound.
+  void ClampToBounds(std::vector<double>* control) const {
+    const Control& bounds = scene_.control;
+    for (size_t k = 0; k < control->size() / 2; ++k) {
+      const size_t c = k % scene_.num_controlled();
+      Eigen::Map<Vec2d> u(&(*control)[2 * k]);
+      if (!bounds.max.empty()) u = u.cwiseMax(-bounds.max[c]).cwiseMin(bounds.max[c]);
+      if (!bounds.max_norm.empty() && u.norm() > bounds.max_norm[c]) u *= bounds.max_norm[c] / u.norm();
+    }
+  }
+
+  bool TouchesApart(const PlanAttempt& attempt) const {
+    const ContactSequence& met = attempt.trial.exact.contacts;
+    return std::any_of(apart_.begin(), apart_.end(), [&](const Candidate& pair) {
+      return std::find(met.begin(), met.end(), pair) != met.end();
+    });
+  }
+
+  PhaseRun& run_;
+  const PhasePlan& plan_;
+  Scene scene_;
+  PlanStart start_;
+  ContactSequence apart_;
+  std::vector<int> steps_;  // of each phase; none if there are too few
+};
+
+}  // namespace
+
+PlanAttempt TryByTranscription(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+  return TranscribedPlan(run, plan, start).Try(may_go_on);
+}
+
+}  // namespace saltus
