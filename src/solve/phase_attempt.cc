@@ -5,20 +5,23 @@
 #include <numeric>
 
 #include "phase_transcription.h"
+#include "saltus/physics/time_grid.h"
 
 namespace saltus {
 namespace {
 
 constexpr int kMostIterations = 400;  // of one solve
-constexpr int kSnaps = 2;             // of impacts to nodes
+constexpr int kSnaps = 60;            // of impacts to nodes, at most
+constexpr double kUneven = 2;         // a step so many times the mean one is too long
 // Of the reach: by so much pairs that must not meet stay apart, and impacts at the same time come early, until rounding
 // does not decide any more what the roll-out does.
 constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
 
 // Shares `steps` out over phases that end at `ends`, as a grid of equal steps would: none to those that are tied, at
-// least one to each other.
+// least one to each other, and if possible two.
 std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const std::vector<bool>& empty) {
   int left = static_cast<int>(std::count(empty.begin(), empty.end(), false));  // phases still to be served
+  const int least = steps >= 2 * left ? 2 : 1;
   std::vector<int> share;
   int node = 0;
   for (size_t j = 0; j < ends.size(); ++j) {
@@ -27,9 +30,9 @@ std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const st
       continue;
     }
     --left;
-    const int last = steps - left;  // leaves one for each that follows
+    const int last = steps - least * left;  // leaves enough for those that follow
     const int end = left == 0 ? steps : static_cast<int>(std::floor(steps * (ends[j] / ends.back())));
-    share.push_back(std::clamp(end, node + 1, last) - node);
+    share.push_back(std::clamp(end, node + least, last) - node);
     node += share.back();
   }
   return share;
@@ -40,14 +43,15 @@ class TranscribedPlan {
   TranscribedPlan(PhaseRun* run, const PhasePlan& plan, const PlanStart& start)
       : run_(*run), plan_(plan), scene_(run->scene()), start_(start) {
     if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
+    if (plan.only_violation) AimAtConstraints();
     for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
     apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
     std::vector<double> ends = start.times;
     ends.push_back(scene_.duration);
-    std::vector<bool> empty = {false};  // phases
-    empty.insert(empty.end(), plan.tied.begin(), plan.tied.end());
-    const auto phases = std::count(empty.begin(), empty.end(), false);
-    if (phases <= scene_.steps) steps_ = ShareSteps(scene_.steps, ends, empty);
+    empty_ = {false};
+    empty_.insert(empty_.end(), plan.tied.begin(), plan.tied.end());
+    const auto phases = std::count(empty_.begin(), empty_.end(), false);
+    if (phases <= scene_.steps) steps_ = ShareSteps(scene_.steps, ends, empty_);
   }
 
   PlanAttempt Try(const MayGoOn& may_go_on) {
@@ -57,14 +61,32 @@ class TranscribedPlan {
       const bool tied = plan_.HasTies();
       if (tied && margin == 0) continue;
       Solve(margin, may_go_on, &attempt);
-      if (attempt.interrupted || !attempt.converged) break;
-      if (!TouchesApart(attempt) && (!tied || attempt.realized)) break;
-      start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+      if (attempt.converged && IsUneven(attempt.times)) {
+        steps_ = ShareSteps(scene_.steps, attempt.times, empty_);
+        GoOnFrom(attempt);
+        Solve(margin, may_go_on, &attempt);
+      }
+      if (!attempt.converged || (!TouchesApart(attempt) && (!tied || attempt.realized))) break;
+      GoOnFrom(attempt);
     }
     return attempt;
   }
 
  private:
+  void GoOnFrom(const PlanAttempt& attempt) {
+    start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+  }
+
+  // Some phase has become so long that its steps are too few.
+  bool IsUneven(const std::vector<double>& times) const {
+    double begin = 0;
+    for (size_t j = 0; j < steps_.size(); ++j) {
+      if (times[j] - begin > kUneven * steps_[j] * times.back() / scene_.steps) return true;
+      begin = times[j];
+    }
+    return false;
+  }
+
   void Solve(double margin, const MayGoOn& may_go_on, PlanAttempt* attempt) {
     std::vector<PhaseCut> cuts;
     int ties = 0;  // the earlier of impacts at the same time come earlier
@@ -107,15 +129,13 @@ class TranscribedPlan {
     }
     ClampToBounds(&trial.control);
     Simulate(attempt);
-    for (int round = 0; round < kSnaps && attempt->realized; ++round) {
-      Snap(attempt);
-      Simulate(attempt);
-    }
+    for (int round = 0; round < kSnaps && attempt->realized && Snap(attempt); ++round) Simulate(attempt);
     attempt->violation = ViolationOf(scene_, trial);
   }
 
-  // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step.
-  void Snap(PlanAttempt* attempt) const {
+  // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step. False if
+  // they are on their nodes.
+  bool Snap(PlanAttempt* attempt) const {
     Trial& trial = attempt->trial;
     std::vector<double> ends;
     size_t event = 0;
@@ -127,12 +147,18 @@ class TranscribedPlan {
     for (size_t k = plan_.cuts.size(); k-- > 0;) {
       if (plan_.tied[k]) ends[k] = ends[k + 1];
     }
-    double begin = 0;
-    auto duration = trial.durations.begin();
+    std::vector<double> durations;
+    double begin = 0, largest = 0;  // change of an end, in steps
     for (size_t j = 0; j < steps_.size(); ++j) {
-      duration = std::fill_n(duration, steps_[j], (ends[j] - begin) / std::max(1, steps_[j]));
+      if (steps_[j] == 0) continue;
+      const double step = (ends[j] - begin) / steps_[j];
+      largest = std::max(largest, steps_[j] * std::abs(trial.durations[durations.size()] / step - 1));
+      durations.insert(durations.end(), steps_[j], step);
       begin = ends[j];
     }
+    if (largest <= 0.1 * kNodeMargin) return false;
+    trial.durations = std::move(durations);
+    return true;
   }
 
   void Simulate(PlanAttempt* attempt) const {
@@ -156,6 +182,26 @@ class TranscribedPlan {
     }
   }
 
+  // In natural units, a force that matters costs far less than the misses that it mends.
+  void AimAtConstraints() {
+    constexpr double kEffort = 1e-6;
+    Objective only;
+    only.effort = kEffort * std::pow(scene_.duration, 3);
+    const auto add = [](const auto& terms, auto* out) {
+      for (auto term : terms) {
+        if (!term.hard) continue;
+        term.hard = false;
+        term.weight = 1;
+        out->push_back(term);
+      }
+    };
+    add(scene_.objective.terminal, &only.terminal);
+    add(scene_.objective.via, &only.via);
+    only.duration = scene_.objective.duration;
+    if (only.duration) only.duration->weight = 0;
+    scene_.objective = only;
+  }
+
   bool TouchesApart(const PlanAttempt& attempt) const {
     const ContactSequence& met = attempt.trial.exact.contacts;
     return std::any_of(apart_.begin(), apart_.end(), [&](const Candidate& pair) {
@@ -168,7 +214,8 @@ class TranscribedPlan {
   Scene scene_;
   PlanStart start_;
   ContactSequence apart_;
-  std::vector<int> steps_;  // of each phase; none if there are too few
+  std::vector<bool> empty_;  // by phase: without steps
+  std::vector<int> steps_;   // of each phase; none if there are too few
 };
 
 }  // namespace

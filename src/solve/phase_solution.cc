@@ -259,7 +259,13 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
     minimum.jacobians += before.jacobians;
     Path<double> path;
     if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return solution;
-    for (int k = 0; k < phases.num_impacts(); ++k) times[k] = path.impacts[k].time;
+    solution.speeds.clear();
+    for (int k = 0; k < phases.num_impacts(); ++k) {
+      times[k] = path.impacts[k].time;
+      solution.speeds.push_back(path.impacts[k].impact.speed);
+    }
+    solution.times = times;
+    solution.times.push_back(scene.duration);
     phases.Control(path, &solution.trial.control, &solution.trial.durations);
     std::vector<int> better = DistributeIntervals(scene, sequence, times);
     if (!minimum.converged || minimum.touches || better == intervals) break;

@@ -282,16 +282,22 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
   for (int j = 0; j < num_phases(); ++j) {
     for (int k = 0; k < steps_[j]; ++k) {
       Clearance clearance{cut.law.reach * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
-      std::vector<double*> blocks;
+      std::vector<double*> blocks, forces;
       std::vector<int> sizes;
-      for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+      for (int side = 0; side < clearance.num_sides(); ++side) {
         const int body = side == 0 ? c.a : c.b;
         clearance.sides[side].at = cut.at[side];
         if (cut.at[side]) continue;
         clearance.sides[side].coasts = !dense_[body];
-        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k + 1 : 0]));
+        clearance.sides[side].inverse_mass = 1 / scene_.bodies[body].mass;
+        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k : 0]));
         sizes.push_back(4);
+        if (place_[body] < 0) continue;
+        clearance.sides[side].pushed = true;
+        forces.push_back(ForceOn(body, j, k));
       }
+      blocks.insert(blocks.end(), forces.begin(), forces.end());
+      sizes.insert(sizes.end(), forces.size(), 2);
       blocks.insert(blocks.end(), {Begin(j), End(j)});
       sizes.insert(sizes.end(), {1, 1});
       problem_.Add(Dynamic(clearance, 1, sizes), {.inequalities = 1}, blocks);

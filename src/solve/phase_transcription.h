@@ -34,8 +34,8 @@ class PhaseTranscription {
   // `steps` has one number a phase, cuts.size() + 1 in all; a phase of no steps has no length, and its impact happens
   // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
   // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
-  // time within [0, T]; some phase has steps. At the end of each step the pairs of `apart` are apart by `margin` times
-  // the distance at which they would touch.
+  // time within [0, T]; some phase has steps. The pairs of `apart` never come nearer than the distance at which they
+  // touch and `margin` of it.
   PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
                      const ContactSequence& apart = {}, double margin = 0);
   PhaseTranscription(const PhaseTranscription&) = delete;

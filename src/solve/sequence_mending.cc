@@ -6,25 +6,31 @@
 #include <limits>
 #include <numeric>
 
+#include "saltus/control/objective.h"
+
 namespace saltus {
 namespace {
 
-constexpr int kMostAttempts = 40;
-constexpr int kMostStarts = 5;            // of one plan
-constexpr double kBetterStart = 0.99;     // of the merit of an earlier one
-constexpr double kFeasible = 1e-8;        // largest violation on the exact roll-out
-constexpr double kVanished = 1e-3;        // of the horizon: a phase so short wants to be none
-constexpr double kActive = 1e-6;          // ... or is none, at an optimum
-constexpr double kOutOfOrder = 1e-9;      // of the horizon
-constexpr double kGrazes = 1e-4;          // of the scene's speed, at which an impact wants to be none
-constexpr double kMissWeight = 1e3;       // of hard constraints beside the loss, in natural units
-constexpr int kHalvings = 8;              // on the way from one motion to another
+constexpr int kMostAttempts = 60;
+constexpr int kPatience = 5;           // attempts after which nothing better than an optimum is expected
+constexpr int kMostStarts = 5;         // of one plan
+constexpr double kBetterStart = 0.99;  // of the merit of an earlier one
+constexpr double kFeasible = 1e-8;     // largest violation on the exact roll-out
+constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants to be none
+constexpr double kActive = 1e-6;       // ... or is none, at an optimum
+constexpr double kOutOfOrder = 1e-9;   // of the horizon
+constexpr double kGrazes = 1e-4;       // of the scene's speed, at which an impact wants to be none
+constexpr double kMissWeight = 1e3;    // of hard constraints beside the loss, in natural units
+constexpr int kHalvings = 8;           // on the way from one motion to another
 constexpr double kSameLoss = 1e-9;
+
+// What is tried first.
+enum class Rank { kBetterMotion, kIndicated, kTie, kHold };
 
 struct Task {
   PhasePlan plan;
   PlanStart start;
-  bool hold = false;   // the solve is not to leave the plan
+  Rank rank = Rank::kIndicated;
 };
 
 bool Contains(const ContactSequence& pairs, const Candidate& pair) {
@@ -40,18 +46,22 @@ class Mending {
     const bool mends = options.search && !options.sequence;
     Add(TaskAlong(SequenceFor(options, run_.guess()), run_.guess()));
     lowest_ = run_.guess();
-    for (int attempts = 0; attempts < kMostAttempts && !tasks_.empty(); ++attempts) {
-      if (static_cast<int>(run_.report().losses.size()) > options.iterations) break;
-      const Task task = std::move(tasks_.back());
-      tasks_.pop_back();
-      Attempt(task, mends);
-      if (interrupted_) break;
+    for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
+      if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
+      if (tasks_.empty()) break;
+      const Task task = TakeNext();
+      if (MayTry(task)) Attempt(task, mends);
     }
     return Report();
   }
 
  private:
+  bool HasOptimum() const { return best_ && best_->converged; }
+  bool OutOfIterations() const {
+    return static_cast<int>(run_.report().losses.size()) > std::max(1, run_.options().iterations);
+  }
+
   // ------------------------------------------------------------------------------------------------- merit of motions
 
   // Of a real motion: the loss, and what is left of hard constraints. Infinite if there is none.
@@ -118,20 +128,30 @@ class Mending {
     return task;
   }
 
-  // A plan is tried again only from better motions.
-  bool MayTry(const PhasePlan& plan, double merit) const {
+  // A plan is tried again only from better motions: than those from which it was, and than what came of it. It is held
+  // once.
+  bool MayTry(const Task& task) const {
+    const bool hold = task.rank == Rank::kHold;
+    const double merit = Merit(task.start.trial);
     int starts = 0;
-    for (const auto& [known, known_merit] : tried_) {
-      if (known == plan && (++starts >= kMostStarts || !(merit < kBetterStart * known_merit))) return false;
+    for (const Tried& tried : tried_) {
+      if (!(tried.plan == task.plan)) continue;
+      if (hold ? tried.held : ++starts >= kMostStarts || !(merit < tried.merit)) return false;
     }
     return true;
   }
 
   void Add(Task task) {
-    const double merit = Merit(task.start.trial);
-    if (!MayTry(task.plan, merit)) return;
-    tried_.emplace_back(task.plan, merit);
-    tasks_.push_back(std::move(task));
+    if (MayTry(task)) tasks_.push_back(std::move(task));
+  }
+
+  // The last one of the first rank.
+  Task TakeNext() {
+    const auto ahead = [](const Task& a, const Task& b) { return a.rank < b.rank; };
+    const auto next = std::prev(std::min_element(tasks_.rbegin(), tasks_.rend(), ahead).base());
+    Task task = std::move(*next);
+    tasks_.erase(next);
+    return task;
   }
 
   // ---------------------------------------------------------------------------------------------------------- attempts
@@ -140,7 +160,7 @@ class Mending {
     bool left = false;
     if (passed_.empty() || !(passed_.back() == task.plan)) passed_.push_back(task.plan);
     const PlanAttempt attempt = try_(task.plan, task.start, [&](const auto& times, const auto& speeds) {
-      left = mends && !task.hold && Leaves(task.plan, times, speeds);
+      left = mends && task.rank != Rank::kHold && Leaves(task.plan, times, speeds);
       return !left;
     });
     run_.report().evaluations += attempt.jacobians;
@@ -149,21 +169,40 @@ class Mending {
       for (size_t k = 0; k < task.plan.tied.size(); ++k) if (task.plan.tied[k]) t += " tied" + std::to_string(k);  // DEBUG
       for (auto& c : task.plan.apart) t += " apart " + ContactSequenceToString(scene_, {c});  // DEBUG
       std::string n = NameOf(task.plan);  // DEBUG
-      fprintf(stderr, "%s%s hold %d | start merit %.9g its %zu left %d conv %d real %d viol %.3g loss %.12g met %s\n", n.size() > 90 ? n.substr(n.size() - 90).c_str() : n.c_str(), t.c_str(), task.hold, Merit(task.start.trial), run_.report().losses.size(), left, attempt.converged, attempt.realized, attempt.violation, attempt.trial.exact.loss, attempt.realized ? "" : ContactSequenceToString(scene_, attempt.trial.exact.contacts).substr(0, 100).c_str());  // DEBUG
+      fprintf(stderr, "%s%s hold %d | start merit %.9g its %zu left %d conv %d real %d viol %.3g loss %.12g met %s\n", n.size() > 90 ? n.substr(n.size() - 90).c_str() : n.c_str(), t.c_str(), int(task.rank), Merit(task.start.trial), run_.report().losses.size(), left, attempt.converged, attempt.realized, attempt.violation, attempt.trial.exact.loss, attempt.realized ? "" : ContactSequenceToString(scene_, attempt.trial.exact.contacts).substr(0, 100).c_str());  // DEBUG
     }  // DEBUG
     interrupted_ = attempt.interrupted;
     if (!attempt.valid) return;
-    if (!left) last_ = attempt;
+    if (!left) {
+      last_ = attempt;
+      last_plan_ = task.plan;
+    }
     Meet(attempt.trial);
-    const bool better = attempt.feasible() && (!best_ || attempt.loss() < best_->loss());
+    Remember(task, attempt, left);
+    const bool better = attempt.feasible() && IsBetter(attempt);
+    idle_ = better ? 0 : idle_ + 1;
     if (better) {
       best_ = attempt;
       best_plan_ = task.plan;
+      if (attempt.converged) std::erase_if(tasks_, [](const Task& other) { return other.rank >= Rank::kTie; });
     }
     if (!mends || interrupted_ || (attempt.feasible() && attempt.converged && !better)) return;
     std::vector<Task> next = Moves(task, attempt, left);
     for (size_t i = next.size(); i-- > 0;) Add(std::move(next[i]));
-    if (left) tasks_.insert(tasks_.begin(), {task.plan, task.start, true});
+    if (left && !HasOptimum()) tasks_.push_back({task.plan, task.start, Rank::kHold});
+  }
+
+  bool IsBetter(const PlanAttempt& attempt) const {
+    if (!best_) return true;
+    const double same = kSameLoss * std::abs(best_->loss());
+    if (attempt.converged && !best_->converged) return attempt.loss() <= best_->loss() + same;
+    return attempt.loss() < best_->loss() - same;
+  }
+
+  void Remember(const Task& task, const PlanAttempt& attempt, bool left) {
+    double merit = kBetterStart * Merit(task.start.trial);
+    if (!left && attempt.converged) merit = attempt.feasible() ? attempt.loss() : -1;
+    tried_.push_back({task.plan, merit, task.rank == Rank::kHold});
   }
 
   static bool IsShort(const std::vector<double>& times, size_t k, double least) {
@@ -186,6 +225,7 @@ class Mending {
     if (!attempt.feasible()) {
       if (const auto better = WalkTo(trial, task.start.trial)) {
         moves.push_back(WithApart(TaskAlong(better->exact.contacts, *better), task.plan.apart));
+        moves.back().rank = Rank::kBetterMotion;
       }
     }
     // One that has not converged has gone astray, if nothing stopped it.
@@ -247,7 +287,7 @@ class Mending {
       }
       moves->push_back(std::move(task));
       if (!plan.cuts[k] || !plan.cuts[k + 1]) continue;
-      moves->push_back({plan, start});
+      moves->push_back({plan, start, Rank::kTie});
       moves->back().plan.tied[k] = true;
       moves->back().start.times[k] = moves->back().start.times[k + 1] = middle;
     }
@@ -274,59 +314,139 @@ class Mending {
   // --------------------------------------------------------------------------------------------------------------- end
 
   void LeaveSaddleOfBest() {
-    if (!best_ || !best_->converged || saddles_ >= kMostSaddles) return;
+    if (!HasOptimum() || saddles_ >= kMostSaddles) return;
     const Certificate certificate = CertifyTrial(scene_, best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
     const std::vector<Trial> aside = LeaveSaddle(scene_, best_->trial, *certificate.curvature);
+    idle_ = 0;
     for (size_t i = aside.size(); i-- > 0;) {
       Meet(aside[i]);
-      if (aside[i].exact.only_impacts) Add(TaskAlong(aside[i].exact.contacts, aside[i]));
+      if (!aside[i].exact.only_impacts) continue;
+      tasks_.push_back(TaskAlong(aside[i].exact.contacts, aside[i]));
+      tasks_.back().rank = Rank::kBetterMotion;
     }
   }
 
   SolveReport Report() {
-    if (!last_ && !best_) {
-      return run_.Finish(run_.guess(),
-                         run_.guess().exact.loss,
-                         interrupted_ ? Termination::kInterrupted : Termination::kFailed,
-                         interrupted_ ? "" : "no motion along " + NameOf(passed_.front()) + " was found to start from");
-    }
     std::string reason;
-    Termination termination = Judge(&reason);
-    if (passed_.size() > 1) reason = (reason.empty() ? "" : reason + "; ") + Passed();
-    const Trial& trial = best_ ? best_->trial : last_->trial;
-    return run_.Finish(trial, trial.exact.loss, termination, std::move(reason));
+    const Termination termination = Judge(&reason);
+    if (saddles_ > 0) reason = DescribeSaddle(reason);
+    if (passed_.size() > 1) reason += (reason.empty() ? "" : "; ") + Passed();
+    const Trial& result = termination == Termination::kConverged ? best_->trial : lowest_;
+    return run_.Finish(result, result.exact.loss, termination, std::move(reason));
   }
 
   Termination Judge(std::string* reason) {
     if (interrupted_) return Termination::kInterrupted;
-    const PlanAttempt& result = best_ ? *best_ : *last_;
-    if (best_ && best_->converged) return Termination::kConverged;
+    if (tried_.empty()) {
+      *reason = "no motion along " + NameOf(passed_.front()) + " was found to start from";
+      return Termination::kFailed;
+    }
+    if (HasOptimum() && !(Merit(lowest_) < best_->loss() - kSameLoss * std::abs(best_->loss()))) {
+      Certify();
+      return Termination::kConverged;
+    }
+    if (best_ && HasOptimum()) {
+      *reason = "no optimum found is better than a motion that is none";
+    } else if (scene_.objective.HasConstraints() && ViolationOf(scene_, lowest_) > kFeasible) {
+      *reason = LeastViolation();
+    } else if (!best_ && last_ && !last_->realized) {
+      *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
+    }
+    if (OutOfIterations()) return Termination::kIterationLimit;
+    if (reason->empty()) *reason = "steps have become too small";
     return Termination::kNoProgress;
   }
 
-  std::string NameOf(const PhasePlan& plan) const {
-    std::string text = ContactSequenceToString(scene_, plan.Sequence());
+  // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
+  void Certify() {
+    if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0) return;
+    Certificate certificate = CertifyTrial(scene_, best_->trial);
+    const bool kinks = best_plan_.HasTies() || !best_plan_.apart.empty();
+    if (kinks && !certificate.IsStationary()) {
+      certificate = {};
+      certificate.reason = Kinks() + ", where the loss has a kink: the conditions are those where it has none";
+    }
+    run_.report().certificate = std::move(certificate);
+  }
+
+  std::string Kinks() const {
+    std::string text;
+    for (const Candidate& pair : best_plan_.apart) {
+      text += (text.empty() ? "" : ", ") + ContactSequenceToString(scene_, {pair}) + " just touch";
+    }
+    if (!best_plan_.HasTies()) return text;
+    text += text.empty() ? "" : ", ";
+    return text + (best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
+  }
+
+  // The smallest miss of hard terms that is found along the sequence of the motion that misses them least so far.
+  std::string LeastViolation() {
+    Task task = TaskAlong(lowest_.exact.contacts, lowest_);
+    task.plan.only_violation = true;
+    const PlanAttempt attempt = try_(task.plan, task.start, [](const auto&, const auto&) { return true; });
+    if (attempt.valid && ViolationOf(scene_, attempt.trial) < ViolationOf(scene_, lowest_)) lowest_ = attempt.trial;
+    return "no motion along " + NameOf(task.plan) + " that meets all constraints was found; the least violation is " +
+           DescribeMiss();
+  }
+
+  // Of the hard term that the best motion misses most.
+  std::string DescribeMiss() const {
+    const Miss miss = LargestMiss(scene_, lowest_);
+    const bool position = miss.quantity == TerminalTerm::Quantity::kPosition;
+    const double unit = position ? scene_.units.length : scene_.units.speed();
+    char text[40];
+    std::snprintf(text, sizeof text, "%.6g", miss.size * unit);
+    return std::string(text) + (position ? " m" : " m/s") + ", by " + scene_.bodies[miss.body].name;
+  }
+
+  std::string NameOf(const PhasePlan& plan) const { return NameFrom(plan, 0); }
+
+  // Without the first impacts.
+  std::string NameFrom(const PhasePlan& plan, size_t first) const {
+    const ContactSequence sequence = plan.Sequence();
+    std::string text = ContactSequenceToString(scene_, {sequence.begin() + first, sequence.end()});
+    if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
+    for (const Candidate& pair : plan.apart) text += ", " + ContactSequenceToString(scene_, {pair}) + " apart";
     return text;
   }
 
   std::string Passed() const {
+    constexpr size_t kLong = 8;  // impacts, of which those are left out that the sequence before has too
     std::string text = "sequences passed: ";
-    for (size_t i = 0; i < passed_.size(); ++i) text += (i > 0 ? "; " : "") + NameOf(passed_[i]);
+    for (size_t i = 0; i < passed_.size(); ++i) {
+      const ContactSequence sequence = passed_[i].Sequence();
+      size_t same = 0;
+      if (i > 0 && sequence.size() > kLong) {
+        const ContactSequence before = passed_[i - 1].Sequence();
+        const auto [mine, other] = std::mismatch(sequence.begin(), sequence.end(), before.begin(), before.end());
+        same = std::min<size_t>(mine - sequence.begin(), sequence.size() - 1);
+      }
+      text += i > 0 ? "; " : "";
+      if (same > 0) text += "(" + std::to_string(same) + " the same) ";
+      text += NameFrom(passed_[i], same);
+    }
     return text;
   }
 
   PhaseRun& run_;
   const Scene& scene_;
   const TryPlan& try_;
-  std::vector<Task> tasks_;                            // the last one is next
-  std::vector<std::pair<PhasePlan, double>> tried_;    // with the merit of where they started
+  // A plan, and the merit below which another start is worth while.
+  struct Tried {
+    PhasePlan plan;
+    double merit;
+    bool held;
+  };
+  std::vector<Task> tasks_;
+  std::vector<Tried> tried_;
   std::vector<PhasePlan> passed_;
   std::optional<PlanAttempt> best_, last_;
-  PhasePlan best_plan_;
+  PhasePlan best_plan_, last_plan_;
   Trial lowest_;  // of all motions met
   int saddles_ = 0;
+  int idle_ = 0;  // attempts since something better was found
   bool interrupted_ = false;
 };
 
@@ -359,25 +479,29 @@ std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& 
   };
 }
 
+Miss LargestMiss(const Scene& scene, const Trial& trial) {
+  Miss largest;
+  const Flight flight = FlightOf(scene, trial);
+  const auto consider = [&](const DiscStates& x, const auto& term) {
+    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
+    const double size = (q - term.target).norm();
+    if (size > largest.size) largest = {size, term.body, term.quantity};
+  };
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.hard) consider(flight.end(), term);
+  }
+  for (const ViaTerm& term : scene.objective.via) {
+    if (term.hard) consider(flight.Before(term.time), term);
+  }
+  return largest;
+}
+
 double ViolationOf(const Scene& scene, const Trial& trial) {
   if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
   for (const NoContact& pair : scene.no_contact) {
     if (Contains(trial.exact.contacts, {pair.a, pair.b, pair.plane})) return std::numeric_limits<double>::infinity();
   }
-  if (!scene.objective.HasConstraints()) return 0;
-  const Flight flight = FlightOf(scene, trial);
-  double violation = 0;
-  const auto miss = [&](const DiscStates& x, const auto& term) {
-    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
-    violation = std::max(violation, (q - term.target).norm());
-  };
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.hard) miss(flight.end(), term);
-  }
-  for (const ViaTerm& term : scene.objective.via) {
-    if (term.hard) miss(flight.Before(term.time), term);
-  }
-  return violation;
+  return scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0;
 }
 
 SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan) { return Mending(run, try_plan).Solve(); }

@@ -28,6 +28,7 @@ struct PhasePlan {
   std::vector<std::optional<Candidate>> cuts;  // between phases: an impact, or the instant of the next via term
   std::vector<bool> tied;                      // by cut: no time passes until the next one, or the final time
   ContactSequence apart;                       // pairs that stay apart, by an inequality
+  bool only_violation = false;                 // hard terms as costs, and hardly any others
 
   ContactSequence Sequence() const;
   bool HasTies() const;
@@ -66,7 +67,14 @@ using TryPlan = std::function<PlanAttempt(const PhasePlan&, const PlanStart&, co
 // plan, and says in `reason` which sequences were passed.
 SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan);
 
-// Largest miss of a hard term, m or m/s; infinite if the trial has not run, or what must not touch has.
+// The hard term that is missed most, and by how much in the scene's units. Precondition: trial.exact.ok.
+struct Miss {
+  double size = 0;
+  int body = 0;
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+};
+Miss LargestMiss(const Scene& scene, const Trial& trial);
+// Its size; infinite if the trial has not run, or what must not touch has.
 double ViolationOf(const Scene& scene, const Trial& trial);
 double DurationOf(const Trial& trial);
 // Force k of a trial holds at its time. The trial must outlive it.
