@@ -227,7 +227,7 @@ struct Clearance {
     bool pushed = false;
     double inverse_mass = 0;
   };
-  double reach;  // from where on they are too near
+  double reach;                            // from where on they are too near
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<Side, 2> sides;
   StepOfPhase step;

@@ -8,7 +8,7 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;          // of the weights, from solve to solve
+constexpr double kGrowth = 10;  // of the weights, from solve to solve
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;

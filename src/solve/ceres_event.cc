@@ -5,8 +5,8 @@
 namespace saltus {
 namespace {
 
-// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the transcription
-// takes the others.
+// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
+// transcription takes the others.
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
   if (plan.HasTies() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
   PlanAttempt attempt;
@@ -25,8 +25,15 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   attempt.times = solution.times;
   attempt.speeds = solution.speeds;
   attempt.converged = solution.minimum.converged;
-  attempt.realized = solution.realized;
   attempt.trial = std::move(solution.trial);
+  RollOut(scene, plan, solution.intervals, &attempt);
+  // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
+  if (attempt.converged && attempt.realized &&
+      CertifyTrial(scene, attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
+    PlanStart found{{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+    PlanAttempt last = TryByTranscription(run, plan, found, may_go_on);
+    if (last.feasible() && last.converged) attempt = std::move(last);
+  }
   return attempt;
 }
 

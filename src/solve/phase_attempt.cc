@@ -38,6 +38,45 @@ std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const st
   return share;
 }
 
+void Simulate(const Scene& scene, const PhasePlan& plan, PlanAttempt* attempt) {
+  Trial& trial = attempt->trial;
+  trial.exact = SimulateExactly(scene, InitialState(scene), trial.control, trial.durations);
+  std::vector<double> times;
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (plan.cuts[k]) times.push_back(attempt->times[k]);
+  }
+  attempt->realized = IsRealized(scene, trial.exact, plan.Sequence(), times);
+}
+
+// Moves nodes to just before the impacts that are meant to be there: the exact model moves an impact just before a node
+// there. False if they are in place.
+bool Snap(const PhasePlan& plan, const std::vector<int>& steps, PlanAttempt* attempt) {
+  Trial& trial = attempt->trial;
+  const double margin = kNodeMargin * *std::min_element(trial.durations.begin(), trial.durations.end());
+  std::vector<double> ends;
+  size_t event = 0;
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (plan.cuts[k]) attempt->times[k] = trial.exact.events[event++].time;
+    ends.push_back(attempt->times[k] - (plan.cuts[k] ? 0.5 * margin : 0.0));
+  }
+  ends.push_back(DurationOf(trial));
+  for (size_t k = plan.cuts.size(); k-- > 0;) {
+    if (plan.tied[k]) ends[k] = ends[k + 1];
+  }
+  bool moved = false;
+  std::vector<double> durations;
+  double begin = 0, old_end = 0;
+  for (size_t j = 0; j < steps.size(); ++j) {
+    if (steps[j] == 0) continue;
+    for (int k = 0; k < steps[j]; ++k) old_end += trial.durations[durations.size() + k];
+    moved = moved || std::abs(ends[j] - old_end) > 0.25 * margin;
+    durations.insert(durations.end(), steps[j], (ends[j] - begin) / steps[j]);
+    begin = ends[j];
+  }
+  if (moved) trial.durations = std::move(durations);
+  return moved;
+}
+
 class TranscribedPlan {
  public:
   TranscribedPlan(PhaseRun* run, const PhasePlan& plan, const PlanStart& start)
@@ -128,47 +167,8 @@ class TranscribedPlan {
       for (double& duration : trial.durations) duration *= scene_.duration / whole;
     }
     ClampToBounds(&trial.control);
-    Simulate(attempt);
-    for (int round = 0; round < kSnaps && attempt->realized && Snap(attempt); ++round) Simulate(attempt);
+    saltus::RollOut(scene_, plan_, steps_, attempt);
     attempt->violation = ViolationOf(scene_, trial);
-  }
-
-  // What gaps and clamping leave moves impacts off the nodes that are meant for them, by far less than a step. False if
-  // they are on their nodes.
-  bool Snap(PlanAttempt* attempt) const {
-    Trial& trial = attempt->trial;
-    std::vector<double> ends;
-    size_t event = 0;
-    for (size_t k = 0; k < plan_.cuts.size(); ++k) {
-      ends.push_back(plan_.cuts[k] ? trial.exact.events[event++].time : attempt->times[k]);
-      attempt->times[k] = ends.back();
-    }
-    ends.push_back(DurationOf(trial));
-    for (size_t k = plan_.cuts.size(); k-- > 0;) {
-      if (plan_.tied[k]) ends[k] = ends[k + 1];
-    }
-    std::vector<double> durations;
-    double begin = 0, largest = 0;  // change of an end, in steps
-    for (size_t j = 0; j < steps_.size(); ++j) {
-      if (steps_[j] == 0) continue;
-      const double step = (ends[j] - begin) / steps_[j];
-      largest = std::max(largest, steps_[j] * std::abs(trial.durations[durations.size()] / step - 1));
-      durations.insert(durations.end(), steps_[j], step);
-      begin = ends[j];
-    }
-    if (largest <= 0.1 * kNodeMargin) return false;
-    trial.durations = std::move(durations);
-    return true;
-  }
-
-  void Simulate(PlanAttempt* attempt) const {
-    Trial& trial = attempt->trial;
-    trial.exact = SimulateExactly(scene_, InitialState(scene_), trial.control, trial.durations);
-    std::vector<double> times;
-    for (size_t k = 0; k < plan_.cuts.size(); ++k) {
-      if (plan_.cuts[k]) times.push_back(attempt->times[k]);
-    }
-    attempt->realized = IsRealized(scene_, trial.exact, plan_.Sequence(), times);
   }
 
   // Multipliers leave about 1e-10 beyond a bound.
@@ -219,6 +219,13 @@ class TranscribedPlan {
 };
 
 }  // namespace
+
+void RollOut(const Scene& scene, const PhasePlan& plan, const std::vector<int>& steps, PlanAttempt* attempt) {
+  Simulate(scene, plan, attempt);
+  for (int round = 0; round < kSnaps && attempt->realized && Snap(plan, steps, attempt); ++round) {
+    Simulate(scene, plan, attempt);
+  }
+}
 
 PlanAttempt TryByTranscription(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
   return TranscribedPlan(run, plan, start).Try(may_go_on);

@@ -264,6 +264,7 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
       times[k] = path.impacts[k].time;
       solution.speeds.push_back(path.impacts[k].impact.speed);
     }
+    solution.intervals = intervals;
     solution.times = times;
     solution.times.push_back(scene.duration);
     phases.Control(path, &solution.trial.control, &solution.trial.durations);

@@ -43,11 +43,12 @@ struct PhaseSolution {
   ContactSequence sequence;
   bool valid = false;  // all else is filled
   PhaseMinimum minimum;
+  std::vector<int> intervals;  // of each phase
   std::vector<double> times;   // s, of the impacts as planned, and the final time
   std::vector<double> speeds;  // normal velocities at the impacts, negative if closing
   Trial trial;                 // the control found
-  bool realized = false;    // its impacts are those of the sequence and no others
-  bool only_given = false;  // the trial is that which it was to start from: nothing better was found
+  bool realized = false;       // its impacts are those of the sequence and no others
+  bool only_given = false;     // the trial is that which it was to start from: nothing better was found
   bool optimal() const { return valid && minimum.converged && realized; }
 };
 // Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by

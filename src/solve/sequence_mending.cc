@@ -164,13 +164,6 @@ class Mending {
       return !left;
     });
     run_.report().evaluations += attempt.jacobians;
-    if (getenv("MEND_DEBUG")) {  // DEBUG
-      std::string t;  // DEBUG
-      for (size_t k = 0; k < task.plan.tied.size(); ++k) if (task.plan.tied[k]) t += " tied" + std::to_string(k);  // DEBUG
-      for (auto& c : task.plan.apart) t += " apart " + ContactSequenceToString(scene_, {c});  // DEBUG
-      std::string n = NameOf(task.plan);  // DEBUG
-      fprintf(stderr, "%s%s hold %d | start merit %.9g its %zu left %d conv %d real %d viol %.3g loss %.12g met %s\n", n.size() > 90 ? n.substr(n.size() - 90).c_str() : n.c_str(), t.c_str(), int(task.rank), Merit(task.start.trial), run_.report().losses.size(), left, attempt.converged, attempt.realized, attempt.violation, attempt.trial.exact.loss, attempt.realized ? "" : ContactSequenceToString(scene_, attempt.trial.exact.contacts).substr(0, 100).c_str());  // DEBUG
-    }  // DEBUG
     interrupted_ = attempt.interrupted;
     if (!attempt.valid) return;
     if (!left) {
@@ -464,9 +457,7 @@ bool PhasePlan::HasTies() const { return std::find(tied.begin(), tied.end(), tru
 
 bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; }
 
-double DurationOf(const Trial& trial) {
-  return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0);
-}
+double DurationOf(const Trial& trial) { return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0); }
 
 std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& trial) {
   std::vector<double> ends(trial.durations.size());

@@ -63,8 +63,8 @@ using MayGoOn = std::function<bool(const std::vector<double>& times, const std::
 using TryPlan = std::function<PlanAttempt(const PhasePlan&, const PlanStart&, const MayGoOn& may_go_on)>;
 
 // From the sequence that the options ask for, or that of the initial guess; a sequence that is given is not left, but
-// for that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has its
-// plan, and says in `reason` which sequences were passed.
+// for that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has
+// its plan, and says in `reason` which sequences were passed.
 SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan);
 
 // The hard term that is missed most, and by how much in the scene's units. Precondition: trial.exact.ok.
