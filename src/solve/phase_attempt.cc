@@ -166,20 +166,9 @@ class TranscribedPlan {
       const double whole = DurationOf(trial);
       for (double& duration : trial.durations) duration *= scene_.duration / whole;
     }
-    ClampToBounds(&trial.control);
+    ClampToBounds(scene_, &trial.control);  // multipliers leave about 1e-10 beyond
     saltus::RollOut(scene_, plan_, steps_, attempt);
     attempt->violation = ViolationOf(scene_, trial);
-  }
-
-  // Multipliers leave about 1e-10 beyond a bound.
-  void ClampToBounds(std::vector<double>* control) const {
-    const Control& bounds = scene_.control;
-    for (size_t k = 0; k < control->size() / 2; ++k) {
-      const size_t c = k % scene_.num_controlled();
-      Eigen::Map<Vec2d> u(&(*control)[2 * k]);
-      if (!bounds.max.empty()) u = u.cwiseMax(-bounds.max[c]).cwiseMin(bounds.max[c]);
-      if (!bounds.max_norm.empty() && u.norm() > bounds.max_norm[c]) u *= bounds.max_norm[c] / u.norm();
-    }
   }
 
   // In natural units, a force that matters costs far less than the misses that it mends.

@@ -44,8 +44,11 @@ class Mending {
   SolveReport Solve() {
     const SolverOptions& options = run_.options();
     const bool mends = options.search && !options.sequence;
-    Add(TaskAlong(SequenceFor(options, run_.guess()), run_.guess()));
     lowest_ = run_.guess();
+    ClampToBounds(scene_, &lowest_.control);
+    lowest_.exact = SimulateExactly(scene_, InitialState(scene_), lowest_.control, lowest_.durations);
+    const Trial first = lowest_.exact.ok && lowest_.exact.only_impacts ? lowest_ : run_.guess();
+    Add(TaskAlong(SequenceFor(options, first), first));
     for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
       if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
@@ -456,6 +459,16 @@ ContactSequence PhasePlan::Sequence() const {
 bool PhasePlan::HasTies() const { return std::find(tied.begin(), tied.end(), true) != tied.end(); }
 
 bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; }
+
+void ClampToBounds(const Scene& scene, std::vector<double>* control) {
+  const Control& bounds = scene.control;
+  for (size_t k = 0; k < control->size() / 2; ++k) {
+    const size_t c = k % scene.num_controlled();
+    Eigen::Map<Vec2d> u(&(*control)[2 * k]);
+    if (!bounds.max.empty()) u = u.cwiseMax(-bounds.max[c]).cwiseMin(bounds.max[c]);
+    if (!bounds.max_norm.empty() && u.norm() > bounds.max_norm[c]) u *= bounds.max_norm[c] / u.norm();
+  }
+}
 
 double DurationOf(const Trial& trial) { return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0); }
 
