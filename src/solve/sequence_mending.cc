@@ -37,6 +37,11 @@ bool Contains(const ContactSequence& pairs, const Candidate& pair) {
   return std::find(pairs.begin(), pairs.end(), pair) != pairs.end();
 }
 
+bool IsForbidden(const Scene& scene, const Candidate& c) {
+  return std::find(scene.no_contact.begin(), scene.no_contact.end(), NoContact{c.a, c.b, c.plane}) !=
+         scene.no_contact.end();
+}
+
 class Mending {
  public:
   Mending(PhaseRun* run, const TryPlan& try_plan) : run_(*run), scene_(run->scene()), try_(try_plan) {}
@@ -52,6 +57,7 @@ class Mending {
     for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
       if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
+      if (tasks_.empty() && !best_) Restore();
       if (tasks_.empty()) break;
       const Task task = TakeNext();
       if (MayTry(task)) Attempt(task, mends);
@@ -112,7 +118,8 @@ class Mending {
 
   // ------------------------------------------------------------------------------------------------------------ tasks
 
-  Task TaskAlong(const ContactSequence& sequence, const Trial& trial) const {
+  Task TaskAlong(ContactSequence sequence, const Trial& trial) const {
+    std::erase_if(sequence, [&](const Candidate& c) { return IsForbidden(scene_, c); });
     Scene scene = scene_;
     scene.duration = DurationOf(trial);
     const std::vector<double> impacts = GuessFrom(scene, FlightOf(scene, trial), sequence).times;
@@ -231,7 +238,7 @@ class Mending {
     Reorder(task.plan, attempt, start, &moves);
     if (!attempt.realized && std::isfinite(Merit(trial))) {
       moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
-      for (const Candidate& met : trial.exact.contacts) {
+      for (const Candidate& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
         if (Contains(task.plan.Sequence(), met) || Contains(task.plan.apart, met)) continue;
         moves.push_back({task.plan, start});
         moves.back().plan.apart.push_back(met);
@@ -324,6 +331,27 @@ class Mending {
     }
   }
 
+  bool IsOpen(const Trial& trial) const {
+    return scene_.objective.HasConstraints() && trial.exact.ok && !(ViolationOf(scene_, trial) <= kFeasible);
+  }
+
+  // The smallest miss of hard terms, whatever the loss, along the sequence of the motion that misses them least so far.
+  // If there is hardly any, everything is tried again from there.
+  void Restore() {
+    constexpr double kHardlyAny = 1e-3;  // in natural units
+    if (restored_ || !IsOpen(lowest_) || !std::isfinite(Merit(lowest_))) return;
+    restored_ = true;
+    Task task = TaskAlong(lowest_.exact.contacts, lowest_);
+    task.plan.only_violation = true;
+    const PlanAttempt attempt = try_(task.plan, task.start, [](const auto&, const auto&) { return true; });
+    interrupted_ = attempt.interrupted;
+    if (!attempt.valid || !(attempt.violation < ViolationOf(scene_, lowest_))) return;
+    lowest_ = attempt.trial;
+    if (attempt.violation > kHardlyAny) return;
+    tried_.clear();
+    Add(TaskAlong(lowest_.exact.contacts, lowest_));
+  }
+
   SolveReport Report() {
     std::string reason;
     const Termination termination = Judge(&reason);
@@ -345,8 +373,9 @@ class Mending {
     }
     if (best_ && HasOptimum()) {
       *reason = "no optimum found is better than a motion that is none";
-    } else if (scene_.objective.HasConstraints() && ViolationOf(scene_, lowest_) > kFeasible) {
-      *reason = LeastViolation();
+    } else if (IsOpen(lowest_)) {
+      *reason = "no motion along " + ContactSequenceToString(scene_, lowest_.exact.contacts) +
+                " that meets all constraints was found; the least violation is " + DescribeMiss();
     } else if (!best_ && last_ && !last_->realized) {
       *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
     }
@@ -375,16 +404,6 @@ class Mending {
     if (!best_plan_.HasTies()) return text;
     text += text.empty() ? "" : ", ";
     return text + (best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
-  }
-
-  // The smallest miss of hard terms that is found along the sequence of the motion that misses them least so far.
-  std::string LeastViolation() {
-    Task task = TaskAlong(lowest_.exact.contacts, lowest_);
-    task.plan.only_violation = true;
-    const PlanAttempt attempt = try_(task.plan, task.start, [](const auto&, const auto&) { return true; });
-    if (attempt.valid && ViolationOf(scene_, attempt.trial) < ViolationOf(scene_, lowest_)) lowest_ = attempt.trial;
-    return "no motion along " + NameOf(task.plan) + " that meets all constraints was found; the least violation is " +
-           DescribeMiss();
   }
 
   // Of the hard term that the best motion misses most.
@@ -442,6 +461,7 @@ class Mending {
   PhasePlan best_plan_, last_plan_;
   Trial lowest_;  // of all motions met
   int saddles_ = 0;
+  bool restored_ = false;
   int idle_ = 0;  // attempts since something better was found
   bool interrupted_ = false;
 };
@@ -502,8 +522,9 @@ Miss LargestMiss(const Scene& scene, const Trial& trial) {
 
 double ViolationOf(const Scene& scene, const Trial& trial) {
   if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
-  for (const NoContact& pair : scene.no_contact) {
-    if (Contains(trial.exact.contacts, {pair.a, pair.b, pair.plane})) return std::numeric_limits<double>::infinity();
+  const ContactSequence& met = trial.exact.contacts;
+  if (std::any_of(met.begin(), met.end(), [&](const Candidate& c) { return IsForbidden(scene, c); })) {
+    return std::numeric_limits<double>::infinity();
   }
   return scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0;
 }

@@ -10,6 +10,9 @@
 #include "test_scenes.h"
 
 namespace saltus {
+
+void PrintTo(const Scene& scene, std::ostream* out) { *out << scene.name; }
+
 namespace {
 
 Scene TwoBalls() {
@@ -35,7 +38,7 @@ double UnitOf(const Scene& scene, const Rescaling& by) {
 SolveReport SolveRescaled(std::string_view solver, const std::string& contact, const Scene& scene, const Rescaling& by,
                           double rate = 1) {
   SolverOptions options;
-  options.iterations = solver == "gd" ? 40 : 100;
+  options.iterations = solver == "gd" ? 40 : solver == "ceres_phases" ? 1000 : 100;
   const double unit = UnitOf(scene, by);
   options.learning_rate = rate * unit * unit / by.loss;
   options.keep_iterates = true;
