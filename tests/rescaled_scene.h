@@ -35,12 +35,33 @@ inline Scene Rescaled(Scene scene, const Rescaling& by) {
   scene.contact.stiffness *= by.force() / by.length;
   scene.contact.damping *= by.force() / by.speed();
   for (Vec2d& force : scene.control.initial) force *= by.force();
+  for (double& most : scene.control.max) most *= by.force();
+  for (double& most : scene.control.max_norm) most *= by.force();
+  const auto size_of = [&](const auto& term) {
+    return term.quantity == TerminalTerm::Quantity::kPosition ? by.length : by.speed();
+  };
+  const auto convert = [&](const auto& term, Vec2d* target) {
+    *target *= size_of(term);
+    if (term.quantity == TerminalTerm::Quantity::kPosition) *target += by.shift;
+  };
   for (TerminalTerm& term : scene.objective.terminal) {
-    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
-    const double size = position ? by.length : by.speed();
-    term.target = size * term.target;
-    if (position) term.target += by.shift;
-    term.weight *= by.loss / (term.component ? size : size * size);
+    convert(term, &term.target);
+    term.weight *= by.loss / (term.component ? size_of(term) : size_of(term) * size_of(term));
+  }
+  for (ViaTerm& term : scene.objective.via) {
+    convert(term, &term.target);
+    term.time *= by.time;
+    term.weight *= by.loss / (size_of(term) * size_of(term));
+  }
+  for (RunningTerm& term : scene.objective.running) {
+    for (Vec2d& target : term.targets) convert(term, &target);
+    for (double& time : term.times) time *= by.time;
+    term.weight *= by.loss / (size_of(term) * size_of(term) * by.time);
+  }
+  if (std::optional<FreeDuration>& free = scene.objective.duration) {
+    free->min *= by.time;
+    free->max *= by.time;
+    free->weight *= by.loss / by.time;
   }
   scene.objective.effort *= by.loss / (by.force() * by.force() * by.time);
   return scene;

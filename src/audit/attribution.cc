@@ -66,7 +66,7 @@ struct Interval {
 
 class Attributor {
  public:
-  Attributor(std::string_view contact, const Scene& scene, const StopRequest& stop)
+  Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop)
       : contact_(contact), scene_(scene), stop_(stop), model_(Simulate(contact, scene)) {}
 
   Attribution Run();
@@ -74,7 +74,7 @@ class Attributor {
  private:
   const Simulator& model() const { return *model_; }
   double h() const { return model_->step(); }
-  std::unique_ptr<Simulator> Simulate(std::string_view contact, const Scene& scene) const {
+  std::unique_ptr<Simulator> Simulate(const Contact& contact, const Scene& scene) const {
     std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
     simulator->set_stop(stop_);
     return simulator;
@@ -100,7 +100,7 @@ class Attributor {
     };
   }
   // The model `contact` over the time of an interval, cut into `steps` of its own steps.
-  std::unique_ptr<Simulator> SimulatorOf(std::string_view contact, const Interval& interval, int steps) const {
+  std::unique_ptr<Simulator> SimulatorOf(const Contact& contact, const Interval& interval, int steps) const {
     Scene scene = scene_;
     scene.duration = (interval.end - interval.begin) * h();
     scene.steps = steps * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
@@ -127,7 +127,7 @@ class Attributor {
   std::string PairName(const Candidate& pair) const;
   std::string CompareSequences(const std::vector<Interval>& intervals) const;
 
-  std::string contact_;
+  Contact contact_;
   Scene scene_;
   const StopRequest& stop_;
   std::unique_ptr<Simulator> model_;
@@ -502,7 +502,7 @@ const char* BlockToString(Block block) {
   LOG(FATAL) << "no such block";
 }
 
-Attribution AttributeError(std::string_view contact, const Scene& given, const StopRequest& stop) {
+Attribution AttributeError(const Contact& contact, const Scene& given, const StopRequest& stop) {
   Attribution refused;
   refused.reason = WhyNotApplicable(contact, given);
   if (!refused.ok()) return refused;

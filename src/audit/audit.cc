@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <numeric>
 
+#include "audit/own_differences.h"
 #include "exact/closed_forms.h"
 #include "saltus/dynamics/registry.h"
 
@@ -119,7 +120,7 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
 }
 
 // What the derivative of its source is, and not of its steps.
-bool IsNotMeantAsDerivative(std::string_view contact) {
+bool IsNotMeantAsDerivative(const Contact& contact) {
   return FindContactModel(contact)->published_jacobian || HasBiasedDerivative(contact);
 }
 
@@ -221,13 +222,13 @@ std::string ModelAudit::Why() const {
   return (cause.empty() ? "" : cause + "; ") + "agrees with no differences of its own loss";
 }
 
-std::string WhyNotComparable(std::string_view contact, const Scene& scene) {
+std::string WhyNotComparable(const Contact& contact, const Scene& scene) {
   const ModelTraits* traits = FindContactModel(contact);
   const bool spins = traits != nullptr && traits->spins && scene.contact.friction > 0;
   return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
 }
 
-ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
+ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options) {
   const StopRequest& stop = options.stop;
   ModelAudit audit;

@@ -1,4 +1,4 @@
-#include "saltus/audit/conditioning.h"
+#include "audit/conditioning.h"
 
 #include <algorithm>
 #include <cmath>

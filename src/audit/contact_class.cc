@@ -73,7 +73,7 @@ std::string Format(const char* format, double a, double b = 0, double c = 0) {
 
 class Recogniser {
  public:
-  Recogniser(std::string_view contact, const Scene& scene, const StopRequest& stop)
+  Recogniser(const Contact& contact, const Scene& scene, const StopRequest& stop)
       : contact_(contact), scene_(scene), stop_(stop) {}
 
   ContactRecognition Run();
@@ -93,7 +93,7 @@ class Recogniser {
     out_.words = std::move(words);
   }
 
-  std::string contact_;
+  Contact contact_;
   const Scene& scene_;
   const StopRequest& stop_;
   double h_ = 0;
@@ -275,7 +275,7 @@ const char* MeaningOf(ContactClass contact_class) {
   LOG(FATAL) << "no such class";
 }
 
-ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop) {
+ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop) {
   ContactRecognition refused;
   refused.words = WhyNotApplicable(contact, scene);
   if (!refused.words.empty()) return refused;

@@ -31,7 +31,7 @@ constexpr int kLead = 2;  // steps before a contact from which it is run again
 // A closing speed that acceleration makes in this many steps is that of a contact at rest.
 constexpr double kRestingSteps = 4;
 
-Scene OneStep(std::string_view contact, Scene scene, double h) {
+Scene OneStep(const Contact& contact, Scene scene, double h) {
   scene.duration = h;
   scene.steps = CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
   return scene;
@@ -134,7 +134,7 @@ bool PairMotion::Rests(std::span<const double> x) const {
   return -Speed(x) <= kRestingSteps * simulator_.step() * std::abs(Dot(NormalAt(x), acceleration_));
 }
 
-std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene, const StopRequest& stop) {
+std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scene, const StopRequest& stop) {
   const std::unique_ptr<Simulator> model = MakeSimulator(contact, scene, Precision::kDouble);
   model->set_stop(stop);
   const std::vector<double> control = InitialControl(scene, model->num_steps());
@@ -167,7 +167,7 @@ std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& sc
   return std::nullopt;
 }
 
-ContactRunner::ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h,
+ContactRunner::ContactRunner(const Contact& contact, const Scene& scene, const Encounter& encounter, double h,
                              const StopRequest& stop)
     : scene_(scene),
       encounter_(encounter),

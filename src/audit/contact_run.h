@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
 
@@ -45,7 +45,7 @@ struct Encounter {
 
 // The first contact of the model's rollout that takes a part of a pair's closing speed while nothing else is close;
 // nothing if there is none, or if the rollout is not finite.
-std::optional<Encounter> FindEncounter(std::string_view contact, const Scene& scene, const StopRequest& stop);
+std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scene, const StopRequest& stop);
 
 // What a contact does to the velocity along the pair's normal.
 struct ContactRun {
@@ -68,7 +68,7 @@ struct NormalMap {
 // Steps of length `h` of a model, around one encounter.
 class ContactRunner {
  public:
-  ContactRunner(std::string_view contact, const Scene& scene, const Encounter& encounter, double h,
+  ContactRunner(const Contact& contact, const Scene& scene, const Encounter& encounter, double h,
                 const StopRequest& stop);
 
   // From a state before the contact until it is over; if `onset_only`, just its first two steps.

@@ -25,7 +25,7 @@ std::string WhyNotGradient(const Scene& scene) {
 }
 
 // Loss, events and the adjoint's gradient.
-void FillIn(std::string_view contact, const Scene& scene, Precision precision, const StopRequest& stop,
+void FillIn(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
             ModelGradient* result) {
   const Scene near = NearOrigin(scene);
   SingleShooting shooting(MakeSimulator(contact, near, precision));
@@ -103,10 +103,10 @@ void SetScales(const Scene& scene, ModelGradient* gradient) {
   gradient->loss_scale = natural.loss;
 }
 
-ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
+ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
                               const StopRequest& stop) {
   ModelGradient result;
-  result.contact = contact;
+  result.contact = contact.name();
   SetScales(scene, &result);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotGradient(scene);
@@ -117,10 +117,10 @@ ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Prec
   return result;
 }
 
-ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
+ModelGradient ComputeSurrogate(const Contact& contact, const Scene& scene, Precision precision,
                                const Surrogate& surrogate, int threads, const StopRequest& stop) {
   ModelGradient result;
-  result.contact = contact;
+  result.contact = contact.name();
   SetScales(scene, &result);
   result.surrogate = surrogate;
   result.reason = WhyNotValid(surrogate);

@@ -1,4 +1,4 @@
-#include "saltus/audit/own_differences.h"
+#include "audit/own_differences.h"
 
 #include <algorithm>
 #include <array>
@@ -25,7 +25,7 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // The loss of a model as a function of some of its variables.
 class Loss {
  public:
-  Loss(std::string_view contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop)
+  Loss(const Contact& contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop)
       : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables), gradient_(shooting_.num_variables()) {
     shooting_.set_stop(stop);
     ok_ = shooting_.Evaluate(shooting_.initial_guess(), &value_, gradient_.data());
@@ -109,7 +109,7 @@ OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
 
 }  // namespace
 
-OwnDifferences CompareWithOwnDifferences(std::string_view contact, const Scene& scene, const StopRequest& stop) {
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop) {
   OwnDifferences worst;
   if (!WhyNotApplicable(contact, scene).empty()) return worst;
   Loss by_state(contact, scene, SingleShooting::Variables::kInitialState, stop);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <utility>
 
+#include "audit/conditioning.h"
 #include "audit/statistics.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
@@ -193,7 +194,7 @@ void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
 // Adds one level after the other to a study.
 class Study {
  public:
-  Study(std::string_view contact, const Scene& scene, const RefinementOptions& options, const StopRequest& stop,
+  Study(const Contact& contact, const Scene& scene, const RefinementOptions& options, const StopRequest& stop,
         RefinementStudy* out)
       : contact_(contact), scene_(scene), options_(options), stop_(stop), out_(*out) {
     out_.intervals = NumIntervals(scene);
@@ -280,7 +281,7 @@ class Study {
     if (study.levels.size() >= kTail) Judge(options_, &study);
   }
 
-  std::string contact_;
+  Contact contact_;
   const Scene& scene_;
   const RefinementOptions& options_;
   const StopRequest& stop_;
@@ -435,7 +436,7 @@ const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
   return nullptr;
 }
 
-RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options,
+RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, const RefinementOptions& options,
                                 const StopRequest& stop) {
   RefinementStudy refused;
   refused.reason = WhyNotApplicable(contact, scene);

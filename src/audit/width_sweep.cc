@@ -223,7 +223,7 @@ std::string WidthSweepStudy::Summary() const {
   return text;
 }
 
-WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options,
+WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options,
                             const StopRequest& stop) {
   WidthSweepStudy refused;
   refused.reason = WhyNotApplicable(contact, scene);

@@ -40,8 +40,8 @@ struct CompliantBrax {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return Integrate(in, i, Integrate(in, i, x));
   }
 
@@ -56,10 +56,10 @@ struct CompliantBrax {
   }
 
  private:
-  template <typename T>
-  static State<T> Integrate(const StepInput<T>& in, int i, const State<T>& x) {
+  template <typename T, typename H>
+  static State<T> Integrate(const StepInput<T, H>& in, int i, const State<T>& x) {
     using S = Base<T>;
-    const S h = in.h / S(2);
+    const H h = in.h / S(2);
     State<T> next = x;
     next.p += Scale(h, x.v);
     next.v += Scale(h, in.Acceleration(i));

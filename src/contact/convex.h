@@ -34,8 +34,8 @@ struct Convex {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next;
     next.v = x.v + Scale(in.h, in.Acceleration(i));
     next.p = x.p + Scale(in.h, x.v);

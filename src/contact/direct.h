@@ -30,8 +30,8 @@ struct Direct {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 

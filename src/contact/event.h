@@ -59,8 +59,8 @@ struct EventDriven {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     const Vec2<T> a = in.Acceleration(i);
     return {x.p + Scale(in.h, Vec2<T>(x.v + Scale(in.h * 0.5, a))), x.v + Scale(in.h, a)};
   }

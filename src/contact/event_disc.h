@@ -2,8 +2,8 @@
 #pragma once
 
 #include "contact/event_roots.h"
+#include "physics/time_grid.h"
 #include "saltus/contact/contact_model.h"
-#include "saltus/physics/time_grid.h"
 
 namespace saltus::internal {
 

@@ -155,7 +155,7 @@ struct IpcBarrier {
                                           .double_engine = true,
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
-                                          .reach = kRange,
+                                          .push_gap = kRange,
                                           .allocates = true,
                                           .relative = true};
   static constexpr int kRotation = 0;
@@ -184,8 +184,8 @@ struct IpcBarrier {
   // Bodies that touch from the start have no gap to keep.
   static std::string WhyNot(const Scene& scene);
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next = x;
     for (int substep = 0; substep < substeps; ++substep) Fly(in, i, &next);
     return next;
@@ -211,20 +211,20 @@ struct IpcBarrier {
   }
 
  private:
-  template <typename T>
-  double SubstepLength(const StepInput<T>& in) const {
-    return in.h / substeps;
+  template <typename T, typename H>
+  H SubstepLength(const StepInput<T, H>& in) const {
+    return in.h / double(substeps);
   }
 
-  template <typename T>
-  void Fly(const StepInput<T>& in, int i, State<T>* x) const {
-    const double h = SubstepLength(in);
+  template <typename T, typename H>
+  void Fly(const StepInput<T, H>& in, int i, State<T>* x) const {
+    const H h = SubstepLength(in);
     const Vec2<T> before = x->v;
     x->v += Scale(h, in.Acceleration(i));
     if (integrator == Integrator::kImplicitEuler) {
       x->p += Scale(h, x->v);
     } else {
-      x->p += Scale(0.5 * h, Vec2<T>(before + x->v));
+      x->p += Scale(H(0.5 * h), Vec2<T>(before + x->v));
     }
   }
 

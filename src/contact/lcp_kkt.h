@@ -145,8 +145,8 @@ struct LcpKkt {
           released_backward);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 

@@ -82,8 +82,8 @@ struct LcpPgs {
     visit(ModelOption{"cfm", "softness of the constraints, 1/kg", 0, 1e3}, cfm);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 

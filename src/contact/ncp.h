@@ -151,7 +151,7 @@ struct Ncp {
       .source = kRestitution ? "extension of Dojo (Howell et al. 2022); Moreau 1988" : "Dojo (Howell et al. 2022)",
       .double_engine = true,
       .rebound = kRestitution ? Rebound::kRestitution : Rebound::kPlastic,
-      .reach = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
+      .push_gap = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
       .allocates = true,
       .accuracy = 1e-12,
       .relative = true};
@@ -168,8 +168,8 @@ struct Ncp {
           kappa_grad);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 
@@ -180,7 +180,7 @@ struct Ncp {
     const auto position = [&](int i) -> const Vec2<T>& { return kRestitution ? next[i].p : x[i].p; };
     const auto active = [&](const T& gap) {
       if constexpr (kRestitution) return gap <= 0.0;
-      return gap < kTraits.reach;
+      return gap < kTraits.push_gap;
     };
     const auto groups = FindContactGroups(in, static_cast<int>(x.size()), position, active);
     for (const ContactGroup<T>& group : groups) Solve<T>(in, group, x, next);

@@ -57,8 +57,8 @@ struct PbdBrax {
     rotation[2] = 0;
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> middle = KickAndDrift(in, i, x);
     Project(in, x, &middle);
     State<T> next = KickAndDrift(in, i, middle);
@@ -90,8 +90,8 @@ struct PbdBrax {
     ContactMode mode;
   };
 
-  template <typename T>
-  static Base<T> SubStep(const StepInput<T>& in) {
+  template <typename T, typename H>
+  static H SubStep(const StepInput<T, H>& in) {
     return in.h / Base<T>(2);
   }
 
@@ -103,10 +103,10 @@ struct PbdBrax {
     x->rotation[2] = unit[1];
   }
 
-  template <typename T>
-  static State<T> KickAndDrift(const StepInput<T>& in, int i, const State<T>& x) {
+  template <typename T, typename H>
+  static State<T> KickAndDrift(const StepInput<T, H>& in, int i, const State<T>& x) {
     using S = Base<T>;
-    const S h = SubStep(in);
+    const H h = SubStep(in);
     State<T> next = x;
     next.v += Scale(h, in.Acceleration(i));
     for (int j = 0; j < 2; ++j) next.p[j] = FusedMultiplyAdd(h, next.v[j], x.p[j]);
@@ -119,10 +119,10 @@ struct PbdBrax {
 
   // Velocity and spin from the change of pose since `old`. The source divides by the constant h, which its compiler
   // turns into a product.
-  template <typename T>
-  static void Project(const StepInput<T>& in, const State<T>& old, State<T>* x) {
+  template <typename T, typename H>
+  static void Project(const StepInput<T, H>& in, const State<T>& old, State<T>* x) {
     using S = Base<T>;
-    const S rate = S(1) / SubStep(in);
+    const H rate = S(1) / SubStep(in);
     Normalise(x);
     x->v = Scale(rate, Vec2<T>(x->p - old.p));
     const T cosine = x->rotation[1] * old.rotation[1] + x->rotation[2] * old.rotation[2];

@@ -38,8 +38,8 @@ struct PbdWarp {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next;
     next.p = x.p + Scale(in.h, PredictedVelocity(in, i, x));
     next.v = VelocityBetween(in, x.p, next.p);
@@ -67,13 +67,13 @@ struct PbdWarp {
     bool held;           // by static friction
   };
 
-  template <typename T>
-  static Vec2<T> PredictedVelocity(const StepInput<T>& in, int i, const State<T>& x) {
+  template <typename T, typename H>
+  static Vec2<T> PredictedVelocity(const StepInput<T, H>& in, int i, const State<T>& x) {
     return x.v + Scale(in.h, in.Acceleration(i));
   }
 
-  template <typename T>
-  static Vec2<T> VelocityBetween(const StepInput<T>& in, const Vec2<T>& from, const Vec2<T>& to) {
+  template <typename T, typename H>
+  static Vec2<T> VelocityBetween(const StepInput<T, H>& in, const Vec2<T>& from, const Vec2<T>& to) {
     return {Divide(T(to[0] - from[0]), in.h), Divide(T(to[1] - from[1]), in.h)};
   }
 

@@ -60,8 +60,8 @@ struct Qcqp {
     visit(ModelOption{"tolerance", "of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 

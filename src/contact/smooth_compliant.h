@@ -21,8 +21,8 @@
 #include <memory_resource>
 #include <vector>
 
+#include "physics/power.h"
 #include "saltus/contact/contact_model.h"
-#include "saltus/physics/power.h"
 
 namespace saltus {
 
@@ -55,8 +55,8 @@ struct SmoothCompliant {
     visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next = x;
     for (int substep = 0; substep < substeps; ++substep) Advance(in, in.Acceleration(i), &next);
     return next;
@@ -127,9 +127,9 @@ struct SmoothCompliant {
     return true;
   }
 
-  template <typename T>
-  void Advance(const StepInput<T>& in, const Vec2<T>& acceleration, State<T>* x) const {
-    const Base<T> h = in.h / Base<T>(substeps);
+  template <typename T, typename H>
+  void Advance(const StepInput<T, H>& in, const Vec2<T>& acceleration, State<T>* x) const {
+    const H h = in.h / Base<T>(substeps);
     x->v += Scale(h, acceleration);
     x->p += Scale(h, x->v);
   }

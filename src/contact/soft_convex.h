@@ -28,8 +28,8 @@
 #include <vector>
 
 #include "contact/contact_rows.h"
+#include "physics/power.h"
 #include "saltus/contact/contact_model.h"
-#include "saltus/physics/power.h"
 
 namespace saltus {
 
@@ -66,8 +66,8 @@ struct SoftConvex {
     visit(ModelOption{"width", "overlap over which the impedance rises, m", 1e-9, 1}, impedance.width);
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     return SemiImplicitEuler(in, i, x);
   }
 

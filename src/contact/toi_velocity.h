@@ -32,8 +32,8 @@ struct ToiVelocity {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next;
     next.v = VelocityAfter(in, T(in.h), i, x);
     next.p = x.p + Scale(in.h, next.v);
@@ -71,8 +71,8 @@ struct ToiVelocity {
   }
 
  private:
-  template <typename T>
-  static Vec2<T> VelocityAfter(const StepInput<T>& in, const T& time, int i, const State<T>& x) {
+  template <typename T, typename H>
+  static Vec2<T> VelocityAfter(const StepInput<T, H>& in, const T& time, int i, const State<T>& x) {
     return x.v + Scale(time, in.Acceleration(i));
   }
 };

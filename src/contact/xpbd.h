@@ -53,8 +53,8 @@ struct Xpbd {
     friction_bound = published ? FrictionBound::kPublished : FrictionBound::kTotalImpulse;
   }
 
-  template <typename T>
-  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next = x;
     for (int substep = 0; substep < substeps; ++substep) {
       next.v += Scale(SubstepLength(in), in.Acceleration(i));
@@ -104,8 +104,8 @@ struct Xpbd {
     bool held;     // by static friction
   };
 
-  template <typename T>
-  Base<T> SubstepLength(const StepInput<T>& in) const {
+  template <typename T, typename H>
+  H SubstepLength(const StepInput<T, H>& in) const {
     return in.h / Base<T>(substeps);
   }
 

@@ -13,7 +13,7 @@
 
 namespace saltus {
 
-Batch::Batch(std::string_view contact, const Scene& scene, Precision precision, int threads,
+Batch::Batch(const Contact& contact, const Scene& scene, Precision precision, int threads,
              SingleShooting::Variables variables) {
   CHECK_GE(threads, 0);
   if (threads == 0) threads = std::max(1u, std::thread::hardware_concurrency());

@@ -21,15 +21,9 @@
 #pragma once
 
 #include "event_phases.h"
+#include "impact_jump.h"
 
 namespace saltus {
-
-template <typename T>
-struct Costate {
-  T time;
-  Vec2<T> position, velocity;  // lambda_q, lambda_v at `time`
-  Costate At(const T& t) const { return {t, position, velocity + Scale(T(time - t), position)}; }
-};
 
 // Residuals of each condition, in the order above; sizes are those of the constructor.
 struct HmpSystem {

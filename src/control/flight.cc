@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "saltus/physics/time_grid.h"
+#include "physics/time_grid.h"
 
 namespace saltus {
 namespace {

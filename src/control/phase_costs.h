@@ -6,8 +6,10 @@
 // node is the state [p_x p_y v_x v_y] of a disc between two steps. SI units, or any others that fit.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "impact.h"
@@ -83,6 +85,7 @@ struct ImpactCut {
   ImpactLaw law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
+  double overlap = 0;                      // of the reach: the gap is -overlap * reach instead
 
   bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
   int num_moving() const { return Moves(0) + Moves(1); }
@@ -103,7 +106,7 @@ struct ImpactCut {
     }
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
     const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]));
-    *rows++ = apart.distance - law.reach;
+    *rows++ = apart.distance - (1 - overlap) * law.reach;
     block = 0;
     for (int side = 0; side < 2; ++side) {
       if (!Moves(side)) continue;
@@ -214,42 +217,78 @@ struct NodeTarget {
   }
 };
 
-// Two discs (or a disc and a plane) that are not to meet, at the end of a step of a phase. Blocks: of each disc that
-// moves the node there, or if it coasts that at the beginning of the phase; then begin and end. Row: the inequality
-// reach - distance <= 0, in parts of the reach.
+// Two discs (or a disc and a plane) that are not to meet, where they come nearest in a step of a phase. Blocks: of each
+// disc that moves its node at the beginning of the step, or if it coasts at that of the phase; then the force on each
+// that is pushed; then begin and end. Row: the inequality reach - distance <= 0, in parts of the reach.
 struct Clearance {
   struct Side {
     std::optional<Vec2d> at;  // of a fixed disc
-    bool coasts = false;
+    bool coasts = false;      // not pushed, and without nodes inside of a phase
+    bool pushed = false;
+    double inverse_mass = 0;
   };
-  double reach;
+  double reach;                            // from where on they are too near
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<Side, 2> sides;
   StepOfPhase step;
   Vec2d gravity;
 
-  int num_moving() const { return !sides[0].at + (!plane && !sides[1].at); }
+  int num_sides() const { return plane ? 1 : 2; }
 
   template <typename T>
   bool operator()(T const* const* blocks, T* rows) const {
-    const T* begin = blocks[num_moving()];
-    const T* end = blocks[num_moving() + 1];
-    std::array<Vec2<T>, 2> p;
-    for (int side = 0, block = 0; side < (plane ? 1 : 2); ++side) {
-      if (sides[side].at) {
-        p[side] = sides[side].at->template cast<T>();
-        continue;
-      }
-      const T* x = blocks[block++];
-      T there[4] = {x[0], x[1], x[2], x[3]};
-      if (sides[side].coasts) {
-        Fly(x, FlightAcceleration<T>(gravity, 0, nullptr), T(step.Length(begin, end) * (step.index + 1.0)), there);
-      }
+    std::array<const T*, 2> x = {nullptr, nullptr}, force = x;
+    for (int side = 0; side < num_sides(); ++side) x[side] = sides[side].at ? nullptr : *blocks++;
+    for (int side = 0; side < num_sides(); ++side) force[side] = sides[side].pushed ? *blocks++ : nullptr;
+    const T h = step.Length(blocks[0], blocks[1]);
+    std::array<Vec2<T>, 2> p, v, a;  // at the beginning of the step
+    for (int side = 0; side < 2; ++side) {
+      p[side] = v[side] = a[side] = Vec2<T>(T(0), T(0));
+      if (sides[side].at) p[side] = sides[side].at->template cast<T>();
+      if (x[side] == nullptr) continue;
+      a[side] = FlightAcceleration(gravity, sides[side].inverse_mass, force[side]);
+      T there[4] = {x[side][0], x[side][1], x[side][2], x[side][3]};
+      if (sides[side].coasts) Fly(x[side], a[side], T(h * double(step.index)), there);
       p[side] = Vec2<T>(there[0], there[1]);
+      v[side] = Vec2<T>(there[2], there[3]);
     }
+    // The time of the nearest point has no derivative to first order.
+    const T s = Nearest(Values(p), Values(v), Values(a), Value(h)) * h;
+    for (int side = 0; side < num_sides(); ++side) p[side] += Scale(s, Vec2<T>(v[side] + Scale(T(0.5 * s), a[side])));
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
     rows[0] = 1.0 - apart.distance / reach;
     return true;
+  }
+
+ private:
+  template <typename T>
+  static Vec2d Values(const std::array<Vec2<T>, 2>& of) {
+    return {Value(of[0][0]) - Value(of[1][0]), Value(of[0][1]) - Value(of[1][1])};
+  }
+
+  // The part of a step of length h after which two that are p apart come nearest; v and a are relative too.
+  double Nearest(const Vec2d& p, const Vec2d& v, const Vec2d& a, double h) const {
+    double least = std::numeric_limits<double>::infinity(), at = 0;
+    constexpr int kSamples = 4, kNewtonSteps = 4;
+    const auto consider = [&](double part) {
+      const double s = part * h;
+      const Vec2d there = p + s * (v + 0.5 * s * a);
+      const double distance = plane ? Dot(plane->normal, there) : there.norm();
+      if (distance < least) {
+        least = distance;
+        at = part;
+      }
+    };
+    for (int i = 0; i <= kSamples; ++i) consider(double(i) / kSamples);
+    for (int i = 0; i < kNewtonSteps; ++i) {
+      const double s = at * h;
+      const Vec2d w = v + s * a, there = p + s * (v + 0.5 * s * a);
+      const double slope = plane ? Dot(plane->normal, w) : Dot(there, w);
+      const double curvature = plane ? Dot(plane->normal, a) : Dot(w, w) + Dot(there, a);
+      if (!(curvature > 0) || h == 0) break;
+      consider(std::clamp((s - slope / curvature) / h, 0.0, 1.0));
+    }
+    return at;
   }
 };
 

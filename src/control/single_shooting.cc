@@ -85,8 +85,8 @@ void SingleShooting::PullBack(double effort, std::span<const double> z, double* 
   out.initial = initial_gradient_;
   if (controls_) {
     out.control = {gradient, guess_.size()};
-    out.effort = effort;
-    out.effort_of = z;
+    out.factor = effort;
+    out.addend = z;
   }
   simulator_->AdjointInto(cotangent_, out);
   for (int index : variables_) *gradient++ = initial_gradient_[index];

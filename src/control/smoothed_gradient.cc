@@ -44,7 +44,7 @@ class Moments {
 
 }  // namespace
 
-SmoothedGradient::SmoothedGradient(std::string_view contact, const Scene& scene, Precision precision,
+SmoothedGradient::SmoothedGradient(const Contact& contact, const Scene& scene, Precision precision,
                                    const Surrogate& surrogate, int threads, Variables variables)
     : objective_(scene.objective),
       controls_(variables == Variables::kOfScene && scene.optimize == Optimize::kControl),

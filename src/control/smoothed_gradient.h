@@ -30,7 +30,7 @@ class SmoothedGradient {
 
   // Samples are evaluated on `threads` threads; estimates have the same bits for any number. Preconditions: as those of
   // MakeSimulator, `surrogate` smooths, is valid and applicable.
-  SmoothedGradient(std::string_view contact, const Scene& scene, Precision precision, const Surrogate& surrogate,
+  SmoothedGradient(const Contact& contact, const Scene& scene, Precision precision, const Surrogate& surrogate,
                    int threads = 1, Variables variables = Variables::kOfScene);
 
   void set_memory_limit(std::size_t bytes) { batch_.set_memory_limit(bytes); }

@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::string_view kOption = "complementarity_aware";  // of contact models
 
-bool HasOption(std::string_view contact) {
+bool HasOption(const Contact& contact) {
   const std::vector<ListedOption>& options = OptionsOf(contact);
   return std::any_of(options.begin(), options.end(), [](const ListedOption& option) { return option.name == kOption; });
 }
@@ -44,7 +44,7 @@ std::string WhyNotValid(const Surrogate& surrogate) {
   return "";
 }
 
-std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contact, const Scene& scene) {
+std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene) {
   if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
   if (!surrogate.smooths()) return HasOption(contact) ? "" : "this model has no complementarity-aware gradient";
   const int intervals = scene.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
@@ -54,9 +54,9 @@ std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contac
   return "";
 }
 
-std::string ContactWith(const std::optional<Surrogate>& surrogate, std::string_view contact) {
+Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact) {
   const bool needs_option = surrogate && !surrogate->smooths();
-  return std::string(contact) + (needs_option ? ":" + std::string(kOption) + "=1" : "");
+  return needs_option ? contact.With(std::string(kOption) + "=1") : contact;
 }
 
 }  // namespace saltus

@@ -48,7 +48,7 @@ class ConvertedSimulator final : public Simulator {
     cotangent_.assign(cotangent.begin(), cotangent.end());
     for (std::size_t i = 0; i < cotangent_.size(); ++i) cotangent_[i] *= FactorOf(to_outer_, i, body_size());
     SensitivityView inner = out;
-    inner.effort *= to_outer_.force;
+    inner.factor *= to_outer_.force;
     inner_->AdjointInto(cotangent_, inner);
     for (std::size_t i = 0; i < out.initial.size(); ++i) out.initial[i] *= FactorOf(to_inner_, i, 4);
     for (double& entry : out.control) entry *= to_inner_.force;
@@ -66,13 +66,19 @@ class ConvertedSimulator final : public Simulator {
   void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
                  StepLinearization* linearization) const override {
     inner_->Linearize(InnerState(x), InnerForce(force), with_parameters, linearization);
-    StepLinearization::FreeFlight& free = linearization->free;
-    free.pv *= to_inner_.speed * to_outer_.length;
-    free.pa *= to_inner_.acceleration * to_outer_.length;
-    free.vp *= to_inner_.length * to_outer_.speed;
-    free.va *= to_inner_.acceleration * to_outer_.speed;
+    ConvertFlight(&linearization->free);
     for (double& inverse_mass : linearization->inverse_mass) inverse_mass *= to_inner_.mass;
     for (StepLinearization::Island& island : linearization->islands) ConvertIsland(&island);
+  }
+
+  std::optional<FlightOver> FreeFlightOver(double h) const override {
+    std::optional<FlightOver> over = inner_->FreeFlightOver(h * to_inner_.time);
+    if (!over) return over;
+    ConvertFlight(&over->flight);
+    ConvertFlight(&over->by_time);
+    StepLinearization::FreeFlight& by = over->by_time;
+    for (double* entry : {&by.pp, &by.pv, &by.pa, &by.vp, &by.vv, &by.va}) *entry *= to_inner_.time;
+    return over;
   }
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
@@ -87,6 +93,13 @@ class ConvertedSimulator final : public Simulator {
   static double FactorOf(const UnitFactors& factors, std::size_t i, int body_size) {
     const std::size_t entry = i % body_size;
     return entry < 2 ? factors.length : entry < 4 ? factors.speed : 1.0;
+  }
+
+  void ConvertFlight(StepLinearization::FreeFlight* flight) const {
+    flight->pv *= to_inner_.speed * to_outer_.length;
+    flight->pa *= to_inner_.acceleration * to_outer_.length;
+    flight->vp *= to_inner_.length * to_outer_.speed;
+    flight->va *= to_inner_.acceleration * to_outer_.speed;
   }
 
   // States with so many numbers for a disc; `out` may be `in`.

@@ -17,28 +17,21 @@ namespace saltus {
 namespace {
 
 template <int... kIndex>
-std::vector<RegistryEntry> CollectEntries(std::integer_sequence<int, kIndex...>) {
+std::vector<ContactEntry> CollectEntries(std::integer_sequence<int, kIndex...>) {
   return {EntryOf<kIndex>()...};
 }
 
-const std::vector<RegistryEntry>& Entries() {
-  static const std::vector<RegistryEntry>& entries =
-      *new std::vector<RegistryEntry>(CollectEntries(std::make_integer_sequence<int, SALTUS_NUM_MODELS>()));
+const std::vector<ContactEntry>& Entries() {
+  static const std::vector<ContactEntry>& entries =
+      *new std::vector<ContactEntry>(CollectEntries(std::make_integer_sequence<int, SALTUS_NUM_MODELS>()));
   return entries;
 }
 
 std::string_view ModelIn(std::string_view name) { return name.substr(0, name.find(':')); }
 
-const RegistryEntry* FindEntry(std::string_view name) {
-  for (const RegistryEntry& entry : Entries()) {
-    if (entry.traits.name == ModelIn(name)) return &entry;
-  }
-  return nullptr;
-}
-
-const RegistryEntry& Entry(std::string_view name) {
-  const RegistryEntry* entry = FindEntry(name);
-  CHECK(entry != nullptr) << "unknown contact model " << name;
+const ContactEntry& Entry(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
+  CHECK(entry != nullptr) << "unknown contact model " << contact.name();
   return *entry;
 }
 
@@ -55,7 +48,7 @@ std::string Number(double value) {
 }
 
 // "option=value" of a model; or what is wrong with it.
-std::variant<OptionValue, std::string> ReadOption(const RegistryEntry& entry, std::string_view text) {
+std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std::string_view text) {
   const std::string_view name = text.substr(0, text.find('='));
   const auto option = std::find_if(
       entry.options.begin(), entry.options.end(), [&](const ListedOption& known) { return known.name == name; });
@@ -76,7 +69,7 @@ std::variant<OptionValue, std::string> ReadOption(const RegistryEntry& entry, st
 }
 
 // The options behind the name of a model; or what is wrong with them.
-std::variant<std::vector<OptionValue>, std::string> ReadOptions(const RegistryEntry& entry, std::string_view name) {
+std::variant<std::vector<OptionValue>, std::string> ReadOptions(const ContactEntry& entry, std::string_view name) {
   std::vector<OptionValue> options;
   for (size_t end = name.find(':'); end != std::string_view::npos;) {
     const size_t start = end + 1;
@@ -88,15 +81,15 @@ std::variant<std::vector<OptionValue>, std::string> ReadOptions(const RegistryEn
   return options;
 }
 
-std::vector<OptionValue> OptionsIn(std::string_view name) {
-  auto options = ReadOptions(Entry(name), name);
-  if (const auto* wrong = std::get_if<std::string>(&options)) LOG(FATAL) << name << ": " << *wrong;
+std::vector<OptionValue> OptionsIn(const Contact& contact) {
+  auto options = ReadOptions(Entry(contact), contact.name());
+  if (const auto* wrong = std::get_if<std::string>(&options)) LOG(FATAL) << contact.name() << ": " << *wrong;
   return std::get<std::vector<OptionValue>>(std::move(options));
 }
 
 // The scene in the units in which the model works: SI, for the constants of its source, with the origin near; or, of an
 // event-driven model, whose thresholds are all the constants it has, natural ones.
-Scene AsSeenBy(const RegistryEntry& entry, const Scene& scene) {
+Scene AsSeenBy(const ContactEntry& entry, const Scene& scene) {
   const Units natural = NaturalUnits(scene);
   if (entry.traits.event_driven) return InUnits(scene, natural);
   return InUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
@@ -108,37 +101,52 @@ bool SameNumbers(const Units& a, const Units& b) {
 
 std::vector<ModelTraits> CollectTraits() {
   std::vector<ModelTraits> traits;
-  for (const RegistryEntry& entry : Entries()) traits.push_back(entry.traits);
+  for (const ContactEntry& entry : Entries()) traits.push_back(entry.traits);
   return traits;
 }
 
 }  // namespace
+
+Contact Contact::With(std::string_view option) const {
+  Contact with = *this;
+  with.name_ += ":" + std::string(option);
+  return with;
+}
+
+const ContactEntry* Contact::entry() const {
+  if (own_ != nullptr) return own_.get();
+  for (const ContactEntry& entry : Entries()) {
+    if (entry.traits.name == ModelIn(name_)) return &entry;
+  }
+  return nullptr;
+}
 
 const std::vector<ModelTraits>& AllContactModels() {
   static const std::vector<ModelTraits>& traits = *new std::vector<ModelTraits>(CollectTraits());
   return traits;
 }
 
-const ModelTraits* FindContactModel(std::string_view name) {
-  const RegistryEntry* entry = FindEntry(name);
+const ModelTraits* FindContactModel(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
   return entry == nullptr ? nullptr : &entry->traits;
 }
 
-const std::vector<ListedOption>& OptionsOf(std::string_view model) { return Entry(model).options; }
+const std::vector<ListedOption>& OptionsOf(const Contact& contact) { return Entry(contact).options; }
 
-std::string WhatIsWrongWith(std::string_view model) {
-  const RegistryEntry* entry = FindEntry(model);
+std::string WhatIsWrongWith(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
   if (entry == nullptr) {
-    return "found '" + std::string(ModelIn(model)) + "', expected a contact model: " + Names(AllContactModels());
+    return "found '" + std::string(ModelIn(contact.name())) +
+           "', expected a contact model: " + Names(AllContactModels());
   }
-  const auto options = ReadOptions(*entry, model);
+  const auto options = ReadOptions(*entry, contact.name());
   const auto* wrong = std::get_if<std::string>(&options);
   return wrong == nullptr ? "" : *wrong;
 }
 
-bool HasBiasedDerivative(std::string_view model) {
-  const std::vector<ListedOption>& known = OptionsOf(model);
-  for (const OptionValue& set : OptionsIn(model)) {
+bool HasBiasedDerivative(const Contact& contact) {
+  const std::vector<ListedOption>& known = OptionsOf(contact);
+  for (const OptionValue& set : OptionsIn(contact)) {
     const auto option =
         std::find_if(known.begin(), known.end(), [&](const ListedOption& one) { return one.name == set.name; });
     if (option->biases && set.value != option->initial) return true;
@@ -146,21 +154,21 @@ bool HasBiasedDerivative(std::string_view model) {
   return false;
 }
 
-std::string WhyNotApplicable(std::string_view model, const Scene& scene) {
-  if (std::string wrong = WhatIsWrongWith(model); !wrong.empty()) return wrong;
+std::string WhyNotApplicable(const Contact& contact, const Scene& scene) {
+  if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
   if (const std::optional<SceneError> error = ValidateStructure(scene))
     return "the scene is wrong: " + error->ToString();
-  const RegistryEntry& entry = Entry(model);
+  const ContactEntry& entry = Entry(contact);
   return entry.why_not_applicable(AsSeenBy(entry, scene));
 }
 
-std::unique_ptr<Simulator> MakeSimulator(std::string_view model, const Scene& scene, Precision precision) {
-  const std::string why_not = WhyNotApplicable(model, scene);
-  CHECK(why_not.empty()) << model << ": " << why_not;
-  const RegistryEntry& entry = Entry(model);
+std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision) {
+  const std::string why_not = WhyNotApplicable(contact, scene);
+  CHECK(why_not.empty()) << contact.name() << ": " << why_not;
+  const ContactEntry& entry = Entry(contact);
   const Scene seen = AsSeenBy(entry, scene);
   const bool same = SameNumbers(seen.units, scene.units);
-  std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(model));
+  std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(contact));
   return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));
 }
 

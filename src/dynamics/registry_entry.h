@@ -1,84 +1,13 @@
-// What the registry knows of one contact model. Every model is instantiated in a translation unit of its own, generated
-// from registry_entry.cc.in for each line of contact/models.cmake.
+// The registry's entries. Every model is instantiated in a translation unit of its own, generated from
+// registry_entry.cc.in for each line of contact/models.cmake.
 #pragma once
 
-#include <memory>
-#include <span>
-#include <string>
-#include <type_traits>
-#include <vector>
-
-#include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
 
-struct OptionValue {
-  std::string_view name;
-  double value;
-};
-
-struct RegistryEntry {
-  ModelTraits traits;
-  std::vector<ListedOption> options;
-  std::string (*why_not_applicable)(const Scene&);
-  std::unique_ptr<Simulator> (*make)(const Scene&, Precision, std::span<const OptionValue>);
-};
-
 // The entry of line kIndex of contact/models.cmake.
 template <int kIndex>
-RegistryEntry EntryOf();
-
-template <ContactModel M>
-std::string WhyModelNotApplicable(const Scene& scene) {
-  if (!M::kTraits.friction && scene.contact.friction > 0) return "this model knows no friction";
-  if (scene.steps % M::kTraits.grid_steps != 0) {
-    return "this model needs a number of steps divisible by " + std::to_string(M::kTraits.grid_steps);
-  }
-  if constexpr (requires { M::WhyNot(scene); }) return M::WhyNot(scene);
-  return "";
-}
-
-// Calls visit(option, member) for each option of the model, if it has any.
-template <ContactModel M, typename Visit>
-void VisitOptionsOf(M* model, const Visit& visit) {
-  if constexpr (requires { model->VisitOptions(visit); }) model->VisitOptions(visit);
-}
-
-template <ContactModel M>
-std::vector<ListedOption> ListOptions() {
-  std::vector<ListedOption> options;
-  M model;
-  VisitOptionsOf(&model, [&](const ModelOption& option, const auto& member) {
-    options.push_back({option, static_cast<double>(member), !std::is_floating_point_v<std::decay_t<decltype(member)>>});
-  });
-  return options;
-}
-
-template <ContactModel M>
-M WithOptions(std::span<const OptionValue> values) {
-  M model;
-  VisitOptionsOf(&model, [&](const ModelOption& option, auto& member) {
-    for (const OptionValue& set : values) {
-      if (set.name == option.name) member = static_cast<std::decay_t<decltype(member)>>(set.value);
-    }
-  });
-  return model;
-}
-
-template <ContactModel M>
-std::unique_ptr<Simulator> MakeModelSimulator(const Scene& scene, Precision precision,
-                                              std::span<const OptionValue> options) {
-  const M model = WithOptions<M>(options);
-  if constexpr (!M::kTraits.double_engine) {
-    if (precision == Precision::kFloat) return std::make_unique<ModelSimulator<M, float>>(scene, precision, model);
-  }
-  return std::make_unique<ModelSimulator<M, double>>(scene, precision, model);
-}
-
-template <ContactModel M>
-RegistryEntry MakeEntry() {
-  return {M::kTraits, ListOptions<M>(), &WhyModelNotApplicable<M>, &MakeModelSimulator<M>};
-}
+ContactEntry EntryOf();
 
 }  // namespace saltus

@@ -98,7 +98,7 @@ void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
 
 std::string Simulator::WhyFailed() const {
   if (!failure_) return "";
-  Failure failure = *failure_;
+  RolloutFailure failure = *failure_;
   if (failure.what.empty()) {
     failure.what = "the state is not finite";
     std::vector<double> x(state_size());

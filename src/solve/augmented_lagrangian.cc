@@ -8,10 +8,13 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;          // of the weights, from solve to solve
-constexpr double kLargestWeight = 1e7;  // more would leave nothing of the costs in double precision
-// Relative change of the cost that ends a solve: the first ones only prepare the next.
-constexpr double kTolerances[] = {1e-3, 1e-6, 1e-13};
+constexpr double kGrowth = 10;  // of the weights, from solve to solve
+// A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
+// multiplier, and where that is small they need no more to dominate the costs.
+constexpr double kLargestWeight = 1e7;
+// Relative change of the cost that ends a solve: the first ones only prepare the next. The last one leaves conditions
+// of first order open by its root.
+constexpr double kTolerances[] = {1e-3, 1e-6, 3e-14};
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;
@@ -76,6 +79,12 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     return cost;
   }
 
+  double LargestMultiplier() const {
+    double largest = 0;
+    for (const double multiplier : multipliers_) largest = std::max(largest, std::abs(multiplier));
+    return largest;
+  }
+
   // Moves the multipliers on, and adds the cost rows' squares to *cost. Returns the largest violation.
   double Update(const std::vector<double*>& blocks, double* cost) {
     std::vector<double> rows(num_residuals());
@@ -125,6 +134,12 @@ double AugmentedLagrangian::UpdateMultipliers(double* cost) {
   return violation;
 }
 
+double AugmentedLagrangian::LargestWeight() const {
+  double multiplier = 0;
+  for (const auto& [function, blocks] : functions_) multiplier = std::max(multiplier, function->LargestMultiplier());
+  return kLargestWeight * std::clamp(multiplier, 1 / kLargestWeight, 1.0);
+}
+
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
   weights_ = {options.equality_weight, options.inequality_weight};
   Watch watch([&] { return !options.callback || options.callback(Cost()); });
@@ -154,8 +169,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     const bool settled = round > 0 && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
-    weights_.equality = std::min(kLargestWeight, kGrowth * weights_.equality);
-    weights_.inequality = std::min(kLargestWeight, kGrowth * weights_.inequality);
+    const double most = LargestWeight();
+    weights_.equality = std::min(most, kGrowth * weights_.equality);
+    weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }
   result.iterations = watch.iterations();
   return result;

@@ -66,6 +66,7 @@ class AugmentedLagrangian {
   };
 
   double Cost() const;
+  double LargestWeight() const;
   double UpdateMultipliers(double* cost);
 
   Weights weights_;

@@ -1,54 +1,50 @@
 #include "ceres_event.h"
 
-#include "phase_run.h"
+#include "phase_attempt.h"
 
 namespace saltus {
 namespace {
 
-std::pair<Termination, std::string> Judge(const Scene& scene, const PhaseSolution& solution, int most_iterations) {
-  if (solution.minimum.interrupted) return {Termination::kInterrupted, ""};
-  if (solution.optimal()) return {Termination::kConverged, ""};
-  if (solution.minimum.iterations >= most_iterations) return {Termination::kIterationLimit, ""};
-  if (solution.only_given || solution.minimum.touches || !solution.realized) {
-    return {Termination::kNoProgress, WhyNotOptimal(scene, solution)};
+// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
+// transcription takes the others.
+PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+  if (plan.HasTies() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
+  PlanAttempt attempt;
+  if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return attempt;
+  const Scene& scene = run->scene();
+  PhaseMinimumOptions options;
+  options.callback = [&](double loss) { return run->Record(loss); };
+  options.iterations = run->options().iterations;
+  const ContactSequence sequence = plan.Sequence();
+  PhaseSolution solution =
+      SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, start.trial), sequence), options);
+  attempt.jacobians = solution.minimum.jacobians;
+  attempt.interrupted = solution.minimum.interrupted;
+  if (!solution.valid) return attempt;
+  attempt.valid = true;
+  attempt.times = solution.times;
+  attempt.speeds = solution.speeds;
+  attempt.converged = solution.minimum.converged;
+  attempt.trial = std::move(solution.trial);
+  RollOut(scene, plan, solution.intervals, &attempt);
+  // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
+  if (attempt.converged && attempt.realized &&
+      CertifyTrial(scene, attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
+    PlanStart found{{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+    PlanAttempt last = TryByTranscription(run, plan, found, may_go_on);
+    if (last.feasible() && last.converged) attempt = std::move(last);
   }
-  return {Termination::kNoProgress, "steps have become too small"};
+  return attempt;
 }
 
 }  // namespace
 
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_event", request, options);
-  const Scene& scene = run.scene();
-  const ContactSequence sequence = SequenceFor(options, run.guess());
-  if (auto refused = run.WhyNot(sequence)) return *refused;
-  PhaseMinimumOptions minimum;
-  minimum.callback = [&](double loss) { return run.Record(loss); };
-  minimum.iterations = options.iterations;
-  PhaseSolution solution =
-      SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, run.guess()), sequence), minimum);
-  if (!solution.valid) {
-    return run.Finish(run.guess(),
-                      run.guess().exact.loss,
-                      Termination::kFailed,
-                      "no path along " + ContactSequenceToString(scene, sequence) + " was found to start from");
-  }
-  int jacobians = solution.minimum.jacobians;
-  std::optional<Trial> saddle;
-  for (int saddles = 0; saddles < kMostSaddles && solution.optimal(); ++saddles) {
-    run.report().certificate = CertifyTrial(scene, solution.trial);
-    if (!run.report().certificate->IsSaddle()) break;
-    const auto aside = LeaveSaddle(scene, solution.trial, *run.report().certificate->curvature);
-    if (aside.empty()) break;
-    run.report().certificate.reset();
-    saddle = solution.trial;
-    solution = SolveFrom(scene, aside, minimum);
-    jacobians += solution.minimum.jacobians;
-  }
-  run.report().evaluations = jacobians;
-  auto [termination, reason] = Judge(scene, solution, options.iterations);
-  if (saddle) reason = DescribeSaddle(reason);
-  return run.Finish(solution.trial, solution.minimum.loss, termination, std::move(reason));
+  if (auto refused = run.WhyNot(SequenceFor(options, run.guess()))) return *refused;
+  return SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+    return TryByArcs(&run, plan, start, may_go_on);
+  });
 }
 
 }  // namespace saltus

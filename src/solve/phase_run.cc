@@ -7,7 +7,7 @@ PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const S
       scene_(request.scene),
       options_(options),
       guess_(GuessTrial(request.scene)) {
-  report_.contact = request.contact;
+  report_.contact = request.contact.name();
   report_.solver = solver;
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }

@@ -194,7 +194,6 @@ std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const Contac
 
 std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution) {
   const std::string along = ContactSequenceToString(scene, solution.sequence);
-  if (solution.only_given) return "along " + along + " nothing better was found";
   if (solution.minimum.touches) {
     return "the best motion along " + along +
            " only touches, where the loss has a kink: no condition of optimality is checked";
@@ -259,7 +258,14 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
     minimum.jacobians += before.jacobians;
     Path<double> path;
     if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return solution;
-    for (int k = 0; k < phases.num_impacts(); ++k) times[k] = path.impacts[k].time;
+    solution.speeds.clear();
+    for (int k = 0; k < phases.num_impacts(); ++k) {
+      times[k] = path.impacts[k].time;
+      solution.speeds.push_back(path.impacts[k].impact.speed);
+    }
+    solution.intervals = intervals;
+    solution.times = times;
+    solution.times.push_back(scene.duration);
     phases.Control(path, &solution.trial.control, &solution.trial.durations);
     std::vector<int> better = DistributeIntervals(scene, sequence, times);
     if (!minimum.converged || minimum.touches || better == intervals) break;
@@ -269,28 +275,6 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
   solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);
   solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
   return solution;
-}
-
-PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options) {
-  PhaseSolution best;
-  best.sequence = trials.front().exact.contacts;
-  best.valid = best.realized = best.only_given = best.minimum.valid = true;
-  best.trial = trials.front();
-  best.minimum.loss = best.trial.exact.loss;
-  int jacobians = 0, iterations = 0;
-  for (const Trial& trial : trials) {
-    if (!trial.exact.only_impacts) continue;
-    const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, trial), trial.exact.contacts);
-    PhaseSolution solution = SolveAlong(scene, trial.exact.contacts, guess, options);
-    jacobians += solution.minimum.jacobians;
-    iterations = std::max(iterations, solution.minimum.iterations);
-    if (solution.minimum.interrupted) best.minimum.interrupted = true;
-    if (!solution.valid || !solution.trial.exact.ok) continue;
-    if (solution.trial.exact.loss <= best.trial.exact.loss) best = std::move(solution);
-  }
-  best.minimum.jacobians = jacobians;
-  best.minimum.iterations = iterations;
-  return best;
 }
 
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {

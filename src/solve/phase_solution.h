@@ -43,9 +43,11 @@ struct PhaseSolution {
   ContactSequence sequence;
   bool valid = false;  // all else is filled
   PhaseMinimum minimum;
-  Trial trial;              // the control found
-  bool realized = false;    // its impacts are those of the sequence and no others
-  bool only_given = false;  // the trial is that which it was to start from: nothing better was found
+  std::vector<int> intervals;  // of each phase
+  std::vector<double> times;   // s, of the impacts as planned, and the final time
+  std::vector<double> speeds;  // normal velocities at the impacts, negative if closing
+  Trial trial;                 // the control found
+  bool realized = false;       // its impacts are those of the sequence and no others
   bool optimal() const { return valid && minimum.converged && realized; }
 };
 // Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
@@ -57,10 +59,6 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 // no use.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
-
-// From each of some trials on, along its own impacts, with that many iterations each: the best solution. It is not
-// worse than any of the trials; `jacobians` counts all. Precondition: there is a trial.
-PhaseSolution SolveFrom(const Scene& scene, const std::vector<Trial>& trials, const PhaseMinimumOptions& options);
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 

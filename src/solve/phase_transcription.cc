@@ -35,7 +35,7 @@ std::optional<Vec2d> FixedAt(const Scene& scene, int body) {
 }
 
 ImpactCut MakeCut(const Scene& scene, const Candidate& c) {
-  ImpactCut cut{MakeImpactLaw(scene, c), std::nullopt, {FixedAt(scene, c.a), std::nullopt}};
+  ImpactCut cut{MakeImpactLaw(scene, c), std::nullopt, {FixedAt(scene, c.a), std::nullopt}, 0};
   if (c.plane) {
     cut.plane = MakeHalfPlane(scene.planes[c.b]);
   } else {
@@ -49,7 +49,7 @@ bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane &
 }  // namespace
 
 PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps,
-                                       const ForceAt& force)
+                                       const ForceAt& force, const ContactSequence& apart, double margin)
     : scene_(scene),
       cuts_(std::move(cuts)),
       steps_(std::move(steps)),
@@ -70,30 +70,32 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut>
     }
     boundary_.push_back(static_cast<int>(times_.size()) - 1);
   }
-  Lay(force);
+  Lay(force, apart);
   AddSteps();
   AddImpacts();
   AddBounds();
   AddTerms();
+  for (const Candidate& pair : apart) KeepApart(pair, margin);
 }
 
-bool PhaseTranscription::Concerns(int body) const {
+bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const {
   if (scene_.bodies[body].fixed) return false;
   if (dense_[body]) return true;
   const auto is_of_body = [&](const auto& term) { return term.body == body; };
   const Objective& objective = scene_.objective;
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
   if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
+  if (std::any_of(apart.begin(), apart.end(), [&](const Candidate& c) { return TakesPart(c, body); })) return true;
   return std::any_of(
       cuts_.begin(), cuts_.end(), [&](const PhaseCut& cut) { return cut.impact && TakesPart(*cut.impact, body); });
 }
 
 // Nodes, from a motion with open gaps at its impacts.
-void PhaseTranscription::Lay(const ForceAt& force) {
+void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart) {
   std::vector<int> last(scene_.num_bodies(), -1);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     const Body& body = scene_.bodies[i];
-    if (Concerns(i)) last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+    if (Concerns(i, apart)) last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
   }
   num_initial_nodes_ = static_cast<int>(nodes_.size());
   tracks_.resize(scene_.num_bodies());
@@ -189,7 +191,8 @@ double PhaseTranscription::LeastLength() const {
 void PhaseTranscription::AddImpacts() {
   for (size_t k = 0, strike = 0; k < cuts_.size(); ++k) {
     if (!cuts_[k].impact) continue;
-    const ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
+    ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
+    cut.overlap = cuts_[k].overlap;
     const ImpactNodes& nodes = impacts_[strike++];
     std::vector<double*> blocks;
     for (int side = 0; side < 2; ++side) {
@@ -279,17 +282,22 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
   for (int j = 0; j < num_phases(); ++j) {
     for (int k = 0; k < steps_[j]; ++k) {
       Clearance clearance{cut.law.reach * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
-      std::vector<double*> blocks;
+      std::vector<double*> blocks, forces;
       std::vector<int> sizes;
-      for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+      for (int side = 0; side < clearance.num_sides(); ++side) {
         const int body = side == 0 ? c.a : c.b;
         clearance.sides[side].at = cut.at[side];
         if (cut.at[side]) continue;
-        CHECK(!tracks_[body].empty());
         clearance.sides[side].coasts = !dense_[body];
-        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k + 1 : 0]));
+        clearance.sides[side].inverse_mass = 1 / scene_.bodies[body].mass;
+        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k : 0]));
         sizes.push_back(4);
+        if (place_[body] < 0) continue;
+        clearance.sides[side].pushed = true;
+        forces.push_back(ForceOn(body, j, k));
       }
+      blocks.insert(blocks.end(), forces.begin(), forces.end());
+      sizes.insert(sizes.end(), forces.size(), 2);
       blocks.insert(blocks.end(), {Begin(j), End(j)});
       sizes.insert(sizes.end(), {1, 1});
       problem_.Add(Dynamic(clearance, 1, sizes), {.inequalities = 1}, blocks);
@@ -305,6 +313,26 @@ std::vector<double> PhaseTranscription::CutTimes() const {
   std::vector<double> times;
   for (size_t k = 0; k < cuts_.size(); ++k) times.push_back(times_[boundary_[k + 1]]);
   return times;
+}
+
+std::vector<double> PhaseTranscription::CutSpeeds() const {
+  std::vector<double> speeds;
+  for (size_t k = 0, strike = 0; k < cuts_.size(); ++k) {
+    speeds.push_back(0);
+    if (!cuts_[k].impact) continue;
+    const ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
+    const ImpactNodes& nodes = impacts_[strike++];
+    std::vector<const double*> blocks;
+    for (int side = 0; side < 2; ++side) {
+      if (!cut.Moves(side)) continue;
+      blocks.push_back(nodes_[nodes.before[side]].data());
+      blocks.push_back(nodes_[nodes.after[side]].data());
+    }
+    std::vector<double> rows(cut.num_equalities() + 1);
+    cut(blocks.data(), rows.data());
+    speeds.back() = rows.back();
+  }
+  return speeds;
 }
 
 void PhaseTranscription::Control(std::vector<double>* control, std::vector<double>* durations) const {

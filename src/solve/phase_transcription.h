@@ -23,6 +23,7 @@ namespace saltus {
 struct PhaseCut {
   std::optional<Candidate> impact;  // none: an instant that does not move
   double time = 0;                  // s; of an impact, where the search starts
+  double overlap = 0;               // of the reach: the gap at the impact is less than nothing by so much
 };
 
 // Pieces of constant force: that on controlled disc c at time t.
@@ -33,18 +34,18 @@ class PhaseTranscription {
   // `steps` has one number a phase, cuts.size() + 1 in all; a phase of no steps has no length, and its impact happens
   // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
   // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
-  // time within [0, T]; some phase has steps.
-  PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force);
+  // time within [0, T]; some phase has steps. The pairs of `apart` never come nearer than the distance at which they
+  // touch and `margin` of it.
+  PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
+                     const ContactSequence& apart = {}, double margin = 0);
   PhaseTranscription(const PhaseTranscription&) = delete;
-
-  // A pair that is not to meet, at the end of each step: it stays apart by `margin` times the distance at which it
-  // would touch.
-  void KeepApart(const Candidate& pair, double margin);
 
   AugmentedLagrangian::Summary Minimize(const AugmentedLagrangian::Options& options);
 
   // The times of the cuts, and the final time.
   std::vector<double> CutTimes() const;
+  // Of the cuts: the normal velocity just before an impact, negative if closing; 0 of instants.
+  std::vector<double> CutSpeeds() const;
   double Duration() const { return times_.back(); }
   // One row a step, of all controlled discs, and the steps' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
@@ -57,7 +58,7 @@ class PhaseTranscription {
   };
 
   int num_phases() const { return static_cast<int>(steps_.size()); }
-  bool Concerns(int body) const;
+  bool Concerns(int body, const ContactSequence& apart) const;
   int StepsOf(int body, int phase) const { return dense_[body] ? steps_[phase] : std::min(steps_[phase], 1); }
   double* NodeAt(int i) { return nodes_[i].data(); }
   double* ForceOn(int body, int phase, int step) {
@@ -66,7 +67,7 @@ class PhaseTranscription {
   double* Begin(int phase) { return &times_[boundary_[phase]]; }
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
 
-  void Lay(const ForceAt& force);
+  void Lay(const ForceAt& force, const ContactSequence& apart);
   void Strike(const Candidate& c, std::vector<int>* last);
   int AddNode(const Node& node);
   void AddSteps();
@@ -74,6 +75,7 @@ class PhaseTranscription {
   void AddBounds();
   void AddTerms();
   void AddRunning(const RunningTerm& term);
+  void KeepApart(const Candidate& pair, double margin);
   double LeastLength() const;
 
   Scene scene_;

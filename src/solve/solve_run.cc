@@ -10,7 +10,7 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
       shooting_(MakeSimulator(ContactWith(options.surrogate, request.contact), request.scene, request.precision)) {
   shooting_.set_memory_limit(options.memory_limit);
   shooting_.set_stop(options.stop);
-  report_.contact = request.contact;
+  report_.contact = request.contact.name();
   report_.solver = solver;
   report_.surrogate = options.surrogate;
 }

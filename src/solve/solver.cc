@@ -66,7 +66,8 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
 void Confirm(const SolveRequest& request, SolveReport* report) {
   const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !FindContactModel(request.contact)->event_driven) return;
-  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
+  if (scene.optimize != Optimize::kControl) return;
+  if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations);
   }
@@ -122,7 +123,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
     Confirm(converted, &report);
     return InSiUnits(converted.scene, std::move(report));
   }
-  report.contact = request.contact;
+  report.contact = request.contact.name();
   report.solver = solver;
   report.surrogate = options.surrogate;
   report.termination = Termination::kNotApplicable;

@@ -83,6 +83,13 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
                          {"smallest", NumberToJson(certificate.curvature->smallest)},
                          {"direction", ControlToJson(scene, certificate.curvature->direction)}};
   }
+  if (certificate.final_time) item["final_time"] = NumberToJson(*certificate.final_time);
+  for (const ConstraintCertificate& constraint : certificate.constraints) {
+    const Vec2d& nu = constraint.multiplier;
+    item["constraints"].push_back({{"body", constraint.body},
+                                   {"quantity", constraint.of_velocity ? "velocity" : "position"},
+                                   {"multiplier", {NumberToJson(nu[0]), NumberToJson(nu[1])}}});
+  }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {
     Json entry = {{"time", NumberToJson(impact.time)},

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "audit/own_differences.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
 #include "test_scenes.h"

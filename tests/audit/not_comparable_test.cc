@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "audit/conditioning.h"
 #include "physics/scene_generators.h"
 #include "saltus/audit/audit.h"
 #include "test_scenes.h"

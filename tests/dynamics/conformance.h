@@ -123,7 +123,7 @@ inline std::string CheckFreeFlight(const Model& model) {
   scene.gravity = {0.3, -9.8};
   scene.bodies = {{.name = "a", .radius = 0.1, .mass = 1.7, .position = {1, 2}, .velocity = {-0.4, 0.9}},
                   {.name = "b", .radius = 0.1, .mass = 0.6, .position = {50, 0}, .velocity = {2, -1}}};
-  if (model.traits.reach > 10) scene.bodies.pop_back();  // it would feel the other
+  if (model.traits.push_gap > 10) scene.bodies.pop_back();  // it would feel the other
   scene.control = {{0}, {{1, -2}}};
   Run run(model, scene);
   if (!run.finite()) return "free flight is not finite";
@@ -155,7 +155,7 @@ inline std::string CheckFreeFlight(const Model& model) {
 
 // Discs that are near each other and do not touch move as each does alone, bit by bit.
 inline std::string CheckNeighbours(const Model& model) {
-  const double gap = model.traits.reach + 5e-4;
+  const double gap = model.traits.push_gap + 5e-4;
   if (!(gap < 1)) return "";
   Scene both;
   both.name = "neighbours";
@@ -548,7 +548,7 @@ inline std::string CheckDeterminism(const Model& model, const Scene& scene) {
 
 // Two groups of discs far apart move as each does alone, bit by bit.
 inline std::string CheckGroupsApart(const Model& model) {
-  if (model.traits.reach > 15) return "";
+  if (model.traits.push_gap > 15) return "";
   const Scene near = TwoDiscs(0.8, 0, 0.1);
   Scene far = near;
   for (Body& body : far.bodies) {

@@ -30,7 +30,7 @@ class EveryModel : public testing::TestWithParam<std::string> {
   std::vector<Scene> Scenes() const {
     std::vector<Scene> scenes = {FourDiscs(0)};
     if (model().traits.friction) scenes.push_back(FourDiscs(0.3));
-    if (std::isfinite(model().traits.reach)) return scenes;
+    if (std::isfinite(model().traits.push_gap)) return scenes;
     for (Scene& scene : scenes) {  // every step has a system of equations, and all discs in it
       scene.steps = 30;
       scene.duration *= 0.2;

@@ -116,7 +116,7 @@ TEST_P(ManyBodies, IslandsHaveTheBitsOfTheWholeScene) {
 std::vector<std::string> AllNames() {
   std::vector<std::string> names;
   for (const ModelTraits& model : AllContactModels()) {
-    if (std::isfinite(model.reach)) names.emplace_back(model.name);  // else there are no islands
+    if (std::isfinite(model.push_gap)) names.emplace_back(model.name);  // else there are no islands
   }
   return names;
 }

@@ -71,8 +71,8 @@ class MemoryLimitOf : public testing::TestWithParam<std::string> {};
 TEST_P(MemoryLimitOf, ChangesNoBit) {
   const ModelTraits& model = *FindContactModel(GetParam());
   // Models that act at any distance solve a system of equations in every step.
-  Scene scene = std::isinf(model.reach) ? BounceOffTheGrid() : FourDiscs(model.friction ? 0.3 : 0);
-  scene.steps = std::isinf(model.reach) ? 480 : 3000;
+  Scene scene = std::isinf(model.push_gap) ? BounceOffTheGrid() : FourDiscs(model.friction ? 0.3 : 0);
+  scene.steps = std::isinf(model.push_gap) ? 480 : 3000;
   const Evaluation whole = Evaluate(GetParam(), scene, 0);
   ASSERT_TRUE(whole.ok);
   ASSERT_GT(whole.touches, 2u);

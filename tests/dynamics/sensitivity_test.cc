@@ -33,7 +33,7 @@ std::vector<Case> AllCases() {
     for (const auto& [name, scene] : scenes) {
       if (!WhyNotApplicable(model.name, scene).empty()) continue;
       // Models that act at a distance solve for all discs in every step; of many they are tested by their own tests.
-      if (model.reach > 0 && scene.num_bodies() > 2) continue;
+      if (model.push_gap > 0 && scene.num_bodies() > 2) continue;
       cases.push_back({std::string(model.name), name, scene});
     }
   }
@@ -332,7 +332,7 @@ TEST_P(DerivativeOf, EqualsDifferencesAwayFromTies) {
   int ties = 0, all = 0;
   std::vector<Group> groups = StateAndControl(at_.scene, here.gradient);
   const std::vector<Group> parameters = Parameters(at_.scene, here.gradient.parameters);
-  if (FindContactModel(model_)->reach > 0) {
+  if (FindContactModel(model_)->push_gap > 0) {
     groups.resize(2);  // a rollout of these models takes long
   } else {
     groups.insert(groups.end(), parameters.begin(), parameters.end());
@@ -342,7 +342,7 @@ TEST_P(DerivativeOf, EqualsDifferencesAwayFromTies) {
     all += group.moves.size();
   }
 
-  if (FindContactModel(model_)->reach > 0) return;
+  if (FindContactModel(model_)->push_gap > 0) return;
   const Point pushed = PushAll(at_, num_steps_);
   Group force{"force", {}, {}};
   for (int c = 0; c < pushed.scene.num_controlled(); ++c) {

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "audit/conditioning.h"
+#include "audit/own_differences.h"
 #include "exact/closed_forms.h"
 #include "exact/grid_optimum.h"
 #include "exact/launch_solutions.h"

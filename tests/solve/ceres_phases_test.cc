@@ -3,10 +3,9 @@
 #include <gmock/gmock.h>
 
 #include <cmath>
-#include <fstream>
-#include <nlohmann/json.hpp>
 #include <numeric>
 
+#include "constrained_reference.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -15,40 +14,6 @@ namespace saltus {
 namespace {
 
 using testing::HasSubstr;
-using Json = nlohmann::json;
-
-Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
-
-std::vector<Json> References() {
-  std::ifstream file(SALTUS_SOURCE_DIR "/data/constrained_references.json");
-  const Json document = Json::parse(file);
-  return {document["optima"].begin(), document["optima"].end()};
-}
-
-// The task of two balls with what a reference changes.
-Scene SceneOf(const Json& reference, int steps) {
-  Scene scene = ProblemScene("two_balls");
-  scene.steps = steps;
-  if (reference.contains("target_start")) scene.bodies[1].position = VectorOf(reference["target_start"]);
-  if (reference.contains("effort")) scene.objective.effort = reference["effort"];
-  scene.objective.terminal[0].hard = reference.value("hard", false);
-  if (const auto control = reference.find("control"); control != reference.end()) {
-    if (control->contains("max")) scene.control.max = {(*control)["max"].get<double>()};
-    if (control->contains("max_norm")) scene.control.max_norm = {(*control)["max_norm"].get<double>()};
-  }
-  if (const auto duration = reference.find("duration"); duration != reference.end()) {
-    scene.objective.duration = FreeDuration{(*duration)["min"], (*duration)["max"], (*duration)["weight"]};
-  }
-  if (const auto running = reference.find("running"); running != reference.end()) {
-    RunningTerm term;
-    for (const Json& row : *running) {
-      term.times.push_back(row[0]);
-      term.targets.emplace_back(row[1].get<double>(), row[2].get<double>());
-    }
-    scene.objective.running = {term};
-  }
-  return scene;
-}
 
 class ConstrainedOptimum : public testing::TestWithParam<Json> {};
 
@@ -112,11 +77,8 @@ TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
   EXPECT_NEAR(order, 2, 0.15);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()), [](const auto& test) {
-  std::string name = test.param["name"];
-  std::replace(name.begin(), name.end(), '.', '_');
-  return name;
-});
+INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()),
+                         [](const auto& test) { return TestName(test.param); });
 
 TEST(CeresPhases, TakesAtMostTwentyIterationsFromThePapersGuess) {
   const SolveReport report = Solve("ceres_phases", {ProblemScene("two_balls"), "event"}, {});

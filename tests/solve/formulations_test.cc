@@ -104,7 +104,7 @@ TEST_P(DescentUnder, EndsAtTheLossAndExactLoss) {
 std::vector<Formulation> Descents() {
   std::vector<Formulation> descents;
   for (const Formulation& at : All()) {
-    if (at.HasDescent() && std::isfinite(FindContactModel(at.contact)->reach)) descents.push_back(at);
+    if (at.HasDescent() && std::isfinite(FindContactModel(at.contact)->push_gap)) descents.push_back(at);
   }
   return descents;
 }

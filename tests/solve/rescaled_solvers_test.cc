@@ -10,6 +10,9 @@
 #include "test_scenes.h"
 
 namespace saltus {
+
+void PrintTo(const Scene& scene, std::ostream* out) { *out << scene.name; }
+
 namespace {
 
 Scene TwoBalls() {
@@ -35,7 +38,7 @@ double UnitOf(const Scene& scene, const Rescaling& by) {
 SolveReport SolveRescaled(std::string_view solver, const std::string& contact, const Scene& scene, const Rescaling& by,
                           double rate = 1) {
   SolverOptions options;
-  options.iterations = solver == "gd" ? 40 : 100;
+  options.iterations = solver == "gd" ? 40 : solver == "ceres_phases" ? 1000 : 100;
   const double unit = UnitOf(scene, by);
   options.learning_rate = rate * unit * unit / by.loss;
   options.keep_iterates = true;
@@ -126,6 +129,71 @@ TEST_P(EverySolver, TakesTheSameStepsFarFromTheOrigin) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, EverySolver, testing::ValuesIn(Solvers()), NameOf);
+
+// What ceres_phases alone takes.
+std::vector<Scene> Constrained() {
+  Scene bounds = TwoBalls();
+  bounds.name = "bounds";
+  bounds.control.max = {3.2};
+  bounds.objective.running = {{.body = 0, .times = {0, 1}, .targets = {{-2, -2}, {-1, -1}}, .weight = 0.3}};
+  Scene hard = TwoBalls();
+  hard.name = "hard";
+  hard.objective.terminal[0].hard = true;
+  hard.control.max_norm = {8};
+  hard.objective.duration = FreeDuration{0.2, 5, 0.5};
+  Scene out_of_reach = TwoBalls();
+  out_of_reach.name = "out_of_reach";
+  out_of_reach.objective.terminal[0].hard = true;
+  out_of_reach.control.max = {3};
+  Scene via = TwoBalls();
+  via.name = "via";
+  via.objective.via = {{.body = 0, .time = 0.25, .target = {-1.9, -1.85}, .hard = true}};
+  via.bodies.push_back({.name = "post", .radius = 0.1, .fixed = true, .position = {-1.4, -1.7}});
+  via.no_contact = {{0, 2, false}};
+  return {bounds, hard, out_of_reach, via};
+}
+
+// Its sequence is mended: the last two impacts change places.
+Scene Mended() {
+  Scene scene;
+  scene.name = "mended";
+  scene.duration = 1;
+  scene.steps = 100;
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {0.2, 0.3}, .velocity = {4.5, 2.7}}};
+  scene.planes = {{"left", {-0.5, 0}, {1, 0}},
+                  {"right", {0.5, 0}, {-1, 0}},
+                  {"floor", {0, -0.5}, {0, 1}},
+                  {"roof", {0, 0.5}, {0, -1}}};
+  scene.control = {{0}, {{0, 0}}};
+  scene.objective.terminal = {{.body = 0, .target = {0.1, -0.2}}};
+  scene.objective.effort = 0.001;
+  scene.optimize = Optimize::kControl;
+  return scene;
+}
+
+class ByPhases : public testing::TestWithParam<Scene> {};
+
+TEST_P(ByPhases, TheSameStepsAndVerdictsInAnyUnits) {
+  const Scene& scene = GetParam();
+  const SolveReport own = SolveRescaled("ceres_phases", "event", scene, {});
+  EXPECT_EQ(own.termination == Termination::kConverged, scene.name != "out_of_reach") << own.reason;
+  ASSERT_GT(own.iterations, 0);
+  std::vector<Rescaling> all = UnitRescalings();
+  for (const Rescaling& by : LossRescalings()) all.push_back(by);
+  for (const Rescaling& by : all) {
+    SCOPED_TRACE(by.name);
+    ExpectSame(own, SolveRescaled("ceres_phases", "event", scene, by), scene, by);
+  }
+}
+
+std::vector<Scene> PhaseScenes() {
+  std::vector<Scene> scenes = Constrained();
+  scenes.push_back(Mended());
+  return scenes;
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, ByPhases, testing::ValuesIn(PhaseScenes()),
+                         [](const auto& at) { return at.param.name; });
 
 // Solvers that take any contact model.
 std::vector<std::string> ShootingSolvers() {

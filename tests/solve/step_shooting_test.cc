@@ -120,7 +120,7 @@ TEST(CeresShooting, LowersTheLossOfManyDiscsUnderEveryModel) {
   int models = 0;
   for (const ModelTraits& model : AllContactModels()) {
     if (!WhyNotApplicable(model.name, scene).empty()) continue;
-    if (std::isinf(model.reach)) continue;  // solves for all discs in every step: 20 s
+    if (std::isinf(model.push_gap)) continue;  // solves for all discs in every step: 20 s
     ++models;
     const SolveReport report = Solve("ceres_shooting", {scene, std::string(model.name)}, {.iterations = 20});
     EXPECT_LT(report.final_loss, 0.9 * report.initial_loss) << model.name;

@@ -21,7 +21,7 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
 
@@ -52,6 +52,6 @@ struct Attribution {
 
 // At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason. What
 // was stopped is of no use.
-Attribution AttributeError(std::string_view contact, const Scene& scene, const StopRequest& stop = nullptr);
+Attribution AttributeError(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -16,7 +16,6 @@
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/contact_class.h"
 #include "saltus/audit/gradients.h"
-#include "saltus/audit/own_differences.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/audit/width_sweep.h"
 
@@ -40,6 +39,20 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
 // The gradient with respect to forces held over `intervals` equal parts of the horizon: the sum over the steps of each.
 // `control` is K x C x 2 with K = steps, a multiple of `intervals`.
 std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals);
+
+// Whether a gradient is the derivative of the model's own loss.
+enum class Agreement {
+  kAgrees,    // with differences on at least one side, in every direction
+  kDiffers,   // in some direction the differences of both sides settle on another slope
+  kUndecided  // they do not settle
+};
+
+struct OwnDifferences {
+  Agreement agreement = Agreement::kUndecided;
+  // Of the direction that differs most, or else of the last one.
+  Quantity quantity = Quantity::kPosition;
+  double gradient = 0, difference = 0;
+};
 
 struct AuditOptions {
   RefinementOptions refinement = {};
@@ -83,12 +96,12 @@ struct AuditReport {
 
 // Audits one model. `reference` is ExactGradientOf(scene). Where the model cannot take the scene, there is no such
 // model or the scene is wrong, the gradient says why and there is nothing else.
-ModelAudit AuditModel(std::string_view contact, const Scene& scene, Precision precision,
+ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
 // Why the exact gradient of `scene` is not what the model's should be, though the model can take the scene: the exact
 // discs do not spin, and friction turns the model's. Empty if the two can be compared.
-std::string WhyNotComparable(std::string_view contact, const Scene& scene);
+std::string WhyNotComparable(const Contact& contact, const Scene& scene);
 
 // The exact gradient of a scene, or nothing; nothing too if it was stopped.
 std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop = nullptr);

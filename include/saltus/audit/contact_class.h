@@ -27,7 +27,7 @@
 #include <string>
 #include <string_view>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -62,6 +62,6 @@ struct ContactRecognition {
 };
 
 // Where the model cannot take the scene, `words` says why. What was stopped is of no use.
-ContactRecognition RecogniseContact(std::string_view contact, const Scene& scene, const StopRequest& stop = nullptr);
+ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

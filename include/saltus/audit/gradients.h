@@ -10,7 +10,7 @@
 #include "saltus/control/exact_run.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/dynamics/events.h"
-#include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
 
@@ -45,13 +45,13 @@ struct ModelGradient {
 void SetScales(const Scene& scene, ModelGradient* gradient);
 
 // An unknown model and a wrong scene are reasons too. Here and below, one that was stopped has the reason kStopped.
-ModelGradient ComputeGradient(std::string_view contact, const Scene& scene, Precision precision,
+ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
                               const StopRequest& stop = nullptr);
 inline constexpr char kStopped[] = "interrupted";
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
 // each as a whole. A surrogate that is not valid is a reason too.
-ModelGradient ComputeSurrogate(std::string_view contact, const Scene& scene, Precision precision,
+ModelGradient ComputeSurrogate(const Contact& contact, const Scene& scene, Precision precision,
                                const Surrogate& surrogate, int threads = 1, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

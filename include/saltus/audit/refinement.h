@@ -30,7 +30,6 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/audit/conditioning.h"
 #include "saltus/audit/gradients.h"
 
 namespace saltus {
@@ -92,6 +91,16 @@ struct QuantityStudy {
   bool IsJudged() const { return one_sided.size() < exact.size(); }
 };
 
+// How much of a gradient rounding leaves.
+struct Conditioning {
+  // Relative change of the exact gradient by the initial state, per relative change of that state in its last bits; the
+  // largest of a few.
+  double condition = 0;
+  // By how much the exact gradient differs from itself, relative, computed with other numbers of steps, which change
+  // nothing but the rounding, and from the other initial states; the largest of a few.
+  double rounding = 0;
+};
+
 struct RefinementStudy {
   std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;
@@ -107,7 +116,7 @@ struct RefinementStudy {
 };
 
 // Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
-RefinementStudy StudyRefinement(std::string_view contact, const Scene& scene, const RefinementOptions& options = {},
+RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, const RefinementOptions& options = {},
                                 const StopRequest& stop = nullptr);
 
 }  // namespace saltus

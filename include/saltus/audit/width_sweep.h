@@ -59,7 +59,7 @@ struct WidthSweepStudy {
 };
 
 // Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
-WidthSweepStudy SweepWidths(std::string_view contact, const Scene& scene, const WidthSweepOptions& options = {},
+WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options = {},
                             const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
 
@@ -19,7 +20,7 @@ class Batch {
  public:
   // Points are decision variables of `scene` (single_shooting.h). `threads` at most; 0 is one per core. Preconditions
   // as those of MakeSimulator.
-  Batch(std::string_view contact, const Scene& scene, Precision precision, int threads = 0,
+  Batch(const Contact& contact, const Scene& scene, Precision precision, int threads = 0,
         SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
 
   // As Simulator::set_memory_limit, for each thread.

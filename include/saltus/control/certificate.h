@@ -18,6 +18,14 @@
 // after the node. Each belongs to a nu; a minimum lies between them, theta early + (1 - theta) late = 0 with theta in
 // [0, 1] (Clarke).
 //
+// With bounds on forces, hard terms, running and via terms or a free final time, the costates cannot be read off the
+// forces. They are then carried backwards through the motion, with the multipliers of impacts and hard terms that fit
+// best, so that transversality and jumps hold by themselves and what is left is
+//
+//   stationarity    the force on an interval is that within the bounds which is nearest to -lambda_v / (2 effort m) in
+//                   the mean; how far 2 effort m u + lambda_v is from the cone of outward normals there, turned round
+//   Hamiltonian     as above, less what running targets gain as they move; at a final time that is free, -weight.
+//
 // Conditions of first order say nothing of other sequences of impacts, which may be better.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
@@ -44,6 +52,13 @@ struct ImpactCertificate {
   double hamiltonian = 0;       // residual: the Hamiltonian after less that before
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
+};
+
+// A term that is hard: the loss of the optimum falls by multiplier . d if its target moves by a small d.
+struct ConstraintCertificate {
+  std::string body;
+  bool of_velocity = false;
+  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m
 };
 
 // The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
@@ -77,6 +92,8 @@ struct Certificate {
   double hamiltonian = 0;
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
+  std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
+  std::optional<double> final_time;                // if that is free: residual of the derivative of the loss by it
 
   // Of the loss by the control on the given intervals, combined with the thetas: what is left of 2 effort m u +
   // lambda_v in the mean over an interval, relative to the largest costate.

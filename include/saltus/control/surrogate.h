@@ -14,6 +14,7 @@
 #include <string_view>
 #include <vector>
 
+#include "saltus/dynamics/registry.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -45,9 +46,9 @@ std::string_view SurrogateToString(SurrogateKind kind);
 std::string WhyNotValid(const Surrogate& surrogate);
 
 // Why there is no such surrogate of the model's gradient, unknown models included; empty if there is.
-std::string WhyNotApplicable(const Surrogate& surrogate, std::string_view contact, const Scene& scene);
+std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene);
 
-// The name of the contact model whose adjoint is the surrogate, or is what is smoothed.
-std::string ContactWith(const std::optional<Surrogate>& surrogate, std::string_view contact);
+// The contact model whose adjoint is the surrogate, or is what is smoothed.
+Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact);
 
 }  // namespace saltus

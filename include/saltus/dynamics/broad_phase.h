@@ -3,7 +3,7 @@
 // A disc cannot leave the ball of radius
 //   reach = (|v| + |a| dt) dt
 // around its position before the step ends, for any of the integrators. A pair is a candidate if its gap is no larger
-// than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::reach). Where
+// than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::push_gap). Where
 // impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is bounded by the kinetic
 // energy of all discs that it can meet, and candidates are extended until they no longer grow.
 //
@@ -30,7 +30,7 @@ class BroadPhase {
   struct Options {
     double dt;           // s
     bool chains;         // as ModelTraits::chains
-    double push_gap;     // m, ModelTraits::reach
+    double push_gap;     // m, ModelTraits::push_gap
     double rounding;     // relative error of one operation of the simulation
     int all_pairs = 16;  // up to so many discs, all pairs are compared
   };

@@ -4,6 +4,12 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
+#include <limits>
+#include <optional>
+
+#include "saltus/contact/contact_model.h"
+#include "saltus/dynamics/simulator.h"
 
 namespace saltus {
 
@@ -88,6 +94,111 @@ LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* l
   const Eigen::Array<S, 2, 1> p(lambda[0], lambda[1]), v(lambda[2], lambda[3]), change = free.pv * p;
   for (int j = 0; j < 2; ++j) lambda[2 + j] = v[j] + S(n) * change[j];
   return {free.pa * p + free.va * v, free.va * change};
+}
+
+// With the rotation that every disc of model M starts with, at the origin and at rest.
+template <ContactModel M, typename S>
+BodyState<S, M::kRotation> AtRest() {
+  BodyState<S, M::kRotation> x{};
+  x.p = x.v = Vec2<S>::Zero();
+  if constexpr (requires(double* rotation) { M::InitialRotation(rotation); }) {
+    double rotation[M::kRotation] = {};
+    M::InitialRotation(rotation);
+    for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = S(rotation[j]);
+  }
+  return x;
+}
+
+// The free flight of one disc by the model, under the force in it and no gravity.
+template <ContactModel M, typename T, typename H>
+BodyState<T, M::kRotation> FlyOnce(const M& model, const H& h, const BodyConstants<T>& body, const Vec2<T>& force,
+                                   const BodyState<T, M::kRotation>& x) {
+  StepInput<T, H> in{};
+  in.h = h;
+  in.gravity = Vec2<Base<T>>::Zero();
+  in.bodies = {&body, 1};
+  in.force = {&force, 1};
+  return model.Free(in, 0, x);
+}
+
+// The Jacobian of the model's free flight over h, at a state whose numbers are all `offset`. Not a number where it is
+// not isotropic, or turns discs with the motion.
+template <ContactModel M, typename S>
+FreeFlightJacobian<S> DifferentiateFreeFlight(const M& model, S h, S offset) {
+  using Jet = StepJet<S>;
+  BodyState<Jet, M::kRotation> x{};
+  Vec2<Jet> force;
+  for (int j = 0; j < 2; ++j) {
+    x.p[j] = Jet(offset, j);
+    x.v[j] = Jet(offset, 2 + j);
+    force[j] = Jet(offset, 4 + j);
+  }
+  if constexpr (M::kRotation > 0) {
+    const auto start = AtRest<M, S>();
+    for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = Jet(start.rotation[j]);
+  }
+  const BodyConstants<Jet> body{Jet(S(1)), Jet(S(1)), S(1), false};
+  const auto next = FlyOnce(model, h, body, force, x);
+  FreeFlightJacobian<S> free{
+      next.p[0].v[0], next.p[0].v[2], next.p[0].v[4], next.v[0].v[0], next.v[0].v[2], next.v[0].v[4]};
+  bool isotropic = true;
+  for (int by = 0; by < 6; by += 2) {
+    for (const Vec2<Jet>& to : {next.p, next.v}) {
+      isotropic = isotropic && to[1].v[by + 1] == to[0].v[by] && to[0].v[by + 1] == S(0) && to[1].v[by] == S(0);
+    }
+    if constexpr (M::kRotation > 0) {
+      for (const Jet& to : next.rotation) isotropic = isotropic && to.v[by] == S(0) && to.v[by + 1] == S(0);
+    }
+  }
+  if (!isotropic) free.pp = std::numeric_limits<S>::quiet_NaN();
+  return free;
+}
+
+// Its rotation after a free flight from x by that before.
+template <ContactModel M, typename S>
+Eigen::Matrix<S, M::kRotation, M::kRotation> DifferentiateRotation(const M& model, S h, const BodyConstants<S>& body,
+                                                                   const BodyState<S, M::kRotation>& x) {
+  using Jet = StepJet<S>;
+  static_assert(M::kRotation <= kJetWidth);
+  BodyState<Jet, M::kRotation> jets{};
+  for (int j = 0; j < 2; ++j) {
+    jets.p[j] = Jet(x.p[j]);
+    jets.v[j] = Jet(x.v[j]);
+  }
+  for (int j = 0; j < M::kRotation; ++j) jets.rotation[j] = Jet(x.rotation[j], j);
+  const BodyConstants<Jet> constants{Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed};
+  const auto next = FlyOnce(model, h, constants, Vec2<Jet>(Jet(S(0)), Jet(S(0))), jets);
+  Eigen::Matrix<S, M::kRotation, M::kRotation> jacobian;
+  for (int r = 0; r < M::kRotation; ++r) jacobian.row(r) = next.rotation[r].v.template head<M::kRotation>();
+  return jacobian;
+}
+
+// The free flight over h with its derivative by h, if the model has it for lengths that are Jets.
+template <ContactModel M, typename S>
+std::optional<FlightOver> DifferentiateByLength(const M& model, double h) {
+  using Jet = StepJet<S>;
+  using State = BodyState<Jet, M::kRotation>;
+  if constexpr (requires(const StepInput<Jet, Jet>& in, const State& x) { model.Free(in, 0, x); }) {
+    const BodyConstants<Jet> body{Jet(S(1)), Jet(S(1)), S(1), false};
+    const auto fly = [&](S p, S v, S a) {
+      auto x = State{};
+      x.p[0] = Jet(p);
+      x.v[0] = Jet(v);
+      const auto start = AtRest<M, S>();
+      if constexpr (M::kRotation > 0) {
+        for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = Jet(start.rotation[j]);
+      }
+      return FlyOnce(model, Jet(S(h), 0), body, Vec2<Jet>(Jet(a), Jet(S(0))), x);
+    };
+    // Linear: each of the six is where a state of one number leads.
+    const State by_p = fly(S(1), S(0), S(0)), by_v = fly(S(0), S(1), S(0)), by_a = fly(S(0), S(0), S(1));
+    const auto pick = [&](const auto& part) -> StepLinearization::FreeFlight {
+      return {part(by_p.p[0]), part(by_v.p[0]), part(by_a.p[0]), part(by_p.v[0]), part(by_v.v[0]), part(by_a.v[0])};
+    };
+    return FlightOver{pick([](const Jet& x) { return double(x.a); }),
+                      pick([](const Jet& x) { return double(x.v[0]); })};
+  }
+  return std::nullopt;
 }
 
 }  // namespace saltus

@@ -42,6 +42,13 @@ struct StepTie {
   TiedContact contact;  // disc and plane indices of the scene
 };
 
+// What went wrong in a rollout; without words, a state that is not finite.
+struct RolloutFailure {
+  int step = -1;
+  int body = -1;  // one of those concerned; -1: none in particular
+  std::string_view what;
+};
+
 // Derivatives of one number with respect to the parameters of the scene.
 struct ParameterGradient {
   double restitution = 0;
@@ -65,10 +72,10 @@ struct SensitivityView {
   std::span<double> initial;                // B x 4
   std::span<double> control;                // K x C x 2
   ParameterGradient* parameters = nullptr;  // its vectors are resized
-  // Added to the sensitivity to the control: effort * effort_of, such as the gradient of an effort (K x C x 2). Done in
-  // one go, a long control passes through memory once.
-  double effort = 0;
-  std::span<const double> effort_of = {};
+  // Added to the sensitivity to the control: factor * addend (K x C x 2), such as the gradient of another function.
+  // Done in one go, a long control passes through memory once.
+  double factor = 0;
+  std::span<const double> addend = {};
 };
 
 // x' = f(x, u) to first order at one point: dx' = A dx + B du + P dparameters. Dense over the discs that touch
@@ -100,6 +107,11 @@ class StepLinearization {
   void ApplyTranspose(std::span<const double> next, std::span<double> x, std::span<double> force) const;
   // Dense A (state_size x state_size) and B (state_size x 2 B), for tests and small solvers.
   void ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const;
+};
+
+// Free flight for some time, and its derivative by that time.
+struct FlightOver {
+  StepLinearization::FreeFlight flight, by_time;
 };
 
 class Simulator {
@@ -161,6 +173,9 @@ class Simulator {
   virtual void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
                          StepLinearization* linearization) const = 0;
 
+  // Free flight in one step of any length h > 0, s; nothing if the model takes lengths without derivatives only.
+  virtual std::optional<FlightOver> FreeFlightOver(double h) const = 0;
+
   // The full state that belongs to `initial` (B x 4): rotation at its start value, fixed discs at rest.
   virtual void ExpandInitial(std::span<const double> initial, std::span<double> x) const = 0;
 
@@ -168,24 +183,17 @@ class Simulator {
   void ExpandForce(std::span<const double> control, int k, std::span<double> force) const;
 
  protected:
-  // What went wrong in a rollout; without words, a state that is not finite.
-  struct Failure {
-    int step = -1;
-    int body = -1;  // one of those concerned; -1: none in particular
-    std::string_view what;
-  };
-
   Simulator(const Scene& scene, Precision precision, int grid_steps)
       : scene_(scene), precision_(precision), num_steps_(scene.steps / grid_steps) {}
 
   // Of a simulator that another one is made of.
-  static const std::optional<Failure>& FailureOf(const Simulator& simulator) { return simulator.failure_; }
+  static const std::optional<RolloutFailure>& FailureOf(const Simulator& simulator) { return simulator.failure_; }
 
   Scene scene_;
   Precision precision_;
   int num_steps_;
   std::size_t memory_limit_ = std::size_t{1} << 30;
-  std::optional<Failure> failure_;  // of the last rollout
+  std::optional<RolloutFailure> failure_;  // of the last rollout
   StopRequest stop_;
   std::vector<StepTie> ties_;
   int tie_order_ = 0;

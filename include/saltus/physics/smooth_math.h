@@ -90,5 +90,9 @@ template <typename S, int W>
 ceres::Jet<S, W> FusedMultiplyAdd(const S& a, const ceres::Jet<S, W>& b, const ceres::Jet<S, W>& c) {
   return ceres::Jet<S, W>(std::fma(a, b.a, c.a), a * b.v + c.v);
 }
+template <typename S, int W>
+ceres::Jet<S, W> FusedMultiplyAdd(const ceres::Jet<S, W>& a, const ceres::Jet<S, W>& b, const ceres::Jet<S, W>& c) {
+  return ceres::Jet<S, W>(std::fma(a.a, b.a, c.a), a.v * b.a + a.a * b.v + c.v);
+}
 
 }  // namespace saltus

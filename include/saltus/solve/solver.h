@@ -13,7 +13,7 @@
 #include "saltus/control/certificate.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/surrogate.h"
-#include "saltus/dynamics/simulator.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -24,7 +24,7 @@ const char* TerminationToString(Termination termination);
 // What to solve, under which dynamics.
 struct SolveRequest {
   Scene scene;
-  std::string contact;  // a name of the registry of contact models
+  Contact contact;
   Precision precision = Precision::kDouble;
 };
 

@@ -8,18 +8,9 @@
 
 #include <optional>
 
-#include "saltus/physics/scene.h"
+#include "saltus/audit/refinement.h"
 
 namespace saltus {
-
-struct Conditioning {
-  // Relative change of the exact gradient by the initial state, per relative change of that state in its last bits; the
-  // largest of a few.
-  double condition = 0;
-  // By how much the exact gradient differs from itself, relative, computed with other numbers of steps, which change
-  // nothing but the rounding, and from the other initial states; the largest of a few.
-  double rounding = 0;
-};
 
 // Of the event-driven model; nothing where that one cannot take the scene or fails.
 std::optional<Conditioning> MeasureConditioning(const Scene& scene);

@@ -1,0 +1,162 @@
+// One step as a contact model sees it: the discs, what may touch, and where it reports what did.
+#pragma once
+
+#include <algorithm>
+#include <memory_resource>
+#include <span>
+#include <string_view>
+#include <vector>
+
+#include "saltus/contact/solve_record.h"
+#include "saltus/physics/geometry.h"
+
+namespace saltus {
+
+// State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.
+template <typename T, int kRotation>
+struct BodyState {
+  static constexpr int kSize = 4 + kRotation;
+  Vec2<T> p;  // position, m
+  Vec2<T> v;  // velocity, m/s
+  T rotation[kRotation];
+};
+template <typename T>
+struct BodyState<T, 0> {
+  static constexpr int kSize = 4;
+  Vec2<T> p;
+  Vec2<T> v;
+};
+
+template <typename T>
+struct BodyConstants {
+  T mass;          // kg; not used if fixed
+  T inverse_mass;  // 1/kg; 0 if fixed
+  Base<T> radius;  // m
+  bool fixed = false;
+};
+
+template <typename T>
+struct ContactConstants {
+  T restitution, friction, stiffness, damping;  // as in ContactParameters
+};
+
+// Disc `a` and either disc `b` or half-plane `b`, which may touch in this step. Normals point towards `a`; a < b for
+// two discs. Never two fixed discs, nor a fixed disc and a plane.
+struct Candidate {
+  int a = 0;
+  int b = 0;
+  bool plane = false;
+  friend bool operator==(const Candidate&, const Candidate&) = default;
+};
+
+enum class ContactMode { kFrictionless, kSlip, kStick };
+const char* ContactModeToString(ContactMode mode);
+
+// An impact changes velocities at once; a sustained contact presses for a while; a grazing one is so slow that the
+// model's rule for it decides, and the derivative is one-sided.
+enum class ContactKind { kImpact, kSustained, kGrazing };
+
+// A contact that took effect in a step.
+struct Touch {
+  Candidate candidate;
+  ContactMode mode = ContactMode::kFrictionless;
+  double time = -1;  // s, since the start of the step; -1 for models that resolve no times
+  ContactKind kind = ContactKind::kImpact;
+};
+
+// A contact that takes part in a tie: impacts at the same time, connected through discs that move, of which the one
+// that comes first decides what follows.
+struct TiedContact {
+  Candidate candidate;
+  double time = 0;  // s, since the start of the step; of the first impact
+  int tie = 0;      // number of the tie within the step
+};
+
+// One step of some discs. Index i means the same disc in `bodies`, `force` and the states. The length of the step is a
+// number, or with H = T what derivatives are taken by.
+template <typename T, typename H = Base<T>>
+struct StepInput {
+  using S = Base<T>;
+  H h;              // s, length of the step
+  Vec2<S> gravity;  // m/s^2
+  ContactConstants<T> contact;
+  std::span<const BodyConstants<T>> bodies;
+  std::span<const HalfPlane<S>> planes;
+  std::span<const Vec2<T>> force;         // N
+  std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
+  std::pmr::memory_resource* scratch;     // for temporaries; released after the step
+  std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
+  SolveRecord* solved = nullptr;          // if given, the step recalls from it what it needs iterations for
+  std::string_view* failure = nullptr;    // if given, the step says there why it has no result
+  std::vector<TiedContact>* ties = nullptr;  // if given, the step appends ties; only event-driven models know them
+  int tie_order = 0;                         // in which order they take tied impacts (event_ties.h); 0: their own
+
+  // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
+  // may depend on values only.
+  template <typename Solve>
+  std::span<const double> Solved(const Solve& solve) const {
+    const auto keep = [&](std::span<const double> numbers) {
+      const std::span<double> kept = Array<double>(numbers.size());
+      std::copy(numbers.begin(), numbers.end(), kept.begin());
+      return kept;
+    };
+    if (solved != nullptr && !solved->AtEnd()) return keep(solved->Next());
+    const auto& found = solve();
+    const std::span<const double> numbers(found.data(), static_cast<std::size_t>(found.size()));
+    if (solved != nullptr) solved->Append(numbers);
+    return keep(numbers);
+  }
+
+  // Uninitialized memory for n numbers, until the end of the step.
+  template <typename U>
+  std::span<U> Array(std::size_t n) const {
+    return {static_cast<U*>(scratch->allocate(n * sizeof(U), alignof(U))), n};
+  }
+
+  void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1,
+              ContactKind kind = ContactKind::kImpact) const {
+    if (touches != nullptr) touches->push_back({candidate, mode, time, kind});
+  }
+
+  // To be called by a step whose iterations do not arrive. The rollout then fails with this reason, which must be a
+  // literal; what the step leaves should be not a number, so that derivatives taken there fail too.
+  void Fail(std::string_view why) const {
+    if (failure != nullptr && failure->empty()) *failure = why;
+  }
+
+  // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
+  Vec2<T> Acceleration(int i) const {
+    const BodyConstants<T>& body = bodies[i];
+    if (body.fixed) return Vec2<T>(T(S(0)), T(S(0)));
+    return {force[i][0] * body.inverse_mass + gravity[0], force[i][1] * body.inverse_mass + gravity[1]};
+  }
+  // Distance of the centres (or of centre and plane) at which the two touch, m.
+  S ContactDistance(const Candidate& c) const { return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius); }
+  T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
+  T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
+  // 1 / (1/m_a + 1/m_b), kg.
+  T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
+};
+
+// Distance and normal of a candidate when the discs are where `position(i)` says.
+template <typename T, typename PositionOf>
+Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
+  if (c.plane) return Separate<T>(position(c.a), in.planes[c.b]);
+  return Separate<T>(position(c.a), position(c.b));
+}
+
+// Velocity of a relative to b when the discs have the velocities that `velocity(i)` says.
+template <typename T, typename VelocityOf>
+Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
+  if (c.plane) return velocity(c.a);
+  return velocity(c.a) - velocity(c.b);
+}
+
+// Calls apply(i, change) with impulse / m_a for disc a and -impulse / m_b for disc b.
+template <typename T, typename Apply>
+void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& impulse, const Apply& apply) {
+  apply(c.a, Scale(in.InverseMassA(c), impulse));
+  if (!c.plane) apply(c.b, Scale(T(-in.InverseMassB(c)), impulse));
+}
+
+}  // namespace saltus

@@ -1,0 +1,53 @@
+// What a user asks of a motion beside what scene files can say: costs and constraints written as functions for Ceres.
+//
+//   struct Drag {  // 0.1 |v|^2, integrated over time
+//     template <typename T>
+//     bool operator()(const T* x, const T* h, T* residuals) const {
+//       for (int j = 0; j < 2; ++j) residuals[j] = sqrt(0.1 * h[0]) * x[2 + j];
+//       return true;
+//     }
+//   };
+//   OwnTerm drag{.at = OwnTerm::At::kEachStep, .states = {0}, .with_length = true};
+//   drag.function = std::make_shared<ceres::AutoDiffCostFunction<Drag, 2, 4, 1>>(new Drag);
+//   Solve("ceres_phases", {.scene = scene, .contact = "event", .terms = {drag}}, {});
+#pragma once
+
+#include <ceres/cost_function.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+struct OwnTerm {
+  enum class At { kEachStep, kEnd };
+  // Of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
+  enum class Role { kCost, kEquality, kInequality };
+
+  std::string name = "own term";  // for messages
+  At at = At::kEnd;
+  Role role = Role::kCost;
+
+  // The function's parameter blocks, in this order, in SI units:
+  //   [p_x p_y v_x v_y] of each of these discs: at the beginning of the step, or at the final time, after impacts there
+  std::vector<int> states = {};
+  //   [u_x u_y] on each of these discs, which are controlled, held over the step; of each step only
+  std::vector<int> forces = {};
+  //   if asked for, the length of the step, or the final time
+  bool with_length = false;
+
+  // Must not keep state: it is evaluated for every step.
+  std::shared_ptr<const ceres::CostFunction> function = nullptr;
+
+  // Of a constraint, > 0: the residual whose violation is as bad as a miss by the size of the scene. Constraints are
+  // met to 1e-8 of it.
+  double scale = 1;
+};
+
+// As "found x, expected y"; empty if nothing is.
+std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene);
+
+}  // namespace saltus

@@ -1,0 +1,105 @@
+// A scene and the control of a rollout in the scalar of a simulator.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "saltus/contact/step_input.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+template <typename S>
+struct TypedScene {
+  TypedScene(const Scene& scene, double step)
+      : h(S(step)),
+        gravity(scene.gravity.cast<S>()),
+        contact{S(scene.contact.restitution),
+                S(scene.contact.friction),
+                S(scene.contact.stiffness),
+                S(scene.contact.damping)} {
+    for (const Body& body : scene.bodies) {
+      const S mass = S(body.mass);
+      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
+      fixed.push_back(body.fixed);
+    }
+    for (const Plane& plane : scene.planes) {
+      const Vec2d normal = plane.normal.normalized();
+      planes.push_back({normal.cast<S>(), S(Dot(normal, plane.point))});
+      wide_planes.push_back({normal, Dot(normal, plane.point)});
+    }
+  }
+
+  int num_bodies() const { return static_cast<int>(bodies.size()); }
+
+  S h;              // s
+  Vec2<S> gravity;  // m/s^2
+  ContactConstants<S> contact;
+  std::vector<BodyConstants<S>> bodies;
+  std::vector<char> fixed;  // of each disc
+  std::vector<HalfPlane<S>> planes;
+  std::vector<HalfPlane<double>> wide_planes;  // the same, not rounded
+};
+
+// K x C x 2 forces, each held over a step.
+template <typename S>
+class HeldControl {
+ public:
+  explicit HeldControl(const Scene& scene) : bodies_(scene.control.bodies), place_(scene.bodies.size(), -1) {
+    for (std::size_t c = 0; c < bodies_.size(); ++c) place_[bodies_[c]] = static_cast<int>(c);
+  }
+
+  void Resize(std::size_t size) { forces_.resize(size); }
+  // Takes over the forces of steps begin..end-1 from a control of the whole rollout.
+  void Copy(int begin, int end, std::span<const double> control) {
+    const std::ptrdiff_t first = begin * stride(), last = end * stride();
+    std::copy(control.begin() + first, control.begin() + last, forces_.begin() + first);
+  }
+
+  bool Pushes(int body) const { return place_[body] >= 0; }
+  // Where the forces on a disc that is pushed from step k on begin. From one step to the next it is stride() numbers.
+  std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
+  std::ptrdiff_t stride() const { return 2 * static_cast<std::ptrdiff_t>(bodies_.size()); }
+  // The forces there; null if the disc is not pushed.
+  const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
+
+  // Sets the forces of step k; those on other discs stay.
+  void SetForce(int k, std::span<Vec2<S>> force) const {
+    for (int body : bodies_) {
+      const S* u = On(body, k);
+      force[body] = Vec2<S>(u[0], u[1]);
+    }
+  }
+
+  // Adds to `push`, of every disc, the largest of its accelerations by the forces of steps begin..end-1, m/s^2.
+  void AddLargestAccelerations(int begin, int end, std::span<const BodyConstants<S>> bodies,
+                               std::span<double> push) const {
+    for (int body : bodies_) {
+      // Several maxima, so that they need not wait for each other.
+      constexpr int kLanes = 4;
+      S largest[kLanes] = {};
+      const S* u = On(body, begin);
+      int k = begin;
+      for (; k + kLanes <= end; k += kLanes, u += kLanes * stride()) {
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const S* at = u + lane * stride();
+          const S square = at[0] * at[0] + at[1] * at[1];
+          largest[lane] = square > largest[lane] ? square : largest[lane];
+        }
+      }
+      for (; k < end; ++k, u += stride()) largest[0] = std::max(largest[0], u[0] * u[0] + u[1] * u[1]);
+      const double square = *std::max_element(largest, largest + kLanes);
+      push[body] += std::sqrt(square) * double(bodies[body].inverse_mass);
+    }
+  }
+
+ private:
+  std::vector<int> bodies_;  // those that are controlled
+  std::vector<int> place_;   // of each disc among them; -1 if it is not
+  std::vector<S> forces_;
+};
+
+}  // namespace saltus

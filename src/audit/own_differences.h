@@ -1,0 +1,16 @@
+// Whether a model's gradient is the derivative of its own loss, at the scene's own steps.
+//
+// The loss is followed along a few directions, each a sum of all initial positions, velocities or forces with signs
+// that are fixed but arbitrary, by differences of decreasing width to either side. A gradient that is no derivative of
+// the steps (detached values, a forgotten dependence) agrees with none of them. This says nothing of whether the steps
+// are right, which is what the width sweep and the exact gradient are for.
+#pragma once
+
+#include "saltus/audit/audit.h"
+
+namespace saltus {
+
+// Undecided where the model cannot take the scene. What was stopped is of no use.
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
+
+}  // namespace saltus

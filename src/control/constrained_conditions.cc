@@ -1,0 +1,495 @@
+// The conditions with bounds on the forces, hard terms, running and via terms and a free final time.
+//
+// Along a given motion the costates are affine in the multipliers of impacts and of hard terms, theta, and so are what
+// is left of the conditions:
+//
+//   force          2 effort m u + lambda_v, in the mean over an interval, is opposite to a normal of the bounds at u
+//   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
+//   final time     nor does moving that; at its bounds the loss may fall towards outside.
+//
+// Each is the distance from a convex cone, so the theta that meet them best are found by Newton's method on a sum of
+// squares that is convex. On a grid that does not move, the impacts on nodes have multipliers between those of the two
+// one-sided gradients instead, and the other impacts those that keep the Hamiltonian.
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "costate_sweep.h"
+#include "optimality_conditions.h"
+#include "physics/time_grid.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
+constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
+constexpr double kApart = 1e-6;       // of the reach: pairs that must not touch and stay so far apart are free
+constexpr int kMostNewtonSteps = 50;
+
+// The cone of normals at a force, in the plane: nothing, a ray or what two rays span.
+class NormalCone {
+ public:
+  void Add(const Vec2d& normal) { normals_.push_back(normal); }
+
+  // w less its projection on the cone, and the derivative.
+  void Residual(const Vec2d& w, Vec2d* residual, Eigen::Matrix2d* derivative) const {
+    *residual = w;
+    derivative->setIdentity();
+    if (normals_.empty()) return;
+    const auto [a, b] = Extremes();
+    if (IsBetween(a, b, w)) {
+      residual->setZero();
+      derivative->setZero();
+      return;
+    }
+    const Vec2d& nearest = a.dot(w) > b.dot(w) ? a : b;
+    if (nearest.dot(w) <= 0) return;
+    *residual -= nearest.dot(w) * nearest;
+    *derivative -= nearest * nearest.transpose();
+  }
+
+ private:
+  static double Cross(const Vec2d& a, const Vec2d& b) { return a[0] * b[1] - a[1] * b[0]; }
+  // Of a cone less than half of the plane.
+  static bool IsBetween(const Vec2d& a, const Vec2d& b, const Vec2d& w) {
+    const double turn = Cross(a, b);
+    return turn != 0 && Cross(a, w) * turn >= 0 && Cross(w, b) * turn >= 0;
+  }
+  std::pair<Vec2d, Vec2d> Extremes() const {
+    std::pair<Vec2d, Vec2d> widest = {normals_[0], normals_[0]};
+    for (const Vec2d& a : normals_) {
+      for (const Vec2d& b : normals_) {
+        if (a.dot(b) < widest.first.dot(widest.second)) widest = {a, b};
+      }
+    }
+    return widest;
+  }
+
+  std::vector<Vec2d> normals_;
+};
+
+// A sum of squares of distances from cones, of values that are affine in theta.
+class Conditions {
+ public:
+  explicit Conditions(int num_unknowns) : theta_(Eigen::VectorXd::Zero(num_unknowns)) {}
+
+  // `columns` are the derivatives by theta.
+  void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, NormalCone cone) {
+    forces_.push_back({value, columns, std::move(cone)});
+  }
+  // A number that is to vanish, or to have the sign `allowed`.
+  void AddNumber(double value, const Eigen::RowVectorXd& columns, int allowed) {
+    numbers_.push_back({value, columns, allowed});
+  }
+
+  void Solve() {
+    for (int step = 0; step < kMostNewtonSteps && theta_.size() > 0; ++step) {
+      Eigen::VectorXd r;
+      Eigen::MatrixXd jacobian;
+      Evaluate(theta_, &r, &jacobian);
+      const Eigen::VectorXd by = jacobian.completeOrthogonalDecomposition().solve(-r);
+      double length = 1;
+      Eigen::VectorXd next;
+      for (; length > 1e-4; length *= 0.5) {
+        Evaluate(theta_ + length * by, &next, nullptr);
+        if (next.squaredNorm() < r.squaredNorm()) break;
+      }
+      if (!(next.squaredNorm() < r.squaredNorm())) break;
+      theta_ += length * by;
+      if (next.squaredNorm() > (1 - 1e-9) * r.squaredNorm()) break;
+    }
+  }
+
+  const Eigen::VectorXd& theta() const { return theta_; }
+  double LargestForce() const {
+    double largest = 0;
+    Vec2d residual;
+    Eigen::Matrix2d derivative;
+    for (const Force& force : forces_) {
+      force.cone.Residual(-(force.value + force.columns * theta_), &residual, &derivative);
+      largest = std::max(largest, residual.norm());
+    }
+    return largest;
+  }
+  double Number(size_t i) const { return Left(numbers_[i], theta_); }
+
+ private:
+  struct Force {
+    Vec2d value;
+    Eigen::Matrix2Xd columns;
+    NormalCone cone;
+  };
+  struct Scalar {
+    double value;
+    Eigen::RowVectorXd columns;
+    int allowed;
+  };
+  static double Left(const Scalar& number, const Eigen::VectorXd& theta) {
+    const double value = number.value + number.columns.dot(theta.transpose());
+    return number.allowed * value > 0 ? 0.0 : value;
+  }
+
+  void Evaluate(const Eigen::VectorXd& theta, Eigen::VectorXd* r, Eigen::MatrixXd* jacobian) const {
+    const Eigen::Index rows = 2 * forces_.size() + numbers_.size();
+    r->resize(rows);
+    if (jacobian != nullptr) jacobian->setZero(rows, theta.size());
+    Eigen::Index row = 0;
+    Vec2d residual;
+    Eigen::Matrix2d derivative;
+    for (const Force& force : forces_) {
+      force.cone.Residual(-(force.value + force.columns * theta), &residual, &derivative);
+      r->segment<2>(row) = residual;
+      if (jacobian != nullptr) jacobian->middleRows<2>(row) = -derivative * force.columns;
+      row += 2;
+    }
+    for (const Scalar& number : numbers_) {
+      (*r)[row] = Left(number, theta);
+      if (jacobian != nullptr && (*r)[row] != 0) jacobian->row(row) = number.columns;
+      ++row;
+    }
+  }
+
+  Eigen::VectorXd theta_;
+  std::vector<Force> forces_;
+  std::vector<Scalar> numbers_;
+};
+
+class ConstrainedCertifier {
+ public:
+  explicit ConstrainedCertifier(const ControlledMotion& motion)
+      : motion_(motion), scene_(motion.scene), sweep_(scene_, motion.flight) {
+    for (int k = 0; k < num_hits(); ++k) boundaries_.push_back(sweep_.SegmentAfter(k));
+    for (int i = 0; i < sweep_.num_via(); ++i) boundaries_.push_back(sweep_.SegmentAfterVia(i));
+    boundaries_.insert(boundaries_.end(), {0, num_segments()});
+    std::sort(boundaries_.begin(), boundaries_.end());
+    boundaries_.erase(std::unique(boundaries_.begin(), boundaries_.end()), boundaries_.end());
+  }
+
+  Certificate Run() {
+    Certificate result;
+    result.impacts.resize(num_hits());
+    for (int k = 0; k < num_hits(); ++k) {
+      const Flight::Hit& hit = motion_.flight.hits()[k];
+      ImpactCertificate& impact = result.impacts[k];
+      impact.time = hit.time;
+      impact.a = motion_.exact.events[k].a;
+      impact.b = motion_.exact.events[k].b;
+      impact.speed = -hit.impact.speed;
+      impact.on_node = hit.on_node;
+    }
+    OfMovingGrid(&result);
+    Judge(&result);
+    if (result.verdict == Certificate::Verdict::kStationary) return result;
+    OfFixedGrid(&result);
+    Judge(&result);
+    return result;
+  }
+
+ private:
+  using Result = CostateSweep::Result;
+
+  int num_hits() const { return static_cast<int>(motion_.flight.hits().size()); }
+  int num_segments() const { return static_cast<int>(sweep_.segments().size()); }
+  double effort() const { return scene_.objective.effort; }
+  double Mass(int c) const { return scene_.bodies[scene_.control.bodies[c]].mass; }
+  Vec2d Force(int interval, int c) const {
+    const double* u = &motion_.control[2 * (static_cast<size_t>(interval) * scene_.num_controlled() + c)];
+    return {u[0], u[1]};
+  }
+  double EffortRate(int interval) const {
+    double sum = 0;
+    for (int c = 0; c < scene_.num_controlled(); ++c) sum += effort() * Force(interval, c).squaredNorm();
+    return sum;
+  }
+
+  // The sweep of the objective alone, and of each unknown: of impacts k for which `unknown[k]`, then of hard terms, two
+  // each. Other impacts keep the Hamiltonian.
+  std::vector<Result> Sweeps(const std::vector<bool>& unknown) const {
+    std::vector<Result> sweeps;
+    const auto add = [&](const CostateSweep::Source& source, int impact) {
+      sweeps.push_back(sweep_.Sweep(source, [&](int k, const ImpactJump& jump, double gain) {
+        return unknown[k] ? double(k == impact) : sweep_.Late(k, jump, gain);
+      }));
+    };
+    add({}, -1);
+    for (int k = 0; k < num_hits(); ++k) {
+      if (unknown[k]) add({.objective = false}, k);
+    }
+    for (int i = 0; i < 2 * sweep_.num_hard(); ++i) {
+      CostateSweep::Source source{.objective = false};
+      source.hard.assign(sweep_.num_hard(), Vec2d(0, 0));
+      source.hard[i / 2][i % 2] = 1;
+      add(source, -1);
+    }
+    return sweeps;
+  }
+
+  // What all sweeps together are at theta: sizes, and the multipliers.
+  Result Combined(const std::vector<bool>& unknown, const Eigen::VectorXd& theta) const {
+    std::vector<double> nu(num_hits());
+    Eigen::Index next = 0;
+    for (int k = 0; k < num_hits(); ++k) {
+      if (unknown[k]) nu[k] = theta[next++];
+    }
+    CostateSweep::Source source;
+    for (; next + 1 < theta.size(); next += 2) source.hard.emplace_back(theta[next], theta[next + 1]);
+    return sweep_.Sweep(source, [&](int k, const ImpactJump& jump, double gain) {
+      return unknown[k] ? nu[k] : sweep_.Late(k, jump, gain);
+    });
+  }
+
+  NormalCone ConeAt(int interval, int c) const {
+    NormalCone cone;
+    const Vec2d u = Force(interval, c);
+    const saltus::Control& bounds = scene_.control;
+    for (int d = 0; d < 2 && !bounds.max.empty(); ++d) {
+      if (std::abs(u[d]) >= (1 - kAtBound) * bounds.max[c]) cone.Add((u[d] > 0 ? 1.0 : -1.0) * Vec2d::Unit(d));
+    }
+    if (!bounds.max_norm.empty() && u.norm() >= (1 - kAtBound) * bounds.max_norm[c]) cone.Add(u.normalized());
+    return cone;
+  }
+
+  void AddForces(const std::vector<Result>& sweeps, Conditions* conditions) const {
+    const int n = static_cast<int>(sweeps.size()) - 1;
+    const int pushed = scene_.num_controlled();
+    const size_t intervals = motion_.lengths.size();
+    std::vector<Eigen::Matrix2Xd> mean(intervals * pushed, Eigen::Matrix2Xd::Zero(2, n + 1));
+    for (int i = 0; i < num_segments(); ++i) {
+      const int interval = sweep_.segments()[i].piece.interval;
+      for (int c = 0; c < pushed; ++c) {
+        for (int j = 0; j <= n; ++j) {
+          mean[interval * pushed + c].col(j) += sweeps[j].push[i][c] / motion_.lengths[interval];
+        }
+      }
+    }
+    for (size_t k = 0; k < intervals; ++k) {
+      if (motion_.lengths[k] <= kNoInterval * scene_.duration) continue;
+      for (int c = 0; c < pushed; ++c) {
+        const int interval = static_cast<int>(k);
+        const Eigen::Matrix2Xd& of = mean[k * pushed + c];
+        conditions->AddForce(
+            of.col(0) + 2 * effort() * Mass(c) * Force(interval, c), of.rightCols(n), ConeAt(interval, c));
+      }
+    }
+  }
+
+  struct Phase {
+    int begin = 0, end = 0;  // segments
+  };
+  // The phase that ends (begins) at a boundary; empty if that is at the beginning (end).
+  Phase PhaseBefore(int boundary) const {
+    const auto at = std::lower_bound(boundaries_.begin(), boundaries_.end(), boundary);
+    return at == boundaries_.begin() ? Phase{} : Phase{*(at - 1), boundary};
+  }
+  Phase PhaseAfter(int boundary) const {
+    const auto at = std::upper_bound(boundaries_.begin(), boundaries_.end(), boundary);
+    return at == boundaries_.end() ? Phase{} : Phase{boundary, *at};
+  }
+
+  // The derivative of the loss as the end (or else the beginning) of a phase is moved, and its intervals with it.
+  double MovedBy(const Phase& phase, bool end, const Result& sweep, bool of_objective) const {
+    const std::vector<CostateSweep::Segment>& segments = sweep_.segments();
+    const double begin = segments[phase.begin].piece.start;
+    double length = 0, hamiltonian = 0, drift = 0, moment = 0;
+    for (int i = phase.begin; i < phase.end; ++i) {
+      const Flight::Piece& piece = segments[i].piece;
+      length += piece.duration;
+      hamiltonian += sweep.hamiltonian[i];
+      if (of_objective) hamiltonian += piece.duration * EffortRate(piece.interval);
+      drift += sweep.drift[i];
+      moment += sweep.drift_moment[i] + (piece.start - begin) * sweep.drift[i];
+    }
+    const double stretched = (hamiltonian + moment) / length;
+    return end ? stretched : drift - stretched;
+  }
+
+  // The Hamiltonian just after impact k where no phase follows it, but another impact or the end.
+  double JustAfter(int k, const Result& sweep, bool of_objective) const {
+    const int last = std::max(sweep_.SegmentAfter(k) - 1, 0);
+    const Flight::Piece& piece = sweep_.segments()[last].piece;
+    const DiscStates& x = k + 1 < num_hits() ? motion_.flight.hits()[k + 1].before : motion_.flight.end();
+    double sum = of_objective ? EffortRate(piece.interval) : 0.0;
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      const Costate<double>& costate = sweep.after_impact[k][i];
+      sum += costate.position.dot(x.v[i]) + costate.velocity.dot(piece.acceleration[i]);
+    }
+    return sum;
+  }
+
+  // The derivative of the loss by the time of impact k.
+  double ByImpactTime(int k, const Result& sweep, bool of_objective) const {
+    const auto follows = [&](int i) {
+      return i >= 0 && i + 1 < num_hits() && sweep_.SegmentAfter(i) == sweep_.SegmentAfter(i + 1);
+    };
+    const int at = sweep_.SegmentAfter(k);
+    const Phase before = PhaseBefore(at), after = PhaseAfter(at);
+    double sum = 0;
+    if (follows(k - 1)) {
+      sum += JustAfter(k - 1, sweep, of_objective);
+    } else if (before.end > before.begin) {
+      sum += MovedBy(before, true, sweep, of_objective);
+    }
+    if (follows(k) || after.end == after.begin) {
+      sum -= JustAfter(k, sweep, of_objective);
+    } else {
+      sum += MovedBy(after, false, sweep, of_objective);
+    }
+    return sum;
+  }
+
+  bool IsAtEnd(int k) const { return sweep_.SegmentAfter(k) == num_segments(); }
+
+  template <typename Of>
+  static void Add(const std::vector<Result>& sweeps, const Of& of, double constant, int allowed,
+                  Conditions* conditions) {
+    Eigen::RowVectorXd columns(sweeps.size() - 1);
+    for (size_t j = 1; j < sweeps.size(); ++j) columns[j - 1] = of(sweeps[j], false);
+    conditions->AddNumber(constant + of(sweeps[0], true), columns, allowed);
+  }
+
+  // The signs that the derivative of the loss by the final time may have.
+  int SignByDuration() const {
+    const FreeDuration& free = *scene_.objective.duration;
+    if (scene_.duration <= free.min * (1 + kAtBound)) return 1;
+    return scene_.duration >= free.max * (1 - kAtBound) ? -1 : 0;
+  }
+
+  void SetSizes(const Result& sweep) {
+    position_scale_ = std::max(sweep.largest_position, sweep.largest_velocity / scene_.duration);
+    hamiltonian_scale_ = sweep.largest_hamiltonian;
+    for (size_t k = 0; k < motion_.lengths.size(); ++k) {
+      hamiltonian_scale_ = std::max(hamiltonian_scale_, EffortRate(static_cast<int>(k)));
+    }
+  }
+  double RelativeForce(const Conditions& conditions) const {
+    const double force = conditions.LargestForce();
+    return force == 0 ? 0.0 : force / (position_scale_ * scene_.duration);
+  }
+  double RelativeHamiltonian(double left) const { return left == 0 ? 0.0 : left / hamiltonian_scale_; }
+
+  void OfMovingGrid(Certificate* result) {
+    const std::vector<bool> unknown(num_hits(), true);
+    const std::vector<Result> sweeps = Sweeps(unknown);
+    Conditions conditions(static_cast<int>(sweeps.size()) - 1);
+    AddForces(sweeps, &conditions);
+    for (int k = 0; k < num_hits(); ++k) {
+      // At the final time an impact may want to be later.
+      const auto by_time = [&](const Result& sweep, bool whole) { return ByImpactTime(k, sweep, whole); };
+      Add(sweeps, by_time, 0, IsAtEnd(k) ? -1 : 0, &conditions);
+    }
+    if (scene_.objective.duration) {
+      const Phase last = PhaseBefore(num_segments());
+      const auto by_end = [&](const Result& sweep, bool whole) { return MovedBy(last, true, sweep, whole); };
+      Add(sweeps, by_end, scene_.objective.duration->weight, SignByDuration(), &conditions);
+    }
+    conditions.Solve();
+    const Result found = Combined(unknown, conditions.theta());
+    SetSizes(found);
+    result->stationarity = RelativeForce(conditions);
+    for (int k = 0; k < num_hits(); ++k) {
+      result->impacts[k].multiplier = found.multipliers[k];
+      result->impacts[k].hamiltonian = RelativeHamiltonian(conditions.Number(k));
+      result->hamiltonian = std::max(result->hamiltonian, std::abs(result->impacts[k].hamiltonian));
+    }
+    if (scene_.objective.duration) {
+      result->final_time = RelativeHamiltonian(conditions.Number(num_hits()));
+      result->hamiltonian = std::max(result->hamiltonian, std::abs(*result->final_time));
+    }
+    SetConstraints(conditions.theta().tail(2 * sweep_.num_hard()), result);
+  }
+
+  void OfFixedGrid(Certificate* result) {
+    std::vector<bool> unknown;
+    for (const Flight::Hit& hit : motion_.flight.hits()) unknown.push_back(hit.on_node);
+    const std::vector<Result> sweeps = Sweeps(unknown);
+    Conditions conditions(static_cast<int>(sweeps.size()) - 1);
+    AddForces(sweeps, &conditions);
+    if (scene_.objective.duration) {  // all intervals scale with it
+      const auto by_scale = [&](const Result& sweep, bool whole) {
+        return MovedBy({0, num_segments()}, true, sweep, whole) - sweep.clock / scene_.duration;
+      };
+      Add(sweeps, by_scale, scene_.objective.duration->weight, SignByDuration(), &conditions);
+    }
+    conditions.Solve();
+    const Result found = Combined(unknown, conditions.theta());
+    SetSizes(found);
+    result->gradient = RelativeForce(conditions);
+    if (scene_.objective.duration) {
+      result->gradient = std::max(*result->gradient, std::abs(RelativeHamiltonian(conditions.Number(0))));
+    }
+    // Where between the one-sided multipliers those of impacts on nodes are.
+    sweep_.Sweep({.objective = true, .hard = HardOf(conditions.theta())},
+                 [&](int k, const ImpactJump& jump, double gain) {
+                   const double late = sweep_.Late(k, jump, gain);
+                   if (!unknown[k]) return late;
+                   const double early = sweep_.Early(k, jump, gain), kink = early - late;
+                   if (std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late))) {
+                     result->impacts[k].theta = (found.multipliers[k] - late) / kink;
+                   }
+                   return found.multipliers[k];
+                 });
+  }
+
+  std::vector<Vec2d> HardOf(const Eigen::VectorXd& theta) const {
+    std::vector<Vec2d> hard;
+    for (Eigen::Index i = theta.size() - 2 * sweep_.num_hard(); i < theta.size(); i += 2) {
+      hard.emplace_back(theta[i], theta[i + 1]);
+    }
+    return hard;
+  }
+
+  void SetConstraints(const Eigen::VectorXd& theta, Certificate* result) const {
+    Eigen::Index next = 0;
+    const auto add = [&](const auto& term) {
+      if (!term.hard) return;
+      result->constraints.push_back({scene_.bodies[term.body].name,
+                                     term.quantity == TerminalTerm::Quantity::kVelocity,
+                                     {theta[next], theta[next + 1]}});
+      next += 2;
+    };
+    for (const TerminalTerm& term : scene_.objective.terminal) add(term);
+    for (const ViaTerm& term : scene_.objective.via) add(term);
+  }
+
+  const ControlledMotion& motion_;
+  const Scene& scene_;
+  CostateSweep sweep_;
+  std::vector<int> boundaries_;  // of phases: segments, 0 and their number included
+  double position_scale_ = 0, hamiltonian_scale_ = 0;
+};
+
+// The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
+double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
+  constexpr int kSamples = 4;  // of a piece
+  const Candidate c{pair.a, pair.b, pair.plane};
+  const double reach = MakeImpactLaw(scene, c).reach;
+  double least = std::numeric_limits<double>::infinity();
+  for (const Flight::Piece& piece : flight.pieces()) {
+    for (int i = 0; i <= kSamples; ++i) {
+      const double s = piece.duration * i / kSamples;
+      const auto at = [&](int body) -> Vec2d {
+        return piece.at_start.p[body] + s * (piece.at_start.v[body] + 0.5 * s * piece.acceleration[body]);
+      };
+      const double distance = pair.plane ? Separate<double>(at(pair.a), MakeHalfPlane(scene.planes[pair.b])).distance
+                                         : (at(pair.a) - at(pair.b)).norm();
+      least = std::min(least, distance / reach - 1);
+    }
+  }
+  return least;
+}
+
+}  // namespace
+
+std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight) {
+  for (const NoContact& pair : scene.no_contact) {
+    if (LeastGap(scene, flight, pair) > kApart) continue;
+    return "a pair that must not touch holds the motion back; the conditions are those without";
+  }
+  return "";
+}
+
+Certificate ConstrainedConditions(const ControlledMotion& motion) { return ConstrainedCertifier(motion).Run(); }
+
+}  // namespace saltus

@@ -1,0 +1,284 @@
+#include "costate_sweep.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "phase_costs.h"
+#include "saltus/control/objective.h"
+#include "physics/time_grid.h"
+
+namespace saltus {
+namespace {
+
+using Quantity = TerminalTerm::Quantity;
+
+struct Point {
+  Vec2d p, v;
+};
+
+Point After(const Flight::Piece& piece, int body, double s) {
+  const Vec2d &p = piece.at_start.p[body], &v = piece.at_start.v[body], &a = piece.acceleration[body];
+  return {p + s * (v + 0.5 * s * a), v + s * a};
+}
+
+const Vec2d& Read(const Point& x, Quantity quantity) { return quantity == Quantity::kPosition ? x.p : x.v; }
+
+Vec2d& Part(Costate<double>* costate, Quantity quantity) {
+  return quantity == Quantity::kPosition ? costate->position : costate->velocity;
+}
+
+// The rate of the target of a running term, which does not turn in the piece.
+Vec2d TargetRate(const RunningTerm& term, const Flight::Piece& piece) {
+  const double from = piece.start + kGaussNodes.front() * piece.duration;
+  const double to = piece.start + kGaussNodes.back() * piece.duration;
+  return to > from ? Vec2d((TargetAt(term, to) - TargetAt(term, from)) / (to - from)) : Vec2d(0, 0);
+}
+
+}  // namespace
+
+CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
+    : scene_(scene), flight_(flight), place_(scene.bodies.size(), -1) {
+  for (int c = 0; c < scene.num_controlled(); ++c) place_[scene.control.bodies[c]] = c;
+  std::vector<double> cuts;
+  for (const ViaTerm& term : scene.objective.via) cuts.push_back(term.time);
+  for (const RunningTerm& term : scene.objective.running) {
+    cuts.insert(cuts.end(), term.times.begin(), term.times.end());
+  }
+  std::sort(cuts.begin(), cuts.end());
+  std::vector<int> first;  // segment of each piece
+  for (size_t i = 0; i < flight.pieces().size(); ++i) {
+    first.push_back(static_cast<int>(segments_.size()));
+    const Flight::Piece& whole = flight.pieces()[i];
+    const double margin = kNodeMargin * whole.duration;
+    Flight::Piece part = whole;
+    const double end = whole.start + whole.duration;
+    const auto add = [&](double to) {
+      part.duration = to - part.start;
+      segments_.push_back({part, static_cast<int>(i)});
+      for (int b = 0; b < scene.num_bodies(); ++b) {
+        const Point x = After(whole, b, to - whole.start);
+        part.at_start.p[b] = x.p;
+        part.at_start.v[b] = x.v;
+      }
+      part.start = to;
+    };
+    for (double cut : cuts) {
+      if (cut > part.start + margin && cut < end - margin) add(cut);
+    }
+    add(end);
+  }
+  first.push_back(static_cast<int>(segments_.size()));
+  for (const Flight::Hit& hit : flight.hits()) segment_after_.push_back(first[hit.next_piece]);
+  for (const ViaTerm& term : scene.objective.via) {
+    const auto starts = [&](const Segment& s) { return s.piece.start < term.time - kNodeMargin * s.piece.duration; };
+    const auto after = std::partition_point(segments_.begin(), segments_.end(), starts);
+    via_after_.push_back(std::max(1, static_cast<int>(after - segments_.begin())));
+    num_hard_ += term.hard;
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) num_hard_ += term.hard;
+}
+
+double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
+  const int next = std::min<int>(segment_after_[k], static_cast<int>(segments_.size()) - 1);
+  return jump.MultiplierAt(segments_[next].piece.acceleration, flight_.hits()[k].impact.speed, gain);
+}
+
+double CostateSweep::Early(int k, const ImpactJump& jump, double gain) const {
+  const int last = std::max(segment_after_[k] - 1, 0);
+  return jump.MultiplierAt(segments_[last].piece.acceleration, flight_.hits()[k].impact.speed, gain);
+}
+
+void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, bool with_running,
+                               std::vector<Costate<double>>* now, std::vector<Vec2d>* push) const {
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    if (scene_.bodies[i].fixed) continue;
+    Costate<double>& costate = (*now)[i];
+    Vec2d integral = length * (0.5 * length * costate.position + costate.velocity);
+    costate.velocity += length * costate.position;
+    costate.time = piece.start;
+    for (size_t t = 0; with_running && t < scene_.objective.running.size(); ++t) {
+      const RunningTerm& term = scene_.objective.running[t];
+      if (term.body != i) continue;
+      for (size_t g = 0; g < kGaussNodes.size(); ++g) {
+        const double s = kGaussNodes[g] * length;
+        const Vec2d miss = Read(After(piece, i, s), term.quantity) - TargetAt(term, piece.start + s);
+        const Vec2d by = (2 * term.weight * kGaussWeights[g] * length) * miss;
+        if (term.quantity == Quantity::kPosition) {
+          costate.position += by;
+          costate.velocity += s * by;
+          integral += (0.5 * s * s) * by;
+        } else {
+          costate.velocity += by;
+          integral += s * by;
+        }
+      }
+    }
+    if (place_[i] >= 0) (*push)[place_[i]] += integral;
+  }
+}
+
+CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, bool with_running,
+                                              const std::vector<Costate<double>>& end) const {
+  Balance balance;
+  const double h = piece.duration;
+  double at_end = 0;
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    if (scene_.bodies[i].fixed) continue;
+    const double kinetic = end[i].position.dot(After(piece, i, h).v);
+    const double push = end[i].velocity.dot(piece.acceleration[i]);
+    at_end += kinetic + push;
+    balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
+  }
+  for (const RunningTerm& term : scene_.objective.running) {
+    if (!with_running) break;
+    const Vec2d rate = TargetRate(term, piece);
+    const Vec2d miss = Read(After(piece, term.body, h), term.quantity) - TargetAt(term, piece.start + h);
+    at_end += term.weight * miss.squaredNorm();
+    balance.largest = std::max(balance.largest, term.weight * miss.squaredNorm());
+    for (size_t g = 0; g < kGaussNodes.size(); ++g) {
+      const double s = kGaussNodes[g] * h;
+      const Vec2d off = Read(After(piece, term.body, s), term.quantity) - TargetAt(term, piece.start + s);
+      const double by = -2 * term.weight * kGaussWeights[g] * h * off.dot(rate);
+      balance.drift += by;
+      balance.drift_moment += s * by;
+    }
+  }
+  balance.hamiltonian = h * at_end - balance.drift_moment;
+  return balance;
+}
+
+double CostateSweep::CrossImpact(int k, bool with_running, const MultiplierOf& multiplier,
+                                 std::vector<Costate<double>>* now) const {
+  const Flight::Hit& hit = flight_.hits()[k];
+  const std::array<int, 2> body = {hit.contact.a, hit.contact.plane ? -1 : hit.contact.b};
+  std::array<Costate<double>, 2> after;
+  for (int side = 0; side < 2; ++side) {
+    after[side] = body[side] < 0 ? Costate<double>{hit.time, Vec2d(0, 0), Vec2d(0, 0)} : (*now)[body[side]];
+  }
+  const ImpactJump jump = MakeImpactJump(scene_, hit, after);
+  double gain = 0;
+  for (const RunningTerm& term : scene_.objective.running) {
+    if (!with_running || term.quantity != Quantity::kVelocity) continue;
+    const Vec2d target = TargetAt(term, hit.time);
+    for (int side = 0; side < 2; ++side) {
+      if (jump.body[side] != term.body) continue;
+      gain += term.weight * ((jump.velocity_after[side] - target).squaredNorm() -
+                             (jump.velocity_before[side] - target).squaredNorm());
+    }
+  }
+  const double nu = multiplier(k, jump, gain);
+  for (int side = 0; side < 2; ++side) {
+    if (jump.body[side] < 0) continue;
+    Costate<double>& costate = (*now)[jump.body[side]];
+    costate = jump.before[side];
+    costate.position += (side == 0 ? nu : -nu) * hit.impact.normal;
+  }
+  return nu;
+}
+
+void CostateSweep::CrossVia(size_t index, const Vec2d& derivative, std::vector<Costate<double>>* now,
+                            Result* result) const {
+  const ViaTerm& term = scene_.objective.via[index];
+  const bool of_position = term.quantity == Quantity::kPosition;
+  const Vec2d rate =
+      of_position ? flight_.Before(term.time).v[term.body] : AccelerationBefore(via_after_[index])[term.body];
+  result->clock += term.time * derivative.dot(rate);
+  Part(&(*now)[term.body], term.quantity) += derivative;
+}
+
+std::vector<Costate<double>> CostateSweep::AtEnd(const Source& source) const {
+  std::vector<double> x, gradient;
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    const Vec2d &p = flight_.end().p[i], &v = flight_.end().v[i];
+    x.insert(x.end(), {p[0], p[1], v[0], v[1]});
+  }
+  gradient.assign(x.size(), 0.0);
+  if (source.objective) TerminalGradient(scene_.objective, x, 4, gradient);
+  std::vector<Costate<double>> costates;
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    const double* g = &gradient[4 * i];
+    costates.push_back({scene_.duration, {g[0], g[1]}, {g[2], g[3]}});
+    if (scene_.bodies[i].fixed) costates.back() = {scene_.duration, Vec2d(0, 0), Vec2d(0, 0)};
+  }
+  size_t hard = 0;
+  for (const TerminalTerm& term : scene_.objective.terminal) {
+    if (!term.hard || source.hard.empty()) continue;
+    Part(&costates[term.body], term.quantity) += source.hard[hard++];
+  }
+  return costates;
+}
+
+CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierOf& multiplier) const {
+  Result result;
+  std::vector<Costate<double>> now = AtEnd(source);
+  const int count = static_cast<int>(segments_.size());
+  result.push.assign(count, std::vector<Vec2d>(scene_.num_controlled(), Vec2d(0, 0)));
+  result.hamiltonian.resize(count);
+  result.drift.resize(count);
+  result.drift_moment.resize(count);
+  result.multipliers.resize(flight_.hits().size());
+  result.after_impact.resize(flight_.hits().size());
+  const auto note = [&] {
+    for (const Costate<double>& costate : now) {
+      result.largest_position = std::max(result.largest_position, costate.position.norm());
+      result.largest_velocity = std::max(result.largest_velocity, costate.velocity.norm());
+    }
+  };
+  int hit = static_cast<int>(flight_.hits().size()) - 1;
+  for (int i = count;; --i) {
+    note();
+    for (; hit >= 0 && segment_after_[hit] == i; --hit) {
+      result.after_impact[hit] = now;
+      result.multipliers[hit] = CrossImpact(hit, source.objective, multiplier, &now);
+      note();
+    }
+    size_t hard = num_hard_;
+    for (size_t v = scene_.objective.via.size(); v-- > 0;) {
+      const ViaTerm& term = scene_.objective.via[v];
+      hard -= term.hard;
+      if (via_after_[v] != i) continue;
+      if (term.hard && !source.hard.empty()) {
+        CrossVia(v, source.hard[hard], &now, &result);
+      } else if (!term.hard && source.objective) {
+        const DiscStates x = flight_.Before(term.time);
+        const Vec2d& q = term.quantity == Quantity::kPosition ? x.p[term.body] : x.v[term.body];
+        CrossVia(v, 2 * term.weight * (q - term.target), &now, &result);
+      }
+    }
+    if (i == 0) break;
+    const Flight::Piece& piece = segments_[i - 1].piece;
+    const Balance balance = BalanceOf(piece, source.objective, now);
+    result.hamiltonian[i - 1] = balance.hamiltonian;
+    result.drift[i - 1] = balance.drift;
+    result.drift_moment[i - 1] = balance.drift_moment;
+    result.largest_hamiltonian = std::max(result.largest_hamiltonian, balance.largest);
+    CrossFlight(piece, piece.duration, source.objective, &now, &result.push[i - 1]);
+  }
+  note();
+  result.start = std::move(now);
+  return result;
+}
+
+void CostateSweep::PullBack(int segment, double offset, int body, bool of_position, int axis, double scale,
+                            std::vector<double>* gradient) const {
+  const int width = scene_.num_controlled();
+  std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
+  (of_position ? now[body].position : now[body].velocity)[axis] = scale;
+  std::vector<Vec2d> push(width);
+  const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return Late(k, jump, gain); };
+  int hit = static_cast<int>(flight_.hits().size()) - 1;
+  while (hit >= 0 && segment_after_[hit] > segment) --hit;
+  for (int i = segment; i >= 0; --i) {
+    const Flight::Piece& piece = segments_[i].piece;
+    std::fill(push.begin(), push.end(), Vec2d(0, 0));
+    CrossFlight(piece, i == segment ? offset : piece.duration, false, &now, &push);
+    for (int c = 0; c < width; ++c) {
+      const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
+      double* g = gradient->data() + 2 * (static_cast<size_t>(piece.interval) * width + c);
+      for (int d = 0; d < 2; ++d) g[d] += inverse_mass * push[c][d];
+    }
+    for (; hit >= 0 && segment_after_[hit] == i; --hit) CrossImpact(hit, false, late, &now);
+  }
+}
+
+}  // namespace saltus

@@ -1,0 +1,41 @@
+#include "impact_jump.h"
+
+namespace saltus {
+
+double ImpactJump::MultiplierAt(const std::vector<Vec2d>& acceleration, double speed, double gain) const {
+  double power = gain;
+  for (int side = 0; side < 2; ++side) {
+    if (body[side] < 0) continue;
+    const Vec2d& a = acceleration[body[side]];
+    power += after[side].position.dot(velocity_after[side]) + after[side].velocity.dot(a) -
+             before[side].position.dot(velocity_before[side]) - before[side].velocity.dot(a);
+  }
+  return power / speed;
+}
+
+ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after) {
+  const Candidate& c = hit.contact;
+  const ImpactLaw law = MakeImpactLaw(scene, c);
+  const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
+  ImpactJump jump;
+  jump.after = after;
+  Vec2d y(0, 0);
+  for (int side = 0; side < 2; ++side) {
+    const int body = side == 0 ? c.a : c.plane ? -1 : c.b;
+    if (inverse_mass[side] == 0) continue;
+    const double sign = side == 0 ? 1 : -1;
+    jump.body[side] = body;
+    jump.velocity_before[side] = hit.before.v[body];
+    jump.velocity_after[side] = hit.before.v[body] + sign * inverse_mass[side] * hit.impact.impulse;
+    y += sign * inverse_mass[side] * after[side].velocity;
+  }
+  const CostateGain<double> gain = ImpactAdjoint(law, hit.impact, y);
+  for (int side = 0; side < 2; ++side) {
+    const double sign = side == 0 ? 1 : -1;
+    jump.before[side] = {
+        hit.time, after[side].position + sign * gain.position, after[side].velocity + sign * gain.velocity};
+  }
+  return jump;
+}
+
+}  // namespace saltus

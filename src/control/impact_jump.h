@@ -1,0 +1,33 @@
+// Costates of discs in an exact motion, and how an impact joins those after it to those before.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "flight.h"
+#include "impact.h"
+
+namespace saltus {
+
+template <typename T>
+struct Costate {
+  T time;
+  Vec2<T> position, velocity;  // lambda_q, lambda_v at `time`
+  // In flight without terms on the way.
+  Costate At(const T& t) const { return {t, position, velocity + Scale(T(time - t), position)}; }
+};
+
+// The costates just after and just before an impact for both sides, without the multiplier.
+struct ImpactJump {
+  std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
+  std::array<Costate<double>, 2> after, before;
+  std::array<Vec2d, 2> velocity_before, velocity_after;
+
+  // The multiplier that keeps the Hamiltonian if accelerations are the same before and after, and what the motion
+  // costs on its way is `gain` more after the impact.
+  double MultiplierAt(const std::vector<Vec2d>& acceleration, double speed, double gain = 0) const;
+};
+
+ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after);
+
+}  // namespace saltus

@@ -1,0 +1,154 @@
+#include "saltus/control/own_term.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "own_term_cost.h"
+
+namespace saltus {
+namespace {
+
+std::vector<int> BlocksOf(const OwnTerm& term) {
+  std::vector<int> sizes(term.states.size(), 4);
+  sizes.insert(sizes.end(), term.forces.size(), 2);
+  if (term.with_length) sizes.push_back(1);
+  return sizes;
+}
+
+std::string ListOf(const std::vector<int>& sizes) {
+  std::string text;
+  for (const int size : sizes) text += (text.empty() ? "" : ", ") + std::to_string(size);
+  return "[" + text + "]";
+}
+
+}  // namespace
+
+std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
+  const auto wrong = [&](const std::string& what) { return term.name + ": " + what; };
+  if (term.function == nullptr) return wrong("found no function");
+  if (!(term.scale > 0) || !std::isfinite(term.scale)) return wrong("expected a scale above zero");
+  for (const int body : term.states) {
+    if (body < 0 || body >= scene.num_bodies()) {
+      return wrong("found the state of disc " + std::to_string(body) + ", expected 0 to " +
+                   std::to_string(scene.num_bodies() - 1));
+    }
+  }
+  const std::vector<int>& controlled = scene.control.bodies;
+  for (const int body : term.forces) {
+    if (std::find(controlled.begin(), controlled.end(), body) == controlled.end()) {
+      return wrong("found the force on disc " + std::to_string(body) + ", expected a disc that is controlled");
+    }
+  }
+  if (term.at == OwnTerm::At::kEnd && !term.forces.empty()) {
+    return wrong("found a force at the final time, expected forces of steps");
+  }
+  const std::vector<int> found(term.function->parameter_block_sizes().begin(),
+                               term.function->parameter_block_sizes().end());
+  if (found != BlocksOf(term)) {
+    return wrong("found a function of parameter blocks of sizes " + ListOf(found) + ", expected " +
+                 ListOf(BlocksOf(term)));
+  }
+  if (term.function->num_residuals() < 1) return wrong("found a function without residuals");
+  return "";
+}
+
+OwnTermCost::OwnTermCost(const OwnTerm& term, const Units& units, int steps)
+    : term_(term), units_(units), to_si_(units, {}), steps_(steps) {
+  *mutable_parameter_block_sizes() = BlocksOf(term);
+  if (divides()) mutable_parameter_block_sizes()->push_back(1);  // two times in the place of the length
+  set_num_residuals(term.function->num_residuals());
+  row_factor_ = term.role == OwnTerm::Role::kCost ? std::sqrt(UnitFactors({}, units).loss) : 1 / term.scale;
+}
+
+bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  // The function's own blocks, in SI units.
+  std::vector<std::vector<double>> blocks;
+  std::size_t at = 0;
+  for (; at < term_.states.size(); ++at) {
+    const double* x = parameters[at];
+    const Vec2d p = ConvertPosition({x[0], x[1]}, units_, {});
+    blocks.push_back({p[0], p[1], to_si_.speed * x[2], to_si_.speed * x[3]});
+  }
+  for (std::size_t i = 0; i < term_.forces.size(); ++i, ++at) {
+    blocks.push_back({to_si_.force * parameters[at][0], to_si_.force * parameters[at][1]});
+  }
+  if (term_.with_length) {
+    const double length = divides() ? (parameters[at + 1][0] - parameters[at][0]) / steps_ : parameters[at][0];
+    blocks.push_back({to_si_.time * length});
+  }
+  std::vector<const double*> values;
+  for (const std::vector<double>& block : blocks) values.push_back(block.data());
+
+  const int rows = num_residuals();
+  std::vector<std::vector<double>> derivatives;
+  std::vector<double*> wanted;
+  if (jacobians != nullptr) {
+    for (const std::vector<double>& block : blocks) derivatives.emplace_back(rows * block.size());
+    for (std::size_t i = 0; i < blocks.size(); ++i) wanted.push_back(derivatives[i].data());
+  }
+  if (!term_.function->Evaluate(values.data(), residuals, jacobians == nullptr ? nullptr : wanted.data())) return false;
+  for (int r = 0; r < rows; ++r) residuals[r] *= row_factor_;
+  if (jacobians == nullptr) return true;
+
+  // `factor(j)` is d(SI)/d(ours) of entry j.
+  const auto write = [&](std::size_t from, std::size_t to, const auto& factor) {
+    if (jacobians[to] == nullptr) return;
+    const int columns = static_cast<int>(blocks[from].size());
+    for (int i = 0; i < rows * columns; ++i) jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
+  };
+  std::size_t i = 0;
+  for (; i < term_.states.size(); ++i) write(i, i, [&](int j) { return j < 2 ? to_si_.length : to_si_.speed; });
+  for (; i < term_.states.size() + term_.forces.size(); ++i) write(i, i, [&](int) { return to_si_.force; });
+  if (!term_.with_length) return true;
+  const double per_length = divides() ? to_si_.time / steps_ : to_si_.time;
+  write(i, i, [&](int) { return divides() ? -per_length : per_length; });
+  if (divides()) write(i, i + 1, [&](int) { return per_length; });
+  return true;
+}
+
+OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
+                           std::span<const double> control, std::span<const double> durations) {
+  OwnValues sum;
+  const int num_controlled = scene.num_controlled();
+  for (const OwnTerm& term : terms) {
+    const OwnTermCost cost(term, scene.units, /*steps=*/1);
+    std::vector<double> residuals(cost.num_residuals());
+    const auto add = [&](const DiscStates& x, const double* forces, double begin, double end) {
+      std::vector<std::array<double, 4>> states;
+      for (const int body : term.states) states.push_back({x.p[body][0], x.p[body][1], x.v[body][0], x.v[body][1]});
+      std::vector<const double*> blocks;
+      for (const auto& state : states) blocks.push_back(state.data());
+      for (const int body : term.forces) {
+        const auto& bodies = scene.control.bodies;
+        blocks.push_back(forces + 2 * (std::find(bodies.begin(), bodies.end(), body) - bodies.begin()));
+      }
+      if (term.with_length && cost.divides()) blocks.push_back(&begin);
+      if (term.with_length) blocks.push_back(&end);
+      if (!cost.Evaluate(blocks.data(), residuals.data(), nullptr)) {
+        sum.cost = sum.violation = std::numeric_limits<double>::infinity();
+        return;
+      }
+      for (const double r : residuals) {
+        if (term.role == OwnTerm::Role::kCost) sum.cost += r * r;
+        if (term.role == OwnTerm::Role::kEquality) sum.violation = std::max(sum.violation, std::abs(r));
+        if (term.role == OwnTerm::Role::kInequality) sum.violation = std::max(sum.violation, r);
+      }
+    };
+    if (term.at == OwnTerm::At::kEnd) {
+      add(flight.end(), nullptr, 0, std::accumulate(durations.begin(), durations.end(), 0.0));
+      continue;
+    }
+    int interval = -1;
+    for (const Flight::Piece& piece : flight.pieces()) {
+      if (piece.interval == interval) continue;  // cut by an impact within the step
+      interval = piece.interval;
+      add(piece.at_start, control.data() + 2 * interval * num_controlled, 0, durations[interval]);
+    }
+  }
+  return sum;
+}
+
+}  // namespace saltus

@@ -1,0 +1,41 @@
+// Terms of a user's own in the units of a solver, with the times of a phase in the place of the length of a step.
+#pragma once
+
+#include <span>
+
+#include "flight.h"
+#include "saltus/control/own_term.h"
+#include "saltus/physics/units.h"
+
+namespace saltus {
+
+// Blocks: as OwnTerm's, in `units`; but in the place of a step's length the times at which its phase begins and ends,
+// if the phase has so many steps. Residuals: costs whose squares are in units of the loss, or constraints in parts of
+// their scale.
+class OwnTermCost final : public ceres::CostFunction {
+ public:
+  // `term` is valid, and must outlive this object.
+  OwnTermCost(const OwnTerm& term, const Units& units, int steps);
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+  // Whether the last two blocks are those times.
+  bool divides() const { return term_.with_length && term_.at == OwnTerm::At::kEachStep; }
+
+ private:
+  const OwnTerm& term_;
+  Units units_;
+  UnitFactors to_si_;
+  int steps_;
+  double row_factor_;
+};
+
+// On a motion in the scene's units: the sum of squares of costs, and the largest violation of a constraint, in parts of
+// its scale. Infinite where a function fails. `control` has a row for each of `durations`.
+struct OwnValues {
+  double cost = 0, violation = 0;
+};
+OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
+                           std::span<const double> control, std::span<const double> durations);
+
+}  // namespace saltus
