@@ -12,16 +12,16 @@
 //
 // Overlaps deeper than 0.03 m are no contacts: a disc that moves further in one step can pass a plane.
 //
-// Step<Jet> differentiates this exactly within fixed classes of rows (free, clamping, at a bound of friction): values
-// come from the solver, derivatives from one Newton correction. Linearize is what the source publishes: the same for
-// v', but dp'/dp = X and dp'/dv = h X, where the bounce matrix X is the one closest to the identity with
-// a^T X a = -e for every bouncing contact. X is I without a bounce; it knows neither masses nor friction.
-// Without friction momentum and restitution hold exactly for a single contact that bounces.
+// Step<Jet> differentiates this exactly within fixed classes of rows (separating, clamping, at a bound of friction):
+// values come from the solver, derivatives from one Newton correction. Linearize is what the source publishes: the same
+// for v', but dp'/dp = X and dp'/dv = h X, where the bounce matrix X is the one closest to the identity with a^T X a =
+// -e for every bouncing contact. X is I without a bounce; it knows neither masses nor friction. Without friction
+// momentum and restitution hold exactly for a single contact that bounces.
 //
 // The option complementarity_aware makes reverse sweeps take a search direction that is no gradient. With l' the
 // cotangent after the step and l = (l_p, l_v, l_u) that before it, per group:
 //
-//   c_i = a_i . l_v'           normals: clamping if c_i >= 0, else free, whatever their forces; tangents: free
+//   c_i = a_i . l_v'           normals: clamping if c_i >= 0, else separating, whatever their forces; tangents separate
 //   l~                         as l, from the Jacobian in these classes, with X = I
 //   size s = |l_v| + |l_u| / h; l~ is taken if its size is larger
 //

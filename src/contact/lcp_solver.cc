@@ -90,7 +90,7 @@ LcpClass BetterClass(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpCla
   return c;
 }
 
-// Tangents of free normals are free; of those that no longer are, they stick.
+// Tangents of separating normals separate; of those that no longer do, they stick.
 template <int kMaxRows>
 void FollowNormals(const BoxedLcpUpTo<kMaxRows>& problem, LcpList<LcpClass, kMaxRows>* classes) {
   for (int i = 0; i < problem.size(); ++i) {

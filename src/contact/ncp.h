@@ -176,7 +176,7 @@ struct Ncp {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    // Restitution is for contacts that a free step would close; otherwise everything within reach takes part.
+    // Restitution is for contacts that a free step would close; otherwise everything within the push gap takes part.
     const auto position = [&](int i) -> const Vec2<T>& { return kRestitution ? next[i].p : x[i].p; };
     const auto active = [&](const T& gap) {
       if constexpr (kRestitution) return gap <= 0.0;

@@ -55,14 +55,14 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
 
   sides_.resize(hits.size());
   std::vector<int> last_hit(scene.num_bodies(), -1);
-  first_leg_.assign(scene.num_bodies(), -1);
-  last_leg_ = first_leg_;
-  const auto add_leg = [&](int body, int to_hit) {
-    last_leg_[body] = AddLeg(body, last_hit[body], to_hit);
-    if (first_leg_[body] < 0) first_leg_[body] = last_leg_[body];
+  first_arc_.assign(scene.num_bodies(), -1);
+  last_arc_ = first_arc_;
+  const auto add_arc = [&](int body, int to_hit) {
+    last_arc_[body] = AddArc(body, last_hit[body], to_hit);
+    if (first_arc_[body] < 0) first_arc_[body] = last_arc_[body];
     if (last_hit[body] >= 0) {
       for (Side& side : sides_[last_hit[body]]) {
-        if (side.body == body) side.leg_after = last_leg_[body];
+        if (side.body == body) side.arc_after = last_arc_[body];
       }
     }
     last_hit[body] = to_hit;
@@ -76,15 +76,15 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       if (bodies[i] < 0 || scene.bodies[bodies[i]].fixed) continue;
       Side& side = sides_[k][i];
       side.body = bodies[i];
-      add_leg(side.body, k);
-      side.leg_before = last_leg_[side.body];
+      add_arc(side.body, k);
+      side.arc_before = last_arc_[side.body];
       if (pushed_[side.body] < 0) continue;
       side.force_before = AddForce(side.body, before);
       side.force_after = after == before ? side.force_before : AddForce(side.body, after);
     }
   }
   for (int i = 0; i < scene.num_bodies(); ++i) {
-    if (!scene.bodies[i].fixed) add_leg(i, -1);
+    if (!scene.bodies[i].fixed) add_arc(i, -1);
   }
 
   for (const Functional& f : functionals_) {
@@ -100,27 +100,27 @@ std::pair<int, int> CondensedLoss::IntervalsAt(int hit) const {
   return {flight_.hits()[hit].on_node && at > 0 ? at - 1 : at, at};
 }
 
-int CondensedLoss::AddLeg(int body, int from_hit, int to_hit) {
-  Leg leg;
-  leg.body = body;
-  leg.begin = from_hit >= 0 ? flight_.hits()[from_hit].time : 0.0;
-  leg.end = to_hit >= 0 ? flight_.hits()[to_hit].time : scene_.duration;
+int CondensedLoss::AddArc(int body, int from_hit, int to_hit) {
+  Arc arc;
+  arc.body = body;
+  arc.begin = from_hit >= 0 ? flight_.hits()[from_hit].time : 0.0;
+  arc.end = to_hit >= 0 ? flight_.hits()[to_hit].time : scene_.duration;
   if (pushed_[body] >= 0) {
     const int first = from_hit >= 0 ? IntervalsAt(from_hit).second : 0;
     const int last = to_hit >= 0 ? IntervalsAt(to_hit).first : static_cast<int>(lengths_.size()) - 1;
     const double inverse_mass = 1 / scene_.bodies[body].mass;
     std::vector<double> gain, way;
     for (int i = first; i <= last; ++i) {
-      const double begin = i == first ? leg.begin : nodes_[i], end = i == last ? leg.end : nodes_[i + 1];
+      const double begin = i == first ? arc.begin : nodes_[i], end = i == last ? arc.end : nodes_[i + 1];
       gain.push_back(inverse_mass * (end - begin));
-      way.push_back(gain.back() * (leg.end - 0.5 * (begin + end)));
+      way.push_back(gain.back() * (arc.end - 0.5 * (begin + end)));
     }
-    leg.functional = static_cast<int>(functionals_.size());
+    arc.functional = static_cast<int>(functionals_.size());
     AddFunctionals(body, first, gain);
     AddFunctionals(body, first, way);
   }
-  legs_.push_back(leg);
-  return static_cast<int>(legs_.size()) - 1;
+  arcs_.push_back(arc);
+  return static_cast<int>(arcs_.size()) - 1;
 }
 
 int CondensedLoss::AddForce(int body, int interval) {
@@ -153,13 +153,13 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     if (force >= 0) a += Scale(1 / scene_.bodies[body].mass, at(force));
     return a;
   };
-  const auto fly = [&](const Leg& leg, Motion* x) {
-    const double length = leg.end - leg.begin;
+  const auto fly = [&](const Arc& arc, Motion* x) {
+    const double length = arc.end - arc.begin;
     x->p += Scale(length, x->v) + (0.5 * length * length * scene_.gravity).template cast<T>();
     x->v += (length * scene_.gravity).template cast<T>();
-    if (leg.functional < 0) return;
-    x->v += at(leg.functional);
-    x->p += at(leg.functional + 2);
+    if (arc.functional < 0) return;
+    x->v += at(arc.functional);
+    x->p += at(arc.functional + 2);
   };
 
   std::vector<Motion> now;
@@ -178,10 +178,10 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     const auto relative = [&]() -> Vec2<T> { return c.plane ? now[c.a].v : Vec2<T>(now[c.a].v - now[c.b].v); };
     Passed& out = passed[k];
     for (const Side& side : sides_[k]) {
-      if (side.body >= 0) fly(legs_[side.leg_before], &now[side.body]);
+      if (side.body >= 0) fly(arcs_[side.arc_before], &now[side.body]);
     }
     const Separation<T> met = separation();
-    const T gap = met.distance - law.reach;
+    const T gap = met.distance - law.contact_distance;
     if (theta_[k]) {
       out.dt = T(0.0);
       if (gaps != nullptr) *gaps++ = gap;
@@ -210,16 +210,16 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   std::fill(gradient, gradient + num_functionals(), T(0.0));
   std::vector<DiscCostate<T>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
-    if (last_leg_[i] >= 0) fly(legs_[last_leg_[i]], &now[i]);
+    if (last_arc_[i] >= 0) fly(arcs_[last_arc_[i]], &now[i]);
     costates.push_back(TerminalCostate<T>(scene_.objective, i, now[i].p, now[i].v));
   }
-  const auto fly_back = [&](const Leg& leg) {
-    DiscCostate<T>& costate = costates[leg.body];
-    if (leg.functional >= 0) {
-      add(leg.functional, costate.velocity);
-      add(leg.functional + 2, costate.position);
+  const auto fly_back = [&](const Arc& arc) {
+    DiscCostate<T>& costate = costates[arc.body];
+    if (arc.functional >= 0) {
+      add(arc.functional, costate.velocity);
+      add(arc.functional + 2, costate.position);
     }
-    costate.velocity += Scale(leg.end - leg.begin, costate.position);
+    costate.velocity += Scale(arc.end - arc.begin, costate.position);
   };
   const double effort = scene_.objective.effort;
   for (int k = num_hits - 1; k >= 0; --k) {
@@ -246,7 +246,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
-      fly_back(legs_[side.leg_after]);
+      fly_back(arcs_[side.arc_after]);
       DiscCostate<T>& costate = costates[side.body];
       costate.velocity -= Scale(at_impact.dt, costate.position);
       lengthen(side, side.force_after, -at_impact.dt);
@@ -276,7 +276,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     }
   }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
-    if (first_leg_[i] >= 0) fly_back(legs_[first_leg_[i]]);
+    if (first_arc_[i] >= 0) fly_back(arcs_[first_arc_[i]]);
   }
 }
 

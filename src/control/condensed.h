@@ -1,7 +1,7 @@
 // The loss as a function of the control alone, along the impacts that a flight has: states and impact times are
 // eliminated, the times by the implicit function theorem. Along these impacts it is smooth.
 //
-// The motion knows the control by few numbers s = F u, linear in it. Of each pushed disc on each of its legs, from one
+// The motion knows the control by few numbers s = F u, linear in it. Of each pushed disc on each of its arcs, from one
 // of its impacts to the next, over which it flies for a fixed time S with pieces of lengths l_i, middles t_i from the
 // start:
 //
@@ -58,14 +58,14 @@ class CondensedLoss {
 
  private:
   // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end).
-  struct Leg {
+  struct Arc {
     int body = 0;
     double begin = 0, end = 0;  // s
     int functional = -1;        // of the first of its four; -1: not pushed
   };
   struct Side {
     int body = -1;  // -1: a plane or a fixed disc
-    int leg_before = -1, leg_after = -1;
+    int arc_before = -1, arc_after = -1;
     int force_before = -1, force_after = -1;  // functionals: the forces of the intervals that end and start there
   };
   // A component of F u: `weights` of the forces, along one axis, of a pushed disc from interval `first` on.
@@ -75,7 +75,7 @@ class CondensedLoss {
     std::vector<double> weights;
   };
 
-  int AddLeg(int body, int from_hit, int to_hit);
+  int AddArc(int body, int from_hit, int to_hit);
   int AddForce(int body, int interval);
   void AddFunctionals(int body, int first, const std::vector<double>& weights);
   std::pair<int, int> IntervalsAt(int hit) const;
@@ -96,8 +96,8 @@ class CondensedLoss {
   std::vector<int> pushed_;  // by body: its place among the pushed ones, or -1
   std::vector<double> nodes_;
   std::vector<int> interval_at_;  // by hit: that which it lies in or starts; see IntervalsAt
-  std::vector<Leg> legs_;
-  std::vector<int> first_leg_, last_leg_;  // by body; -1 if it is fixed
+  std::vector<Arc> arcs_;
+  std::vector<int> first_arc_, last_arc_;  // by body; -1 if it is fixed
   std::vector<std::array<Side, 2>> sides_;
   std::vector<Functional> functionals_;
   std::vector<double> values_;  // F u

@@ -25,7 +25,7 @@ namespace {
 
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
-constexpr double kApart = 1e-6;       // of the reach: pairs that must not touch and stay so far apart are free
+constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
 constexpr int kMostNewtonSteps = 50;
 
 // The cone of normals at a force, in the plane: nothing, a ray or what two rays span.
@@ -464,7 +464,7 @@ class ConstrainedCertifier {
 double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
   constexpr int kSamples = 4;  // of a piece
   const Candidate c{pair.a, pair.b, pair.plane};
-  const double reach = MakeImpactLaw(scene, c).reach;
+  const double contact_distance = MakeImpactLaw(scene, c).contact_distance;
   double least = std::numeric_limits<double>::infinity();
   for (const Flight::Piece& piece : flight.pieces()) {
     for (int i = 0; i <= kSamples; ++i) {
@@ -474,7 +474,7 @@ double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair)
       };
       const double distance = pair.plane ? Separate<double>(at(pair.a), MakeHalfPlane(scene.planes[pair.b])).distance
                                          : (at(pair.a) - at(pair.b)).norm();
-      least = std::min(least, distance / reach - 1);
+      least = std::min(least, distance / contact_distance - 1);
     }
   }
   return least;

@@ -191,20 +191,20 @@ void EventPhases::PlaceSteered(int k, const T* z, const Knot<T>& other, std::arr
   using std::cos;
   using std::sin;
   const Candidate& c = sequence_[k];
-  const double reach = laws_[k].reach;
+  const double contact_distance = laws_[k].contact_distance;
   const T* at = z + index_[k] + 1;
   Knot<T>&a = (*knots)[0], &b = (*knots)[1];
   if (c.plane) {
     const HalfPlane<double>& plane = planes_[c.b];
     const Vec2d along = Perpendicular(plane.normal);
-    a.p = (plane.normal * (plane.offset + reach)).template cast<T>() + Scale(at[0], along);
+    a.p = (plane.normal * (plane.offset + contact_distance)).template cast<T>() + Scale(at[0], along);
     a.v = Scale(at[1], plane.normal) + Scale(at[2], along);
     return;
   }
   const Vec2<T> normal(cos(at[0]), sin(at[0]));
   const Vec2<T> w = Scale(at[1], normal) + Scale(at[2], Perpendicular(normal));  // of a relative to b
   if (!IsPushed(c.a)) {
-    b.p = other.p - Scale(reach, normal);
+    b.p = other.p - Scale(contact_distance, normal);
     b.v = other.v - w;
     return;
   }
@@ -215,7 +215,7 @@ void EventPhases::PlaceSteered(int k, const T* z, const Knot<T>& other, std::arr
     b.p = other.p;
     b.v = other.v;
   }
-  a.p = b.p + Scale(reach, normal);
+  a.p = b.p + Scale(contact_distance, normal);
   a.v = b.v + w;
 }
 
@@ -267,7 +267,7 @@ bool EventPhases::Unroll(const T* z, Path<T>* path) const {
     } else {
       at = Separate<T>(knots[0].p, knots[1].p);
     }
-    event.gap = at.distance - laws_[k].reach;
+    event.gap = at.distance - laws_[k].contact_distance;
     event.impact = MakeImpact<T>(laws_[k], at.normal, Vec2<T>(knots[0].v - knots[1].v));
     event.before = {knots[0].v, knots[1].v};
     event.after = {knots[0].v + Scale(laws_[k].inverse_mass_a, event.impact.impulse),

@@ -29,7 +29,7 @@ struct ImpactLaw {
   double inverse_mass_b = 0;
   double restitution = 1;
   double friction = 0;
-  double reach = 0;  // m, distance of the centres at the impact, or of the centre to the plane
+  double contact_distance = 0;  // m, distance of the centres at the impact, or of the centre to the plane
   bool plane = false;
 
   double EffectiveMass() const { return 1 / (inverse_mass_a + inverse_mass_b); }
@@ -43,7 +43,7 @@ inline ImpactLaw MakeImpactLaw(const Scene& scene, const Candidate& c) {
           .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
           .restitution = scene.contact.restitution,
           .friction = scene.contact.friction,
-          .reach = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
+          .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
           .plane = c.plane};
 }
 
@@ -107,7 +107,7 @@ CostateGain<T> ImpactAdjoint(const ImpactLaw& law, const Impact<T>& impact, cons
   }
   CostateGain<T> gain;
   gain.velocity = Scale(along_normal, n) + Scale(along_tangent, t);
-  gain.position = law.plane ? Vec2<T>(T(0), T(0)) : Scale(T(turning / law.reach), t);
+  gain.position = law.plane ? Vec2<T>(T(0), T(0)) : Scale(T(turning / law.contact_distance), t);
   return gain;
 }
 

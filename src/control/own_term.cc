@@ -97,7 +97,8 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
   const auto write = [&](std::size_t from, std::size_t to, const auto& factor) {
     if (jacobians[to] == nullptr) return;
     const int columns = static_cast<int>(blocks[from].size());
-    for (int i = 0; i < rows * columns; ++i) jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
+    for (int i = 0; i < rows * columns; ++i)
+      jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
   };
   std::size_t i = 0;
   for (; i < term_.states.size(); ++i) write(i, i, [&](int j) { return j < 2 ? to_si_.length : to_si_.speed; });

@@ -85,7 +85,7 @@ struct ImpactCut {
   ImpactLaw law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
-  double overlap = 0;                      // of the reach: the gap is -overlap * reach instead
+  double overlap = 0;                      // of the contact distance: the gap is -overlap * contact_distance instead
 
   bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
   int num_moving() const { return Moves(0) + Moves(1); }
@@ -106,7 +106,7 @@ struct ImpactCut {
     }
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
     const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]));
-    *rows++ = apart.distance - (1 - overlap) * law.reach;
+    *rows++ = apart.distance - (1 - overlap) * law.contact_distance;
     block = 0;
     for (int side = 0; side < 2; ++side) {
       if (!Moves(side)) continue;
@@ -219,7 +219,8 @@ struct NodeTarget {
 
 // Two discs (or a disc and a plane) that are not to meet, where they come nearest in a step of a phase. Blocks: of each
 // disc that moves its node at the beginning of the step, or if it coasts at that of the phase; then the force on each
-// that is pushed; then begin and end. Row: the inequality reach - distance <= 0, in parts of the reach.
+// that is pushed; then begin and end. Row: the inequality contact distance - distance <= 0, in parts of the contact
+// distance.
 struct Clearance {
   struct Side {
     std::optional<Vec2d> at;  // of a fixed disc
@@ -227,7 +228,7 @@ struct Clearance {
     bool pushed = false;
     double inverse_mass = 0;
   };
-  double reach;                            // from where on they are too near
+  double contact_distance;                 // from where on they are too near
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<Side, 2> sides;
   StepOfPhase step;
@@ -256,7 +257,7 @@ struct Clearance {
     const T s = Nearest(Values(p), Values(v), Values(a), Value(h)) * h;
     for (int side = 0; side < num_sides(); ++side) p[side] += Scale(s, Vec2<T>(v[side] + Scale(T(0.5 * s), a[side])));
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
-    rows[0] = 1.0 - apart.distance / reach;
+    rows[0] = 1.0 - apart.distance / contact_distance;
     return true;
   }
 

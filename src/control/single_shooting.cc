@@ -14,7 +14,7 @@ void AddPairs(const std::vector<int>& bodies, int offset, std::vector<int>* indi
   }
 }
 
-std::vector<int> IndicesOfFree(const Scene& scene) {
+std::vector<int> IndicesOfDecisionVariables(const Scene& scene) {
   std::vector<int> indices;
   if (scene.optimize == Optimize::kPosition) AddPairs(scene.free, 0, &indices);
   if (scene.optimize == Optimize::kVelocity) AddPairs(scene.free, 2, &indices);
@@ -44,7 +44,8 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
     return;
   }
   control_ = InitialControl(scene(), simulator_->num_steps());
-  variables_ = variables == Variables::kInitialState ? IndicesOfInitialState(scene()) : IndicesOfFree(scene());
+  variables_ =
+      variables == Variables::kInitialState ? IndicesOfInitialState(scene()) : IndicesOfDecisionVariables(scene());
   for (int index : variables_) guess_.push_back(initial_[index]);
   if (!variables_.empty()) initial_gradient_.resize(initial_.size());
 }

@@ -16,7 +16,7 @@ StepShooting::StepShooting(const SingleShooting* shooting, std::span<const doubl
   if (scene.optimize != Optimize::kVelocity && scene.optimize != Optimize::kPosition) return;
   const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;
   for (int body : scene.free) {
-    for (int j = 0; j < 2; ++j) free_.push_back(body * simulator().body_size() + offset + j);
+    for (int j = 0; j < 2; ++j) decision_indices_.push_back(body * simulator().body_size() + offset + j);
   }
 }
 
@@ -29,7 +29,7 @@ std::vector<double*> StepShooting::StepBlocks(int k) {
 std::vector<double> StepShooting::Decisions() const {
   if (shooting_->scene().optimize == Optimize::kControl) return control_;
   std::vector<double> z;
-  for (int index : free_) z.push_back(states_[index]);
+  for (int index : decision_indices_) z.push_back(states_[index]);
   return z;
 }
 
@@ -50,7 +50,7 @@ void StepShooting::HoldConstants(ceres::Problem* problem) {
   }
   std::vector<int> held;
   for (int i = 0; i < state_size(); ++i) {
-    if (std::find(free_.begin(), free_.end(), i) == free_.end()) held.push_back(i);
+    if (std::find(decision_indices_.begin(), decision_indices_.end(), i) == decision_indices_.end()) held.push_back(i);
   }
   problem->SetManifold(State(0), new ceres::SubsetManifold(state_size(), held));
   if (simulator().num_controlled() == 0) return;

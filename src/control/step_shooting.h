@@ -43,9 +43,9 @@ class StepShooting {
 
  private:
   const SingleShooting* shooting_;
-  std::vector<double> states_;   // (K + 1) x state size
-  std::vector<double> control_;  // K x C x 2
-  std::vector<int> free_;        // indices in x_0 of the decision variables, unless these are forces
+  std::vector<double> states_;         // (K + 1) x state size
+  std::vector<double> control_;        // K x C x 2
+  std::vector<int> decision_indices_;  // indices in x_0 of the decision variables, unless these are forces
 };
 
 // The states of the simulator's last rollout, (K + 1) x state size.

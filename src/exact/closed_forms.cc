@@ -134,13 +134,14 @@ PairParameters MakePair(const Scene& scene) {
           exact_internal::InitialAcceleration(scene, 1)};
 }
 
-// |first - second|^2 - reach^2 as a polynomial of the time from now; exactly 0 at time 0 if the discs touch.
+// |first - second|^2 - (contact distance)^2 as a polynomial of the time from now; exactly 0 at time 0 if the discs
+// touch.
 Polynomial SquaredGap(const PairParameters& pair, const DiscPair<double>& discs) {
   const Vec2d d = discs.first.position - discs.second.position;
   const Vec2d w = discs.first.velocity - discs.second.velocity;
   const Vec2d a = pair.acceleration_first - pair.acceleration_second;
-  const double gap = d.squaredNorm() - pair.reach * pair.reach;
-  const bool touching = gap < 4 * pair.reach * kTouching;
+  const double gap = d.squaredNorm() - pair.contact_distance * pair.contact_distance;
+  const bool touching = gap < 4 * pair.contact_distance * kTouching;
   return {touching ? 0 : gap, 2 * d.dot(w), w.squaredNorm() + d.dot(a), w.dot(a), a.squaredNorm() / 4};
 }
 
@@ -151,7 +152,7 @@ Meeting FindMeeting(const PairParameters& pair, const DiscPair<double>& discs, d
   Polynomial gap = SquaredGap(pair, discs);
   *when = 0;
   if (gap[0] == 0) {
-    const double speed = gap[1] / (2 * pair.reach);
+    const double speed = gap[1] / (2 * pair.contact_distance);
     if (speed < -kGrazing) return Meeting::kImpact;
     if (speed < kGrazing && gap[2] < 0) return Meeting::kResting;
     gap.erase(gap.begin());  // the root at time 0

@@ -164,7 +164,7 @@ struct DiscPair {
 };
 
 struct PairParameters {
-  double reach = 0;  // sum of the radii
+  double contact_distance = 0;  // sum of the radii
   double mass_first = 1;
   double mass_second = 1;
   Vec2d acceleration_first = Vec2d::Zero();
@@ -183,7 +183,7 @@ DiscPair<T> CollideOnce(const PairParameters& pair, const ContactLaw<T>& law, Di
   fly(T(guess));
   Vec2<T> d = discs.first.position - discs.second.position;
   Vec2<T> w = discs.first.velocity - discs.second.velocity;
-  const T correction = -(Dot(d, d) - T(pair.reach * pair.reach)) / (T(2) * Dot(d, w));
+  const T correction = -(Dot(d, d) - T(pair.contact_distance * pair.contact_distance)) / (T(2) * Dot(d, w));
   fly(correction);
   d = discs.first.position - discs.second.position;
   w = discs.first.velocity - discs.second.velocity;

@@ -73,12 +73,12 @@ std::array<Vec2d, 2> ImpactCostate(const Scene& scene, const TwoDiscProblem& pro
   const Body& first = scene.bodies[0];
   const Body& second = scene.bodies[1];
   const Vec2d p2 = second.position + o.impact_time * second.velocity;
-  const Vec2d p1 = p2 - problem.reach * o.normal;
+  const Vec2d p1 = p2 - problem.contact_distance * o.normal;
   const Vec2d& w = o.striker_velocity;
   DiscPair<Jet> discs;
   discs.first = {{Jet(p1[0], 0), Jet(p1[1], 1)}, {Jet(w[0], 2), Jet(w[1], 3)}};
   discs.second = exact_internal::Cast<Jet>({p2, second.velocity});
-  const PairParameters pair = {problem.reach, first.mass, second.mass, force / first.mass, Vec2d(0, 0)};
+  const PairParameters pair = {problem.contact_distance, first.mass, second.mass, force / first.mass, Vec2d(0, 0)};
   const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(0.0)};
   const DiscPair<Jet> end = CollideOnce(pair, law, discs, 0, problem.duration - o.impact_time);
   const Vec2<Jet> miss = end.second.position - problem.target.cast<Jet>();

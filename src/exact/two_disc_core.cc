@@ -30,9 +30,9 @@ Polynomial PlaneGap(const Plane& plane, double radius, const Path& path) {
   return Add(Add(Scaled(n[0], path[0]), Scaled(n[1], path[1])), {-n.dot(plane.point) - radius});
 }
 
-// |first - second|^2 - reach^2
-Polynomial DiscGap(double reach, const PathPiece& piece) {
-  Polynomial gap = {-reach * reach};
+// |first - second|^2 - (contact distance)^2
+Polynomial DiscGap(double contact_distance, const PathPiece& piece) {
+  Polynomial gap = {-contact_distance * contact_distance};
   for (int c = 0; c < 2; ++c) {
     const Polynomial d = Add(piece.first[c], Scaled(-1, piece.second[c]));
     gap = Add(gap, Multiply(d, d));
@@ -68,7 +68,7 @@ std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequ
   const TerminalTerm& term = scene.objective.terminal[0];
   TwoDiscProblem problem;
   problem.start = {first.position, first.velocity, second.position, second.velocity};
-  problem.reach = first.radius + second.radius;
+  problem.contact_distance = first.radius + second.radius;
   problem.mass = first.mass;
   problem.kappa = first.mass * (1 + scene.contact.restitution) / (first.mass + second.mass);
   problem.effort = scene.objective.effort;
@@ -162,10 +162,10 @@ std::optional<std::vector<PathPiece>> PathsAfterImpact(const Scene& scene, TwoDi
 }
 
 bool PathsAreClear(const Scene& scene, const std::vector<PathPiece>& pieces) {
-  const double reach = scene.bodies[0].radius + scene.bodies[1].radius;
+  const double contact_distance = scene.bodies[0].radius + scene.bodies[1].radius;
   for (const PathPiece& piece : pieces) {
     const double length = piece.end - piece.start;
-    if (MinimumBetween(DiscGap(reach, piece), 0, length) < -2 * reach * kClear) return false;
+    if (MinimumBetween(DiscGap(contact_distance, piece), 0, length) < -2 * contact_distance * kClear) return false;
     for (const Plane& plane : scene.planes) {
       if (MinimumBetween(PlaneGap(plane, scene.bodies[0].radius, piece.first), 0, length) < -kClear) return false;
       if (MinimumBetween(PlaneGap(plane, scene.bodies[1].radius, piece.second), 0, length) < -kClear) return false;

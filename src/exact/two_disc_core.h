@@ -36,9 +36,9 @@ struct TwoDiscState {
 
 struct TwoDiscProblem {
   TwoDiscState<double> start;
-  double reach = 0;  // r1 + r2
-  double mass = 1;   // m1
-  double kappa = 1;  // m1 (1 + e) / (m1 + m2)
+  double contact_distance = 0;  // r1 + r2
+  double mass = 1;              // m1
+  double kappa = 1;             // m1 (1 + e) / (m1 + m2)
   double effort = 0;
   double weight = 1;
   double duration = 1;
@@ -80,7 +80,7 @@ TwoDiscLoss<T> EvaluateTwoDisc(const TwoDiscProblem& problem, const TwoDiscState
   loss.n = Vec2<T>(cos(phi), sin(phi));
   const Vec2<T> m = Perpendicular(loss.n);
   const Vec2<T> way =
-      start.p2 + Scale(s, Vec2<T>(start.v2 - start.v1)) - Scale(constant(problem.reach), loss.n) - start.p1;
+      start.p2 + Scale(s, Vec2<T>(start.v2 - start.v1)) - Scale(constant(problem.contact_distance), loss.n) - start.p1;
   const Vec2<T> coast = start.p2 + Scale(constant(problem.duration), start.v2) - ConstantVector<T>(problem.target);
   const T gain = constant(problem.kappa) * (constant(problem.duration) - s);
   const T effort = constant(problem.effort * problem.mass * problem.mass);

@@ -307,9 +307,9 @@ class Rules {
     const Body& b = scene_.bodies[j];
     if (a.fixed && b.fixed) return;
     const Vec2d apart = a.position - b.position;
-    const double reach = a.radius + b.radius;
-    if (std::abs(apart[0]) >= reach) return;  // spares most pairs of a large scene the square root
-    Overlap(i, "bodies", j, b.name, reach - std::hypot(apart[0], apart[1]));
+    const double contact_distance = a.radius + b.radius;
+    if (std::abs(apart[0]) >= contact_distance) return;  // spares most pairs of a large scene the square root
+    Overlap(i, "bodies", j, b.name, contact_distance - std::hypot(apart[0], apart[1]));
   }
 
   void CheckAbove(std::size_t i, std::size_t j) {

@@ -13,8 +13,8 @@ namespace {
 constexpr int kMostIterations = 400;  // of one solve
 constexpr int kSnaps = 60;            // of impacts to nodes, at most
 constexpr double kUneven = 2;         // a step so many times the mean one is too long
-// Of the reach: by so much pairs that must not meet stay apart, and impacts at the same time come early, until rounding
-// does not decide any more what the roll-out does.
+// Of the contact distance: by so much pairs that must not meet stay apart, and impacts at the same time come early,
+// until rounding does not decide any more what the roll-out does.
 constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
 
 // Shares `steps` out over phases that end at `ends`, as a grid of equal steps would: none to those that are tied, at

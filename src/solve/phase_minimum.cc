@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
-constexpr double kFreeRadius = 100;  // ... if it was not cut short by a trust region smaller than this
+constexpr double kWideRadius = 100;  // ... if it was not cut short by a trust region smaller than this
 constexpr int kBlockedSteps = 4;     // one after the other, after which an impact that stops them is held at a touch
 
 struct Constraints {
@@ -78,7 +78,7 @@ class Watch final : public ceres::IterationCallback {
     if (summary.step_is_successful) CountBlocked();
     radius_ = summary.trust_region_radius;
     flat_ =
-        summary.iteration > 0 && summary.step_is_successful && summary.cost_change <= kFlat * summary.cost && IsFree();
+        summary.iteration > 0 && summary.step_is_successful && summary.cost_change <= kFlat * summary.cost && IsWide();
     Path<double> path;
     if (started_ && phases_.Unroll(z_->data(), &path)) {
       ++iterations_;
@@ -91,7 +91,7 @@ class Watch final : public ceres::IterationCallback {
 
   int iterations() const { return iterations_; }
   // The last step was hardly damped.
-  bool IsFree() const { return radius_ >= kFreeRadius; }
+  bool IsWide() const { return radius_ >= kWideRadius; }
   bool flat() const { return flat_; }
   bool interrupted() const { return interrupted_; }
 
@@ -147,7 +147,7 @@ bool ReleaseTouches(const EventPhases& phases, Constraints* constraints, std::ve
   for (int k = 0; k < phases.num_impacts(); ++k) {
     if (!constraints->touching[k]) continue;
     const PhaseImpact<double>& impact = path.impacts[k];
-    const double speed = std::abs(impact.impact.sliding) + phases.law(k).reach / impact.time;
+    const double speed = std::abs(impact.impact.sliding) + phases.law(k).contact_distance / impact.time;
     double& variable = (*z)[phases.SpeedIndex(k)];
     variable = -1e-6 * speed;
     const bool better = phases.Unroll(z->data(), &closing) && phases.Loss(closing) < phases.Loss(path);
@@ -179,9 +179,10 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   constraints.blocked = constraints.touching;
   for (const auto& impact : path.impacts) constraints.approaching.push_back(impact.impact.speed < 0);
   // A gap of a tenth of the contact distance costs as much as the loss at the start.
-  double reach = 0;
-  for (int k = 0; k < phases.num_impacts(); ++k) reach = std::max(reach, phases.law(k).reach);
-  constraints.weight = std::max(1e-6, phases.Loss(path)) * 200 / (reach * reach + 1e-30);
+  double contact_distance = 0;
+  for (int k = 0; k < phases.num_impacts(); ++k)
+    contact_distance = std::max(contact_distance, phases.law(k).contact_distance);
+  constraints.weight = std::max(1e-6, phases.Loss(path)) * 200 / (contact_distance * contact_distance + 1e-30);
 
   const Residuals residuals(&phases, &constraints);
   auto* cost = new ceres::DynamicAutoDiffCostFunction<Residuals, kStride>(new Residuals(residuals));
@@ -208,7 +209,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     result.jacobians += summary.num_jacobian_evaluations;
     if (!phases.Unroll(z.data(), &path)) return result;
     const bool stopped = watch.interrupted() || watch.iterations() >= options.iterations;
-    const bool flat = watch.flat() || (summary.termination_type == ceres::CONVERGENCE && watch.IsFree());
+    const bool flat = watch.flat() || (summary.termination_type == ceres::CONVERGENCE && watch.IsWide());
     if (!flat && !stopped && HoldTouches(phases, &constraints, &z)) {
       hold();
       continue;

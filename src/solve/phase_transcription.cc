@@ -281,7 +281,7 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
   const ImpactCut cut = MakeCut(scene_, c);
   for (int j = 0; j < num_phases(); ++j) {
     for (int k = 0; k < steps_[j]; ++k) {
-      Clearance clearance{cut.law.reach * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
+      Clearance clearance{cut.law.contact_distance * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
       std::vector<double*> blocks, forces;
       std::vector<int> sizes;
       for (int side = 0; side < clearance.num_sides(); ++side) {

@@ -124,7 +124,7 @@ class ClusterExecutor : public SweepExecutor {
       local_.Start(point);
       return;
     }
-    const int rank = FreeRank();
+    const int rank = IdleRank();
     CHECK_GT(rank, 0);
     away_[point] = rank;
     --ranks_[rank].room;
@@ -164,14 +164,14 @@ class ClusterExecutor : public SweepExecutor {
     return lost;
   }
 
-  int FreeRank() const {
+  int IdleRank() const {
     for (size_t rank = 1; rank < ranks_.size(); ++rank) {
       if (!ranks_[rank].lost && ranks_[rank].room > 0) return static_cast<int>(rank);
     }
     return -1;
   }
 
-  bool HasFreeWorker() const { return local_.HasRoom() || FreeRank() > 0; }
+  bool HasFreeWorker() const { return local_.HasRoom() || IdleRank() > 0; }
 
   // Whether a rank has joined.
   bool ReceiveAll(std::vector<FinishedPoint>* points) {

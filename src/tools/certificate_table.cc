@@ -39,8 +39,7 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
       return std::max({certificate.stationarity,
                        certificate.costate_jump,
                        std::abs(certificate.hamiltonian),
-                       certificate.transversality,
-                       std::abs(certificate.final_time.value_or(0))});
+                       certificate.transversality});
     case kAmbiguous:
     case kNotApplicable:
       return std::nullopt;
