@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "phase_costs.h"
-#include "saltus/control/objective.h"
 #include "physics/time_grid.h"
+#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {

@@ -4,8 +4,8 @@
 
 #include "impact_jump.h"
 #include "optimality_conditions.h"
-#include "saltus/control/objective.h"
 #include "physics/time_grid.h"
+#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {

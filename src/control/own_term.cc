@@ -36,6 +36,9 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
                    std::to_string(scene.num_bodies() - 1));
     }
   }
+  for (const int body : term.states) {
+    if (scene.bodies[body].fixed) return wrong("found the state of " + scene.bodies[body].name + ", which is fixed");
+  }
   const std::vector<int>& controlled = scene.control.bodies;
   for (const int body : term.forces) {
     if (std::find(controlled.begin(), controlled.end(), body) == controlled.end()) {
@@ -97,7 +100,8 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
   const auto write = [&](std::size_t from, std::size_t to, const auto& factor) {
     if (jacobians[to] == nullptr) return;
     const int columns = static_cast<int>(blocks[from].size());
-    for (int i = 0; i < rows * columns; ++i) jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
+    for (int i = 0; i < rows * columns; ++i)
+      jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
   };
   std::size_t i = 0;
   for (; i < term_.states.size(); ++i) write(i, i, [&](int j) { return j < 2 ? to_si_.length : to_si_.speed; });
@@ -132,9 +136,12 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
         return;
       }
       for (const double r : residuals) {
-        if (term.role == OwnTerm::Role::kCost) sum.cost += r * r;
-        if (term.role == OwnTerm::Role::kEquality) sum.violation = std::max(sum.violation, std::abs(r));
-        if (term.role == OwnTerm::Role::kInequality) sum.violation = std::max(sum.violation, r);
+        if (term.role == OwnTerm::Role::kCost) {
+          sum.cost += r * r;
+          continue;
+        }
+        const double violation = term.role == OwnTerm::Role::kEquality ? std::abs(r) : r;
+        if (violation > sum.violation) sum = {sum.cost, violation, term.name};
       }
     };
     if (term.at == OwnTerm::At::kEnd) {

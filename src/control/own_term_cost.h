@@ -34,6 +34,7 @@ class OwnTermCost final : public ceres::CostFunction {
 // its scale. Infinite where a function fails. `control` has a row for each of `durations`.
 struct OwnValues {
   double cost = 0, violation = 0;
+  std::string worst;  // the name of the constraint that is violated most
 };
 OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
                            std::span<const double> control, std::span<const double> durations);

@@ -62,11 +62,19 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
   return WhyNotApplicable(surrogate, request.contact, request.scene);
 }
 
+std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request) {
+  for (const OwnTerm& term : request.terms) {
+    if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
+  }
+  if (request.terms.empty() || entry.own_terms) return "";
+  return "it knows the scene's objective and no terms of a user's own, which ceres_phases takes";
+}
+
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, SolveReport* report) {
   const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !FindContactModel(request.contact)->event_driven) return;
-  if (scene.optimize != Optimize::kControl) return;
+  if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
   if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations);
@@ -89,7 +97,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp, true},
       {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
   };
@@ -108,6 +116,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   const SolverEntry* entry = FindSolver(solver);
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
+  if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {

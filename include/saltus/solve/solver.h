@@ -12,6 +12,7 @@
 
 #include "saltus/control/certificate.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/control/own_term.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/scene.h"
@@ -26,6 +27,8 @@ struct SolveRequest {
   Scene scene;
   Contact contact;
   Precision precision = Precision::kDouble;
+  // Beside the scene's objective and constraints; for solvers that take them. In SI units, whatever the scene's.
+  std::vector<OwnTerm> terms = {};
 };
 
 struct SolverOptions {
@@ -110,6 +113,7 @@ struct SolverEntry {
   bool takes_surrogate = false;  // needs no more of a gradient than a direction
   bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
   bool constraints = false;      // takes what BeyondTerminalCost() names
+  bool own_terms = false;        // takes SolveRequest::terms
 };
 
 const std::vector<SolverEntry>& AllSolvers();
