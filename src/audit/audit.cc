@@ -49,31 +49,40 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
   return gradient;
 }
 
-// Adds (value - exact)^2 in units of the standard error.
+// Adds (value - exact)^2 in units of the standard error. What is rounding of the largest entry is taken for 0.
 struct SquaredDeviation {
+  double rounding = 0;
   double sum = 0;
   int count = 0;
   void Add(double difference, double standard_error) {
-    if (difference == 0 && standard_error == 0) return;
+    if (std::abs(difference) <= rounding && standard_error <= rounding) return;
     sum += std::pow(difference / standard_error, 2);
     ++count;
   }
-  double RootMean() const { return count > 0 ? std::sqrt(sum / count) : 0.0; }
 };
+
+double Rounding(const std::vector<double>& values) {
+  constexpr double kRounding = 1e-12;
+  double largest = 0;
+  for (double value : values) largest = std::max(largest, std::abs(value));
+  return kRounding * largest;
+}
 
 // The control of an estimate is compared by segments, within which its entries are one number; if its grid is finer
 // than the exact one's, not at all.
 double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradient& exact) {
-  SquaredDeviation deviation;
+  SquaredDeviation deviation{.rounding = Rounding(exact.gradient.initial)};
   for (size_t i = 0; i < estimate.initial_error.size(); ++i) {
     deviation.Add(estimate.gradient.initial[i] - exact.gradient.initial[i], estimate.initial_error[i]);
   }
-  if (estimate.control_error.empty() || exact.num_steps < estimate.num_steps) return deviation.RootMean();
+  const auto root_mean = [&] { return deviation.count > 0 ? std::sqrt(deviation.sum / deviation.count) : 0.0; };
+  if (estimate.control_error.empty() || exact.num_steps < estimate.num_steps) return root_mean();
   const std::vector<double> control = CoarsenControl(exact.gradient.control, exact.num_steps, estimate.num_steps);
   const std::int64_t steps = estimate.num_steps, width = static_cast<std::int64_t>(control.size()) / steps;
   const bool in_segments =
       estimate.surrogate->kind == SurrogateKind::kSmoothedZeroth && estimate.surrogate->segments > 0;
   const std::int64_t segments = in_segments ? estimate.surrogate->segments : steps;
+  deviation.rounding = Rounding(control) * static_cast<double>(steps) / static_cast<double>(segments);
   for (std::int64_t j = 0; j < width; ++j) {
     double difference = 0, error = 0;
     for (std::int64_t k = 0; k < steps; ++k) {
@@ -85,7 +94,7 @@ double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradi
       difference = error = 0;
     }
   }
-  return deviation.RootMean();
+  return root_mean();
 }
 
 // What a surrogate is, and how far from the exact gradient.
@@ -101,12 +110,13 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
                   static_cast<unsigned long long>(surrogate.seed));
   }
   std::string why = surrogate.smooths() ? text : "contact modes that the loss would rather have";
-  if (audit.error && audit.error->in_standard_errors) {
-    std::snprintf(
-        text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
-    why += text;
+  if (!audit.error || !audit.error->in_standard_errors) return why;
+  // Samples of a loss that is linear in an entry are all the same.
+  if (std::isinf(*audit.error->in_standard_errors)) {
+    return why + "; wrong in an entry on which all samples agree, so that no standard error says how far";
   }
-  return why;
+  std::snprintf(text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
+  return why + text;
 }
 
 // What the derivative of its source is, and not of its steps.

@@ -1,6 +1,7 @@
 #include "saltus/control/batch.h"
 
 #include <glog/logging.h>
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
@@ -48,7 +49,8 @@ void Batch::ForEach(int count, const std::function<void(SingleShooting* shooting
     for (int i = 0; i < count; ++i) job(shootings_.front().get(), i);
     return;
   }
-  tbb::task_arena arena(num_threads());
+  // Of more threads than the machine has, TBB gives none, and warns.
+  tbb::task_arena arena(std::min(num_threads(), tbb::info::default_concurrency()));
   arena.execute([&] {
     tbb::parallel_for(tbb::blocked_range<int>(0, count), [&](const tbb::blocked_range<int>& range) {
       SingleShooting* shooting = shootings_[tbb::this_task_arena::current_thread_index()].get();

@@ -11,15 +11,16 @@
 #include <filesystem>
 #include <fstream>
 #include <initializer_list>
-#include <numeric>
 #include <sstream>
 #include <unordered_map>
 #include <utility>
 
+#include "io/suggestion.h"
+
 namespace saltus {
 namespace {
 
-// Names of things in messages are cut to this many bytes, and words longer than this are not compared for likeness.
+// Names of things in messages are cut to this many bytes.
 constexpr std::size_t kLongestExcerpt = 60;
 
 // Thrown below, caught in ParseScene, as yaml-cpp's own exceptions are.
@@ -43,36 +44,6 @@ std::string Printable(std::string_view text) {
     }
   }
   return length < text.size() ? printable + "..." : printable;
-}
-
-// Number of single-character insertions, deletions and replacements between two words.
-std::size_t EditDistance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  std::iota(row.begin(), row.end(), 0);
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    std::size_t diagonal = std::exchange(row[0], i + 1);
-    for (std::size_t j = 0; j < b.size(); ++j) {
-      const std::size_t replaced = diagonal + (a[i] != b[j]);
-      diagonal = row[j + 1];
-      row[j + 1] = std::min({replaced, row[j] + 1, diagonal + 1});
-    }
-  }
-  return row.back();
-}
-
-// ", did you mean ...?" if one of `words` is close to `word`.
-std::string Suggestion(std::string_view word, const std::vector<std::string>& words) {
-  if (word.size() > kLongestExcerpt) return "";
-  std::size_t least = std::max<std::size_t>(word.size() / 3, 1) + 1;
-  std::string nearest;
-  for (const std::string& other : words) {
-    if (other.size() > kLongestExcerpt) continue;
-    const std::size_t distance = EditDistance(word, other);
-    if (distance >= least) continue;
-    least = distance;
-    nearest = other;
-  }
-  return nearest.empty() ? "" : "; did you mean " + nearest + "?";
 }
 
 std::string Join(const std::vector<std::string>& words) {

@@ -48,11 +48,13 @@ nav summary { font-weight: 600; }
     padding: 2.25rem .75rem 2rem 1.5rem; border-right: 1px solid var(--line); }
   main { max-width: 76rem; width: 100%; padding: 2rem 2.5rem 5rem; }
 }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: .75rem; margin: 1.25rem 0; }
-.tile { display: flex; flex-direction: column-reverse; justify-content: flex-end; background: var(--raised);
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(16rem, 100%), 1fr)); gap: .75rem;
+  margin: 1.25rem 0; }
+.tile { min-width: 0; display: flex; flex-direction: column-reverse; justify-content: flex-end; background: var(--raised);
   border: 1px solid var(--line); border-left: 4px solid var(--line); border-radius: 8px; padding: .7rem .9rem; }
 .tile dt { color: var(--faint); font-size: .85rem; line-height: 1.35; }
-.tile dd { margin: 0; font-size: 1.6rem; font-weight: 650; line-height: 1.3; font-variant-numeric: tabular-nums; }
+.tile dd { margin: 0; font-size: 1.5rem; font-weight: 650; line-height: 1.3; font-variant-numeric: tabular-nums;
+  overflow-wrap: anywhere; }
 .tile.good { border-left-color: var(--good); } .tile.good dd { color: var(--good); }
 .tile.warning { border-left-color: var(--warning); } .tile.warning dd { color: var(--warning); }
 .tile.bad { border-left-color: var(--bad); } .tile.bad dd { color: var(--bad); }

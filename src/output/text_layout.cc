@@ -92,13 +92,22 @@ std::vector<std::string> WrapText(std::string_view text, size_t width) {
   return lines;
 }
 
-std::string Paragraph(std::string_view text, size_t width, size_t indent) {
+std::string Paragraph(std::string_view text, size_t width, size_t indent, std::string_view label) {
   // Too narrow for an indent is too narrow.
   const size_t room = width > 2 * indent ? width - indent : width;
   const std::string margin(width - room, ' ');
-  std::string paragraph;
-  for (const std::string& line : WrapText(text, room)) paragraph += (paragraph.empty() ? "" : margin) + line + '\n';
-  return paragraph;
+  std::string paragraph(label);
+  if (label.size() >= margin.size() && !label.empty()) {
+    paragraph += '\n' + margin;
+  } else {
+    paragraph += margin.substr(label.size());
+  }
+  std::string_view separator = "";
+  for (const std::string& line : WrapText(text, room)) {
+    paragraph += std::string(separator) + (separator.empty() ? "" : margin) + line;
+    separator = "\n";
+  }
+  return paragraph + '\n';
 }
 
 }  // namespace saltus

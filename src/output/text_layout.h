@@ -29,7 +29,8 @@ size_t DisplayWidth(std::string_view text);
 // too. At least one line. Precondition: width > 0.
 std::vector<std::string> WrapText(std::string_view text, size_t width);
 
-// The same as one text, each line ended by a line feed; lines after the first begin with `indent` spaces.
-std::string Paragraph(std::string_view text, size_t width, size_t indent = 0);
+// The same as one text, each line after `indent` spaces and ended by a line feed. The first line has `label` in that
+// space; it stands on a line of its own if it is too long.
+std::string Paragraph(std::string_view text, size_t width, size_t indent = 0, std::string_view label = "");
 
 }  // namespace saltus

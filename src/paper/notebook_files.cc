@@ -53,8 +53,10 @@ void WriteControlRun(const SolveReport& report, const std::string& path) {
   if (!status.ok()) throw OutputError(status.message());
 }
 
-// As Python prints a float: 100.0.
-std::string StiffnessName(double stiffness) { return std::to_string(static_cast<long>(stiffness)) + ".0"; }
+// As the notebooks spell it: Python's floats, 1000.0, but for the lowest, 100.
+std::string StiffnessName(double stiffness) {
+  return std::to_string(static_cast<long>(stiffness)) + (stiffness == 100 ? "" : ".0");
+}
 
 }  // namespace
 

@@ -148,17 +148,29 @@ std::vector<std::pair<std::string, std::string>> PublishedTables() {
           {"L4DC", "Optima of the follow-up paper"}};
 }
 
+std::string VerdictInWords(const PublishedRow& row) {
+  if (!row.IsJudged()) return "not judged: rounding decides it";
+  const std::string start = row.Matches() ? "as expected" : "NOT as expected";
+  if (row.verdict == "match") return row.Matches() ? "reproduced" : "NOT reproduced";
+  if (row.verdict.empty()) return start + "; none is printed";
+  if (row.verdict == "approximate") return start + "; the print is approximate";
+  if (row.verdict == "grid") return start + "; the print is the least of a grid of points";
+  if (row.verdict == "published_misprint") return start + "; the print is a misprint";
+  if (row.verdict == "published_error") return start + "; the print answers another question";
+  if (row.verdict == "published_unreproducible") return start + "; the print is not what the released code gives";
+  if (row.verdict == "solver_error") return start + "; the print carries its solver's error";
+  return start + "; " + row.verdict;
+}
+
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
   Table table(
       {{"contact"}, {"quantity"}, {"precision"}, {"published"}, {"ours", 9}, {"exact", 9}, {"verdict"}, {"why"}});
   for (const PublishedRow& row : rows) {
     if (row.table != name) continue;
-    const char* tick = row.Matches() ? "reproduced" : row.IsJudged() ? "NOT reproduced" : "chaotic";
-    Cell verdict(row.verdict.empty() || row.verdict == "match" ? std::string(tick)
-                                                               : std::string(tick) + "; " + row.verdict);
-    verdict.With(!row.Matches() && row.IsJudged()                ? Tone::kBad
-                 : row.verdict.empty() || row.verdict == "match" ? Tone::kGood
-                                                                 : Tone::kWarning);
+    const bool as_printed = row.verdict.empty() || row.verdict == "match";
+    const bool missed = row.IsJudged() && !row.Matches();
+    Cell verdict(VerdictInWords(row));
+    verdict.With(missed ? Tone::kBad : as_printed ? Tone::kGood : Tone::kWarning);
     table.AddRow({row.contact,
                   row.quantity,
                   row.precision == Precision::kFloat ? "float" : "double",

@@ -37,6 +37,9 @@ void CompareWithPublished(const Experiments& experiments, std::vector<PublishedR
 // The names of the tables, in order ("T1", "T2", ...), and their captions.
 std::vector<std::pair<std::string, std::string>> PublishedTables();
 
+// Whether ours is what a faithful implementation gives, and what is wrong with the printed number.
+std::string VerdictInWords(const PublishedRow& row);
+
 // published | ours | exact | verdict, for the rows of one table.
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name);
 

@@ -17,12 +17,12 @@
 #include "paper/solver_comparison.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/parallel.h"
-#include "tools/surrogate_flags.h"
 
-DEFINE_string(problems_dir, "", "directory of the problem scenes (default: those that come with saltus)");
-DEFINE_string(data_dir, "", "directory of published.csv (default: that which comes with saltus)");
-DEFINE_bool(all_formulations, true, "audit every contact model on the three tasks, and solve task 3 under each");
-DEFINE_bool(every_solver, false, "with every general solver under the models that the paper does not compare, too");
+DEFINE_string(problems_dir, "", "where the scenes of the problems are (default: those that come with saltus)");
+DEFINE_string(data_dir, "", "where published.csv is (default: that which comes with saltus)");
+DEFINE_bool(all_formulations, true,
+            "audit every contact model on the three tasks, and solve task 3 under each (default)");
+DEFINE_bool(every_solver, false, "every general solver, too, under the models that the paper does not compare");
 
 namespace saltus {
 namespace {
@@ -64,7 +64,6 @@ std::string GivenOrShipped(const std::string& given, const std::string& folder) 
 
 int Reproduce() {
   const auto start = std::chrono::steady_clock::now();
-  RefuseSurrogate("the published experiments have the models' own gradients");
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
   std::vector<PublishedRow> rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
@@ -124,8 +123,6 @@ int Reproduce() {
 
 }  // namespace
 
-int ReproduceMain(int argc, char** argv) {
-  return RunMain(argc, argv, "Every table and figure of the paper: saltus_reproduce --output_dir=DIR", Reproduce);
-}
+int ReproduceMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_reproduce"), Reproduce); }
 
 }  // namespace saltus

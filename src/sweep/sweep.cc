@@ -1,7 +1,6 @@
 #include "sweep/sweep.h"
 
 #include <gflags/gflags.h>
-#include <glog/logging.h>
 
 #include <charconv>
 #include <cmath>
@@ -17,10 +16,10 @@
 
 DEFINE_string(
     sweep, "",
-    "points: 'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & damping=3,4' two "
-    "that move together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' explicit points");
-DEFINE_double(point_seconds, 0, "time limit of every point, s (default: none); what takes longer fails");
-DEFINE_string(shard, "", "i/n: only the i-th of n parts (i = 1..n); --merge puts them together");
+    "'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & damping=3,4' two that move "
+    "together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are explicit points");
+DEFINE_double(point_seconds, 0, "time limit of every point, s; what takes longer fails (default: none)");
+DEFINE_string(shard, "", "only the I-th of N parts, I = 1..N; --merge puts them together");
 DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
 DEFINE_bool(retry_failed, false, "compute the failed points of --output_dir again");
 
@@ -28,14 +27,6 @@ DECLARE_int32(threads);
 
 namespace saltus {
 namespace {
-
-constexpr char kUsage[] =
-    "Many points of some options, one row each: saltus_sweep --scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; "
-    "steps=120,240\" [--contact=LIST] [--solver=LIST|none]. CSV on stdout.\n"
-    "With --output_dir, every finished point is kept at once in DIR/sweep.sqlite: the same command goes on where the "
-    "last one ended, however that was. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
-    "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
-    "--shard=1/n ... --shard=n/n on each and then --merge.";
 
 Shard ReadShard(const std::string& text) {
   if (text.empty()) return {};
@@ -98,7 +89,8 @@ void MergeShards(const SweepStudy& study, SweepStore* store) {
   for (const std::string& path : paths) {
     const SweepStore shard = OrInputError(SweepStore::Open(path, study));
     const int64_t added = OrInputError(store->Merge(shard));
-    LOG(INFO) << path << ": " << shard.size() << " points, " << added << " of them new";
+    if (study.request().progress == ProgressMode::kNone) continue;
+    std::cerr << path << ": " << shard.size() << " points, " << added << " of them new" << std::endl;
   }
 }
 
@@ -113,7 +105,7 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
     const std::string path = directory + "/" + base + "." + figure.name;
     const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
     // The results stand without figures: gnuplot may be missing.
-    if (!status.ok()) LOG(WARNING) << path << ": " << status.message();
+    if (!status.ok()) std::cerr << "no figure " << path << ": " << status.message() << std::endl;
   }
 }
 
@@ -190,7 +182,7 @@ int RunRank(SweepCluster* cluster) {
 }  // namespace
 
 int SweepMain(int argc, char** argv) {
-  return RunMain(argc, argv, kUsage, [] {
+  return RunMain(argc, argv, FindProgram("saltus_sweep"), [] {
     const InterruptGuard guard;
     const std::unique_ptr<SweepCluster> cluster = JoinCluster();
     if (cluster == nullptr || cluster->rank() == 0) return RunRank(cluster.get());

@@ -15,9 +15,8 @@
 #include "tools/surrogate_flags.h"
 
 DEFINE_bool(width_sweep, false,
-            "audit gradients by differences of every width too (always done where there is no exact gradient)");
-DEFINE_string(given, "",
-              "JSON file with a gradient computed elsewhere, keys as in the gradients of --json, to be audited too");
+            "differences of the loss of every width, too (always where there is no exact gradient)");
+DEFINE_string(given, "", "a gradient computed elsewhere, to be audited too: JSON with the keys of those of --json");
 
 namespace saltus {
 namespace {
@@ -71,20 +70,22 @@ Json GivenToJson(const GivenAudit& audit) {
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
 }
 
-// "exact d/dpy puck: from above only, not judged"
-std::string Describe(const Scene& scene, const OneSided& entry) {
+// "d/dpy puck"
+std::string NameOf(const Scene& scene, const OneSided& entry) {
   const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
-  const std::string name =
-      "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
+  return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
+}
+
+std::string WhyNotJudged(const OneSided& entry) {
   switch (entry.side) {
     case OneSided::Side::kAbove:
-      return name + ": the exact one exists from above only, and is not judged";
+      return "the exact one exists from above only, and is not judged";
     case OneSided::Side::kBelow:
-      return name + ": the exact one exists from below only, and is not judged";
+      return "the exact one exists from below only, and is not judged";
     case OneSided::Side::kNone:
       break;
   }
-  return name + ": the exact one does not exist";
+  return "the exact one does not exist";
 }
 
 }  // namespace
@@ -144,17 +145,19 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   const Table plateaus = PlateauTable(report);
   if (!plateaus.rows().empty()) print("differences of the loss", plateaus);
   std::string remarks;
-  const auto remark = [&](const std::string& text) { remarks += Paragraph(text, layout.width, 2); };
+  const auto remark = [&](const std::string& of, const std::string& text) {
+    remarks += Paragraph(of + ": " + text, layout.width);
+  };
   if (report.reference) {
-    for (const OneSided& entry : report.reference->one_sided) remark(Describe(request.scene, entry));
+    for (const OneSided& entry : report.reference->one_sided) {
+      remark(NameOf(request.scene, entry), WhyNotJudged(entry));
+    }
   }
   for (const ModelAudit& audit : report.models) {
     const std::string& contact = audit.gradient.contact;
-    if (!audit.gradient.ok()) remark(contact + ": " + audit.gradient.reason);
-    if (audit.gradient.ok() && audit.interrupted) remark(contact + ": interrupted; there is no more than its gradient");
-    if (audit.attribution && !audit.attribution->sequence.empty()) {
-      remark(contact + ": " + audit.attribution->sequence);
-    }
+    if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
+    if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; there is no more than its gradient");
+    if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
   }
   std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
 }
@@ -175,36 +178,30 @@ int AuditExitCode(const Request& request, const AuditReport& report) {
 }
 
 int AuditMain(int argc, char** argv) {
-  return RunMain(
-      argc,
-      argv,
-      "Gradients of contact models: which are right, which are wrong, where and why. "
-      "saltus_audit --scene=FILE [--contact=LIST] [--width_sweep] [--given=FILE] [--json] [--output_dir=DIR]",
-      [] {
-        Request request;
-        if (!ReadRequest({}, &request)) return kDone;
-        const std::optional<GivenGradient> gradient = ReadGiven(request);
-        const InterruptGuard guard;
-        const AuditReport report = RunAudit(request, gradient.has_value());
-        const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
-        const auto print = [&] {
-          if (request.json) {
-            Json document = AuditToJson(request, report);
-            if (given) document["given"] = GivenToJson(*given);
-            PrintJson(document, request.precision);
-          } else {
-            PrintAuditTable(request, report);
-            if (given) {
-              const TextLayout layout = LayoutOfStandardOutput();
-              std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width)
-                        << "\n"
-                        << GivenTable(given->entries).ToText(layout) << std::endl;
-            }
-          }
-        };
-        WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
-        return AuditExitCode(request, report);
-      });
+  return RunMain(argc, argv, FindProgram("saltus_audit"), [] {
+    Request request;
+    if (!ReadRequest({}, &request)) return kDone;
+    const std::optional<GivenGradient> gradient = ReadGiven(request);
+    const InterruptGuard guard;
+    const AuditReport report = RunAudit(request, gradient.has_value());
+    const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
+    const auto print = [&] {
+      if (request.json) {
+        Json document = AuditToJson(request, report);
+        if (given) document["given"] = GivenToJson(*given);
+        PrintJson(document, request.precision);
+      } else {
+        PrintAuditTable(request, report);
+        if (given) {
+          const TextLayout layout = LayoutOfStandardOutput();
+          std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width) << "\n"
+                    << GivenTable(given->entries).ToText(layout) << std::endl;
+        }
+      }
+    };
+    WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
+    return AuditExitCode(request, report);
+  });
 }
 
 }  // namespace saltus

@@ -39,7 +39,8 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
       return std::max({certificate.stationarity,
                        certificate.costate_jump,
                        std::abs(certificate.hamiltonian),
-                       certificate.transversality});
+                       certificate.transversality,
+                       std::abs(certificate.final_time.value_or(0))});
     case kAmbiguous:
     case kNotApplicable:
       return std::nullopt;
@@ -73,11 +74,12 @@ Table CertificateTable(const SolvedRuns& solved) {
     if (!run.certificate) continue;
     const Certificate& certificate = *run.certificate;
     const std::string verdict = VerdictInWords(certificate);
+    const bool looked_at = certificate.IsStationary() && certificate.curvature;
     table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
                   run.report.solver,
                   verdict.empty() ? "not certified" : verdict,
                   ResidualOf(certificate),
-                  certificate.curvature ? std::optional(certificate.curvature->smallest) : std::nullopt,
+                  looked_at ? std::optional(certificate.curvature->smallest) : std::nullopt,
                   MeaningOf(certificate)});
   }
   return table;

@@ -39,7 +39,7 @@ Scene Generate() {
 }  // namespace
 
 int SceneMain(int argc, char** argv) {
-  return RunMain(argc, argv, "Writes a scene of many discs to standard output, for --scene of the other programs.", [] {
+  return RunMain(argc, argv, FindProgram("saltus_scene"), [] {
     const Scene scene = Generate();
     if (const std::optional<SceneError> error = Validate(scene)) throw InputError(error->key + ": " + error->message);
     std::cout << WriteScene(scene);

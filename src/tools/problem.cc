@@ -13,7 +13,7 @@ namespace saltus {
 
 int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
   const std::string name = std::filesystem::path(defaults.scene).stem().string();
-  return RunMain(argc, argv, "Gradients and optimisation of " + name + ". Defaults are those of the paper.", [&] {
+  return RunMain(argc, argv, ProblemProgram(name), [&] {
     Request request;
     if (!ReadRequest(defaults, &request)) return kDone;
     const InterruptGuard guard;

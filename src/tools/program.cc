@@ -5,6 +5,7 @@
 #include <glog/logging.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <cmath>
@@ -17,33 +18,39 @@
 #include <thread>
 
 #include "io/file.h"
+#include "io/suggestion.h"
+#include "output/text_layout.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
+#include "tools/program_flags.h"
 #include "tools/surrogate_flags.h"
 
-DEFINE_string(scene, "", "scene file (YAML)");
+DEFINE_string(scene, "", "the scene, in YAML");
 DEFINE_string(contact, "all",
-              "contact models: a comma-separated list, 'all', or 'list' to print them; each may be followed by options "
-              "of its own, as in ncp:kappa=1e-6:kappa_grad=1e-4");
-DEFINE_string(solver, "", "solvers: a comma-separated list, 'all', 'none', or 'list' to print them");
-DEFINE_int32(steps, 0, "number of time steps (default: from the scene)");
-DEFINE_string(precision, "double", "double or float");
-DEFINE_double(stiffness, 0, "contact stiffness, N/m (default: from the scene)");
-DEFINE_double(damping, 0, "contact damping, N s/m (default: from the scene)");
-DEFINE_double(friction, 0, "coefficient of friction (default: from the scene)");
-DEFINE_double(restitution, 0, "coefficient of restitution (default: from the scene)");
-DEFINE_double(learning_rate, 0, "gradient descent's rate (default: that of the published experiment)");
-DEFINE_int32(iterations, 0, "iterations of each solver at most (default: 1000)");
+              "comma-separated names, each perhaps with options of its own (ncp:kappa=1e-6:kappa_grad=1e-4), 'all', or "
+              "'list' to print what there is");
+DEFINE_string(solver, "", "comma-separated names, 'all', 'none', or 'list' to print what there is (default: gd)");
+DEFINE_int32(steps, 0, "number of time steps");
+DEFINE_string(precision, "double", "of the contact model's arithmetic, double or float");
+DEFINE_double(stiffness, 0, "of contacts, N/m; compliant models only");
+DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
+DEFINE_double(friction, 0, "coefficient of friction, >= 0");
+DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
+DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
+DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
 DEFINE_string(sequence, "auto",
-              "collision sequence, for solvers along one: 'auto' (that of the initial guess; mode_search looks for "
-              "others), 'fixed' (that of the initial guess), 'none', or a comma-separated list of pairs with a hyphen, "
-              "as striker-target,target-ceiling");
-DEFINE_int32(threads, 0, "threads; 0 is one per core");
-DEFINE_int32(memory_limit, 1024,
-             "MiB for the states of one rollout; what does not fit is simulated again for the gradient");
-DEFINE_string(output_dir, "", "directory for result files (default: none are written)");
-DEFINE_bool(json, false, "print one JSON document instead of tables");
-DEFINE_string(progress, "auto", "auto (a bar on a terminal, else lines), plain or none");
+              "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which mode_search "
+              "goes on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
+              "striker-target,target-ceiling");
+DEFINE_int32(threads, 0, "0 is one per core");
+DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");
+DEFINE_string(output_dir, "", "where result files are written");
+DEFINE_bool(json, false, "one JSON document on standard output, instead of tables");
+DEFINE_string(progress, "auto", "on standard error: auto (a bar on a terminal, else lines), plain or none");
+DEFINE_bool(h, false, "as --help");
+
+DECLARE_bool(help);
+DECLARE_bool(helpshort);
 
 namespace google {
 extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); not in its header
@@ -60,9 +67,16 @@ std::vector<std::string> Split(const std::string& list) {
 }
 
 template <typename Entries>
+std::vector<std::string> NameList(const Entries& entries) {
+  std::vector<std::string> names;
+  for (const auto& entry : entries) names.emplace_back(entry.name);
+  return names;
+}
+
+template <typename Entries>
 std::string Names(const Entries& entries) {
   std::string names;
-  for (const auto& entry : entries) names += (names.empty() ? "" : ", ") + std::string(entry.name);
+  for (const std::string& name : NameList(entries)) names += (names.empty() ? "" : ", ") + name;
   return names;
 }
 
@@ -92,7 +106,12 @@ std::vector<std::string> ReadContacts(const std::string& value) {
   }
   for (const std::string& contact : Split(value)) {
     const std::string wrong = WhatIsWrongWith(contact);
-    if (!wrong.empty()) throw InputError("--contact=" + value + ": " + wrong);
+    if (!wrong.empty()) {
+      const std::string name = contact.substr(0, contact.find(':'));
+      const bool known = FindContactModel(name) != nullptr;
+      throw InputError("--contact=" + value + ": " + wrong +
+                       (known ? "" : Suggestion(name, NameList(AllContactModels()))));
+    }
     if (std::find(contacts.begin(), contacts.end(), contact) == contacts.end()) contacts.push_back(contact);
   }
   if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
@@ -112,7 +131,8 @@ std::vector<std::string> ReadNames(const char* flag, const std::string& value, c
         std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
     if (!known) {
       throw InputError("--" + std::string(flag) + "=" + value + ": '" + name +
-                       "' is unknown; expected 'all' or some of " + Names(entries));
+                       "' is unknown; expected 'all' or some of " + Names(entries) +
+                       Suggestion(name, NameList(entries)));
     }
     if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
   }
@@ -152,6 +172,40 @@ void CheckFlagFiles(int argc, char** argv) {
     if (argument == "--") return;
     const bool apart = (argument == "--flagfile" || argument == "-flagfile") && i + 1 < argc;
     CheckFlagFile(apart ? argument + "=" + argv[i + 1] : argument, 0);
+  }
+}
+
+// gflags ends the program at the first flag that it does not know. Here it is said which program has it. Those that
+// --undefok allows to be unknown are left to gflags.
+void CheckFlagNames(int argc, char** argv, const Program& program) {
+  std::vector<std::string> unknown;
+  for (int i = 1; i < argc; ++i) {
+    std::string name = argv[i];
+    if (name == "--") break;
+    if (name.size() < 2 || name[0] != '-') continue;
+    name.erase(0, name[1] == '-' ? 2 : 1);
+    const bool has_value = name.find('=') != std::string::npos;
+    name = name.substr(0, name.find('='));
+    std::replace(name.begin(), name.end(), '-', '_');
+    if (name == "undefok") return;
+    gflags::CommandLineFlagInfo info;
+    const bool known = gflags::GetCommandLineFlagInfo(name.c_str(), &info);
+    const bool negated = name.starts_with("no") && gflags::GetCommandLineFlagInfo(name.c_str() + 2, &info);
+    if (known && !has_value && info.type != "bool") ++i;  // the value stands apart
+    if (!known && !negated) unknown.push_back(name);
+  }
+  if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
+}
+
+// Whatever way a flag was given: what the program would ignore is an error.
+void RefuseFlagsOfOthers(const Program& program) {
+  for (const Program& other : AllPrograms()) {
+    for (const std::string& name : FlagNames(other)) {
+      gflags::CommandLineFlagInfo info;
+      if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
+      const std::string why = WhyNoFlagOf(program, name);
+      if (!why.empty()) throw InputError(why);
+    }
   }
 }
 
@@ -205,16 +259,22 @@ int RunBody(const std::function<int()>& body) {
 
 }  // namespace
 
-int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body) {
+int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
   OccupyStandardStreams();
   google::InitGoogleLogging(argv[0]);
   FLAGS_logtostderr = true;
-  gflags::SetUsageMessage(usage);
+  gflags::SetUsageMessage(program.summary);
   gflags::SetVersionString(SALTUS_VERSION);
   google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
   const int code = RunBody([&] {
     CheckFlagFiles(argc, argv);
+    CheckFlagNames(argc, argv, program);
     gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
+    RefuseFlagsOfOthers(program);
+    if (FLAGS_h || FLAGS_help || FLAGS_helpshort) {
+      std::cout << HelpText(program, LayoutOfStandardOutput().width);
+      return kDone;
+    }
     google::gflags_exitfunc = [](int) { std::exit(FinishOutput(kDone)); };
     gflags::HandleCommandLineHelpFlags();
     if (argc > 1) throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
@@ -284,7 +344,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
     return false;
   }
   const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
-  if (path.empty()) throw InputError("--scene=FILE is needed");
+  if (path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
   if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());

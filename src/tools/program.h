@@ -10,6 +10,7 @@
 #include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 #include "saltus/solve/solver.h"
+#include "tools/program_flags.h"
 
 namespace saltus {
 
@@ -49,9 +50,9 @@ struct OutputError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Parses flags, runs `body` and turns what it throws into exit codes. `usage` is shown by --help. If standard output
-// did not take all that was printed, that is an error too.
-int RunMain(int argc, char** argv, const std::string& usage, const std::function<int()>& body);
+// Parses flags, runs `body` and turns what it throws into exit codes. Flags that are not the program's are wrong input.
+// If standard output did not take all that was printed, that is an error too.
+int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body);
 
 // Makes RunMain end the process without waiting for threads that are at work still.
 void EndWithoutWaiting();

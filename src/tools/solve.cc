@@ -285,24 +285,22 @@ int SolveExitCode(const SolvedRuns& solved) {
 }
 
 int SolveMain(int argc, char** argv) {
-  return RunMain(
-      argc, argv, "Optimises a scene: saltus_solve --scene=FILE [--contact=LIST] [--solver=LIST] [--json]", [] {
-        Request request;
-        if (!ReadRequest({}, &request)) return kDone;
-        if (request.solvers.empty())
-          throw InputError("--solver=none leaves nothing to do; expected at least one solver");
-        const InterruptGuard guard;
-        const SolvedRuns solved = SolveAll(request);
-        const auto print = [&] {
-          if (request.json) {
-            PrintJson(SolveToJson(request, solved), request.precision);
-          } else {
-            PrintSolveTable(request, solved);
-          }
-        };
-        WriteAndPrint([&] { WriteSolutions(request, solved); }, print);
-        return SolveExitCode(solved);
-      });
+  return RunMain(argc, argv, FindProgram("saltus_solve"), [] {
+    Request request;
+    if (!ReadRequest({}, &request)) return kDone;
+    if (request.solvers.empty()) throw InputError("--solver=none leaves nothing to do; expected at least one solver");
+    const InterruptGuard guard;
+    const SolvedRuns solved = SolveAll(request);
+    const auto print = [&] {
+      if (request.json) {
+        PrintJson(SolveToJson(request, solved), request.precision);
+      } else {
+        PrintSolveTable(request, solved);
+      }
+    };
+    WriteAndPrint([&] { WriteSolutions(request, solved); }, print);
+    return SolveExitCode(solved);
+  });
 }
 
 }  // namespace saltus

@@ -6,14 +6,14 @@
 #include "tools/program.h"
 
 DEFINE_string(surrogate, "",
-              "what stands in for the gradient, biased: complementarity_aware, smoothed_zeroth, smoothed_first, or "
-              "'list' to print them (default: none, the model's own gradient)");
-DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples of a smoothed gradient, in m, m/s or N");
-DEFINE_int32(surrogate_samples, 2000, "samples of a smoothed gradient, an even number");
-DEFINE_uint64(surrogate_seed, 1, "seed of a smoothed gradient; iteration k takes the k-th after it");
+              "what stands in for the gradient, biased, or 'list' to print what there is (default: the model's own "
+              "gradient)");
+DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples of a smoothed gradient, m, m/s or N");
+DEFINE_int32(surrogate_samples, 2000, "of a smoothed gradient, an even number");
+DEFINE_uint64(surrogate_seed, 1, "of a smoothed gradient; iteration k takes the k-th after it");
 DEFINE_int32(surrogate_segments, 0,
-             "equal parts of the horizon in which the samples of a smoothed gradient hold their change of the control "
-             "(default: each step on its own)");
+             "equal parts of the horizon in which the samples hold their change of the control (default: every step "
+             "has its own)");
 
 namespace saltus {
 namespace {
@@ -62,11 +62,6 @@ std::optional<Surrogate> SurrogateFromFlags() {
 }
 
 bool WantsListOfSurrogates() { return FLAGS_surrogate == "list"; }
-
-void RefuseSurrogate(const std::string& why) {
-  if (!FLAGS_surrogate.empty()) throw InputError("--surrogate=" + FLAGS_surrogate + ": " + why);
-  RefuseSmoothingFlags();
-}
 
 std::string BiasedName(const Surrogate& surrogate) {
   return std::string(SurrogateToString(surrogate.kind)) + ", biased";

@@ -16,9 +16,6 @@ std::optional<Surrogate> SurrogateFromFlags();
 // Whether --surrogate=list was given.
 bool WantsListOfSurrogates();
 
-// Throws InputError if --surrogate was given to what has no use for one.
-void RefuseSurrogate(const std::string& why);
-
 // "smoothed_zeroth, biased".
 std::string BiasedName(const Surrogate& surrogate);
 // "direct", "direct (smoothed_zeroth, biased)", or "ncp:kappa_grad=1e-4 (biased)", whose options bias the derivative.

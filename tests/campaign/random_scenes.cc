@@ -133,7 +133,13 @@ int RunAll() {
 }  // namespace saltus
 
 int main(int argc, char** argv) {
-  return saltus::RunMain(argc, argv, "Random scenes by exact events: random_scenes --scenes=1000000 [--seed=1]", [] {
+  const saltus::Program program = {"random_scenes",
+                                   "Random scenes by exact events",
+                                   {"--scenes=1000000 [--seed=1]"},
+                                   {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "only=SEED", "print"}},
+                                    {"Limits", {"scene_seconds=S", "time_limit=S", "threads=N"}},
+                                    {"Output", {"progress=auto|plain|none"}}}};
+  return saltus::RunMain(argc, argv, program, [] {
     const auto in_range = [](int64_t seed) { return 0 <= seed && seed <= UINT32_MAX; };
     if (FLAGS_scenes < 1 || !in_range(FLAGS_seed) || !in_range(FLAGS_seed + FLAGS_scenes - 1) ||
         FLAGS_only > UINT32_MAX) {

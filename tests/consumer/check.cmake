@@ -23,14 +23,15 @@ run(${configure} -B ${WORK}/native -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLA
 run(${CMAKE_COMMAND} --build ${WORK}/native --target values)
 run(${WORK}/native/values)
 
-# With a contact model of the user's own: its header gets an entry in the registry.
+# With a contact model of the user's own: its header gets an entry in the registry, whatever the folder is called.
+file(COPY ${SOURCE_TREE}/tests/audit/mirror_model.h DESTINATION "${WORK}/my own models")
 run(${configure} -B ${WORK}/subproject -DSALTUS_TREE=${SOURCE_TREE}
-    "-DSALTUS_EXTRA_MODELS=${SOURCE_TREE}/tests/audit/mirror_model.h Mirror")
+    "-DSALTUS_EXTRA_MODELS=${WORK}/my own models/mirror_model.h Mirror")
 file(GLOB entries ${WORK}/subproject/saltus/src/registry_entry_*.cc)
 set(found FALSE)
 foreach(entry IN LISTS entries)
   file(READ ${entry} text)
-  if(text MATCHES "mirror_model.h" AND text MATCHES "MakeContactEntry<Mirror>")
+  if(text MATCHES "\"${WORK}/my own models/mirror_model.h\"" AND text MATCHES "MakeContactEntry<Mirror>")
     set(found TRUE)
   endif()
 endforeach()

@@ -24,9 +24,11 @@ TEST(TextLayoutTest, LinesBreakBetweenWordsAndInsideThoseTooLong) {
   EXPECT_THAT(WrapText("\xC3\xA9t\xC3\xA9\xC3\xA9t\xC3\xA9", 3), ElementsAre("\xC3\xA9t\xC3\xA9", "\xC3\xA9t\xC3\xA9"));
 }
 
-TEST(TextLayoutTest, LaterLinesOfAParagraphAreIndented) {
-  EXPECT_EQ(Paragraph("lcp: the normal is frozen", 12, 2), "lcp: the\n  normal is\n  frozen\n");
-  EXPECT_EQ(Paragraph("a b c d", 3, 2), "a b\nc d\n") << "no room for an indent";
+TEST(TextLayoutTest, ParagraphsStandBesideTheirLabel) {
+  EXPECT_EQ(Paragraph("the normal is frozen", 12), "the normal\nis frozen\n");
+  EXPECT_EQ(Paragraph("the normal is frozen", 16, 5, "lcp:"), "lcp: the normal\n     is frozen\n");
+  EXPECT_EQ(Paragraph("the normal is frozen", 16, 5, "convex:"), "convex:\n     the normal\n     is frozen\n");
+  EXPECT_EQ(Paragraph("a b c d", 3, 2, "x"), "x\na b\nc d\n") << "no room for an indent";
 }
 
 TEST(TextLayoutTest, TheWidthIsThatOfTheTerminalAndOfColumnsWhereSet) {

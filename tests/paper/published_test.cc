@@ -3,15 +3,24 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <filesystem>
 #include <map>
+#include <string>
+#include <vector>
 
+#include "output/npz.h"
+#include "paper/notebook_files.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
 namespace {
 
+using testing::Contains;
 using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::Not;
 using testing::Pair;
 
 class Published : public testing::Test {
@@ -63,6 +72,59 @@ TEST_F(Published, ResultsDoNotDependOnTheNumberOfThreads) {
     EXPECT_EQ(one.gradient.gradient.initial, two.gradient.gradient.initial);
     for (size_t r = 0; r < one.runs.size(); ++r) EXPECT_EQ(one.runs[r].report.losses, two.runs[r].report.losses);
   }
+}
+
+// Whoever reads a row has the paper and this project, and nothing else.
+TEST_F(Published, VerdictsAreWordsThatDoNotContradictEachOther) {
+  std::map<std::string, std::string> words;
+  for (PublishedRow row : *rows_) {
+    EXPECT_THAT(row.note, Not(HasSubstr(".md"))) << row.table << " " << row.contact << " " << row.quantity;
+    row.ours = row.expected;
+    words[row.verdict] = VerdictInWords(row);
+  }
+  EXPECT_THAT(
+      words,
+      ElementsAre(Pair("", "as expected; none is printed"),
+                  Pair("approximate", "as expected; the print is approximate"),
+                  Pair("chaotic", "not judged: rounding decides it"),
+                  Pair("grid", "as expected; the print is the least of a grid of points"),
+                  Pair("match", "reproduced"),
+                  Pair("published_error", "as expected; the print answers another question"),
+                  Pair("published_misprint", "as expected; the print is a misprint"),
+                  Pair("published_unreproducible", "as expected; the print is not what the released code gives"),
+                  Pair("solver_error", "as expected; the print carries its solver's error")));
+  PublishedRow row = rows_->front();
+  row.ours = row.expected + 2 * row.tolerance;
+  EXPECT_EQ(VerdictInWords(row), "NOT reproduced");
+  row.verdict = "published_misprint";
+  EXPECT_EQ(VerdictInWords(row), "NOT as expected; the print is a misprint");
+  row.verdict = "chaotic";
+  EXPECT_EQ(VerdictInWords(row), "not judged: rounding decides it");
+}
+
+// The names that the authors' notebooks open.
+TEST_F(Published, NotebooksFindTheirFiles) {
+  const std::string directory = testing::TempDir() + "/notebooks_" + std::to_string(getpid());
+  WriteNotebookFiles(*experiments_, directory);
+  std::vector<std::string> names;
+  for (const auto& entry : std::filesystem::directory_iterator(directory + "/results")) {
+    names.push_back(entry.path().filename());
+  }
+  for (const char* name : {"two_balls_1_soft_warp_kn_100.npz",
+                           "two_balls_1_soft_warp_kn_1000.0.npz",
+                           "two_balls_1_soft_warp_kn_10000.0.npz",
+                           "two_balls_1_soft_warp_kn_100000.0.npz",
+                           "two_balls_1_specialized_difftaichi_w_toi.npz",
+                           "ground_wall_pbd_brax.npz",
+                           "ground_wall_convexopt_diffcosim_symplectic_euler_wo_toi_mu_0.1.npz"}) {
+    EXPECT_THAT(names, Contains(name));
+  }
+  EXPECT_THAT(names, Not(Contains("two_balls_1_soft_warp_kn_100.0.npz")));
+  const StatusOr<NpzArrays> arrays = ReadNpz(directory + "/results/two_balls_1_soft_warp_kn_100.npz");
+  ASSERT_TRUE(arrays.ok()) << arrays.status().message();
+  EXPECT_THAT(arrays->at("loss").shape, ElementsAre(1000));
+  EXPECT_THAT(arrays->at("ctrls").shape, ElementsAre(480, 2));
+  std::filesystem::remove_all(directory);
 }
 
 }  // namespace

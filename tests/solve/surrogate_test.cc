@@ -17,6 +17,7 @@ namespace saltus {
 namespace {
 
 using testing::HasSubstr;
+using testing::Not;
 
 constexpr Surrogate kZeroth = {.kind = SurrogateKind::kSmoothedZeroth};
 constexpr Surrogate kFirst = {.kind = SurrogateKind::kSmoothedFirst};
@@ -345,6 +346,24 @@ TEST(Surrogates, AreAuditedAsBiased) {
     EXPECT_EQ(audit.error->in_standard_errors.has_value(), surrogate.smooths());
     EXPECT_NE(audit.Why(), "");
   }
+}
+
+// The final height is linear in the initial one: whatever the sample, its gradient is that of the model, right or
+// wrong.
+TEST(Surrogates, SamplesThatAgreeHaveNoStandardErrors) {
+  const Scene scene = ProblemScene("bounce_once");
+  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  Surrogate surrogate = kFirst;
+  surrogate.samples = 20;
+  const auto audit = [&](const char* contact) {
+    return AuditModel(contact, scene, Precision::kDouble, exact, {.surrogate = surrogate});
+  };
+  const ModelAudit right = audit("event"), wrong = audit("direct");
+  EXPECT_LT(*right.error->in_standard_errors, 3) << "rounding is no deviation";
+  EXPECT_THAT(right.Why(), HasSubstr(" standard errors from the exact gradient"));
+  EXPECT_TRUE(std::isinf(*wrong.error->in_standard_errors));
+  EXPECT_THAT(wrong.Why(), HasSubstr("wrong in an entry on which all samples agree"));
+  EXPECT_THAT(wrong.Why(), Not(HasSubstr("inf")));
 }
 
 }  // namespace

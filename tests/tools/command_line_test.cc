@@ -161,6 +161,86 @@ TEST(CommandLine, ListsAndHelpAreNoErrors) {
   EXPECT_EQ(RunProgram("saltus_solve --help").exit_code, 0);
 }
 
+// The program's own flags, and what they default to; --helpfull has the rest.
+TEST(CommandLine, HelpHasTheOwnFlagsOnly) {
+  const struct {
+    std::string program;
+    std::vector<std::string> has, has_not;
+  } cases[] = {
+      {"two_balls", {"--scene=FILE", "--solver=LIST", "--width_sweep"}, {"--given", "--sweep", "--discs"}},
+      {"saltus_audit", {"--scene=FILE", "--given=FILE", "--surrogate=NAME"}, {"--solver", "--iterations", "--sweep"}},
+      {"saltus_solve", {"--scene=FILE", "--solver=LIST", "--memory_limit=MIB"}, {"--given", "--width_sweep"}},
+      {"saltus_sweep", {"--sweep=POINTS", "--merge", "--iterations=N", "mpirun"}, {"--given", "--discs"}},
+      {"saltus_scene",
+       {"--kind=NAME", "--discs=N", "(default: 100)"},
+       {"--scene=", "--contact", "--json", "--threads"}},
+      {"saltus_reproduce", {"--[no]all_formulations", "--output_dir=DIR"}, {"--scene", "--contact", "--json"}},
+  };
+  for (const auto& [program, has, has_not] : cases) {
+    const Outcome help = RunProgram(program + " --help");
+    EXPECT_EQ(help.exit_code, 0) << help.errors;
+    EXPECT_EQ(help.output.substr(0, program.size() + 1), program + ":");
+    for (const std::string& flag : has) EXPECT_THAT(help.output, HasSubstr(flag)) << program;
+    for (const std::string& flag : has_not) EXPECT_THAT(help.output, Not(HasSubstr(flag))) << program;
+    for (const char* flag : {"logtostderr", "tab_completion", "minloglevel"}) {
+      EXPECT_THAT(help.output, Not(HasSubstr(flag))) << program;
+      EXPECT_THAT(RunProgram(program + " --helpfull").output, HasSubstr(flag)) << program;
+    }
+    for (const char* alias : {" -h", " --h", " -help", " --helpshort"}) {
+      EXPECT_EQ(RunProgram(program + alias).output, help.output) << alias;
+    }
+    EXPECT_LT(std::count(help.output.begin(), help.output.end(), '\n'), 70) << program;
+    std::stringstream narrow(RunProgramIn(60, program + " -h").output);
+    for (std::string line; std::getline(narrow, line);) EXPECT_LE(line.size(), 60u) << line;
+  }
+}
+
+TEST(CommandLine, MoreThreadsThanCoresAreNoMatterOfNote) {
+  const Outcome outcome = RunProgram(
+      "saltus_audit --contact=event --surrogate=smoothed_first --surrogate_samples=20 --threads=1000 "
+      "--progress=none" +
+      Scene("bounce_once"));
+  EXPECT_EQ(outcome.exit_code, 0);
+  EXPECT_EQ(outcome.errors, "");
+}
+
+// A flag that would be ignored is an error that names who takes it, however it was given.
+TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
+  const std::string file = testing::TempDir() + "/flags_" + std::to_string(getpid());
+  std::ofstream(file) << "--iterations=5\n";
+  const struct {
+    std::string command, message;
+  } cases[] = {
+      {"saltus_audit --iterations=5" + Scene("two_balls"),
+       "--iterations is not a flag of saltus_audit, but of the problems' programs, saltus_solve and saltus_sweep"},
+      {"saltus_audit --flagfile=" + file + Scene("two_balls"), "--iterations is not a flag of saltus_audit"},
+      {"saltus_solve --given=x.json" + Scene("two_balls"),
+       "--given is not a flag of saltus_solve, but of saltus_audit"},
+      {"saltus_solve -sweep steps=1,2" + Scene("two_balls"),
+       "--sweep is not a flag of saltus_solve, but of saltus_sweep"},
+      {"saltus_scene --json", "--json is not a flag of saltus_scene"},
+      {"saltus_scene --nojson", "--json is not a flag of saltus_scene"},
+      {"saltus_reproduce --scene=x.yaml", "--scene is not a flag of saltus_reproduce"},
+      {"two_balls --given=x.json", "--given is not a flag of two_balls, but of saltus_audit"},
+      {"saltus_solve --itertions=5", "--itertions is not a flag of saltus_solve; did you mean --iterations?"},
+      {"saltus_solve --no_such_flag", "--no_such_flag is not a flag of saltus_solve; -h lists them"},
+      {"saltus_solve --contact=direct_tio" + Scene("two_balls"), "did you mean direct_toi?"},
+      {"saltus_solve --solver=ceres_llm" + Scene("two_balls"), "did you mean ceres_lm?"},
+      {"saltus_solve", "--scene=FILE is needed; -h lists all flags"},
+  };
+  for (const auto& [command, message] : cases) {
+    const Outcome outcome = RunProgram(command);
+    EXPECT_EQ(outcome.exit_code, 2) << command;
+    EXPECT_THAT(outcome.errors, HasSubstr(message)) << command;
+    EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
+  }
+  // Those of glog, values apart, and what --undefok lets pass.
+  for (const char* flags : {" --minloglevel=2", " --steps 20", " --undefok=unheard --unheard"}) {
+    const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none" + Scene("two_balls") + flags);
+    EXPECT_EQ(outcome.exit_code, 0) << flags << outcome.errors;
+  }
+}
+
 TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
   const Outcome outcome =
       RunProgram("saltus_audit --contact=direct,convex --friction=0.1 --json --progress=none" + Scene("ground_wall"));

@@ -29,7 +29,8 @@ struct GradientError {
   double relative = 0;  // |g - g_exact| / |g_exact|
   double angle = 0;     // between the two, rad
   // Of an estimate: root mean square of the entries' differences, each in its standard error (those of a control in
-  // segments by segment). Chance alone gives 1. Infinite if an entry without a standard error differs.
+  // segments by segment). Chance alone gives 1. Infinite if an entry on which all samples agree differs by more than
+  // rounding.
   std::optional<double> in_standard_errors;
 };
 // Precondition: both are ok and of the same scene; the control grid of one is a refinement of the other's.

@@ -1,0 +1,42 @@
+// Which program takes which flags: for --help, and for flags that a program would ignore.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace saltus {
+
+// Flags under one heading, as "scene=FILE" or, of a switch, "json".
+struct FlagGroup {
+  std::string title;
+  std::vector<std::string> flags;
+};
+
+struct Program {
+  std::string name;
+  std::string summary;             // a sentence, without its full stop
+  std::vector<std::string> usage;  // what may follow the name on the command line
+  std::vector<FlagGroup> groups;
+  std::string notes = "";  // paragraphs after the flags
+};
+
+// Every program but those of the problems, which share one entry, "the problems' programs".
+const std::vector<Program>& AllPrograms();
+// Precondition: there is one of that name.
+const Program& FindProgram(std::string_view name);
+// The program of the problem of that name.
+Program ProblemProgram(const std::string& name);
+
+// Without values: "scene", "json".
+std::vector<std::string> FlagNames(const Program& program);
+
+// What -h and --help print, in lines of at most `width` columns: the program's own flags, with what gflags knows of
+// them.
+std::string HelpText(const Program& program, size_t width);
+
+// What is wrong with a flag that was found on the command line, whether gflags knows it or not: no program has it, or
+// others than this. Empty if the program takes it, and for those of glog and gflags. `name` is without dashes.
+std::string WhyNoFlagOf(const Program& program, std::string_view name);
+
+}  // namespace saltus
