@@ -22,7 +22,7 @@ struct Drag {
 };
 
 // The target ends no faster than this.
-constexpr double kFastest = 1.0;  // m/s
+constexpr double kFastest = 2.0;  // m/s
 struct SlowEnough {
   template <typename T>
   bool operator()(const T* x, T* residuals) const {
