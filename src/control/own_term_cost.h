@@ -1,7 +1,11 @@
 // Terms of a user's own in the units of a solver, with the times of a phase in the place of the length of a step.
 #pragma once
 
+#include <ceres/cost_function.h>
+
 #include <span>
+#include <string>
+#include <vector>
 
 #include "flight.h"
 #include "saltus/control/own_term.h"
