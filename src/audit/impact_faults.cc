@@ -4,6 +4,8 @@
 #include <cmath>
 #include <vector>
 
+#include "contact/impact.h"
+
 namespace saltus {
 namespace {
 
@@ -17,27 +19,31 @@ struct Variation {
 // sign.
 Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, const ImpactTerms& terms) {
   using Friction = ImpactTerms::Friction;
-  const double bounce = (1 + terms.restitution) * mass, mu = terms.friction;
+  const double bounce = 1 + terms.restitution, mu = terms.friction;
   const double sign = sliding > 0 ? 1 : sliding < 0 ? -1 : 0;
-  Eigen::Matrix2d law;
-  law << -bounce, 0, 0, 0;
+  const auto in_mode = [&](ContactMode mode, double friction) {
+    Eigen::Matrix2d law;
+    for (int by = 0; by < 2; ++by) {
+      const auto [normal, tangential] = ImpulseInMode(mode, by == 0 ? 1.0 : 0.0, by == 1 ? 1.0 : 0.0, sign, mass, bounce, friction);
+      law.col(by) << normal, tangential;
+    }
+    return law;
+  };
   switch (terms.law) {
     case Friction::kNone:
-      break;
+      return in_mode(ContactMode::kFrictionless, 0);
     case Friction::kSlip:
-      law(1, 0) = mu * sign * bounce;
-      break;
+      return in_mode(ContactMode::kSlip, mu);
     case Friction::kStick:
-      law(1, 1) = -mass;
-      break;
+      return in_mode(ContactMode::kStick, mu);
     case Friction::kCone:
-      if (std::abs(sliding) <= -mu * speed) {
-        law(1, 1) = -bounce;
-      } else {
-        law.row(0) << -1, mu * sign;
-        law.row(0) *= bounce / (1 + mu * mu);
-        law.row(1) = -mu * sign * law.row(0);
-      }
+      break;
+  }
+  Eigen::Matrix2d law = Eigen::Matrix2d::Identity() * -bounce * mass;
+  if (std::abs(sliding) > -mu * speed) {
+    law.row(0) << -1, mu * sign;
+    law.row(0) *= bounce * mass / (1 + mu * mu);
+    law.row(1) = -mu * sign * law.row(0);
   }
   return law;
 }

@@ -88,7 +88,7 @@ double CostateSweep::Early(int k, const ImpactJump& jump, double gain) const {
   return jump.MultiplierAt(segments_[last].piece.acceleration, flight_.hits()[k].impact.speed, gain);
 }
 
-void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, bool with_running,
+void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms,
                                std::vector<Costate<double>>* now, std::vector<Vec2d>* push) const {
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
@@ -96,8 +96,7 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, bool w
     Vec2d integral = length * (0.5 * length * costate.position + costate.velocity);
     costate.velocity += length * costate.position;
     costate.time = piece.start;
-    for (size_t t = 0; with_running && t < scene_.objective.running.size(); ++t) {
-      const RunningTerm& term = scene_.objective.running[t];
+    for (const RunningTerm& term : terms) {
       if (term.body != i) continue;
       for (size_t g = 0; g < kGaussNodes.size(); ++g) {
         const double s = kGaussNodes[g] * length;
@@ -117,10 +116,9 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, bool w
   }
 }
 
-CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, bool with_running,
+CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double h, RunningTerms terms,
                                               const std::vector<Costate<double>>& end) const {
   Balance balance;
-  const double h = piece.duration;
   double at_end = 0;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
@@ -129,8 +127,7 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, bool w
     at_end += kinetic + push;
     balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
   }
-  for (const RunningTerm& term : scene_.objective.running) {
-    if (!with_running) break;
+  for (const RunningTerm& term : terms) {
     const Vec2d rate = TargetRate(term, piece);
     const Vec2d miss = Read(After(piece, term.body, h), term.quantity) - TargetAt(term, piece.start + h);
     at_end += term.weight * miss.squaredNorm();
@@ -147,7 +144,7 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, bool w
   return balance;
 }
 
-double CostateSweep::CrossImpact(int k, bool with_running, const MultiplierOf& multiplier,
+double CostateSweep::CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
                                  std::vector<Costate<double>>* now) const {
   const Flight::Hit& hit = flight_.hits()[k];
   const std::array<int, 2> body = {hit.contact.a, hit.contact.plane ? -1 : hit.contact.b};
@@ -157,8 +154,8 @@ double CostateSweep::CrossImpact(int k, bool with_running, const MultiplierOf& m
   }
   const ImpactJump jump = MakeImpactJump(scene_, hit, after);
   double gain = 0;
-  for (const RunningTerm& term : scene_.objective.running) {
-    if (!with_running || term.quantity != Quantity::kVelocity) continue;
+  for (const RunningTerm& term : terms) {
+    if (term.quantity != Quantity::kVelocity) continue;
     const Vec2d target = TargetAt(term, hit.time);
     for (int side = 0; side < 2; ++side) {
       if (jump.body[side] != term.body) continue;
@@ -224,12 +221,13 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
       result.largest_velocity = std::max(result.largest_velocity, costate.velocity.norm());
     }
   };
+  const RunningTerms terms = source.objective ? RunningTerms(scene_.objective.running) : RunningTerms();
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   for (int i = count;; --i) {
     note();
     for (; hit >= 0 && segment_after_[hit] == i; --hit) {
       result.after_impact[hit] = now;
-      result.multipliers[hit] = CrossImpact(hit, source.objective, multiplier, &now);
+      result.multipliers[hit] = CrossImpact(hit, terms, multiplier, &now);
       note();
     }
     size_t hard = num_hard_;
@@ -247,38 +245,65 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
     }
     if (i == 0) break;
     const Flight::Piece& piece = segments_[i - 1].piece;
-    const Balance balance = BalanceOf(piece, source.objective, now);
+    const Balance balance = BalanceOf(piece, piece.duration, terms, now);
     result.hamiltonian[i - 1] = balance.hamiltonian;
     result.drift[i - 1] = balance.drift;
     result.drift_moment[i - 1] = balance.drift_moment;
     result.largest_hamiltonian = std::max(result.largest_hamiltonian, balance.largest);
-    CrossFlight(piece, piece.duration, source.objective, &now, &result.push[i - 1]);
+    CrossFlight(piece, piece.duration, terms, &now, &result.push[i - 1]);
   }
   note();
   result.start = std::move(now);
   return result;
 }
 
-void CostateSweep::PullBack(int segment, double offset, int body, bool of_position, int axis, double scale,
-                            std::vector<double>* gradient) const {
-  const int width = scene_.num_controlled();
+CostateSweep::Derivatives CostateSweep::OfPoint(int segment, double offset, int body, bool of_position, int axis,
+                                                double scale, std::span<double> gradient) const {
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
-  (of_position ? now[body].position : now[body].velocity)[axis] = scale;
+  if (!scene_.bodies[body].fixed) (of_position ? now[body].position : now[body].velocity)[axis] = scale;
+  const bool at_end = segment + 1 == static_cast<int>(segments_.size()) && offset >= segments_[segment].piece.duration;
+  for (int k = static_cast<int>(flight_.hits().size()) - 1; at_end && k >= 0 && segment_after_[k] > segment; --k) {
+    CrossImpact(
+        k, {}, [&](int, const ImpactJump& jump, double gain) { return Late(k, jump, gain); }, &now);
+  }
+  return PullBack(segment, offset, {}, 0, std::move(now), gradient);
+}
+
+CostateSweep::Derivatives CostateSweep::OfIntegral(const RunningTerm& term, int first, int end, double scale,
+                                                   std::span<double> gradient) const {
+  RunningTerm scaled = term;
+  scaled.weight *= scale;
+  std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
+  return PullBack(end - 1, segments_[end - 1].piece.duration, {&scaled, 1}, first, std::move(now), gradient);
+}
+
+CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, RunningTerms terms, int first,
+                                                 std::vector<Costate<double>> now, std::span<double> gradient) const {
+  const int width = scene_.num_controlled();
+  Derivatives result;
   std::vector<Vec2d> push(width);
   const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return Late(k, jump, gain); };
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   while (hit >= 0 && segment_after_[hit] > segment) --hit;
   for (int i = segment; i >= 0; --i) {
     const Flight::Piece& piece = segments_[i].piece;
+    const double length = i == segment ? offset : piece.duration;
+    const RunningTerms here = i >= first ? terms : RunningTerms();
+    const Balance balance = BalanceOf(piece, length, here, now);
+    result.by_duration += balance.hamiltonian + piece.start * balance.drift + balance.drift_moment;
     std::fill(push.begin(), push.end(), Vec2d(0, 0));
-    CrossFlight(piece, i == segment ? offset : piece.duration, false, &now, &push);
+    CrossFlight(piece, length, here, &now, &push);
     for (int c = 0; c < width; ++c) {
       const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-      double* g = gradient->data() + 2 * (static_cast<size_t>(piece.interval) * width + c);
+      double* g = gradient.data() + 2 * (static_cast<size_t>(piece.interval) * width + c);
       for (int d = 0; d < 2; ++d) g[d] += inverse_mass * push[c][d];
     }
-    for (; hit >= 0 && segment_after_[hit] == i; --hit) CrossImpact(hit, false, late, &now);
+    for (; hit >= 0 && segment_after_[hit] == i; --hit)
+      CrossImpact(hit, i > first ? terms : RunningTerms(), late, &now);
   }
+  result.by_duration /= scene_.duration;
+  result.start = std::move(now);
+  return result;
 }
 
 }  // namespace saltus

@@ -10,7 +10,7 @@
 #pragma once
 
 #include <functional>
-#include <optional>
+#include <span>
 #include <vector>
 
 #include "flight.h"
@@ -19,6 +19,8 @@
 namespace saltus {
 
 class CostateSweep {
+  using RunningTerms = std::span<const RunningTerm>;
+
  public:
   // The scene and the flight must outlive the object; scene.duration is that of the flight.
   CostateSweep(const Scene& scene, const Flight& flight);
@@ -62,10 +64,16 @@ class CostateSweep {
   };
   Result Sweep(const Source& source, const MultiplierOf& multiplier) const;
 
-  // The derivative of q_axis(t) of a disc, t being `offset` after the start of a segment, by the forces: adds `scale`
-  // times it to gradient (K x C x 2). Impact times follow the motion, late.
-  void PullBack(int segment, double offset, int body, bool of_position, int axis, double scale,
-                std::vector<double>* gradient) const;
+  struct Derivatives {
+    std::vector<Costate<double>> start;  // by the initial state of each disc
+    double by_duration = 0;              // if all control intervals scale with the final time
+  };
+  // Those of scale * q_axis(t) of a disc, t being `offset` after the start of a segment and scaling too. Impact times
+  // follow the motion, late. Adds those by the forces to `gradient` (K x C x 2).
+  Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
+                      std::span<double> gradient) const;
+  // Those of `scale` times the integral of a running term over segments first..end-1.
+  Derivatives OfIntegral(const RunningTerm& term, int first, int end, double scale, std::span<double> gradient) const;
 
  private:
   // What the Hamiltonian and its derivative by time add up to over a segment.
@@ -76,11 +84,16 @@ class CostateSweep {
 
   // All costates from `length` after the start of a segment back to that; `push`, of pushed discs, gains the integral
   // of lambda_v.
-  void CrossFlight(const Flight::Piece& piece, double length, bool with_running, std::vector<Costate<double>>* now,
+  void CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms, std::vector<Costate<double>>* now,
                    std::vector<Vec2d>* push) const;
-  Balance BalanceOf(const Flight::Piece& piece, bool with_running, const std::vector<Costate<double>>& end) const;
-  double CrossImpact(int k, bool with_running, const MultiplierOf& multiplier, std::vector<Costate<double>>* now) const;
+  Balance BalanceOf(const Flight::Piece& piece, double length, RunningTerms terms,
+                    const std::vector<Costate<double>>& end) const;
+  double CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
+                     std::vector<Costate<double>>* now) const;
   void CrossVia(size_t term, const Vec2d& derivative, std::vector<Costate<double>>* now, Result* result) const;
+  // From costates at `offset` after the start of a segment; `terms` count from segment `first` on.
+  Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
+                       std::span<double> gradient) const;
   std::vector<Costate<double>> AtEnd(const Source& source) const;
   const std::vector<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
 

@@ -1,11 +1,6 @@
 // An impact by Newton's restitution and Coulomb's friction, its adjoint, and how it joins costates.
 //
-// Discs a and b (or disc a and a plane) meet with unit normal n towards a, tangent t = n turned by a quarter, relative
-// velocity w = v_a - v_b, v_n = n.w < 0, v_t = t.w and effective mass m = 1 / (1/m_a + 1/m_b). The impulse on a is
-//
-//   P = p_n n + p_t t,   p_n = -(1 + e) m v_n,   p_t = 0                       frictionless
-//                                                     -mu sign(v_t) p_n        slip
-//                                                     -m v_t                   stick
+// The impulse is that of contact/impact.h, whose symbols these are.
 //
 // Adjoint (spec of the saltation matrix: v+ = A v-, and B dq for the turning of the normal by dq): with
 // y = lambda_va / m_a - lambda_vb / m_b,
@@ -17,8 +12,7 @@
 
 #include <cmath>
 
-#include "saltus/contact/contact_model.h"
-#include "saltus/physics/geometry.h"
+#include "contact/impact.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -53,30 +47,10 @@ inline HalfPlane<double> MakeHalfPlane(const Plane& plane) {
   return {normal, Dot(normal, plane.point)};
 }
 
-template <typename T>
-struct Impact {
-  Vec2<T> normal;  // towards a
-  T speed;         // v_n, m/s
-  T sliding;       // v_t, m/s
-  ContactMode mode = ContactMode::kFrictionless;
-  Vec2<T> impulse;  // on a, N s
-};
-
 // Precondition: |normal| = 1.
 template <typename T>
 Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w) {
-  const Vec2<T> tangent = Perpendicular(normal);
-  Impact<T> impact{normal, Dot(normal, w), Dot(tangent, w), ContactMode::kFrictionless, Vec2<T>::Zero()};
-  const double m = law.EffectiveMass();
-  const T normal_impulse = -(1 + law.restitution) * m * impact.speed;
-  T tangential_impulse(0);
-  if (law.friction > 0) {
-    const bool slips = m * std::abs(Value(impact.sliding)) > law.friction * Value(normal_impulse);
-    impact.mode = slips ? ContactMode::kSlip : ContactMode::kStick;
-    tangential_impulse = slips ? T(-law.friction * SignOf(impact.sliding) * normal_impulse) : T(-m * impact.sliding);
-  }
-  impact.impulse = Scale(normal_impulse, normal) + Scale(tangential_impulse, tangent);
-  return impact;
+  return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction);
 }
 
 // What multiplies the costates of both bodies at an impact: lambda_v gains +-velocity, lambda_q gains +-position, with

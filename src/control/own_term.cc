@@ -36,6 +36,9 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
                    std::to_string(scene.num_bodies() - 1));
     }
   }
+  for (const int body : term.states) {
+    if (scene.bodies[body].fixed) return wrong("found the state of " + scene.bodies[body].name + ", which is fixed");
+  }
   const std::vector<int>& controlled = scene.control.bodies;
   for (const int body : term.forces) {
     if (std::find(controlled.begin(), controlled.end(), body) == controlled.end()) {
@@ -133,9 +136,12 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
         return;
       }
       for (const double r : residuals) {
-        if (term.role == OwnTerm::Role::kCost) sum.cost += r * r;
-        if (term.role == OwnTerm::Role::kEquality) sum.violation = std::max(sum.violation, std::abs(r));
-        if (term.role == OwnTerm::Role::kInequality) sum.violation = std::max(sum.violation, r);
+        if (term.role == OwnTerm::Role::kCost) {
+          sum.cost += r * r;
+          continue;
+        }
+        const double violation = term.role == OwnTerm::Role::kEquality ? std::abs(r) : r;
+        if (violation > sum.violation) sum = {sum.cost, violation, term.name};
       }
     };
     if (term.at == OwnTerm::At::kEnd) {

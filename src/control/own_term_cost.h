@@ -1,7 +1,11 @@
 // Terms of a user's own in the units of a solver, with the times of a phase in the place of the length of a step.
 #pragma once
 
+#include <ceres/cost_function.h>
+
 #include <span>
+#include <string>
+#include <vector>
 
 #include "flight.h"
 #include "saltus/control/own_term.h"
@@ -34,6 +38,7 @@ class OwnTermCost final : public ceres::CostFunction {
 // its scale. Infinite where a function fails. `control` has a row for each of `durations`.
 struct OwnValues {
   double cost = 0, violation = 0;
+  std::string worst;  // the name of the constraint that is violated most
 };
 OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
                            std::span<const double> control, std::span<const double> durations);

@@ -2,7 +2,10 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cmath>
+
+#include "way_costs.h"
 
 namespace saltus {
 namespace {
@@ -33,14 +36,21 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
 
 }  // namespace
 
-SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables)
+SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables, OfDuration of_duration)
     : simulator_(std::move(simulator)),
+      of_duration_(scene().objective.duration ? std::move(of_duration) : nullptr),
+      way_(WayCosts::Make(*simulator_)),
       controls_(variables == Variables::kOfScene && scene().optimize == Optimize::kControl),
       initial_(InitialState(simulator_->scene())),
       final_(simulator_->state_size()),
       cotangent_(simulator_->state_size()) {
+  CHECK(!has_duration() || controls_) << "a free final time is a variable beside a control only";
   if (controls_) {
     guess_ = InitialControl(scene(), simulator_->num_steps());
+    if (has_duration()) {
+      const FreeDuration& free = *scene().objective.duration;
+      guess_.push_back(std::clamp(scene().duration, free.min, free.max));
+    }
     return;
   }
   control_ = InitialControl(scene(), simulator_->num_steps());
@@ -56,8 +66,11 @@ std::vector<double> SingleShooting::InitialStateAt(std::span<const double> z) co
   return initial;
 }
 
+SingleShooting::SingleShooting(SingleShooting&&) noexcept = default;
+SingleShooting::~SingleShooting() = default;
+
 std::span<const double> SingleShooting::ControlIn(std::span<const double> z) const {
-  if (controls_) return z;
+  if (controls_) return z.first(z.size() - has_duration());
   return control_;
 }
 
@@ -66,18 +79,63 @@ std::vector<double> SingleShooting::ControlAt(std::span<const double> z) const {
   return {control.begin(), control.end()};
 }
 
+std::vector<double> SingleShooting::DurationsAt(std::span<const double> z) const {
+  if (!has_duration()) return {};
+  return std::vector<double>(simulator_->num_steps(), z.back() / simulator_->num_steps());
+}
+
+bool SingleShooting::SetDuration(double duration) {
+  if (!(duration > 0) || !std::isfinite(duration)) return false;
+  for (const ViaTerm& term : scene().objective.via) {
+    if (term.time >= duration) return false;
+  }
+  if (duration == scene().duration) return true;
+  const std::size_t memory_limit = simulator_->memory_limit();
+  simulator_ = of_duration_(duration);
+  simulator_->set_memory_limit(memory_limit);
+  simulator_->set_stop(stop_);
+  return true;
+}
+
+std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? simulator_->WhyFailed() : way_failure_; }
+
 bool SingleShooting::Rollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
+  way_failure_.clear();
+  if (has_duration() && !SetDuration(z.back())) {
+    way_failure_ = "the final time is not after all via terms";
+    return false;
+  }
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
   ++num_rollouts_;
   if (!simulator_->Rollout(initial_, ControlIn(z))) return false;
   simulator_->GetState(simulator_->num_steps(), final_);
-  return true;
+  if (way_ != nullptr) way_failure_ = way_->Update(*simulator_, initial_, ControlIn(z));
+  return way_failure_.empty();
 }
 
 double SingleShooting::LossOfLastRollout(std::span<const double> z) const {
-  return TerminalLoss(scene().objective, final_, simulator_->body_size()) +
-         EffortLoss(scene().objective, ControlIn(z), simulator_->step());
+  const double loss = TerminalLoss(scene().objective, final_, simulator_->body_size()) +
+                      EffortLoss(scene().objective, ControlIn(z), simulator_->step());
+  if (way_ == nullptr) return loss;
+  const std::optional<FreeDuration>& free = scene().objective.duration;
+  return loss + way_->Loss() + (free ? free->weight * scene().duration : 0.0);
+}
+
+// That of the loss of the last rollout, with terms on the way.
+void SingleShooting::WayGradient(std::span<const double> z, double* gradient) {
+  ++num_adjoints_;
+  if (!controls_) {
+    way_->Gradient({}, initial_gradient_, nullptr);
+    for (int index : variables_) *gradient++ = initial_gradient_[index];
+    return;
+  }
+  const std::span<const double> control = ControlIn(z);
+  way_->Gradient({gradient, control.size()}, {}, has_duration() ? gradient + control.size() : nullptr);
+  AddEffortGradient(scene().objective, control, simulator_->step(), {gradient, control.size()});
+  if (!has_duration()) return;
+  gradient[control.size()] += scene().objective.duration->weight +
+                              EffortLoss(scene().objective, control, simulator_->step()) / scene().duration;
 }
 
 void SingleShooting::PullBack(double effort, std::span<const double> z, double* gradient) {
@@ -98,30 +156,63 @@ bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* g
   *loss = LossOfLastRollout(z);
   if (!std::isfinite(*loss)) return false;
   if (gradient == nullptr) return true;
-  TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
-  PullBack(EffortWeight(scene().objective, simulator_->step()), z, gradient);
+  if (way_ != nullptr) {
+    WayGradient(z, gradient);
+  } else {
+    TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
+    PullBack(EffortWeight(scene().objective, simulator_->step()), z, gradient);
+  }
   if (simulator_->precision() == Precision::kFloat) {
     for (int i = 0; i < num_variables(); ++i) gradient[i] = static_cast<float>(gradient[i]);
   }
   return !stopped();
 }
 
-bool SingleShooting::EvaluateTerminal(std::span<const double> z, double* residuals, double* jacobian) {
+int SingleShooting::num_residuals() const {
+  return way_ != nullptr ? way_->num_residuals() : NumTerminalResiduals(scene().objective);
+}
+
+bool SingleShooting::EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) {
   if (!Rollout(z)) return false;
-  const int rows = NumTerminalResiduals(scene().objective);
-  TerminalResiduals(scene().objective, final_, simulator_->body_size(), {residuals, static_cast<size_t>(rows)});
+  const std::span<double> rows(residuals, num_residuals());
+  if (way_ != nullptr) {
+    way_->Residuals(rows);
+  } else {
+    TerminalResiduals(scene().objective, final_, simulator_->body_size(), rows);
+  }
   if (!std::isfinite(LossOfLastRollout(z))) return false;
   if (jacobian == nullptr) return true;
-  TerminalJacobian(jacobian);
+  ResidualJacobian(jacobian);
   return !stopped();
 }
 
-void SingleShooting::TerminalJacobian(double* jacobian) {
-  const Eigen::MatrixXd terminal =
-      saltus::TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
-  for (int row = 0; row < terminal.rows(); ++row) {
-    Eigen::Map<Eigen::RowVectorXd>(cotangent_.data(), cotangent_.size()) = terminal.row(row);
-    PullBack(0, {}, jacobian + static_cast<size_t>(row) * num_variables());
+void SingleShooting::ResidualJacobian(double* jacobian) {
+  if (way_ == nullptr) {
+    const Eigen::MatrixXd terminal =
+        TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
+    for (int row = 0; row < terminal.rows(); ++row) {
+      Eigen::Map<Eigen::RowVectorXd>(cotangent_.data(), cotangent_.size()) = terminal.row(row);
+      PullBack(0, {}, jacobian + static_cast<size_t>(row) * num_variables());
+    }
+    return;
+  }
+  const size_t rows = num_residuals(), width = num_variables();
+  num_adjoints_ += static_cast<int>(rows);
+  if (!controls_) {
+    const size_t size = initial_gradient_.size();
+    std::vector<double> initial(rows * size);
+    way_->Jacobian({}, initial, {});
+    for (size_t row = 0; row < rows; ++row) {
+      for (int index : variables_) *jacobian++ = initial[row * size + index];
+    }
+    return;
+  }
+  const size_t forces = width - has_duration();
+  std::vector<double> control(rows * forces), duration(has_duration() ? rows : 0);
+  way_->Jacobian(control, {}, duration);
+  for (size_t row = 0; row < rows; ++row) {
+    double* to = std::copy_n(&control[row * forces], forces, jacobian + row * width);
+    if (has_duration()) *to = duration[row];
   }
 }
 

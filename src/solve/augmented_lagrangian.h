@@ -35,7 +35,7 @@ class AugmentedLagrangian {
     int iterations = 200;                                    // of all solves together, at most
     int rounds = 16;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
-    double tolerance = 1e-10;                                // largest violation of a row
+    double tolerance = 1e-9;                                 // largest violation of a row
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
   };

@@ -26,7 +26,7 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   attempt.speeds = solution.speeds;
   attempt.converged = solution.minimum.converged;
   attempt.trial = std::move(solution.trial);
-  RollOut(scene, plan, solution.intervals, &attempt);
+  RollOut(scene, {}, plan, solution.intervals, &attempt);
   // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
   if (attempt.converged && attempt.realized &&
       CertifyTrial(scene, attempt.trial).verdict == Certificate::Verdict::kNotStationary) {

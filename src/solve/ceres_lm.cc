@@ -1,13 +1,17 @@
 #include "ceres_lm.h"
 
+#include <ceres/autodiff_cost_function.h>
 #include <ceres/cost_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 
 #include "ceres_common.h"
+#include "control/control_bounds.h"
+#include "control/phase_costs.h"
 #include "saltus/control/objective_cost.h"
 
 namespace saltus {
@@ -16,21 +20,51 @@ namespace {
 constexpr int kBlockSize = 8;        // variables
 constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
 
-// The variables, cut into blocks; the last may be smaller.
-std::vector<int> BlockSizes(int num_variables) {
-  if (num_variables <= kMostInOneBlock) return {num_variables};
-  std::vector<int> sizes(num_variables / kBlockSize, kBlockSize);
-  if (num_variables % kBlockSize != 0) sizes.push_back(num_variables % kBlockSize);
+// The variables, cut into blocks, some of which may be smaller; a final time has one of its own, the last.
+std::vector<int> BlockSizes(const SingleShooting& shooting) {
+  const int num_variables = shooting.num_variables() - shooting.has_duration();
+  std::vector<int> sizes = {num_variables};
+  if (num_variables > kMostInOneBlock) {
+    sizes.assign(num_variables / kBlockSize, kBlockSize);
+    if (num_variables % kBlockSize != 0) sizes.push_back(num_variables % kBlockSize);
+  }
+  if (shooting.has_duration()) sizes.push_back(1);
   return sizes;
 }
 
-// The terminal residuals, as one vector, as a function of all variables.
+// sqrt(effort T / steps) u, with the final time T a variable too. Blocks: u, T.
+class ScaledEffortCost final : public ceres::CostFunction {
+ public:
+  ScaledEffortCost(double effort_of_step, int size) : weight_(effort_of_step) {
+    set_num_residuals(size);
+    *mutable_parameter_block_sizes() = {size, 1};
+  }
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    const double time = parameters[1][0];
+    if (!(time > 0)) return false;
+    const double scale = std::sqrt(weight_ * time);
+    for (int i = 0; i < num_residuals(); ++i) {
+      residuals[i] = scale * parameters[0][i];
+      if (jacobians == nullptr) continue;
+      if (jacobians[1] != nullptr) jacobians[1][i] = 0.5 * residuals[i] / time;
+      for (int j = 0; jacobians[0] != nullptr && j < num_residuals(); ++j) {
+        jacobians[0][i * num_residuals() + j] = i == j ? scale : 0.0;
+      }
+    }
+    return true;
+  }
+
+ private:
+  double weight_;
+};
+
+// The residuals of all terms but the effort, as one vector, as a function of all variables.
 class ShootingCost final : public ceres::CostFunction {
  public:
   ShootingCost(SingleShooting* shooting, const std::vector<int>& block_sizes)
       : shooting_(shooting),
         z_(shooting->num_variables()),
-        residuals_(NumTerminalResiduals(shooting->scene().objective)),
+        residuals_(shooting->num_residuals()),
         jacobian_(residuals_.size() * z_.size()) {
     set_num_residuals(static_cast<int>(residuals_.size()));
     *mutable_parameter_block_sizes() = block_sizes;
@@ -58,12 +92,12 @@ class ShootingCost final : public ceres::CostFunction {
       z = std::copy_n(parameters[i], size, z);
     }
     if (stands) return;
-    finite_ = shooting_->EvaluateTerminal(z_, residuals_.data(), nullptr);
+    finite_ = shooting_->EvaluateResiduals(z_, residuals_.data(), nullptr);
     evaluated_ = true;
   }
 
   void EvaluateJacobians(double** jacobians) const {
-    shooting_->TerminalJacobian(jacobian_.data());
+    shooting_->ResidualJacobian(jacobian_.data());
     ++num_jacobians_;
     int first = 0;
     for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
@@ -84,7 +118,7 @@ class ShootingCost final : public ceres::CostFunction {
 
 // Adds the residuals of the scene's objective at z, which must outlive the problem.
 const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* z, ceres::Problem* problem) {
-  const std::vector<int> sizes = BlockSizes(shooting->num_variables());
+  const std::vector<int> sizes = BlockSizes(*shooting);
   std::vector<double*> blocks;
   double* next = z->data();
   for (int size : sizes) {
@@ -95,12 +129,42 @@ const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* 
   problem->AddResidualBlock(terminal, nullptr, blocks);
 
   const Scene& scene = shooting->scene();
+  if (shooting->has_duration()) {
+    const FreeDuration& free = *scene.objective.duration;
+    if (free.weight > 0) {
+      using Price = ceres::AutoDiffCostFunction<DurationPrice, DurationPrice::kRows, 1>;
+      problem->AddResidualBlock(new Price(new DurationPrice{free.weight}), nullptr, blocks.back());
+    }
+    problem->SetParameterLowerBound(blocks.back(), 0, free.min);
+    problem->SetParameterUpperBound(blocks.back(), 0, free.max);
+    for (size_t i = 0; i + 1 < blocks.size() && scene.objective.effort > 0; ++i) {
+      const double weight = scene.objective.effort / shooting->simulator().num_steps();
+      problem->AddResidualBlock(new ScaledEffortCost(weight, sizes[i]), nullptr, blocks[i], blocks.back());
+    }
+    return terminal;
+  }
   if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return terminal;
   const double scale = std::sqrt(scene.objective.effort * shooting->simulator().step());
   for (size_t i = 0; i < blocks.size(); ++i) {
     problem->AddResidualBlock(new EffortCost(scale, sizes[i]), nullptr, blocks[i]);
   }
   return terminal;
+}
+
+// Bounds on each component of each force; z starts within them.
+void SetBounds(const SingleShooting& shooting, std::vector<double>* z, ceres::Problem* problem) {
+  const Scene& scene = shooting.scene();
+  if (scene.optimize != Optimize::kControl || scene.control.max.empty()) return;
+  size_t at = 0;
+  for (int size : BlockSizes(shooting)) {
+    double* block = z->data() + at;
+    for (int i = 0; i < size && at + i < z->size() - shooting.has_duration(); ++i) {
+      const double most = scene.control.max[(at + i) / 2 % scene.num_controlled()];
+      problem->SetParameterLowerBound(block, i, -most);
+      problem->SetParameterUpperBound(block, i, most);
+    }
+    at += size;
+  }
 }
 
 ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num_blocks) {
@@ -129,12 +193,17 @@ ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num
 SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_lm", request, options);
   std::vector<double> z = run.shooting().initial_guess();
+  if (run.shooting().scene().optimize == Optimize::kControl) {
+    const size_t forces = z.size() - run.shooting().has_duration();
+    MoveWithinBounds(run.shooting().scene().control, std::span(z).first(forces));
+  }
   double guess_loss = 0;
   if (!run.shooting().Evaluate(z, &guess_loss, nullptr)) {
     return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
   ceres::Problem problem;
   const ShootingCost* terminal = AddResiduals(&run.shooting(), &z, &problem);
+  SetBounds(run.shooting(), &z, &problem);
 
   const LossOfCost loss{.scale = 2, .offset = GivenEffort(run.shooting())};  // Ceres minimizes half the sum of squares
   RecordIteration record(&run, loss, &z);

@@ -4,6 +4,8 @@
 // The Gauss-Newton matrix is a multiple of the identity plus one rank a terminal residual. It is never formed: the
 // variables come in small blocks, and conjugate gradients need one iteration per distinct eigenvalue, three for one
 // terminal term.
+// Running terms are residuals at Gauss' nodes of each step, via terms and a final time as they are; bounds on
+// components of forces are Ceres' own.
 #pragma once
 
 #include "saltus/solve/solver.h"

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <span>
 
+#include "control/control_bounds.h"
 #include "control/smoothed_gradient.h"
 #include "solve_run.h"
 
@@ -14,12 +16,51 @@ bool AllFinite(const std::vector<double>& values) {
   return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
+// Of `count` variables from number `first` on.
 template <typename S>
-void Update(double learning_rate, const std::vector<double>& gradient, std::vector<double>* z) {
-  for (size_t i = 0; i < z->size(); ++i) {
+void Update(double learning_rate, const std::vector<double>& gradient, size_t first, size_t count,
+            std::vector<double>* z) {
+  for (size_t i = first; i < first + count; ++i) {
     (*z)[i] = static_cast<S>((*z)[i]) - static_cast<S>(learning_rate) * static_cast<S>(gradient[i]);
   }
 }
+
+// The step of one iteration: along the gradient, and back to the bounds. A final time that is free takes the rate of
+// forces times the length of a step, so that its unit is that of the rate per unit of time.
+class Step {
+ public:
+  Step(const SingleShooting& shooting, const SolverOptions& options)
+      : scene_(shooting.scene()),
+        forces_(shooting.num_variables() - shooting.has_duration()),
+        rate_(options.learning_rate),
+        rate_of_time_(options.learning_rate) {
+    const double length = shooting.simulator().step();
+    if (options.rate_per_time) {
+      rate_ /= length;
+    } else {
+      rate_of_time_ *= length;
+    }
+    update_ = shooting.simulator().precision() == Precision::kFloat ? Update<float> : Update<double>;
+  }
+
+  void operator()(const std::vector<double>& gradient, std::vector<double>* z) const {
+    update_(rate_, gradient, 0, forces_, z);
+    if (forces_ < z->size()) update_(rate_of_time_, gradient, forces_, 1, z);
+    MoveWithin(z);
+  }
+
+  void MoveWithin(std::vector<double>* z) const {
+    if (scene_.optimize == Optimize::kControl) MoveWithinBounds(scene_.control, std::span(*z).first(forces_));
+    if (forces_ == z->size()) return;
+    z->back() = std::clamp(z->back(), scene_.objective.duration->min, scene_.objective.duration->max);
+  }
+
+ private:
+  Scene scene_;
+  size_t forces_;
+  double rate_, rate_of_time_;
+  void (*update_)(double, const std::vector<double>&, size_t, size_t, std::vector<double>*);
+};
 
 // The best iterate so far; copied only when the descent leaves it.
 class Best {
@@ -40,6 +81,7 @@ class Best {
     if (best_.iteration < last_) {
       best_.initial_state = shooting.InitialStateAt(z_);
       best_.control = shooting.ControlAt(z_);
+      best_.durations = shooting.DurationsAt(z_);
     }
     report.best = std::move(best_);
     return report;
@@ -69,8 +111,9 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
 SolveReport Descend(SolveRun* descent, const SolveRequest& request, const SolverOptions& options, Best* best) {
   SolveRun& run = *descent;
   std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
-  const auto update = request.precision == Precision::kFloat ? Update<float> : Update<double>;
+  const Step step(run.shooting(), options);
   std::vector<double> z = run.shooting().initial_guess();
+  step.MoveWithin(&z);
   std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
   for (int k = 0;; ++k) {
     const bool more = k < options.iterations;
@@ -87,7 +130,7 @@ SolveReport Descend(SolveRun* descent, const SolveRequest& request, const Solver
     }
     if (!AllFinite(gradient)) return Fail(&run, "gradient", k, z);
     last = z;
-    update(options.learning_rate, gradient, &z);
+    step(gradient, &z);
   }
   const bool rests = options.iterations > 0 && z == last;
   return run.Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);

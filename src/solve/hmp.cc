@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "hmp_constrained.h"
 #include "hmp_roots.h"
 #include "phase_run.h"
+#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {
@@ -135,7 +137,12 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
 
 }  // namespace
 
+std::string WhyNotHmp(const SolveRequest& request) {
+  return BeyondTerminalCost(request.scene).empty() ? WhyNotEventPhases(request) : WhyNotConstrainedHmp(request);
+}
+
 SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options) {
+  if (!BeyondTerminalCost(request.scene).empty()) return SolveConstrainedByHmp(request, options);
   PhaseRun run("hmp", request, options);
   const Scene& scene = run.scene();
   const ContactSequence sequence = SequenceFor(options, run.guess());

@@ -43,6 +43,25 @@ bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
 
 }  // namespace
 
+NewtonSummary FindRoot(ceres::CostFunction* equations, std::vector<double>* y, int most_iterations) {
+  ceres::Problem problem;
+  problem.AddResidualBlock(equations, nullptr, y->data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_QR;
+  options.logging_type = ceres::SILENT;
+  options.max_num_iterations = most_iterations;
+  options.initial_trust_region_radius = 1e12;  // Newton's method until that fails
+  options.max_trust_region_radius = 1e20;
+  options.min_lm_diagonal = 1e-12;
+  options.gradient_tolerance = 0;
+  options.function_tolerance = 0;
+  options.parameter_tolerance = 0;
+  options.max_num_consecutive_invalid_steps = 20;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  return {std::max(0, static_cast<int>(summary.iterations.size()) - 1), summary.num_jacobian_evaluations};
+}
+
 HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_iterations) {
   HmpRoot root;
   const Conditions conditions{HmpSystem(&phases)};
@@ -50,25 +69,12 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
   std::vector<double> y = std::move(z);
   y.resize(system.num_variables(), 0.0);
   if (!StartMultipliers(system, &y)) return root;
-  ceres::Solver::Summary summary;
+  NewtonSummary summary;
   if (system.num_residuals() > 0) {
     auto* cost = new ceres::DynamicAutoDiffCostFunction<Conditions, kStride>(new Conditions(conditions));
     cost->AddParameterBlock(system.num_variables());
     cost->SetNumResiduals(system.num_residuals());
-    ceres::Problem problem;
-    problem.AddResidualBlock(cost, nullptr, y.data());
-    ceres::Solver::Options options;
-    options.linear_solver_type = ceres::DENSE_QR;
-    options.logging_type = ceres::SILENT;
-    options.max_num_iterations = most_iterations;
-    options.initial_trust_region_radius = 1e12;  // Newton's method until that fails
-    options.max_trust_region_radius = 1e20;
-    options.min_lm_diagonal = 1e-12;
-    options.gradient_tolerance = 0;
-    options.function_tolerance = 0;
-    options.parameter_tolerance = 0;
-    options.max_num_consecutive_invalid_steps = 20;
-    ceres::Solve(options, &problem, &summary);
+    summary = FindRoot(cost, &y, most_iterations);
   }
   Path<double> path;
   std::vector<double> r(system.num_residuals());
@@ -83,8 +89,8 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
     const double weight = 2 * phases.scene().objective.effort * mass * mass;
     root.scale = std::max({root.scale, weight * arc.slope.norm(), weight * arc.AccelerationAtStart().norm()});
   }
-  root.iterations = std::max(0, static_cast<int>(summary.iterations.size()) - 1);
-  root.jacobians = summary.num_jacobian_evaluations;
+  root.iterations = summary.iterations;
+  root.jacobians = summary.jacobians;
   root.multipliers.assign(y.begin() + phases.num_variables(), y.end());
   y.resize(phases.num_variables());
   root.z = std::move(y);

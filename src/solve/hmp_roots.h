@@ -6,6 +6,10 @@
 
 #include "control/costate.h"
 
+namespace ceres {
+class CostFunction;
+}
+
 namespace saltus {
 
 struct HmpRoot {
@@ -20,5 +24,11 @@ struct HmpRoot {
 
 // Starts at z; the multipliers start where the conditions, linear in them, are met best.
 HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_iterations);
+
+// Newton's method, damped until it works, for as many equations as there are numbers in y; takes the function over.
+struct NewtonSummary {
+  int iterations = 0, jacobians = 0;
+};
+NewtonSummary FindRoot(ceres::CostFunction* equations, std::vector<double>* y, int most_iterations);
 
 }  // namespace saltus

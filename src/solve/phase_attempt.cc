@@ -38,9 +38,9 @@ std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const st
   return share;
 }
 
-void Simulate(const Scene& scene, const PhasePlan& plan, PlanAttempt* attempt) {
+void SimulatePlan(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan, PlanAttempt* attempt) {
   Trial& trial = attempt->trial;
-  trial.exact = SimulateExactly(scene, InitialState(scene), trial.control, trial.durations);
+  Simulate(scene, terms, &trial);
   std::vector<double> times;
   for (size_t k = 0; k < plan.cuts.size(); ++k) {
     if (plan.cuts[k]) times.push_back(attempt->times[k]);
@@ -133,7 +133,8 @@ class TranscribedPlan {
       ties = plan_.tied[k] ? ties + 1 : 0;
       cuts.insert(cuts.begin(), {plan_.cuts[k], start_.times[k], ties * margin});
     }
-    PhaseTranscription transcription(scene_, cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);
+    PhaseTranscription transcription(
+        scene_, run_.terms(), cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);
     const auto read = [&] {
       attempt->times = transcription.CutTimes();
       attempt->times.push_back(transcription.Duration());
@@ -167,7 +168,7 @@ class TranscribedPlan {
       for (double& duration : trial.durations) duration *= scene_.duration / whole;
     }
     ClampToBounds(scene_, &trial.control);  // multipliers leave about 1e-10 beyond
-    saltus::RollOut(scene_, plan_, steps_, attempt);
+    saltus::RollOut(scene_, run_.terms(), plan_, steps_, attempt);
     attempt->violation = ViolationOf(scene_, trial);
   }
 
@@ -209,10 +210,11 @@ class TranscribedPlan {
 
 }  // namespace
 
-void RollOut(const Scene& scene, const PhasePlan& plan, const std::vector<int>& steps, PlanAttempt* attempt) {
-  Simulate(scene, plan, attempt);
+void RollOut(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan,
+             const std::vector<int>& steps, PlanAttempt* attempt) {
+  SimulatePlan(scene, terms, plan, attempt);
   for (int round = 0; round < kSnaps && attempt->realized && Snap(plan, steps, attempt); ++round) {
-    Simulate(scene, plan, attempt);
+    SimulatePlan(scene, terms, plan, attempt);
   }
 }
 

@@ -7,7 +7,8 @@ namespace saltus {
 
 // The exact roll-out of attempt->trial, whose phases have so many steps: fills trial.exact, times and realized. What a
 // solve leaves of gaps moves impacts off their nodes, by far less than a step: these follow them.
-void RollOut(const Scene& scene, const PhasePlan& plan, const std::vector<int>& steps, PlanAttempt* attempt);
+void RollOut(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan,
+             const std::vector<int>& steps, PlanAttempt* attempt);
 
 PlanAttempt TryByTranscription(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on);
 

@@ -5,8 +5,9 @@ namespace saltus {
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : start_(std::chrono::steady_clock::now()),
       scene_(request.scene),
+      terms_(request.terms),
       options_(options),
-      guess_(GuessTrial(request.scene)) {
+      guess_(GuessTrial(request.scene, request.terms)) {
   report_.contact = request.contact.name();
   report_.solver = solver;
   if (guess_.exact.ok) Record(guess_.exact.loss);

@@ -17,6 +17,7 @@ class PhaseRun {
 
   const Scene& scene() const { return scene_; }
   const SolverOptions& options() const { return options_; }
+  const std::vector<OwnTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
   // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses an empty sequence.
   std::optional<SolveReport> WhyNotStart();
@@ -34,6 +35,7 @@ class PhaseRun {
 
   std::chrono::steady_clock::time_point start_;
   const Scene& scene_;
+  const std::vector<OwnTerm>& terms_;
   const SolverOptions& options_;
   Trial guess_;
   SolveReport report_;

@@ -92,9 +92,17 @@ std::string WhyNotEventPhases(const SolveRequest& request) {
   return "";
 }
 
-Trial GuessTrial(const Scene& scene) {
-  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}};
-  trial.exact = SimulateExactly(scene, InitialState(scene), trial.control);
+void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
+  trial->exact = SimulateExactly(scene, InitialState(scene), trial->control, trial->durations);
+  trial->own = {};
+  if (terms.empty() || !trial->exact.ok) return;
+  trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
+  trial->exact.loss += trial->own.cost;
+}
+
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms) {
+  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
+  Simulate(scene, terms, &trial);
   return trial;
 }
 

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "control/flight.h"
+#include "control/own_term_cost.h"
 #include "phase_minimum.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/exact_run.h"
@@ -20,11 +21,14 @@ std::string WhyNotEventPhases(const SolveRequest& request);
 // A control on intervals of any length, and what it does in exact dynamics.
 struct Trial {
   std::vector<double> control, durations;
-  ExactRun exact;
+  ExactRun exact;  // its loss with the costs of a user's own
+  OwnValues own;
 };
 
+// Runs trial->control.
+void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
 // The scene's initial guess.
-Trial GuessTrial(const Scene& scene);
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {});
 // Precondition: trial.exact.ok.
 Flight FlightOf(const Scene& scene, const Trial& trial);
 

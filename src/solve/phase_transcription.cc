@@ -48,9 +48,11 @@ bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane &
 
 }  // namespace
 
-PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps,
-                                       const ForceAt& force, const ContactSequence& apart, double margin)
+PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms,
+                                       std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
+                                       const ContactSequence& apart, double margin)
     : scene_(scene),
+      terms_(terms),
       cuts_(std::move(cuts)),
       steps_(std::move(steps)),
       place_(scene.bodies.size(), -1),
@@ -58,6 +60,9 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut>
   CHECK_EQ(steps_.size(), cuts_.size() + 1);
   for (const int body : scene_.control.bodies) dense_[body] = true;
   for (const RunningTerm& term : scene_.objective.running) dense_[term.body] = true;
+  for (const OwnTerm& term : terms_) {
+    for (const int body : term.states) dense_[body] = dense_[body] || term.at == OwnTerm::At::kEachStep;
+  }
   for (int c = 0; c < scene_.num_controlled(); ++c) place_[scene_.control.bodies[c]] = c;
   times_ = {0.0};
   boundary_ = {0};
@@ -75,6 +80,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, std::vector<PhaseCut>
   AddImpacts();
   AddBounds();
   AddTerms();
+  for (const OwnTerm& term : terms_) AddOwn(term);
   for (const Candidate& pair : apart) KeepApart(pair, margin);
 }
 
@@ -85,6 +91,11 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
   const Objective& objective = scene_.objective;
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
   if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
+  if (std::any_of(terms_.begin(), terms_.end(), [&](const OwnTerm& term) {
+        return std::find(term.states.begin(), term.states.end(), body) != term.states.end();
+      })) {
+    return true;
+  }
   if (std::any_of(apart.begin(), apart.end(), [&](const Candidate& c) { return TakesPart(c, body); })) return true;
   return std::any_of(
       cuts_.begin(), cuts_.end(), [&](const PhaseCut& cut) { return cut.impact && TakesPart(*cut.impact, body); });
@@ -254,6 +265,35 @@ void PhaseTranscription::AddTerms() {
     if (free->weight > 0) problem_.Add(Sized<1>(DurationPrice{free->weight}), {}, {end});
   } else {
     problem.SetParameterBlockConstant(end);
+  }
+}
+
+void PhaseTranscription::AddOwn(const OwnTerm& term) {
+  const auto add = [&](int steps, const auto& node_of, const auto& force_of, const std::vector<double*>& times) {
+    auto cost = std::make_unique<OwnTermCost>(term, scene_.units, steps);
+    const int rows = cost->num_residuals();
+    RowRoles roles;
+    if (term.role == OwnTerm::Role::kEquality) roles.equalities = rows;
+    if (term.role == OwnTerm::Role::kInequality) roles.inequalities = rows;
+    std::vector<double*> blocks;
+    for (const int body : term.states) blocks.push_back(node_of(body));
+    for (const int body : term.forces) blocks.push_back(force_of(body));
+    if (term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());
+    problem_.Add(std::move(cost), roles, blocks);
+  };
+  if (term.at == OwnTerm::At::kEnd) {
+    const auto no_force = [](int) -> double* { return nullptr; };
+    add(1, [&](int body) { return NodeAt(final_[body]); }, no_force, {End(num_phases() - 1)});
+    return;
+  }
+  for (int j = 0; j < num_phases(); ++j) {
+    for (int k = 0; k < steps_[j]; ++k) {
+      add(
+          steps_[j],
+          [&](int body) { return NodeAt(tracks_[body][j][k]); },
+          [&](int body) { return ForceOn(body, j, k); },
+          {Begin(j), End(j)});
+    }
   }
 }
 

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "augmented_lagrangian.h"
+#include "control/own_term_cost.h"
 #include "control/phase_costs.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/physics/scene.h"
@@ -34,10 +35,11 @@ class PhaseTranscription {
   // `steps` has one number a phase, cuts.size() + 1 in all; a phase of no steps has no length, and its impact happens
   // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
   // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
-  // time within [0, T]; some phase has steps. The pairs of `apart` never come nearer than the distance at which they
-  // touch and `margin` of it.
-  PhaseTranscription(const Scene& scene, std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
-                     const ContactSequence& apart = {}, double margin = 0);
+  // time within [0, T]; some phase has steps. `terms` must outlive this object. The pairs of `apart` never come nearer
+  // than the distance at which they touch and `margin` of it.
+  PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms, std::vector<PhaseCut> cuts,
+                     std::vector<int> steps, const ForceAt& force, const ContactSequence& apart = {},
+                     double margin = 0);
   PhaseTranscription(const PhaseTranscription&) = delete;
 
   AugmentedLagrangian::Summary Minimize(const AugmentedLagrangian::Options& options);
@@ -75,10 +77,12 @@ class PhaseTranscription {
   void AddBounds();
   void AddTerms();
   void AddRunning(const RunningTerm& term);
+  void AddOwn(const OwnTerm& term);
   void KeepApart(const Candidate& pair, double margin);
   double LeastLength() const;
 
   Scene scene_;
+  const std::vector<OwnTerm>& terms_;
   std::vector<PhaseCut> cuts_;
   std::vector<int> steps_;
   std::vector<int> place_;     // of each disc in the control, or -1

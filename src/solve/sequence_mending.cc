@@ -51,7 +51,7 @@ class Mending {
     const bool mends = options.search && !options.sequence;
     lowest_ = run_.guess();
     ClampToBounds(scene_, &lowest_.control);
-    lowest_.exact = SimulateExactly(scene_, InitialState(scene_), lowest_.control, lowest_.durations);
+    Simulate(scene_, run_.terms(), &lowest_);
     const Trial first = lowest_.exact.ok && lowest_.exact.only_impacts ? lowest_ : run_.guess();
     Add(TaskAlong(SequenceFor(options, first), first));
     for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
@@ -107,7 +107,7 @@ class Mending {
         begin += to.durations[k];
         between.durations[k] *= factor;
       }
-      between.exact = SimulateExactly(scene_, InitialState(scene_), between.control, between.durations);
+      Simulate(scene_, run_.terms(), &between);
       const double merit = Merit(between);
       if (!(merit < least)) continue;
       least = merit;
@@ -318,6 +318,7 @@ class Mending {
 
   void LeaveSaddleOfBest() {
     if (!HasOptimum() || saddles_ >= kMostSaddles) return;
+    if (!run_.terms().empty()) return;  // the certificate is of the scene's objective
     const Certificate certificate = CertifyTrial(scene_, best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
@@ -331,9 +332,7 @@ class Mending {
     }
   }
 
-  bool IsOpen(const Trial& trial) const {
-    return scene_.objective.HasConstraints() && trial.exact.ok && !(ViolationOf(scene_, trial) <= kFeasible);
-  }
+  bool IsOpen(const Trial& trial) const { return trial.exact.ok && !(ViolationOf(scene_, trial) <= kFeasible); }
 
   // The smallest miss of hard terms, whatever the loss, along the sequence of the motion that misses them least so far.
   // If there is hardly any, everything is tried again from there.
@@ -386,7 +385,7 @@ class Mending {
 
   // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
   void Certify() {
-    if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0) return;
+    if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0 || !run_.terms().empty()) return;
     Certificate certificate = CertifyTrial(scene_, best_->trial);
     const bool kinks = best_plan_.HasTies() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {
@@ -406,9 +405,14 @@ class Mending {
     return text + (best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
   }
 
-  // Of the hard term that the best motion misses most.
+  // Of the constraint that the best motion misses most.
   std::string DescribeMiss() const {
     const Miss miss = LargestMiss(scene_, lowest_);
+    if (lowest_.own.violation > miss.size) {
+      char part[40];
+      std::snprintf(part, sizeof part, "%.6g", lowest_.own.violation);
+      return std::string(part) + " of its scale, by " + lowest_.own.worst;
+    }
     const bool position = miss.quantity == TerminalTerm::Quantity::kPosition;
     const double unit = position ? scene_.units.length : scene_.units.speed();
     char text[40];
@@ -526,7 +530,7 @@ double ViolationOf(const Scene& scene, const Trial& trial) {
   if (std::any_of(met.begin(), met.end(), [&](const Candidate& c) { return IsForbidden(scene, c); })) {
     return std::numeric_limits<double>::infinity();
   }
-  return scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0;
+  return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
 }
 
 SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan) { return Mending(run, try_plan).Solve(); }

@@ -3,11 +3,28 @@
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
+namespace {
+
+SingleShooting MakeShooting(std::string_view contact, const SolveRequest& request) {
+  SingleShooting::OfDuration of_duration;
+  if (request.scene.objective.duration) {
+    of_duration = [contact = std::string(contact), request](double duration) {
+      Scene scene = request.scene;
+      scene.duration = duration;
+      return MakeSimulator(contact, scene, request.precision);
+    };
+  }
+  return SingleShooting(MakeSimulator(contact, request.scene, request.precision),
+                        SingleShooting::Variables::kOfScene,
+                        std::move(of_duration));
+}
+
+}  // namespace
 
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : start_(std::chrono::steady_clock::now()),
       options_(options),
-      shooting_(MakeSimulator(ContactWith(options.surrogate, request.contact), request.scene, request.precision)) {
+      shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
   shooting_.set_memory_limit(options.memory_limit);
   shooting_.set_stop(options.stop);
   report_.contact = request.contact.name();
@@ -36,7 +53,7 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
   }
   report_.termination = termination;
   report_.reason = std::move(reason);
-  const std::string why = termination == Termination::kFailed ? shooting_.simulator().WhyFailed() : "";
+  const std::string why = termination == Termination::kFailed ? shooting_.WhyFailed() : "";
   if (!why.empty()) report_.reason += (report_.reason.empty() ? "" : ": ") + why;
   if (!report_.losses.empty()) {
     report_.initial_loss = report_.losses.front();
@@ -46,8 +63,33 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
   report_.evaluations = shooting_.num_adjoints() + num_estimates_;
   report_.initial_state = shooting_.InitialStateAt(z);
   report_.control = shooting_.ControlAt(z);
+  report_.durations = shooting_.DurationsAt(z);
   report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   return std::move(report_);
+}
+
+std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
+  const Scene& scene = request.scene;
+  if (std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
+  const auto refuse = [](const std::string& what, const std::string& why) {
+    return "the scene has " + what + ", " + why + "; ceres_phases takes them";
+  };
+  if (scene.objective.HasConstraints()) return refuse("hard terms", "which take multipliers");
+  if (!scene.no_contact.empty()) return refuse("pairs that must not touch", "which take multipliers");
+  if (!scene.control.max.empty() && !bounds.components) {
+    return refuse("bounds on the control", "which its steps would leave");
+  }
+  if (!scene.control.max_norm.empty() && !bounds.norm) {
+    return refuse("bounds on the control's norm", "which its steps would leave");
+  }
+  if (!scene.objective.duration) return "";
+  if (scene.optimize != Optimize::kControl) return "the scene has a free duration, and no control is optimized";
+  const ModelTraits* model = FindContactModel(request.contact);
+  if (model == nullptr || !model->event_driven || request.precision != Precision::kDouble) {
+    return "the scene has a free duration: only steps of the contact model event in double precision have a derivative "
+           "by their length";
+  }
+  return "";
 }
 
 std::string WhyNothingToOptimize(const Scene& scene) {

@@ -40,6 +40,13 @@ class SolveRun {
   SingleShooting shooting_;
 };
 
+// Which bounds on the control a solver keeps.
+struct BoundsKept {
+  bool components = false, norm = false;
+};
+// Why single shooting cannot take a request; empty if it can.
+std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds);
+
 // Why a scene gives single shooting nothing to do; empty if it does not.
 std::string WhyNothingToOptimize(const Scene& scene);
 

@@ -8,6 +8,12 @@ namespace {
 
 void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
   const UnitFactors to_si(scene.units, {});
+  if (scene.optimize == Optimize::kControl && scene.objective.duration) {
+    const double duration = z->back() * to_si.time;
+    *z = Multiplied(std::move(*z), to_si.force);
+    z->back() = duration;
+    return;
+  }
   if (scene.optimize != Optimize::kPosition) {
     *z = Multiplied(std::move(*z), scene.optimize == Optimize::kVelocity ? to_si.speed : to_si.force);
     return;
@@ -43,6 +49,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     convert_loss(&report.best->loss);
     report.best->initial_state = ConvertStates(std::move(report.best->initial_state), scene.units, si);
     report.best->control = Multiplied(std::move(report.best->control), to_si.force);
+    report.best->durations = Multiplied(std::move(report.best->durations), to_si.time);
   }
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
   report.initial_state = ConvertStates(std::move(report.initial_state), scene.units, si);

@@ -22,7 +22,16 @@
 namespace saltus {
 namespace {
 
-std::string WhyNotSingleShooting(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
+std::string WhyNotGradientDescent(const SolveRequest& request) {
+  return WhyNotShot(request, {.components = true, .norm = true});
+}
+
+std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request, {}); }
+
+std::string WhyNotLm(const SolveRequest& request) {
+  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
+  return WhyNotShot(request, {.components = true});
+}
 
 std::string WhyNotLeastSquares(const SolveRequest& request) {
   if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
@@ -38,6 +47,9 @@ std::string UnknownSolver(std::string_view name) {
 std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
   if (options.iterations < 0) return "iterations: found " + std::to_string(options.iterations) + ", expected 0 or more";
   if (!std::isfinite(options.learning_rate)) return "learning_rate: expected a finite number";
+  if (options.rate_per_time && scene.optimize != Optimize::kControl) {
+    return "rate_per_time: expected a scene in which a control is optimized";
+  }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
   if (!options.sequence) return "";
   const ContactSequence pairs = AllPairs(scene);
@@ -58,15 +70,26 @@ std::string WhyNotPlain(const Scene& scene) {
 
 std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
   if (std::string wrong = WhyNotValid(surrogate); !wrong.empty()) return wrong;
+  if (const std::string found = BeyondTerminalCost(request.scene); !found.empty()) {
+    return "the scene has " + found + "; surrogates are of a loss at the end";
+  }
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
   return WhyNotApplicable(surrogate, request.contact, request.scene);
+}
+
+std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request) {
+  for (const OwnTerm& term : request.terms) {
+    if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
+  }
+  if (request.terms.empty() || entry.own_terms) return "";
+  return "it knows the scene's objective and no terms of a user's own, which ceres_phases takes";
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, SolveReport* report) {
   const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !FindContactModel(request.contact)->event_driven) return;
-  if (scene.optimize != Optimize::kControl) return;
+  if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
   if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations);
@@ -82,15 +105,15 @@ void Confirm(const SolveRequest& request, SolveReport* report) {
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
-      {"gd", "gradient descent at a fixed rate", WhyNotSingleShooting, SolveByGradientDescent, false, true, true},
-      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotSingleShooting, SolveByCeresLbfgs},
-      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLeastSquares, SolveByCeresLm},
+      {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true},
+      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true},
+      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true},
-      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotEventPhases, SolveByHmp, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true, true},
+      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
       {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
   };
   // clang-format on
@@ -108,6 +131,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   const SolverEntry* entry = FindSolver(solver);
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
+  if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {

@@ -141,6 +141,7 @@ std::string SweepStudy::Description() const {
                       {"learning_rate", request_.options.learning_rate},
                       {"sequence", SequenceText(request_)},
                       {"sweep", std::move(blocks)}};
+  if (request_.options.rate_per_time) description["rate_per_time"] = true;
   AddSurrogate(request_.options.surrogate, &description);
   return description.dump();
 }

@@ -37,6 +37,7 @@ DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
 DEFINE_double(friction, 0, "coefficient of friction, >= 0");
 DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
 DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
+DEFINE_bool(rate_per_time, false, "the rate is one per unit of time (default: per step, the published one at 480 steps)");
 DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
 DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which mode_search "
@@ -367,8 +368,13 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (IsGiven("learning_rate")) {
     request->options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
     if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
-  } else if (defaults.learning_rate == 0) {
-    request->options.learning_rate = DefaultLearningRate(request->scene);
+  } else {
+    if (defaults.learning_rate == 0) request->options.learning_rate = DefaultLearningRate(request->scene);
+    if (FLAGS_rate_per_time) request->options.learning_rate *= request->scene.duration / kPublishedSteps;
+  }
+  request->options.rate_per_time = FLAGS_rate_per_time;
+  if (FLAGS_rate_per_time && request->scene.optimize != Optimize::kControl) {
+    throw InputError("--rate_per_time: the scene does not optimize a control");
   }
   request->options.surrogate = SurrogateFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");

@@ -86,6 +86,7 @@ bool IsGiven(const char* flag);
 
 // The learning rate of the published experiments for this kind of problem, per N for controls.
 double DefaultLearningRate(const Scene& scene);
+inline constexpr int kPublishedSteps = 480;  // for which that of a control is
 
 // Creates the directory and its parents if need be. Throws InputError.
 void MakeDirectory(const std::string& path);

@@ -15,6 +15,7 @@ run(${configure} -B ${WORK}/installed -DCMAKE_PREFIX_PATH=${prefix})
 run(${CMAKE_COMMAND} --build ${WORK}/installed)
 run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/own_contact ${SOURCE_TREE}/problems/two_balls.yaml)
+run(${WORK}/installed/own_terms ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/values)
 
 # Fused multiply-adds, where the machine has them.

@@ -265,8 +265,8 @@ TEST(Curvature, LeavesOutWhatWouldTakeLong) {
   EXPECT_FALSE(CurvatureAt(scene, InitialState(scene), control));
 }
 
-// Solvers along sequences leave the saddle; the best motion touches the post, which these take as an impact. Its loss in
-// continuous time, by minimization over time, angle and speed of that touch alone: 2.711708788.
+// Solvers along sequences leave the saddle; the best motion touches the post, which these take as an impact. Its loss
+// in continuous time, by minimization over time, angle and speed of that touch alone: 2.711708788.
 class LeavesSaddle : public testing::TestWithParam<std::string> {};
 
 TEST_P(LeavesSaddle, AndTouchesThePost) {

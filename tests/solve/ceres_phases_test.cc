@@ -95,15 +95,38 @@ TEST(CeresPhases, SaysSoWhereTheTargetIsOutOfReach) {
   EXPECT_THAT(report.reason, HasSubstr("least violation"));
 }
 
-TEST(CeresPhases, OtherSolversSayWhatTheyCannotTake) {
+TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
+  const auto refusing = [](const Scene& scene, const std::string& what) {
+    std::vector<std::string> names;
+    for (const SolverEntry& solver : AllSolvers()) {
+      SolverOptions options;
+      options.iterations = 1;
+      const SolveReport report = Solve(solver.name, {scene, "event"}, options);
+      if (report.termination != Termination::kNotApplicable) continue;
+      EXPECT_THAT(report.reason, HasSubstr(what)) << solver.name;
+      names.emplace_back(solver.name);
+    }
+    return names;
+  };
+  const std::vector<std::string> never = {
+      "ceres_shooting", "ceres_lagrangian", "grid_optimum", "ceres_event", "mode_search"};
+  const auto and_never = [&](std::vector<std::string> names) {
+    names.insert(names.end(), never.begin(), never.end());
+    return testing::UnorderedElementsAreArray(names);
+  };
   Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
   scene.control.max = {3.5};
-  for (const SolverEntry& solver : AllSolvers()) {
-    if (solver.name == "ceres_phases") continue;
-    const SolveReport report = Solve(solver.name, {scene, "event"}, {});
-    EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver.name;
-    EXPECT_THAT(report.reason, HasSubstr("bounds on the control")) << solver.name;
-  }
+  EXPECT_THAT(refusing(scene, "bounds on the control"), and_never({"ceres_lbfgs"}));
+  scene.control.max.clear();
+  scene.control.max_norm = {3.5};
+  EXPECT_THAT(refusing(scene, "bounds on the control"), and_never({"ceres_lbfgs", "ceres_lm"}));
+  scene.control.max_norm.clear();
+  scene.objective.terminal[0].hard = true;
+  EXPECT_THAT(refusing(scene, "hard terms"), and_never({"gd", "ceres_lbfgs", "ceres_lm"}));
+  scene.objective.terminal[0].hard = false;
+  scene.objective.duration = FreeDuration{0.5, 2, 0.1};
+  EXPECT_THAT(refusing(scene, "a free duration"), and_never({}));
 }
 
 }  // namespace

@@ -63,6 +63,34 @@ TEST(GradientDescent, UpdatesInTheArithmeticAskedFor) {
   EXPECT_NE(narrow.initial_state[0], z);
 }
 
+// One iteration is the same function of time, whatever the step.
+TEST(GradientDescent, RatePerUnitOfTimeDoesNotDependOnTheStep) {
+  Scene scene = ProblemScene("two_balls");
+  SolverOptions options{.iterations = 1, .learning_rate = 10.0 / 480};
+  options.rate_per_time = true;
+  std::vector<SolveReport> reports;
+  for (int steps : {480, 960}) {
+    scene.steps = steps;
+    reports.push_back(Solve("gd", {scene, "event"}, options));
+    EXPECT_EQ(reports.back().evaluations, 1);
+  }
+  for (int k = 0; k < 480; k += 60) EXPECT_NEAR(reports[0].control[2 * k], reports[1].control[4 * k], 2e-3) << k;
+  // At the paper's number of steps it is the paper's rate.
+  scene.steps = 480;
+  const SolveReport published = Solve("gd", {scene, "event"}, {.iterations = 1, .learning_rate = 10});
+  for (size_t i = 0; i < published.control.size(); ++i) {
+    EXPECT_NEAR(published.control[i], reports[0].control[i], 1e-13);
+  }
+}
+
+TEST(GradientDescent, TakesARatePerUnitOfTimeForControlsOnly) {
+  SolverOptions options;
+  options.rate_per_time = true;
+  const SolveReport report = Solve("gd", {FlightScene(), "event"}, options);
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_THAT(report.reason, HasSubstr("rate_per_time"));
+}
+
 TEST(GradientDescent, ConvergedOnlyWhereNothingMovesAnyMore) {
   const SolveRequest request{FlightScene(), "direct_toi"};
   EXPECT_EQ(Solve("gd", request, {.iterations = 5, .learning_rate = 0.1}).termination, Termination::kIterationLimit);

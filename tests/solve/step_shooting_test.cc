@@ -93,7 +93,7 @@ TEST(CeresShooting, TakesTheGaussNewtonStepThroughACollision) {
   const int n = shooting.num_variables();
   Eigen::VectorXd u = Eigen::Map<const Eigen::VectorXd>(report.iterates[0].data(), n), terminal(2);
   Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor> slope(2, n);
-  ASSERT_TRUE(shooting.EvaluateTerminal(report.iterates[0], terminal.data(), slope.data()));
+  ASSERT_TRUE(shooting.EvaluateResiduals(report.iterates[0], terminal.data(), slope.data()));
   const double effort = scene.objective.effort * scene.dt();
   Eigen::MatrixXd normal = slope.transpose() * slope;
   normal.diagonal().array() += effort;

@@ -12,13 +12,15 @@
 //   Solve("ceres_phases", {.scene = scene, .contact = "event", .terms = {drag}}, {});
 #pragma once
 
-#include <ceres/cost_function.h>
-
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "saltus/physics/scene.h"
+
+namespace ceres {
+class CostFunction;
+}
 
 namespace saltus {
 

@@ -12,6 +12,7 @@
 
 #include "saltus/control/certificate.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/control/own_term.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/scene.h"
@@ -26,11 +27,16 @@ struct SolveRequest {
   Scene scene;
   Contact contact;
   Precision precision = Precision::kDouble;
+  // Beside the scene's objective and constraints; for solvers that take them. In SI units, whatever the scene's.
+  std::vector<OwnTerm> terms = {};
 };
 
 struct SolverOptions {
   int iterations = 1000;        // at most
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
+  // The rate is one per unit of time: divided by the length of a step, since a force that is held for a shorter time
+  // has a smaller derivative. Of a control only.
+  bool rate_per_time = false;
 
   bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
 
@@ -67,6 +73,7 @@ struct BestIterate {
   int iteration = 0;                  // after how many it was met
   std::vector<double> initial_state;  // B x 4; this and the control are left out if it is the one that is returned
   std::vector<double> control;        // K x C x 2
+  std::vector<double> durations;      // as of SolveReport
 };
 
 // kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of
@@ -109,7 +116,8 @@ struct SolverEntry {
   bool exact_only = false;       // takes the event-driven contact model and no other
   bool takes_surrogate = false;  // needs no more of a gradient than a direction
   bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
-  bool constraints = false;      // takes what BeyondTerminalCost() names
+  bool constraints = false;      // takes what BeyondTerminalCost() names; why_not says which of it not
+  bool own_terms = false;        // takes SolveRequest::terms
 };
 
 const std::vector<SolverEntry>& AllSolvers();

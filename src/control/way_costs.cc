@@ -1,0 +1,369 @@
+#include "way_costs.h"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include "costate_sweep.h"
+#include "phase_costs.h"
+#include "running_loss.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/events.h"
+
+namespace saltus {
+namespace {
+
+using Quantity = TerminalTerm::Quantity;
+
+int OffsetOf(Quantity quantity) { return quantity == Quantity::kPosition ? 0 : 2; }
+
+// One row of the least squares: scale (q_axis(t) - target).
+struct Row {
+  int segment = 0;
+  double offset = 0;  // s, after the start of the segment
+  int body = 0;
+  Quantity quantity = Quantity::kPosition;
+  int axis = 0;
+  double scale = 1;
+  double value = 0;        // of the row
+  double by_duration = 0;  // of the target and of the scale, by the final time
+  bool scales = true;      // the time of the row scales with the final time
+};
+
+class ExactWayCosts final : public WayCosts {
+ public:
+  explicit ExactWayCosts(const Simulator& simulator) : num_steps_(simulator.num_steps()) {
+    const Objective& objective = simulator.scene().objective;
+    num_residuals_ = NumTerminalResiduals(objective) + 2 * static_cast<int>(objective.via.size()) +
+                     kRowsOfStep * num_steps_ * static_cast<int>(objective.running.size());
+  }
+
+  std::string Update(const Simulator& simulator, std::span<const double> initial,
+                     std::span<const double> control) override {
+    scene_ = simulator.scene();
+    ExactRun run;
+    run.ok = true;
+    for (const StepTouch& at : EventTouches(simulator)) {
+      if (at.touch.kind != ContactKind::kImpact) {
+        return "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+      }
+      run.contacts.push_back(at.touch.candidate);
+      run.places.push_back({at.step, at.touch.time});
+    }
+    const std::vector<double> lengths(num_steps_, simulator.step());
+    sweep_.reset();
+    flight_.emplace(scene_, initial, control, lengths, run);
+    sweep_.emplace(scene_, *flight_);
+    return "";
+  }
+
+  double Loss() const override { return RunningLoss(scene_, *flight_); }
+
+  void Gradient(std::span<double> control, std::span<double> initial, double* duration) const override {
+    const CostateSweep::Result found =
+        sweep_->Sweep({}, [&](int k, const ImpactJump& jump, double gain) { return sweep_->Late(k, jump, gain); });
+    std::fill(control.begin(), control.end(), 0.0);
+    double by_scale = -found.clock;
+    for (size_t i = 0; i < sweep_->segments().size(); ++i) {
+      const Flight::Piece& piece = sweep_->segments()[i].piece;
+      by_scale += found.hamiltonian[i] + piece.start * found.drift[i] + found.drift_moment[i];
+      for (int c = 0; c < scene_.num_controlled() && !control.empty(); ++c) {
+        const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
+        double* g = &control[2 * (static_cast<size_t>(piece.interval) * scene_.num_controlled() + c)];
+        for (int d = 0; d < 2; ++d) g[d] += inverse_mass * found.push[i][c][d];
+      }
+    }
+    Put(found.start, initial);
+    if (duration != nullptr) *duration = by_scale / scene_.duration;
+  }
+
+  int num_residuals() const override { return num_residuals_; }
+
+  void Residuals(std::span<double> residuals) const override {
+    size_t at = 0;
+    ForEachRow([&](const Row& row) { residuals[at++] = row.value; },
+               [&](const RunningTerm&, int, int, double integral) {
+                 residuals[at++] = std::sqrt(integral);
+                 for (int i = 1; i < kRowsOfStep; ++i) residuals[at++] = 0;
+               });
+  }
+
+  void Jacobian(std::span<double> control, std::span<double> initial, std::span<double> duration) const override {
+    std::fill(control.begin(), control.end(), 0.0);
+    std::fill(initial.begin(), initial.end(), 0.0);
+    const size_t width = control.size() / num_residuals_;
+    std::vector<double> ignored(2 * static_cast<size_t>(num_steps_) * scene_.num_controlled());
+    size_t at = 0;
+    const auto forces = [&] { return width > 0 ? control.subspan(at * width, width) : std::span<double>(ignored); };
+    const auto put = [&](const CostateSweep::Derivatives& of, double by_duration) {
+      if (!initial.empty()) Put(of.start, initial.subspan(at * 4 * scene_.bodies.size(), 4 * scene_.bodies.size()));
+      if (!duration.empty()) duration[at] = of.by_duration + by_duration;
+    };
+    ForEachRow(
+        [&](const Row& row) {
+          const bool of_position = row.quantity == Quantity::kPosition;
+          const CostateSweep::Derivatives of =
+              sweep_->OfPoint(row.segment, row.offset, row.body, of_position, row.axis, row.scale, forces());
+          double by_duration = row.by_duration;
+          if (!row.scales) {  // its time does not move: less what it would have gained
+            const Flight::Piece& piece = sweep_->segments()[row.segment].piece;
+            const Vec2d v = piece.at_start.v[row.body] + row.offset * piece.acceleration[row.body];
+            const Vec2d rate = of_position ? v : piece.acceleration[row.body];
+            by_duration -= row.scale * rate[row.axis] * (piece.start + row.offset) / scene_.duration;
+          }
+          put(of, by_duration);
+          ++at;
+        },
+        [&](const RunningTerm& term, int first, int end, double integral) {
+          const double scale = integral > 0 ? 0.5 / std::sqrt(integral) : 0.0;
+          put(sweep_->OfIntegral(term, first, end, scale, forces()), 0);
+          at += kRowsOfStep;
+        });
+  }
+
+ private:
+  static constexpr int kRowsOfStep = 2 * static_cast<int>(kGaussNodes.size());
+
+  static void Put(const std::vector<Costate<double>>& costates, std::span<double> initial) {
+    for (size_t i = 0; i < initial.size() / 4; ++i) {
+      const Costate<double>& costate = costates[i];
+      const double numbers[] = {costate.position[0], costate.position[1], costate.velocity[0], costate.velocity[1]};
+      std::copy_n(numbers, 4, &initial[4 * i]);
+    }
+  }
+
+  Vec2d At(int segment, double offset, int body, Quantity quantity) const {
+    const Flight::Piece& piece = sweep_->segments()[segment].piece;
+    const Vec2d v = piece.at_start.v[body] + offset * piece.acceleration[body];
+    if (quantity == Quantity::kVelocity) return v;
+    return piece.at_start.p[body] + 0.5 * offset * (piece.at_start.v[body] + v);
+  }
+
+  // Rows of terminal and via terms, and of the Gauss nodes of each step that nothing cuts, one after the other; a step
+  // that is cut is one row, the root of its integral.
+  template <typename OnRow, typename OnCutStep>
+  void ForEachRow(const OnRow& on_row, const OnCutStep& on_cut_step) const {
+    const int last = static_cast<int>(sweep_->segments().size()) - 1;
+    const auto both_axes = [&](Row row, const Vec2d& miss, const Vec2d& target_rate, const auto& take) {
+      for (row.axis = 0; row.axis < 2; ++row.axis) {
+        Row one = row;
+        one.value = row.scale * miss[row.axis];
+        // The scale of running terms is the root of a step.
+        one.by_duration = row.by_duration * one.value - row.scale * target_rate[row.axis];
+        take(one);
+      }
+    };
+    for (const TerminalTerm& term : scene_.objective.terminal) {
+      const Vec2d& q = term.quantity == Quantity::kPosition ? flight_->end().p[term.body] : flight_->end().v[term.body];
+      const Row row{.segment = last,
+                    .offset = sweep_->segments()[last].piece.duration,
+                    .body = term.body,
+                    .quantity = term.quantity,
+                    .scale = std::sqrt(term.weight)};
+      both_axes(row, q - term.target, Vec2d(0, 0), on_row);
+    }
+    for (size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const ViaTerm& term = scene_.objective.via[i];
+      Row row{.segment = sweep_->SegmentAfterVia(static_cast<int>(i)) - 1,
+              .body = term.body,
+              .quantity = term.quantity,
+              .scale = std::sqrt(term.weight),
+              .scales = false};
+      row.offset = sweep_->segments()[row.segment].piece.duration;
+      both_axes(row, At(row.segment, row.offset, term.body, term.quantity) - term.target, Vec2d(0, 0), on_row);
+    }
+    for (const RunningTerm& term : scene_.objective.running) {
+      for (int first = 0, step = 0; step < num_steps_; ++step) {
+        int end = first;
+        while (end <= last && sweep_->segments()[end].piece.interval == step) ++end;
+        std::vector<Row> rows;
+        double integral = 0;
+        for (int i = first; i < end; ++i) {
+          const Flight::Piece& piece = sweep_->segments()[i].piece;
+          for (size_t g = 0; g < kGaussNodes.size(); ++g) {
+            const double s = kGaussNodes[g] * piece.duration, t = piece.start + s;
+            Row row{.segment = i,
+                    .offset = s,
+                    .body = term.body,
+                    .quantity = term.quantity,
+                    .scale = std::sqrt(term.weight * kGaussWeights[g] * piece.duration)};
+            row.by_duration = 0.5 / scene_.duration;
+            const double step_of_time = 1e-3 * piece.duration;
+            const Vec2d rate =
+                (TargetAt(term, t + step_of_time) - TargetAt(term, t - step_of_time)) / (2 * step_of_time);
+            both_axes(row,
+                      At(i, s, term.body, term.quantity) - TargetAt(term, t),
+                      rate * (t / scene_.duration),
+                      [&](const Row& one) {
+                        rows.push_back(one);
+                        integral += one.value * one.value;
+                      });
+          }
+        }
+        if (end - first == 1) {
+          for (const Row& row : rows) on_row(row);
+        } else {
+          on_cut_step(term, first, end, integral);
+        }
+        first = end;
+      }
+    }
+  }
+
+  int num_steps_ = 0, num_residuals_ = 0;
+  Scene scene_;
+  std::optional<Flight> flight_;
+  std::optional<CostateSweep> sweep_;
+};
+
+// By the model's own steps.
+class SteppedWayCosts final : public WayCosts {
+ public:
+  explicit SteppedWayCosts(const Simulator& simulator) : scene_(simulator.scene()), num_steps_(simulator.num_steps()) {
+    const double h = simulator.step();
+    for (const TerminalTerm& term : scene_.objective.terminal) {
+      AddRows(num_steps_, 0, term, term.target, std::sqrt(term.weight));
+    }
+    num_terminal_ = static_cast<int>(rows_.size());
+    for (const ViaTerm& term : scene_.objective.via) {
+      const int before = std::min(static_cast<int>(term.time / h), num_steps_ - 1);
+      AddRows(before, term.time / h - before, term, term.target, std::sqrt(term.weight));
+    }
+    for (const RunningTerm& term : scene_.objective.running) {
+      for (int k = 0; k <= num_steps_; ++k) {
+        const double part = k == 0 || k == num_steps_ ? 0.5 * h : h;
+        AddRows(k, 0, term, TargetAt(term, k * h), std::sqrt(term.weight * part));
+      }
+    }
+  }
+
+  std::string Update(const Simulator& simulator, std::span<const double>, std::span<const double> control) override {
+    simulator_ = &simulator;
+    control_.assign(control.begin(), control.end());
+    states_.resize(static_cast<size_t>(num_steps_ + 1) * simulator.state_size());
+    for (int k = 0; k <= num_steps_; ++k) simulator.GetState(k, State(k));
+    return "";
+  }
+
+  double Loss() const override {
+    double loss = 0;
+    for (size_t i = num_terminal_; i < rows_.size(); ++i) loss += Value(rows_[i]) * Value(rows_[i]);
+    return loss;
+  }
+
+  void Gradient(std::span<double> control, std::span<double> initial, double*) const override {
+    std::vector<double> cotangents(states_.size());
+    TerminalGradient(scene_.objective,
+                     StateAt(num_steps_),
+                     simulator_->body_size(),
+                     std::span(cotangents).last(simulator_->state_size()));
+    for (size_t i = num_terminal_; i < rows_.size(); ++i) AddDerivative(rows_[i], 2 * Value(rows_[i]), cotangents);
+    PullBack(Linearized(), cotangents, num_steps_, control, initial);
+  }
+
+  int num_residuals() const override { return static_cast<int>(rows_.size()); }
+  void Residuals(std::span<double> residuals) const override {
+    for (size_t i = 0; i < rows_.size(); ++i) residuals[i] = Value(rows_[i]);
+  }
+  void Jacobian(std::span<double> control, std::span<double> initial, std::span<double>) const override {
+    const std::vector<StepLinearization> steps = Linearized();
+    const size_t width = control.size() / rows_.size(), size = initial.size() / rows_.size();
+    std::vector<double> cotangents(states_.size());
+    for (size_t i = 0; i < rows_.size(); ++i) {
+      std::fill(cotangents.begin(), cotangents.end(), 0.0);
+      AddDerivative(rows_[i], 1, cotangents);
+      const int last = std::min(num_steps_, rows_[i].step + (rows_[i].part > 0));
+      PullBack(steps, cotangents, last, control.subspan(i * width, width), initial.subspan(i * size, size));
+    }
+  }
+
+ private:
+  // scale (q - target) with q between two states.
+  struct NodeRow {
+    int step = 0;
+    double part = 0;  // of the next state
+    double target = 0, scale = 0;
+  };
+
+  template <typename Term>
+  void AddRows(int step, double part, const Term& term, const Vec2d& target, double scale) {
+    for (int d = 0; d < 2; ++d) rows_.push_back({step, part, target[d], scale});
+    places_.push_back({term.body, OffsetOf(term.quantity)});
+  }
+
+  int IndexOf(size_t row) const {
+    const auto& [body, offset] = places_[row / 2];
+    return body * simulator_->body_size() + offset + static_cast<int>(row % 2);
+  }
+
+  std::span<double> State(int k) {
+    return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
+  }
+  std::span<const double> StateAt(int k) const {
+    return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
+  }
+  size_t RowNumber(const NodeRow& row) const { return static_cast<size_t>(&row - rows_.data()); }
+  double Value(const NodeRow& row) const {
+    const int i = IndexOf(RowNumber(row));
+    double q = StateAt(row.step)[i];
+    if (row.part > 0) q += row.part * (StateAt(row.step + 1)[i] - q);
+    return row.scale * (q - row.target);
+  }
+  void AddDerivative(const NodeRow& row, double weight, std::span<double> cotangents) const {
+    const int i = IndexOf(RowNumber(row));
+    const size_t size = simulator_->state_size();
+    cotangents[row.step * size + i] += weight * row.scale * (1 - row.part);
+    if (row.part > 0) cotangents[(row.step + 1) * size + i] += weight * row.scale * row.part;
+  }
+
+  std::vector<StepLinearization> Linearized() const {
+    std::vector<StepLinearization> steps(num_steps_);
+    std::vector<double> force(2 * scene_.bodies.size());
+    for (int k = 0; k < num_steps_; ++k) {
+      simulator_->ExpandForce(control_, k, force);
+      simulator_->Linearize(StateAt(k), force, /*with_parameters=*/false, &steps[k]);
+    }
+    return steps;
+  }
+
+  // From the derivatives by each state up to number `last` to those by what decides them.
+  void PullBack(const std::vector<StepLinearization>& steps, const std::vector<double>& cotangents, int last,
+                std::span<double> control, std::span<double> initial) const {
+    const size_t size = simulator_->state_size();
+    const int pushed = scene_.num_controlled();
+    std::vector<double> lambda(cotangents.begin() + last * size, cotangents.begin() + (last + 1) * size);
+    std::vector<double> before(size), force(2 * scene_.bodies.size());
+    std::fill(control.begin(), control.end(), 0.0);
+    for (int k = last; k-- > 0;) {
+      steps[k].ApplyTranspose(lambda, before, force);
+      for (int c = 0; c < pushed && !control.empty(); ++c) {
+        std::copy_n(&force[2 * scene_.control.bodies[c]], 2, &control[2 * (static_cast<size_t>(k) * pushed + c)]);
+      }
+      for (size_t i = 0; i < size; ++i) lambda[i] = before[i] + cotangents[k * size + i];
+    }
+    for (size_t i = 0; i < initial.size(); ++i) {
+      initial[i] = scene_.bodies[i / 4].fixed ? 0.0 : lambda[i / 4 * simulator_->body_size() + i % 4];
+    }
+  }
+
+  Scene scene_;
+  int num_steps_ = 0;
+  const Simulator* simulator_ = nullptr;
+  std::vector<NodeRow> rows_;
+  std::vector<std::pair<int, int>> places_;  // of each two rows: body, and offset in its state
+  int num_terminal_ = 0;
+  std::vector<double> states_, control_;
+};
+
+}  // namespace
+
+std::unique_ptr<WayCosts> WayCosts::Make(const Simulator& simulator) {
+  const Objective& objective = simulator.scene().objective;
+  if (objective.running.empty() && objective.via.empty() && !objective.duration) return nullptr;
+  if (simulator.traits().event_driven && simulator.precision() == Precision::kDouble) {
+    return std::make_unique<ExactWayCosts>(simulator);
+  }
+  return std::make_unique<SteppedWayCosts>(simulator);
+}
+
+}  // namespace saltus

@@ -1,0 +1,293 @@
+// Generated control problems through impacts, 2 to 4 discs with walls, gravity, friction and bounds, solved by
+// ceres_phases and compared with what knows nothing of it:
+//
+//   without bounds   ceres_event, by closed arcs: where both converge along the same impacts, their losses are the same
+//   with bounds      the best of random starts of Levenberg-Marquardt on the shooting problem, bounds as penalties
+//
+// One line a problem, then how often what was found. Fails where two that should agree do not.
+#include <ceres/ceres.h>
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <optional>
+
+#include "contact/random_scene.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/io/scene_file.h"
+#include "saltus/solve/solver.h"
+
+DEFINE_int32(problems, 100, "how many");
+DEFINE_int32(seed, 1, "of the first; the next has the next");
+DEFINE_int32(starts, 20, "random starts of the penalised solver");
+DEFINE_bool(print, false, "the scenes as YAML instead");
+
+namespace saltus {
+namespace {
+
+using testing::RandomScenes;
+
+constexpr int kSteps = 60;
+
+// A disc that is pushed at another, which has a target; perhaps more discs, walls, gravity and friction.
+std::optional<Scene> Draw(RandomScenes* random, int seed) {
+  Scene scene;
+  scene.name = "problem_" + std::to_string(seed);
+  scene.duration = random->Uniform(0.8, 1.5);
+  scene.steps = kSteps;
+  scene.contact.restitution = random->Uniform(0.4, 1);
+  if (random->Chance(0.5)) scene.contact.friction = random->Uniform(0, 0.8);
+  if (random->Chance(0.5)) scene.gravity = random->Uniform(0.2, 1.5) * random->Direction();
+  const Vec2d aim = random->Direction(), side(-aim[1], aim[0]);
+  const double way = random->Uniform(0.6, 1.2);
+  const auto add = [&](const Vec2d& position) {
+    scene.bodies.push_back({.name = "disc" + std::to_string(scene.num_bodies()),
+                            .radius = random->Uniform(0.08, 0.18),
+                            .mass = random->Uniform(0.5, 2),
+                            .position = position});
+  };
+  add({0, 0});
+  add(way * aim + random->Uniform(-0.08, 0.08) * side);
+  const int discs = random->Integer(2, 4);
+  while (scene.num_bodies() < discs) {
+    add(random->Uniform(0.2, 2) * way * aim + random->Uniform(0.25, 0.7) * random->Sign() * side);
+    if (random->Chance(0.3)) scene.bodies.back().fixed = true;
+  }
+  const int walls = random->Integer(0, 2);
+  for (int i = 0; i < walls; ++i) {
+    const Vec2d out = i == 0 ? Vec2d(aim + random->Uniform(-0.7, 0.7) * side) : Vec2d(random->Sign() * side);
+    scene.planes.push_back(
+        {"wall" + std::to_string(i), random->Uniform(1, 1.6) * way * aim + random->Uniform(0.5, 0.9) * out, -1 * out});
+  }
+  scene.control.bodies = {0};
+  const double push = 2.2 * way * scene.bodies[0].mass / std::pow(random->Uniform(0.5, 0.8) * scene.duration, 2);
+  scene.control.initial = {Vec2d(push * aim + random->Uniform(-0.1, 0.1) * push * side)};
+  scene.control.initial[0] -= scene.bodies[0].mass * scene.gravity;
+  scene.objective.terminal = {
+      {.body = 1, .target = Vec2d((way + random->Uniform(0.1, 0.7)) * aim + random->Uniform(-0.3, 0.3) * side)}};
+  if (random->Chance(0.3)) {
+    scene.objective.terminal.push_back({.body = 0,
+                                        .quantity = TerminalTerm::Quantity::kVelocity,
+                                        .target = {0, 0},
+                                        .weight = random->Uniform(0.01, 0.1)});
+  }
+  scene.objective.effort = random->Uniform(0.002, 0.05);
+  scene.optimize = Optimize::kControl;
+  if (Validate(scene)) return std::nullopt;
+  const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, kSteps));
+  if (!run.ok || !run.only_impacts || run.contacts.empty() || !run.ambiguous.empty()) return std::nullopt;
+  return scene;
+}
+
+Scene Problem(int seed) {
+  RandomScenes random(seed);
+  while (true) {
+    if (auto scene = Draw(&random, seed)) return *scene;
+  }
+}
+
+// ------------------------------------------------------------------------------------------------- penalised shooting
+
+class Shot final : public ceres::CostFunction {
+ public:
+  explicit Shot(SingleShooting* shooting, int rows) : shooting_(shooting) {
+    set_num_residuals(rows);
+    mutable_parameter_block_sizes()->push_back(shooting->num_variables());
+  }
+  bool Evaluate(double const* const* z, double* residuals, double** jacobians) const override {
+    const std::span<const double> at(z[0], shooting_->num_variables());
+    return shooting_->EvaluateTerminal(at, residuals, jacobians != nullptr ? jacobians[0] : nullptr);
+  }
+
+ private:
+  SingleShooting* shooting_;
+};
+
+// sqrt(effort h) u, and weight times what is beyond the bound.
+class Penalty final : public ceres::CostFunction {
+ public:
+  Penalty(double effort, double most, const double* weight, int size) : effort_(effort), most_(most), weight_(weight) {
+    set_num_residuals(2 * size);
+    mutable_parameter_block_sizes()->push_back(size);
+  }
+  bool Evaluate(double const* const* z, double* residuals, double** jacobians) const override {
+    const int size = parameter_block_sizes()[0];
+    if (jacobians != nullptr) std::fill_n(jacobians[0], 2 * size * size, 0.0);
+    for (int i = 0; i < size; ++i) {
+      const double beyond = std::abs(z[0][i]) - most_;
+      residuals[i] = effort_ * z[0][i];
+      residuals[size + i] = beyond > 0 ? *weight_ * beyond : 0;
+      if (jacobians == nullptr) continue;
+      jacobians[0][i * size + i] = effort_;
+      if (beyond > 0) jacobians[0][(size + i) * size + i] = *weight_ * (z[0][i] > 0 ? 1 : -1);
+    }
+    return true;
+  }
+
+ private:
+  double effort_, most_;
+  const double* weight_;
+};
+
+// The loss that a random start ends with, and the impacts of that motion.
+ExactRun PenalisedFrom(const Scene& bounded, RandomScenes* random) {
+  const double most = bounded.control.max[0];
+  Scene scene = bounded;
+  scene.control.max.clear();
+  SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble));
+  std::vector<double> z = shooting.initial_guess();
+  const Vec2d change = random->InSquare(0.7 * most), slope = random->InSquare(most);
+  for (size_t i = 0; i < z.size(); ++i) {
+    z[i] = std::clamp(z[i] + change[i % 2] + (double(i) / z.size() - 0.5) * slope[i % 2], -most, most);
+  }
+  const double effort = std::sqrt(scene.objective.effort * scene.dt());
+  double weight = effort;
+  ceres::Problem problem;
+  problem.AddResidualBlock(
+      new Shot(&shooting, 2 * static_cast<int>(scene.objective.terminal.size())), nullptr, z.data());
+  problem.AddResidualBlock(new Penalty(effort, most, &weight, static_cast<int>(z.size())), nullptr, z.data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.logging_type = ceres::SILENT;
+  options.function_tolerance = 1e-10;
+  options.max_num_iterations = 60;
+  for (int round = 0; round < 3; ++round, weight *= 30) {
+    ceres::Solver::Summary summary;
+    ceres::Solve(options, &problem, &summary);
+  }
+  for (double& force : z) force = std::clamp(force, -most, most);
+  return SimulateExactly(scene, InitialState(scene), z);
+}
+
+// --------------------------------------------------------------------------------------------------------- comparisons
+
+class Campaign {
+ public:
+  void Run(int seed) {
+    const Scene scene = Problem(seed);
+    std::printf("%3d %d discs", seed, scene.num_bodies());
+    const SolveReport phases = WithoutBounds(scene);
+    RandomScenes random(~static_cast<unsigned>(seed));
+    WithBounds(scene, phases, &random);
+    std::printf("\n");
+  }
+
+  bool failed() const { return failed_; }
+  void Print() const {
+    for (const auto& [what, number] : counts_) std::printf("%6d %s\n", number, what.c_str());
+  }
+
+ private:
+  void Count(const std::string& what) { ++counts_[what]; }
+  void Fail(const std::string& what) {
+    Count("FAILED " + what);
+    failed_ = true;
+  }
+
+  static ContactSequence ImpactsOf(const Scene& scene, const SolveReport& report) {
+    return SimulateExactly(scene, report.initial_state, report.control, report.durations).contacts;
+  }
+
+  // In the limit of small steps, of which there are kSteps and twice as many.
+  static std::optional<double> Limit(const char* solver, Scene scene, const SolveReport& coarse,
+                                     const ContactSequence& impacts) {
+    scene.steps *= 2;
+    const SolveReport fine = Solve(solver, {scene, "event"}, {});
+    if (fine.termination != Termination::kConverged || ImpactsOf(scene, fine) != impacts) return std::nullopt;
+    return (4 * fine.final_loss - coarse.final_loss) / 3;
+  }
+
+  SolveReport WithoutBounds(Scene scene) {
+    scene.steps = 4 * kSteps;
+    const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {});
+    const SolveReport event = Solve("ceres_event", {scene, "event"}, {});
+    const std::string name = "without bounds: ";
+    Note(name + "ceres_phases ", phases);
+    Note(name + "ceres_event ", event);
+    if (phases.termination != Termination::kConverged || event.termination != Termination::kConverged) return phases;
+    const ContactSequence impacts = ImpactsOf(scene, phases);
+    if (ImpactsOf(scene, event) != impacts) {
+      Count(name + "along other impacts, lower by " +
+            (phases.final_loss < event.final_loss ? "ceres_phases" : "ceres_event"));
+      return phases;
+    }
+    const auto mine = Limit("ceres_phases", scene, phases, impacts);
+    const auto other = Limit("ceres_event", scene, event, impacts);
+    if (!mine || !other) {
+      Count(name + "another optimum with finer steps");
+      return phases;
+    }
+    const double difference = std::abs(*mine - *other) / std::abs(*other);
+    std::printf(" differ by %.1e", difference);
+    if (difference <= 1e-7) {
+      Count(name + "both, and their losses agree to 1e-7");
+    } else if (difference > 1e-4) {
+      Count(name + "another optimum along the same impacts, lower by " +
+            (*mine < *other ? "ceres_phases" : "ceres_event"));
+    } else {
+      Fail(name + "losses differ");
+    }
+    return phases;
+  }
+
+  void WithBounds(Scene scene, const SolveReport& free, RandomScenes* random) {
+    double largest = 0;
+    for (const double force : free.control) largest = std::max(largest, std::abs(force));
+    if (free.control.empty() || largest == 0) return;
+    scene.control.max = {random->Uniform(0.6, 0.9) * largest};
+    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+    const std::string name = "with bounds: ";
+    Note(name, report);
+    ExactRun best;
+    for (int i = 0; i < FLAGS_starts; ++i) {
+      ExactRun run = PenalisedFrom(scene, random);
+      if (run.ok && (!best.ok || run.loss < best.loss)) best = std::move(run);
+    }
+    if (!best.ok) return Count(name + "no random start ends well");
+    std::printf(" bounded %.8g, penalised %.8g", report.final_loss, best.loss);
+    const double worse = (report.final_loss - best.loss) / best.loss;
+    if (worse <= 1e-4)
+      return Count(name + (worse < -1e-3 ? "better than" : "as good as") + " the best of random starts");
+    if (report.termination != Termination::kConverged) return Count(name + "worse, and not converged");
+    const bool same = ImpactsOf(scene, report) == best.contacts;
+    Count(name + "worse than the best of random starts, " +
+          (same ? "by the grid or another optimum along the same impacts" : "which has other impacts"));
+    std::printf(" WORSE by %.1e%s", worse, same ? " same impacts" : "");
+  }
+
+  void Note(const std::string& name, const SolveReport& report) {
+    const bool converged = report.termination == Termination::kConverged;
+    Count(name + TerminationToString(report.termination));
+    std::printf(converged ? " ." : " %s (%s)", TerminationToString(report.termination), report.reason.c_str());
+    std::fflush(stdout);
+    if (report.final_loss > report.initial_loss && report.termination != Termination::kNotApplicable &&
+        !name.starts_with("with bounds")) {
+      Fail(name + "ends worse than it began");
+    }
+  }
+
+  std::map<std::string, int> counts_;
+  bool failed_ = false;
+};
+
+}  // namespace
+}  // namespace saltus
+
+int main(int argc, char** argv) {
+  gflags::SetUsageMessage("Generated control problems through impacts: phase_problems [--problems=100] [--seed=1]");
+  gflags::ParseCommandLineFlags(&argc, &argv, true);
+  saltus::Campaign campaign;
+  for (int seed = FLAGS_seed; seed < FLAGS_seed + FLAGS_problems; ++seed) {
+    if (FLAGS_print) {
+      std::printf("%s\n", saltus::WriteScene(saltus::Problem(seed)).c_str());
+    } else {
+      campaign.Run(seed);
+    }
+  }
+  if (!FLAGS_print) campaign.Print();
+  return campaign.failed() ? 1 : 0;
+}

@@ -1,0 +1,175 @@
+// Costs and constraints of a user's own: where scene files can say the same, the solution is the same.
+#include <ceres/autodiff_cost_function.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "saltus/control/exact_run.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using ::testing::HasSubstr;
+
+// Moves the target, as problems/two_balls.yaml.
+Scene Problem() {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  return scene;
+}
+
+SolveReport SolveWith(const Scene& scene, std::vector<OwnTerm> terms, const char* solver = "ceres_phases") {
+  return Solve(solver, {.scene = scene, .contact = "event", .terms = std::move(terms)}, {.iterations = 300});
+}
+
+struct FinalMiss {
+  double scale, target = 0.3;
+  template <typename T>
+  bool operator()(const T* x, T* residuals) const {
+    for (int j = 0; j < 2; ++j) residuals[j] = scale * (x[j] - target);
+    return true;
+  }
+};
+OwnTerm FinalPosition(int body, OwnTerm::Role role, double scale) {
+  OwnTerm term{.name = "aim", .at = OwnTerm::At::kEnd, .role = role, .states = {body}};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{scale});
+  return term;
+}
+
+// Forces over the steps, as the effort of an objective.
+struct Effort {
+  double weight;
+  template <typename T>
+  bool operator()(const T* u, const T* h, T* residuals) const {
+    using std::sqrt;
+    for (int j = 0; j < 2; ++j) residuals[j] = sqrt(weight * h[0]) * u[j];
+    return true;
+  }
+};
+
+TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
+  Scene with = Problem();
+  with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .weight = 2.5});
+  with.objective.effort *= 1.5;
+  const SolveReport known = SolveWith(with, {});
+
+  const Scene without = Problem();
+  OwnTerm effort{.at = OwnTerm::At::kEachStep, .forces = {0}, .with_length = true};
+  effort.function =
+      std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * without.objective.effort});
+  const SolveReport own = SolveWith(without, {FinalPosition(1, OwnTerm::Role::kCost, std::sqrt(2.5)), effort});
+  ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
+  ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
+  EXPECT_NEAR(own.initial_loss, known.initial_loss, 1e-12);
+  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-9 * known.final_loss);
+  EXPECT_LT(own.final_loss, 0.9 * own.initial_loss);
+  // Without them it is another problem.
+  EXPECT_GT(std::abs(SolveWith(without, {}).final_loss - own.final_loss), 1e-2);
+}
+
+TEST(OwnTerms, AnEqualityIsAHardTerm) {
+  Scene with = Problem();
+  with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .hard = true});
+  const SolveReport known = SolveWith(with, {});
+  const SolveReport own = SolveWith(Problem(), {FinalPosition(1, OwnTerm::Role::kEquality, 1)});
+  ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
+  ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
+  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-7 * known.final_loss);
+  const ExactRun exact = SimulateExactly(Problem(), own.initial_state, own.control, own.durations);
+  ASSERT_TRUE(exact.ok);
+  EXPECT_NEAR(exact.loss, own.final_loss, 1e-12);
+}
+
+// |u|^2 <= most^2, in every step.
+struct Ball {
+  double most;
+  template <typename T>
+  bool operator()(const T* u, T* residuals) const {
+    residuals[0] = 0.5 * ((u[0] * u[0] + u[1] * u[1]) / (most * most) - 1.0);
+    return true;
+  }
+};
+
+TEST(OwnTerms, AnInequalityIsABound) {
+  constexpr double kMost = 3;
+  Scene without = Problem();
+  without.control.initial = {Vec2d(2, 2)};  // within the bound, or steps are shared out in another way
+  Scene with = without;
+  with.control.max_norm = {kMost};
+  const SolveReport known = SolveWith(with, {});
+  OwnTerm bound{.name = "ball", .at = OwnTerm::At::kEachStep, .role = OwnTerm::Role::kInequality, .forces = {0}};
+  bound.function = std::make_shared<ceres::AutoDiffCostFunction<Ball, 1, 2>>(new Ball{kMost});
+  const SolveReport own = SolveWith(without, {bound});
+  ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
+  ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
+  EXPECT_GT(own.final_loss, SolveWith(without, {}).final_loss + 1e-4);  // it is in the way
+  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-7 * known.final_loss);
+  for (size_t i = 0; i < own.control.size(); i += 2) {
+    EXPECT_LE(std::hypot(own.control[i], own.control[i + 1]), kMost * (1 + 1e-8));
+  }
+}
+
+TEST(OwnTerms, UnitsAreThoseOfTheScene) {
+  const SolveReport one = SolveWith(Problem(), {FinalPosition(1, OwnTerm::Role::kCost, 1)});
+  // All lengths times 1024, and the loss with their squares.
+  Scene large = Problem();
+  for (Body& body : large.bodies) {
+    body.position *= 1024;
+    body.velocity *= 1024;
+    body.radius *= 1024;
+  }
+  for (Vec2d& force : large.control.initial) force *= 1024;
+  OwnTerm term{.at = OwnTerm::At::kEnd, .states = {1}};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{1, 0.3 * 1024});
+  const SolveReport other = SolveWith(large, {term});
+  ASSERT_EQ(one.termination, Termination::kConverged) << one.reason;
+  EXPECT_EQ(other.iterations, one.iterations);
+  EXPECT_NEAR(other.final_loss, one.final_loss * 1024 * 1024, 1e-9 * other.final_loss);
+}
+
+struct Nowhere {
+  template <typename T>
+  bool operator()(const T* x, T* residuals) const {
+    residuals[0] = x[0] * x[0] + x[1] * x[1] + 1.0;
+    return true;
+  }
+};
+
+TEST(OwnTerms, AConstraintOutOfReachIsSaid) {
+  OwnTerm term{.name = "nowhere", .at = OwnTerm::At::kEnd, .role = OwnTerm::Role::kEquality, .states = {1}};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<Nowhere, 1, 4>>(new Nowhere);
+  const SolveReport report = SolveWith(Problem(), {term});
+  EXPECT_NE(report.termination, Termination::kConverged);
+  EXPECT_THAT(report.reason, HasSubstr("nowhere"));
+}
+
+TEST(OwnTerms, WrongOnesAreRefusedByName) {
+  const Scene scene = Problem();
+  const auto reason_of = [&](OwnTerm term, const char* solver = "ceres_phases") {
+    const SolveReport report = SolveWith(scene, {std::move(term)}, solver);
+    EXPECT_EQ(report.termination, Termination::kNotApplicable);
+    return report.reason;
+  };
+  OwnTerm term = FinalPosition(1, OwnTerm::Role::kCost, 1);
+  EXPECT_THAT(reason_of(term, "gd"), HasSubstr("ceres_phases"));
+  term.states = {2};
+  EXPECT_THAT(reason_of(term), HasSubstr("aim: found the state of disc 2, expected 0 to 1"));
+  term.states = {0, 1};
+  EXPECT_THAT(reason_of(term), HasSubstr("sizes [4], expected [4, 4]"));
+  term.states = {1};
+  term.forces = {1};
+  EXPECT_THAT(reason_of(term), HasSubstr("disc 1, expected a disc that is controlled"));
+  term.forces = {0};
+  EXPECT_THAT(reason_of(term), HasSubstr("a force at the final time"));
+  term.forces = {};
+  term.scale = 0;
+  EXPECT_THAT(reason_of(term), HasSubstr("a scale above zero"));
+  term.function = nullptr;
+  EXPECT_THAT(reason_of(term), HasSubstr("no function"));
+}
+
+}  // namespace
+}  // namespace saltus
