@@ -362,7 +362,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
         c.plane ? Separate<T>(before[0].p, MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(before[0].p, before[1].p);
     const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(before[0].v - before[1].v));
     if (!(Value(impact.speed) < 0)) return false;
-    *gap++ = apart.distance - law.reach;
+    *gap++ = apart.distance - law.contact_distance;
     T gained(0.0);
     for (int side = 0; side < 2; ++side) {
       if (body[side] < 0 || !Matters(body[side])) continue;
