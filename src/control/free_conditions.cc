@@ -252,7 +252,7 @@ class Certifier {
     if (count > 0) {
       out->multiplier /= count;
     } else {
-      out->multiplier = FreeMultiplier(k, jump);
+      out->multiplier = UnpushedMultiplier(k, jump);
     }
     for (int side = 0; side < 2; ++side) {
       if (jump.body[side] < 0) continue;
@@ -275,7 +275,7 @@ class Certifier {
 
   // Of an impact between discs that are not pushed: that which keeps the Hamiltonian, in the mean over the phases if
   // their lengths could be chosen.
-  double FreeMultiplier(int k, const ImpactJump& jump) {
+  double UnpushedMultiplier(int k, const ImpactJump& jump) {
     const Flight::Hit& hit = flight_.hits()[k];
     if (hit.on_node) return (next_hamiltonian_ - PhaseHamiltonian(k)) / hit.impact.speed;
     return jump.MultiplierAt(flight_.pieces()[hit.next_piece].acceleration, hit.impact.speed);

@@ -37,7 +37,8 @@ DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
 DEFINE_double(friction, 0, "coefficient of friction, >= 0");
 DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
 DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
-DEFINE_bool(rate_per_time, false, "the rate is one per unit of time (default: per step, the published one at 480 steps)");
+DEFINE_bool(rate_per_time, false,
+            "the rate is one per unit of time (default: per step, the published one at 480 steps)");
 DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
 DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which mode_search "
