@@ -16,6 +16,7 @@
 #pragma once
 
 #include <cmath>
+#include <optional>
 
 #include "saltus/contact/contact_model.h"
 #include "saltus/physics/geometry.h"
@@ -62,16 +63,18 @@ struct Impact {
   Vec2<T> impulse;  // on a, N s
 };
 
-// Precondition: |normal| = 1.
+// Precondition: |normal| = 1. With friction it slips or sticks by Coulomb's law, or as `mode` says.
 template <typename T>
-Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w) {
+Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w,
+                     std::optional<ContactMode> mode = std::nullopt) {
   const Vec2<T> tangent = Perpendicular(normal);
   Impact<T> impact{normal, Dot(normal, w), Dot(tangent, w), ContactMode::kFrictionless, Vec2<T>::Zero()};
   const double m = law.EffectiveMass();
   const T normal_impulse = -(1 + law.restitution) * m * impact.speed;
   T tangential_impulse(0);
   if (law.friction > 0) {
-    const bool slips = m * std::abs(Value(impact.sliding)) > law.friction * Value(normal_impulse);
+    const bool slips =
+        mode ? *mode == ContactMode::kSlip : m * std::abs(Value(impact.sliding)) > law.friction * Value(normal_impulse);
     impact.mode = slips ? ContactMode::kSlip : ContactMode::kStick;
     tangential_impulse = slips ? T(-law.friction * SignOf(impact.sliding) * normal_impulse) : T(-m * impact.sliding);
   }
