@@ -59,7 +59,7 @@ void AddOverlap(const PairImpact& impact, const ImpactTerms& terms, double momen
   }
 }
 
-Variation Impact(const PairImpact& impact, const ImpactTerms& terms, const Variation& in) {
+Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, const Variation& in) {
   const Vec2d n = impact.normal, t = Perpendicular(n);
   const Vec2d w = impact.velocity_a - impact.velocity_b;
   const std::array<double, 2> share = {impact.inverse_mass_a, -impact.inverse_mass_b};
@@ -224,7 +224,7 @@ Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& ter
       Variation x;
       (j < 2 ? x.q : x.v)[body][j % 2] = 1;
       Fly(impact.before, &x);
-      x = Impact(impact, terms, x);
+      x = ThroughImpact(impact, terms, x);
       Fly(impact.after, &x);
       int row = 0;
       for (int i = 0; i < 2; ++i) {

@@ -12,6 +12,7 @@
 #pragma once
 
 #include <cmath>
+#include <optional>
 
 #include "saltus/contact/step_input.h"
 #include "saltus/physics/geometry.h"
@@ -43,11 +44,11 @@ ImpulseParts<T> ImpulseInMode(ContactMode mode, const T& speed, const T& sliding
   return {normal, T(-friction * sign * normal)};
 }
 
-// Preconditions: |normal| = 1; speed < 0. An impact that slides less than `head_on` of its speed has no direction of
-// sliding.
+// Precondition: |normal| = 1. An impact that slides by no more than `head_on` of its speed has no direction of sliding.
+// With friction it slips or sticks by Coulomb's law, or as `mode` says.
 template <typename T, typename P>
 Impact<T> MakeImpact(const Vec2<T>& normal, const Vec2<T>& w, const P& mass, const P& bounce, const P& friction,
-                     double head_on = 0) {
+                     double head_on = 0, std::optional<ContactMode> mode = std::nullopt) {
   const Vec2<T> tangent = Perpendicular(normal);
   Impact<T> impact{normal, Dot(normal, w), Dot(tangent, w), ContactMode::kFrictionless, Vec2<T>::Zero()};
   if (Value(friction) > 0) impact.mode = ContactMode::kSlip;
@@ -55,8 +56,9 @@ Impact<T> MakeImpact(const Vec2<T>& normal, const Vec2<T>& w, const P& mass, con
                             std::abs(Value(impact.sliding)) <= head_on * std::abs(Value(impact.speed));
   const double sign = no_direction ? 0.0 : SignOf(impact.sliding);
   ImpulseParts<T> parts = ImpulseInMode(impact.mode, impact.speed, impact.sliding, sign, mass, bounce, friction);
-  if (impact.mode == ContactMode::kSlip &&
-      !(Value(mass) * std::abs(Value(impact.sliding)) > std::abs(Value(parts.tangential)))) {
+  const bool slips = mode ? *mode == ContactMode::kSlip
+                          : Value(mass) * std::abs(Value(impact.sliding)) > std::abs(Value(parts.tangential));
+  if (impact.mode == ContactMode::kSlip && !slips) {
     impact.mode = ContactMode::kStick;
     parts = ImpulseInMode(impact.mode, impact.speed, impact.sliding, sign, mass, bounce, friction);
   }

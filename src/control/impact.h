@@ -11,6 +11,7 @@
 #pragma once
 
 #include <cmath>
+#include <optional>
 
 #include "contact/impact.h"
 #include "saltus/physics/scene.h"
@@ -47,10 +48,11 @@ inline HalfPlane<double> MakeHalfPlane(const Plane& plane) {
   return {normal, Dot(normal, plane.point)};
 }
 
-// Precondition: |normal| = 1.
+// Precondition: |normal| = 1. With friction it slips or sticks by Coulomb's law, or as `mode` says.
 template <typename T>
-Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w) {
-  return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction);
+Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w,
+                     std::optional<ContactMode> mode = std::nullopt) {
+  return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction, /*head_on=*/0, mode);
 }
 
 // What multiplies the costates of both bodies at an impact: lambda_v gains +-velocity, lambda_q gains +-position, with

@@ -80,16 +80,19 @@ struct CoastingStep {
 };
 
 // An impact. Blocks: the nodes before and after of each disc that moves, of a first. Rows: the equalities gap = 0, and
-// after - g(before) of each such disc; the inequality that the two do not separate.
+// after - g(before) of each such disc; the inequalities that the two do not separate and, if it is to slip or to stick,
+// that it does.
 struct ImpactCut {
   ImpactLaw law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
   double overlap = 0;                      // of the contact distance: the gap is -overlap * contact_distance instead
+  std::optional<ContactMode> mode = {};    // as slipping or sticking; none: by Coulomb's law
 
   bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
   int num_moving() const { return Moves(0) + Moves(1); }
   int num_equalities() const { return 1 + 4 * num_moving(); }
+  int num_inequalities() const { return mode ? 2 : 1; }
 
   template <typename T>
   bool operator()(T const* const* blocks, T* rows) const {
@@ -105,7 +108,7 @@ struct ImpactCut {
       v[side] = Vec2<T>(x[2], x[3]);
     }
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
-    const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]));
+    const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]), mode);
     *rows++ = apart.distance - (1 - overlap) * law.contact_distance;
     block = 0;
     for (int side = 0; side < 2; ++side) {
@@ -117,6 +120,10 @@ struct ImpactCut {
       for (int j = 0; j < 2; ++j) *rows++ = after[2 + j] - v[side][j] - gain * impact.impulse[j];
     }
     *rows++ = impact.speed;
+    if (!mode) return true;
+    const T most = law.friction * (1 + law.restitution) * impact.speed;  // change of the sliding velocity
+    const T slip = impact.sliding * impact.sliding - most * most;
+    *rows++ = *mode == ContactMode::kSlip ? T(-slip) : slip;
     return true;
   }
 };

@@ -8,7 +8,7 @@ namespace {
 // One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
 // transcription takes the others.
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-  if (plan.HasTies() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
+  if (plan.HasTies() || plan.HasModes() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
   PlanAttempt attempt;
   if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return attempt;
   const Scene& scene = run->scene();

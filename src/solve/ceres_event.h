@@ -1,4 +1,4 @@
-// Event phases by Ceres: the best piecewise constant control along a given collision sequence, on intervals that begin
+// Event phases by Ceres: the best piecewise constant control along a collision sequence, on intervals that begin
 // and end with the impacts.
 //
 // The transcription (control/event_phases.h) leaves impact times, impact points and the pushed discs' velocities before
@@ -17,8 +17,8 @@
 
 namespace saltus {
 
-// Converged means: the gradient has vanished, gaps are closed, and in exact dynamics the control has the impacts of the
-// sequence and no others. Precondition: WhyNotEventPhases is empty.
+// The sequence is mended on the way (sequence_mending.h). Converged means: the gradient has vanished, gaps are closed, and
+// in exact dynamics the control has the impacts of the sequence and no others. Precondition: WhyNotEventPhases is empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

@@ -131,7 +131,7 @@ class TranscribedPlan {
     int ties = 0;  // the earlier of impacts at the same time come earlier
     for (size_t k = plan_.cuts.size(); k-- > 0;) {
       ties = plan_.tied[k] ? ties + 1 : 0;
-      cuts.insert(cuts.begin(), {plan_.cuts[k], start_.times[k], ties * margin});
+      cuts.insert(cuts.begin(), {plan_.cuts[k], start_.times[k], ties * margin, plan_.modes[k]});
     }
     PhaseTranscription transcription(
         scene_, run_.terms(), cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);

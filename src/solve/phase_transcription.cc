@@ -204,6 +204,7 @@ void PhaseTranscription::AddImpacts() {
     if (!cuts_[k].impact) continue;
     ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
     cut.overlap = cuts_[k].overlap;
+    cut.mode = cuts_[k].mode;
     const ImpactNodes& nodes = impacts_[strike++];
     std::vector<double*> blocks;
     for (int side = 0; side < 2; ++side) {
@@ -212,8 +213,9 @@ void PhaseTranscription::AddImpacts() {
       blocks.push_back(NodeAt(nodes.after[side]));
     }
     const int equalities = cut.num_equalities();
-    problem_.Add(Dynamic(cut, equalities + 1, std::vector<int>(blocks.size(), 4)),
-                 {.equalities = equalities, .inequalities = 1},
+    const int inequalities = cut.num_inequalities();
+    problem_.Add(Dynamic(cut, equalities + inequalities, std::vector<int>(blocks.size(), 4)),
+                 {.equalities = equalities, .inequalities = inequalities},
                  blocks);
   }
 }

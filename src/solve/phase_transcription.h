@@ -25,6 +25,7 @@ struct PhaseCut {
   std::optional<Candidate> impact;  // none: an instant that does not move
   double time = 0;                  // s; of an impact, where the search starts
   double overlap = 0;               // of the contact distance: the gap at the impact is less than nothing by so much
+  std::optional<ContactMode> mode = {};  // of the impact: slips or sticks; none: by Coulomb's law
 };
 
 // Pieces of constant force: that on controlled disc c at time t.

@@ -20,6 +20,7 @@ constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants
 constexpr double kActive = 1e-6;       // ... or is none, at an optimum
 constexpr double kOutOfOrder = 1e-9;   // of the horizon
 constexpr double kGrazes = 1e-4;       // of the scene's speed, at which an impact wants to be none
+constexpr double kNearBorder = 1e-2;   // of the sliding velocity between slip and stick
 constexpr double kMissWeight = 1e3;    // of hard constraints beside the loss, in natural units
 constexpr int kHalvings = 8;           // on the way from one motion to another
 constexpr double kSameLoss = 1e-9;
@@ -135,6 +136,7 @@ class Mending {
       ++(impact ? k : i);
     }
     task.plan.tied.assign(task.plan.cuts.size(), false);
+    task.plan.modes.resize(task.plan.cuts.size());
     return task;
   }
 
@@ -236,6 +238,7 @@ class Mending {
     const PlanStart start = trusted ? PlanStart{{attempt.times.begin(), attempt.times.end() - 1}, trial} : task.start;
     DropGrazes(task.plan, attempt, start, &moves);
     Reorder(task.plan, attempt, start, &moves);
+    SplitModes(task.plan, attempt, start, &moves);
     if (!attempt.realized && std::isfinite(Merit(trial))) {
       moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
       for (const Candidate& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
@@ -258,6 +261,7 @@ class Mending {
   static void Drop(size_t k, Task* task) {
     task->plan.cuts.erase(task->plan.cuts.begin() + k);
     task->plan.tied.erase(task->plan.tied.begin() + k);
+    task->plan.modes.erase(task->plan.modes.begin() + k);
     task->start.times.erase(task->start.times.begin() + k);
   }
 
@@ -281,6 +285,7 @@ class Mending {
       if (plan.tied[k] || !IsShort(times, k, least) || plan.cuts[k] == plan.cuts[k + 1]) continue;
       Task task{plan, start};
       std::swap(task.plan.cuts[k], task.plan.cuts[k + 1]);
+      std::swap(task.plan.modes[k], task.plan.modes[k + 1]);
       task.plan.tied[k] = task.plan.tied[k + 1] = false;
       const double middle = 0.5 * (start.times[k] + start.times[k + 1]);
       if (start.times[k] > start.times[k + 1]) {
@@ -306,6 +311,24 @@ class Mending {
       moves->push_back(task);
     }
     for (Task& move : *moves) MakeRise(&move.start.times, DurationOf(move.start.trial));
+  }
+
+  // Between slip and stick the loss has a kink, which a solve that does not know of it never leaves.
+  void SplitModes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
+                  std::vector<Task>* moves) const {
+    if (attempt.converged || !attempt.realized || scene_.contact.friction == 0) return;
+    const Flight flight = FlightOf(scene_, attempt.trial);
+    auto hit = flight.hits().begin();
+    for (size_t k = 0; k < plan.cuts.size(); ++k) {
+      if (!plan.cuts[k]) continue;
+      const Impact<double>& impact = (hit++)->impact;
+      const double most = scene_.contact.friction * (1 + scene_.contact.restitution) * std::abs(impact.speed);
+      if (plan.modes[k] || std::abs(std::abs(impact.sliding) - most) > kNearBorder * most) continue;
+      for (const ContactMode mode : {ContactMode::kStick, ContactMode::kSlip}) {
+        moves->push_back({plan, start});
+        moves->back().plan.modes[k] = mode;
+      }
+    }
   }
 
   // Times that rise within [0, end].
@@ -387,7 +410,7 @@ class Mending {
   void Certify() {
     if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0 || !run_.terms().empty()) return;
     Certificate certificate = CertifyTrial(scene_, best_->trial);
-    const bool kinks = best_plan_.HasTies() || !best_plan_.apart.empty();
+    const bool kinks = best_plan_.HasTies() || best_plan_.HasModes() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {
       certificate = {};
       certificate.reason = Kinks() + ", where the loss has a kink: the conditions are those where it has none";
@@ -397,12 +420,13 @@ class Mending {
 
   std::string Kinks() const {
     std::string text;
-    for (const Candidate& pair : best_plan_.apart) {
-      text += (text.empty() ? "" : ", ") + ContactSequenceToString(scene_, {pair}) + " just touch";
+    const auto add = [&](const std::string& what) { text += (text.empty() ? "" : ", ") + what; };
+    for (const Candidate& pair : best_plan_.apart) add(ContactSequenceToString(scene_, {pair}) + " just touch");
+    if (best_plan_.HasTies()) {
+      add(best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
     }
-    if (!best_plan_.HasTies()) return text;
-    text += text.empty() ? "" : ", ";
-    return text + (best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
+    if (best_plan_.HasModes()) add("an impact is between slip and stick");
+    return text;
   }
 
   // Of the constraint that the best motion misses most.
@@ -427,6 +451,11 @@ class Mending {
     const ContactSequence sequence = plan.Sequence();
     std::string text = ContactSequenceToString(scene_, {sequence.begin() + first, sequence.end()});
     if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
+    for (size_t k = 0; k < plan.cuts.size(); ++k) {
+      if (!plan.modes[k]) continue;
+      text += ", " + ContactSequenceToString(scene_, {*plan.cuts[k]});
+      text += *plan.modes[k] == ContactMode::kSlip ? " slips" : " sticks";
+    }
     for (const Candidate& pair : plan.apart) text += ", " + ContactSequenceToString(scene_, {pair}) + " apart";
     return text;
   }
@@ -481,6 +510,10 @@ ContactSequence PhasePlan::Sequence() const {
 }
 
 bool PhasePlan::HasTies() const { return std::find(tied.begin(), tied.end(), true) != tied.end(); }
+
+bool PhasePlan::HasModes() const {
+  return std::any_of(modes.begin(), modes.end(), [](const auto& mode) { return mode.has_value(); });
+}
 
 bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; }
 

@@ -7,6 +7,7 @@
 //   impacts out of order, or at the same time   swap them; or hold them at the same time
 //   an impact after the final time, or at it    hold it there; or drop it
 //   a graze                                     drop it, and keep its pair apart by an inequality
+//   an impact between slip and stick            slip; or stick: each by an inequality
 //   the roll-out meets something else           the sequence that it has; or keep that pair apart
 //
 // Besides, wherever a solve leaves its sequence, exact roll-outs on the way from where it began to where it stands look
@@ -25,13 +26,15 @@ namespace saltus {
 
 // What happens in which order.
 struct PhasePlan {
-  std::vector<std::optional<Candidate>> cuts;  // between phases: an impact, or the instant of the next via term
-  std::vector<bool> tied;                      // by cut: no time passes until the next one, or the final time
-  ContactSequence apart;                       // pairs that stay apart, by an inequality
-  bool only_violation = false;                 // hard terms as costs, and hardly any others
+  std::vector<std::optional<Candidate>> cuts;     // between phases: an impact, or the instant of the next via term
+  std::vector<bool> tied;                         // by cut: no time passes until the next one, or the final time
+  std::vector<std::optional<ContactMode>> modes;  // by cut: of an impact that is to slip or to stick
+  ContactSequence apart;                          // pairs that stay apart, by an inequality
+  bool only_violation = false;                    // hard terms as costs, and hardly any others
 
   ContactSequence Sequence() const;
   bool HasTies() const;
+  bool HasModes() const;
   bool operator==(const PhasePlan&) const = default;
 };
 

@@ -5,10 +5,10 @@
 namespace saltus {
 namespace {
 
-SingleShooting MakeShooting(std::string_view contact, const SolveRequest& request) {
+SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request) {
   SingleShooting::OfDuration of_duration;
   if (request.scene.objective.duration) {
-    of_duration = [contact = std::string(contact), request](double duration) {
+    of_duration = [contact, request](double duration) {
       Scene scene = request.scene;
       scene.duration = duration;
       return MakeSimulator(contact, scene, request.precision);

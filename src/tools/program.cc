@@ -41,8 +41,8 @@ DEFINE_bool(rate_per_time, false,
             "the rate is one per unit of time (default: per step, the published one at 480 steps)");
 DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
 DEFINE_string(sequence, "auto",
-              "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which mode_search "
-              "goes on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
+              "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
+              "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
               "striker-target,target-ceiling");
 DEFINE_int32(threads, 0, "0 is one per core");
 DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");

@@ -100,7 +100,7 @@ class Shot final : public ceres::CostFunction {
   }
   bool Evaluate(double const* const* z, double* residuals, double** jacobians) const override {
     const std::span<const double> at(z[0], shooting_->num_variables());
-    return shooting_->EvaluateTerminal(at, residuals, jacobians != nullptr ? jacobians[0] : nullptr);
+    return shooting_->EvaluateResiduals(at, residuals, jacobians != nullptr ? jacobians[0] : nullptr);
   }
 
  private:

@@ -135,6 +135,24 @@ TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
   EXPECT_FALSE(Resimulate(scene, report).events.empty());
 }
 
+// By Coulomb's law the ball slips at the start and sticks at the optimum: between them the loss has a kink at which a
+// solve stops, and both sides are better tried.
+TEST(CeresPhases, CrossesFromSlipToStick) {
+  Scene scene = Unpushed(1.4, 60, 0.97);
+  scene.contact.friction = 0.1675;
+  scene.bodies = {{.name = "striker", .radius = 0.117, .mass = 0.6615, .position = {0, 0}},
+                  {.name = "target", .radius = 0.1395, .mass = 0.6492, .position = {0.5443, 0.3169}}};
+  scene.control = {{0}, {{1.08, 0.466}}};
+  scene.objective.terminal = {
+      {.body = 1, .target = {1.0475, 0.2777}},
+      {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .weight = 0.068}};
+  scene.objective.effort = 0.0368;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 0.05);
+  EXPECT_THAT(report.reason, HasSubstr("striker-target sticks"));
+}
+
 TEST(CeresPhases, KeepsToASequenceThatIsGiven) {
   const Scene scene = Box(1, 500);
   SolverOptions options;

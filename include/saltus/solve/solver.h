@@ -41,7 +41,7 @@ struct SolverOptions {
   bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
 
   // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets
-  // mode_search leave it for others.
+  // mode_search leave it for others, and with none given those that mend it.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
 
