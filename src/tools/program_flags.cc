@@ -18,14 +18,9 @@ constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
 const FlagGroup kScene = {"Scene (in place of what the file says)",
                           {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
 const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
-const FlagGroup kSolvers = {"Solvers",
-                            {"solver=LIST",
-                             "iterations=N",
-                             "learning_rate=X",
-                             "rate_per_time",
-                             "rate_per_time",
-                             "sequence=LIST",
-                             "memory_limit=MIB"}};
+const FlagGroup kSolvers = {
+    "Solvers",
+    {"solver=LIST", "iterations=N", "learning_rate=X", "rate_per_time", "sequence=LIST", "memory_limit=MIB"}};
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
     {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
