@@ -14,10 +14,11 @@ namespace {
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
 constexpr double kFreeRadius = 100;  // ... if it was not cut short by a trust region smaller than this
+constexpr double kLeastLoss = 1e-6;  // from which gaps have their price
 constexpr int kBlockedSteps = 4;     // one after the other, after which an impact that stops them is held at a touch
 
 struct Constraints {
-  double weight = 0;                // of the loss, 1/m^2
+  double weight = 0;                // of the loss, 1 / length^2
   std::vector<double> multipliers;  // by impact
   std::vector<bool> approaching;    // by impact: it must stay so, as it was at the start
   std::vector<bool> touching;       // by impact: its normal velocity is held at zero
@@ -181,7 +182,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   // A gap of a tenth of the contact distance costs as much as the loss at the start.
   double reach = 0;
   for (int k = 0; k < phases.num_impacts(); ++k) reach = std::max(reach, phases.law(k).reach);
-  constraints.weight = std::max(1e-6, phases.Loss(path)) * 200 / (reach * reach + 1e-30);
+  if (reach > 0) constraints.weight = std::max(kLeastLoss, phases.Loss(path)) * 200 / (reach * reach);
 
   const Residuals residuals(&phases, &constraints);
   auto* cost = new ceres::DynamicAutoDiffCostFunction<Residuals, kStride>(new Residuals(residuals));
