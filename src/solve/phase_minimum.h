@@ -26,8 +26,8 @@ struct PhaseMinimum {
 };
 
 struct PhaseMinimumOptions {
-  int iterations = 200;          // of Ceres, in all
-  double gap_tolerance = 1e-11;  // lengths
+  int iterations = 200;                       // of Ceres, in all
+  double gap_tolerance = 1e-11;               // lengths
   std::function<bool(double loss)> callback;  // after each iteration; false interrupts
 };
 
