@@ -14,10 +14,11 @@ namespace {
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
 constexpr double kWideRadius = 100;  // ... if it was not cut short by a trust region smaller than this
+constexpr double kLeastLoss = 1e-6;  // from which gaps have their price
 constexpr int kBlockedSteps = 4;     // one after the other, after which an impact that stops them is held at a touch
 
 struct Constraints {
-  double weight = 0;                // of the loss, 1/m^2
+  double weight = 0;                // of the loss, 1 / length^2
   std::vector<double> multipliers;  // by impact
   std::vector<bool> approaching;    // by impact: it must stay so, as it was at the start
   std::vector<bool> touching;       // by impact: its normal velocity is held at zero
@@ -179,10 +180,9 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   constraints.blocked = constraints.touching;
   for (const auto& impact : path.impacts) constraints.approaching.push_back(impact.impact.speed < 0);
   // A gap of a tenth of the contact distance costs as much as the loss at the start.
-  double contact_distance = 0;
-  for (int k = 0; k < phases.num_impacts(); ++k)
-    contact_distance = std::max(contact_distance, phases.law(k).contact_distance);
-  constraints.weight = std::max(1e-6, phases.Loss(path)) * 200 / (contact_distance * contact_distance + 1e-30);
+  double distance = 0;
+  for (int k = 0; k < phases.num_impacts(); ++k) distance = std::max(distance, phases.law(k).contact_distance);
+  if (distance > 0) constraints.weight = std::max(kLeastLoss, phases.Loss(path)) * 200 / (distance * distance);
 
   const Residuals residuals(&phases, &constraints);
   auto* cost = new ceres::DynamicAutoDiffCostFunction<Residuals, kStride>(new Residuals(residuals));

@@ -184,6 +184,7 @@ TEST(WrongArguments, ShapesOfAnExactRunAreSaidSo) {
   EXPECT_THAT(reason(std::vector<double>(8, nan), control, {}), HasSubstr("initial state: expected finite"));
   EXPECT_THAT(reason(initial, control, std::vector<double>(8, -0.125)), HasSubstr("durations"));
   EXPECT_THAT(reason(initial, control, std::vector<double>(8, nan)), HasSubstr("durations"));
+  EXPECT_THAT(reason(initial, control, std::vector<double>(8, 0.12)), HasSubstr("found a sum of 0.96"));
   Scene unpushed = scene;
   unpushed.control = {};
   EXPECT_THAT(SimulateExactly(unpushed, initial, control).reason, HasSubstr("nothing is pushed"));
