@@ -24,7 +24,8 @@ Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, const Impa
   const auto in_mode = [&](ContactMode mode, double friction) {
     Eigen::Matrix2d law;
     for (int by = 0; by < 2; ++by) {
-      const auto [normal, tangential] = ImpulseInMode(mode, by == 0 ? 1.0 : 0.0, by == 1 ? 1.0 : 0.0, sign, mass, bounce, friction);
+      const auto [normal, tangential] =
+          ImpulseInMode(mode, by == 0 ? 1.0 : 0.0, by == 1 ? 1.0 : 0.0, sign, mass, bounce, friction);
       law.col(by) << normal, tangential;
     }
     return law;

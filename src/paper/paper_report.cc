@@ -47,8 +47,8 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
 
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
-                      const std::optional<FormulationAudit>& formulations, double seconds,
-                      const std::string& output_dir) {
+                      const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
+                      double seconds, const std::string& output_dir) {
   HtmlReport report("Gradients through contact, reproduced",
                     "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have "
                     "Correct Gradients w.r.t. Position, Velocity and Control?”, every table and figure next to ours "
@@ -107,6 +107,16 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   for (const PaperFigure& figure : comparison_figures) AddFigure(comparison_figures, figure.name, &report);
   for (const CaptionedTable& table : comparison.Tables()) report.AddTable(table.table, table.caption);
   AddFigure(figures, "solver_learning", &report);
+
+  report.AddHeading(1, "Through the impact");
+  report.AddParagraph(
+      "The same problem by solvers that shoot over the impact, and by solvers that make its time a variable; then with "
+      "bounds on the force. The optima with bounds are known from the minimum principle: the force is that within its "
+      "bounds which is nearest to a straight line in time.");
+  report.AddList(strike.Findings());
+  for (const CaptionedTable& table : strike.Tables()) report.AddTable(table.table, table.caption);
+  const std::vector<PaperFigure> strike_figures = strike.Figures();
+  for (const PaperFigure& figure : strike_figures) AddFigure(strike_figures, figure.name, &report);
 
   if (formulations) {
     report.AddHeading(1, "Every formulation");

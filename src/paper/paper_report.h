@@ -10,6 +10,7 @@
 #include "paper/paper_figures.h"
 #include "paper/published.h"
 #include "paper/solver_comparison.h"
+#include "paper/strike_comparison.h"
 
 namespace saltus {
 
@@ -17,7 +18,7 @@ namespace saltus {
 // left out; `seconds` is what the experiments took.
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
-                      const std::optional<FormulationAudit>& formulations, double seconds,
-                      const std::string& output_dir);
+                      const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
+                      double seconds, const std::string& output_dir);
 
 }  // namespace saltus

@@ -15,11 +15,13 @@
 #include "paper/paper_report.h"
 #include "paper/published.h"
 #include "paper/solver_comparison.h"
+#include "paper/strike_comparison.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/parallel.h"
 
 DEFINE_string(problems_dir, "", "where the scenes of the problems are (default: those that come with saltus)");
-DEFINE_string(data_dir, "", "where published.csv is (default: that which comes with saltus)");
+DEFINE_string(data_dir, "",
+              "where published.csv and constrained_references.json are (default: those that come with saltus)");
 DEFINE_bool(all_formulations, true,
             "audit every contact model on the three tasks, and solve task 3 under each (default)");
 DEFINE_bool(every_solver, false, "every general solver, too, under the models that the paper does not compare");
@@ -67,6 +69,8 @@ int Reproduce() {
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
   std::vector<PublishedRow> rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
+  std::vector<BoundedReference> references =
+      ReadBoundedReferences(GivenOrShipped(FLAGS_data_dir, "data") + "/constrained_references.json");
   Experiments experiments(GivenOrShipped(FLAGS_problems_dir, "problems"));
   const InterruptGuard guard;
   if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
@@ -78,6 +82,8 @@ int Reproduce() {
                                                  : Others::kNone;
   SolverComparison comparison(experiments, others);
   if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  StrikeComparison strike(experiments.scene("two_balls"), std::move(references));
+  if (!strike.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   std::optional<FormulationAudit> formulations;
   if (FLAGS_all_formulations) {
     formulations = AuditFormulations(experiments);
@@ -90,9 +96,9 @@ int Reproduce() {
     figures = MakePaperFigures(experiments);
     if (formulations) figures.push_back(formulations->ToFigure());
   });
-  if (!compared || !WriteFigures({figures, comparison.Figures()}, output_dir)) return kAnswerFailed;
+  if (!compared || !WriteFigures({figures, comparison.Figures(), strike.Figures()}, output_dir)) return kAnswerFailed;
   const bool written = RunStage("report", [&] {
-    WritePaperReport(experiments, rows, figures, comparison, formulations, experiment_seconds, output_dir);
+    WritePaperReport(experiments, rows, figures, comparison, strike, formulations, experiment_seconds, output_dir);
   });
   if (!written) return kAnswerFailed;
 
@@ -102,6 +108,7 @@ int Reproduce() {
   };
   for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
   for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
+  for (const CaptionedTable& table : strike.Tables()) write_table(table.name, table.caption, table.table);
 
   if (formulations) {
     const CaptionedTable table = formulations->ToTable();

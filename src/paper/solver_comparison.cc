@@ -35,15 +35,16 @@ struct SolverStyle {
   Dash dash;
 };
 // Colours of Okabe and Ito, "Color Universal Design" (2008).
-constexpr std::array<SolverStyle, 9> kStyles = {{{"gd", "#999999", Dash::kSolid},
-                                                 {"ceres_lbfgs", "#E69F00", Dash::kSolid},
-                                                 {"ceres_lm", "#56B4E9", Dash::kSolid},
-                                                 {"ceres_shooting", "#0072B2", Dash::kDashed},
-                                                 {"ceres_lagrangian", "#D55E00", Dash::kDashDotted},
-                                                 {"grid_optimum", "#009E73", Dash::kDotted},
-                                                 {"ceres_event", "#CC79A7", Dash::kDashed},
-                                                 {"hmp", "#882255", Dash::kDotted},
-                                                 {"mode_search", "#117733", Dash::kDashDotted}}};
+constexpr std::array<SolverStyle, 10> kStyles = {{{"gd", "#999999", Dash::kSolid},
+                                                  {"ceres_lbfgs", "#E69F00", Dash::kSolid},
+                                                  {"ceres_lm", "#56B4E9", Dash::kSolid},
+                                                  {"ceres_shooting", "#0072B2", Dash::kDashed},
+                                                  {"ceres_lagrangian", "#D55E00", Dash::kDashDotted},
+                                                  {"grid_optimum", "#009E73", Dash::kDotted},
+                                                  {"ceres_event", "#CC79A7", Dash::kDashed},
+                                                  {"ceres_phases", "#A6761D", Dash::kDotted},
+                                                  {"hmp", "#882255", Dash::kDotted},
+                                                  {"mode_search", "#117733", Dash::kDashDotted}}};
 
 Series SolverSeries(const std::string& solver, std::vector<double> x, std::vector<double> y) {
   Series series{.label = solver, .x = std::move(x), .y = std::move(y)};

@@ -17,8 +17,9 @@
 
 namespace saltus {
 
-// The sequence is mended on the way (sequence_mending.h). Converged means: the gradient has vanished, gaps are closed, and
-// in exact dynamics the control has the impacts of the sequence and no others. Precondition: WhyNotEventPhases is empty.
+// The sequence is mended on the way (sequence_mending.h). Converged means: the gradient has vanished, gaps are closed,
+// and in exact dynamics the control has the impacts of the sequence and no others. Precondition: WhyNotEventPhases is
+// empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

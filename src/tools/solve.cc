@@ -164,6 +164,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       if (report.best && !report.best->initial_state.empty()) {
         item["best_velocity"] = VectorsToJson(report.best->initial_state, 2);
         item["best_control"] = ControlToJson(request.scene, report.best->control);
+        if (!report.best->durations.empty()) item["best_durations"] = NumbersToJson(report.best->durations);
         if (request.scene.optimize == Optimize::kPosition) {
           item["best_position"] = VectorsToJson(report.best->initial_state, 0);
         }
@@ -241,6 +242,7 @@ void WriteSolutions(const Request& request, const SolvedRuns& solved) {
       if (controlled > 0) {
         const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
         arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+        if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
       }
     }
     if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};

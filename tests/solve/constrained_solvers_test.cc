@@ -7,6 +7,7 @@
 
 #include "constrained_reference.h"
 #include "saltus/control/exact_run.h"
+#include "saltus/physics/units.h"
 #include "saltus/solve/solver.h"
 #include "solve/hmp_constrained.h"
 
@@ -95,6 +96,34 @@ TEST(ConstrainedHmp, SaysWhatItCannotTake) {
   const SolveReport report = SolveBy("hmp", scene);
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
   EXPECT_THAT(report.reason, HasSubstr("the times at which it meets the bound"));
+}
+
+// Two impacts, and a bound that holds at first.
+TEST(ConstrainedHmp, TakesSeveralImpacts) {
+  Scene scene = ProblemScene("multiple_collisions");
+  scene.steps = 160;
+  SolverOptions options;
+  ASSERT_EQ(ParseContactSequence(scene, "striker-target,target-ceiling", &options.sequence.emplace()), "");
+  const SolveReport free = Solve("hmp", {scene, "event"}, options);
+  ASSERT_EQ(free.termination, Termination::kConverged) << free.reason;
+  double largest = 0;
+  for (double u : free.control) largest = std::max(largest, std::abs(u));
+  // A bound that does not hold changes nothing.
+  scene.control.max = {1.5 * largest};
+  const SolveReport loose = Solve("hmp", {scene, "event"}, options);
+  ASSERT_EQ(loose.termination, Termination::kConverged) << loose.reason;
+  EXPECT_NEAR(loose.final_loss, free.final_loss, 1e-11 * free.final_loss);
+  ASSERT_EQ(loose.certificate->impacts.size(), 2u);
+  for (int k = 0; k < 2; ++k) {
+    const ImpactCertificate &a = loose.certificate->impacts[k], &b = free.certificate->impacts[k];
+    EXPECT_NEAR(a.multiplier, b.multiplier, 1e-8 * std::abs(b.multiplier));
+  }
+  scene.control.max = {0.8 * largest};
+  const SolveReport bound = Solve("hmp", {scene, "event"}, options);
+  ASSERT_EQ(bound.termination, Termination::kConverged) << bound.reason;
+  EXPECT_GT(bound.final_loss, free.final_loss * (1 + 1e-6));
+  EXPECT_LE(LargestExcess(scene, bound), 1e-12);
+  EXPECT_TRUE(Certify(scene, bound.initial_state, bound.control, bound.durations).IsStationary());
 }
 
 // Via terms, soft and hard: the optimum in continuous time is what finer grids tend to, with second order.
@@ -195,6 +224,24 @@ TEST(ConstrainedShooting, TakesRunningTermsUnderOtherModelsByTheirOwnSteps) {
     ASSERT_FALSE(report.losses.empty()) << report.reason;
     EXPECT_LT(report.final_loss, report.initial_loss);
     EXPECT_NEAR(report.final_loss, reference["loss"].get<double>(), 0.02) << solver;
+  }
+}
+
+TEST(ConstrainedSolvers, GiveTheSameInOtherUnits) {
+  const Units units{.length = 0x1p-10, .time = 0x1p5, .mass = 0x1p5, .loss = 0x1p-20};
+  for (const char* name : {"max_3.5", "hard_target", "free_time", "running"}) {
+    for (const char* solver : {"ceres_lbfgs", "ceres_lm", "ceres_phases", "hmp"}) {
+      const Scene scene = SceneOf(Reference(name), 60);
+      Scene rescaled = InUnits(scene, units);
+      rescaled.units = {};
+      SolverOptions options;
+      options.iterations = 50;
+      const SolveReport one = Solve(solver, {scene, "event"}, options);
+      const SolveReport other = Solve(solver, {rescaled, "event"}, options);
+      EXPECT_EQ(one.termination, other.termination) << name << " " << solver;
+      EXPECT_EQ(one.iterations, other.iterations) << name << " " << solver;
+      EXPECT_EQ(one.final_loss, other.final_loss * units.loss) << name << " " << solver;
+    }
   }
 }
 

@@ -11,8 +11,8 @@
 //   wrong sign   wrong, and an entry that is not negligible has the wrong sign
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
-//   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself (conditioning.h)
-//   not applicable    model and exact gradient are of different worlds; there is no study of it
+//   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
+//   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
 //   ambiguous    there is no gradient: the order of impacts at the same time decides (dynamics/events.h, Tie)
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
