@@ -248,16 +248,6 @@ std::string Read(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-template <typename Condition>
-bool WaitUntil(const Condition& condition, std::chrono::milliseconds limit = 120s) {
-  const auto end = std::chrono::steady_clock::now() + limit;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > end) return false;
-    std::this_thread::sleep_for(5ms);
-  }
-  return true;
-}
-
 // A program at work, with what it prints in files.
 class AtWork {
  public:
@@ -278,17 +268,24 @@ class AtWork {
     std::filesystem::remove(errors_);
   }
 
-  bool Says(const std::string& text) {
-    return WaitUntil([&] { return Read(errors_).find(text) != std::string::npos; });
+  // Waits for it, for as long as that takes. False if the program ends without.
+  bool Says(const std::string& text) const {
+    for (bool ended = false;; std::this_thread::sleep_for(5ms)) {
+      if (Read(errors_).find(text) != std::string::npos) return true;
+      if (ended) return false;
+      siginfo_t end = {};
+      waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOHANG | WNOWAIT);
+      ended = end.si_pid == process_;
+    }
   }
 
-  // Sends Ctrl-C. A program that does not stop works for hours, so that half a minute is no race.
-  Outcome Interrupt() {
+  // Sends Ctrl-C, and waits for the end. A program that does not stop works for hours: what runs the tests ends it.
+  Outcome Interrupt() const {
     kill(process_, SIGINT);
+    siginfo_t end = {};
+    waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOWAIT);
     Outcome outcome;
-    int status = 0;
-    EXPECT_TRUE(WaitUntil([&] { return waitpid(process_, &status, WNOHANG) == process_; }, 30s));
-    outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    outcome.exit_code = end.si_code == CLD_EXITED ? end.si_status : -1;
     outcome.output = Read(output_);
     outcome.errors = Read(errors_);
     return outcome;
