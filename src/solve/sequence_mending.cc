@@ -50,11 +50,9 @@ class Mending {
   SolveReport Solve() {
     const SolverOptions& options = run_.options();
     const bool mends = options.search && !options.sequence;
-    lowest_ = run_.guess();
-    ClampToBounds(scene_, &lowest_.control);
-    Simulate(scene_, run_.terms(), &lowest_);
-    const Trial first = lowest_.exact.ok && lowest_.exact.only_impacts ? lowest_ : run_.guess();
-    Add(TaskAlong(SequenceFor(options, first), first));
+    lowest_ = WithinBounds(run_.guess());
+    if (!lowest_.exact.ok) lowest_ = run_.guess();
+    Add(TaskAlong(SequenceFor(options, run_.guess()), run_.guess()));
     for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
       if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
@@ -81,6 +79,14 @@ class Mending {
     return trial.exact.loss + kMissWeight * violation * violation;
   }
 
+  Trial WithinBounds(Trial trial) const {
+    const std::vector<double> control = trial.control;
+    ClampToBounds(scene_, &trial.control);
+    if (trial.control == control) return trial;
+    Simulate(scene_, run_.terms(), &trial);
+    return trial;
+  }
+
   void Meet(const Trial& trial) {
     if (Merit(trial) < Merit(lowest_)) lowest_ = trial;
   }
@@ -88,7 +94,7 @@ class Mending {
   // The best motion on the way from one to another whose forces are known, if it is better than the first.
   std::optional<Trial> WalkTo(const Trial& to, const Trial& from) const {
     std::optional<Trial> best;
-    double least = Merit(from);
+    double least = Merit(WithinBounds(from));
     if (std::isfinite(least)) least -= kSameLoss * std::abs(least);
     const auto before = ForcesOf(scene_, from);
     const double stretch = DurationOf(from) / DurationOf(to);
@@ -108,6 +114,7 @@ class Mending {
         begin += to.durations[k];
         between.durations[k] *= factor;
       }
+      ClampToBounds(scene_, &between.control);
       Simulate(scene_, run_.terms(), &between);
       const double merit = Merit(between);
       if (!(merit < least)) continue;
