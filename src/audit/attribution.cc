@@ -13,10 +13,10 @@
 
 #include "audit/impact_faults.h"
 #include "audit/step_map.h"
+#include "physics/units.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

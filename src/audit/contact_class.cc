@@ -9,8 +9,8 @@
 
 #include "audit/contact_run.h"
 #include "audit/statistics.h"
+#include "physics/units.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

@@ -6,10 +6,10 @@
 #include <cmath>
 
 #include "control/smoothed_gradient.h"
+#include "physics/units.h"
 #include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

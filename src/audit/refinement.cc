@@ -8,9 +8,9 @@
 
 #include "audit/conditioning.h"
 #include "audit/statistics.h"
+#include "physics/units.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

@@ -9,10 +9,10 @@
 #include <utility>
 
 #include "audit/statistics.h"
+#include "physics/units.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

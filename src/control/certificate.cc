@@ -4,8 +4,8 @@
 #include <numeric>
 
 #include "optimality_conditions.h"
+#include "physics/units.h"
 #include "saltus/control/objective.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

@@ -8,10 +8,10 @@
 #include <numeric>
 
 #include "contact/event_ties.h"
+#include "physics/units.h"
 #include "running_loss.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-#include "saltus/control/objective_cost.h"
+#include "objective_cost.h"
 
 #include <algorithm>
 

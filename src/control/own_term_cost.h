@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "flight.h"
+#include "physics/units.h"
 #include "saltus/control/own_term.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 

@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "saltus/control/objective_cost.h"
+#include "objective_cost.h"
 
 namespace saltus {
 

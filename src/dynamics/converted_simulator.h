@@ -3,8 +3,8 @@
 
 #include <memory>
 
+#include "physics/units.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 

@@ -11,7 +11,7 @@
 
 #include "dynamics/converted_simulator.h"
 #include "dynamics/registry_entry.h"
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 namespace saltus {
 namespace {

@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "flow.h"
+#include "physics/units.h"
 #include "polynomial.h"
-#include "saltus/physics/units.h"
 
 namespace saltus {
 namespace {

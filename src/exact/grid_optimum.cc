@@ -6,7 +6,7 @@
 #include <array>
 #include <cmath>
 
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 #include "two_disc_core.h"
 
 namespace saltus {

@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "flow.h"
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 namespace saltus {
 namespace {

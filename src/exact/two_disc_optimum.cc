@@ -3,7 +3,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 #include "two_disc_core.h"
 
 namespace saltus {

@@ -9,7 +9,7 @@
 #include <string_view>
 #include <unordered_map>
 
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 namespace saltus {
 namespace {

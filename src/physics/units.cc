@@ -1,4 +1,4 @@
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 #include <algorithm>
 #include <cmath>

@@ -11,8 +11,8 @@
 
 #include "ceres_common.h"
 #include "control/control_bounds.h"
+#include "control/objective_cost.h"
 #include "control/phase_costs.h"
-#include "saltus/control/objective_cost.h"
 
 namespace saltus {
 namespace {

@@ -9,7 +9,7 @@
 #include <string>
 
 #include "phase_run.h"
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 namespace saltus {
 namespace {

@@ -1,7 +1,7 @@
 // What a solver takes and reports, between the units of users and the natural ones in which it works.
 #pragma once
 
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

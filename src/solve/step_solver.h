@@ -7,8 +7,8 @@
 #include <memory>
 #include <vector>
 
+#include "control/objective_cost.h"
 #include "control/step_shooting.h"
-#include "saltus/control/objective_cost.h"
 #include "saltus/control/step_cost.h"
 #include "saltus/solve/solver.h"
 

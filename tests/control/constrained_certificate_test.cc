@@ -5,8 +5,8 @@
 #include <cmath>
 
 #include "constrained_reference.h"
+#include "physics/units.h"
 #include "saltus/control/certificate.h"
-#include "saltus/physics/units.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

@@ -1,10 +1,10 @@
 // A simulator of a scene in natural units does what that of the same scene in SI units does.
 #include <gtest/gtest.h>
 
+#include "physics/units.h"
 #include "rescaled_scene.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -6,8 +6,8 @@
 #include <numeric>
 
 #include "constrained_reference.h"
+#include "physics/units.h"
 #include "saltus/control/exact_run.h"
-#include "saltus/physics/units.h"
 #include "saltus/solve/solver.h"
 #include "solve/hmp_constrained.h"
 
