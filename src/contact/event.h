@@ -34,10 +34,10 @@
 //   of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h says where they are
 //   one-sided. Reported as kSustained, again in every step.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
-//   kLargestDrift, and are exactly in contact at the end of each step. Everything else is exact.
-// Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed, or
-//   passes if it parts again before the gap is -kContactGap. Reported as kGrazing; the derivative is that of the side
-//   on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
+//   kLargestDrift, at the end of which they are exactly in contact and no work was done. Everything else is exact.
+// Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed (with
+//   all that they touch), or passes if it parts before the gap is -kContactGap. kGrazing if alone; the derivative is of
+//   the side on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
 #pragma once
 
 #include <type_traits>

@@ -7,16 +7,18 @@
 
 namespace saltus::internal {
 
-// The thresholds that event.h states, besides kNodeMargin (time_grid.h).
-inline constexpr double kRoundingGap = 1e-14;   // m
-inline constexpr double kContactGap = 1e-10;    // m
-inline constexpr double kSlowSpeed = 1e-6;      // m/s
-inline constexpr double kSharpSpeed = 1e-9;     // m/s; slower impacts have a time without derivative
-inline constexpr double kStillSpeed = 1e-14;    // m/s
-inline constexpr double kStickSpeed = 1e-9;     // m/s
-inline constexpr double kHeadOn = 1e-9;         // of the closing speed
-inline constexpr double kPushing = 1e-11;       // m/s^2
-inline constexpr double kLargestDrift = 3e-11;  // m
+// The thresholds that event.h states, besides kNodeMargin (time_grid.h): multiples of the scene's natural length, speed
+// and acceleration (physics/units.h).
+inline constexpr double kRoundingGap = 1e-14;
+inline constexpr double kContactGap = 1e-10;
+inline constexpr double kSlowSpeed = 1e-6;
+inline constexpr double kSharpSpeed = 1e-9;  // slower impacts have a time without derivative
+inline constexpr double kStillSpeed = 1e-14;
+inline constexpr double kStickSpeed = 1e-9;
+inline constexpr double kHeadOn = 1e-9;    // of the closing speed
+inline constexpr double kPushing = 1e-11;  // acceleration
+inline constexpr double kLargestDrift = 3e-11;
+inline constexpr double kArcEnd = 1e-6;  // of the length of an arc
 inline constexpr int kMaxEvents = 100000;
 
 // A disc since the last event that concerned it.
@@ -24,9 +26,10 @@ template <typename T>
 struct EventDisc {
   T t;              // s, since the start of the step
   Vec2<T> p, v, a;  // at t; a holds from t on
-  bool moved = false;
+  bool moved = false, reported = false;
   bool dirty = false;
-  int order = 0;  // number of its last event
+  int order = 0;            // number of its last event
+  double arc_end = kNever;  // s, until when `a` is to hold, for discs that move around each other
 
   Vec2<T> PositionAt(const T& time) const {
     const T s = time - t;

@@ -12,8 +12,10 @@ constexpr int kMaxSweeps = 20000;
 constexpr int kFirstSweeps = 32;   // before the first direct solution
 constexpr int kLongSweeps = 1024;  // before all guesses are tried
 constexpr int kMostGuesses = 4096;
+constexpr int kMostPivots = 1000;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
 constexpr double kExact = 1e-12;      // likewise, of a direct solution
+constexpr double kNearly = 1e-9;      // likewise, where contacts that depend on each other do not quite agree
 constexpr double kWedged = 1e9;       // likewise
 constexpr double kRank = 1e-10;
 
@@ -82,10 +84,17 @@ Guess NextGuess(double friction, const PressingContact& c, Guess guess) {
   return guess != Guess::kOpen ? Guess::kOpen : c.sliding > 0 ? Guess::kLeft : Guess::kRight;
 }
 
+// A contact that cannot do what was guessed, and what it would rather do.
+struct WrongGuess {
+  int contact = -1;  // -1: the contacts together cannot do what was guessed
+  Guess better = Guess::kOpen;
+};
+
 // The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
-// that solve it. False, and nothing changed, if the guess is wrong.
-bool SolveDirectly(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
-                   std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+// that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, is the first contact that is.
+bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass, std::span<const Vec2d> given,
+                   std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts,
+                   WrongGuess* wrong = nullptr) {
   std::vector<ForceRow> rows;
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
     const PressingContact& c = contacts[k];
@@ -136,31 +145,65 @@ bool SolveDirectly(double friction, double scale, std::span<const double> invers
     }
   }
   accelerate();
-  const double allowed = kExact * scale;
   for (const ForceRow& row : rows) {
     if (!(std::abs(missing(row)) <= allowed)) return false;
   }
-  for (const PressingContact& c : solved) {
+  for (int k = 0; k < static_cast<int>(solved.size()); ++k) {
+    const PressingContact& c = solved[k];
+    const auto reject = [&](Guess better) {
+      if (wrong != nullptr) *wrong = {k, better};
+      return false;
+    };
     const Vec2d b = RelativeAcceleration(c, under);
     const double bound = friction * c.normal_force, slack = allowed * c.mass;
     const double apart = Dot(c.normal, b) + c.turning, along = Dot(Perpendicular(c.normal), b);
-    if (c.normal_force < 0 || apart < -allowed) return false;
+    if (c.normal_force < 0) return reject(Guess::kOpen);
+    if (apart < -allowed) {
+      return reject(c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick);
+    }
     if (c.sliding != 0 || c.normal_force == 0) continue;
-    if (std::abs(c.tangential_force) > bound + slack || along * c.tangential_force > allowed * bound) return false;
+    if (std::abs(c.tangential_force) > bound + slack) {
+      return reject(c.tangential_force < 0 ? Guess::kLeft : Guess::kRight);
+    }
+    if (along * c.tangential_force > allowed * bound) return reject(Guess::kStick);
   }
   std::copy(solved.begin(), solved.end(), contacts.begin());
   std::copy(under.begin(), under.end(), acceleration.begin());
   return true;
 }
 
+// Mends the first wrong guess, again and again (Murty's principal pivoting, which arrives where matrices are positive
+// definite). False if that does not end in time.
+bool SolveByPivoting(double friction, double allowed, std::span<const double> inverse_mass,
+                     std::span<const Vec2d> given, std::vector<Guess> guesses, std::span<Vec2d> acceleration,
+                     std::span<PressingContact> contacts) {
+  std::vector<PressingContact> start(contacts.begin(), contacts.end());
+  for (int pivot = 0; pivot < kMostPivots; ++pivot) {
+    for (std::size_t k = 0; k < start.size(); ++k) {
+      PressingContact& c = start[k];
+      if (guesses[k] == Guess::kOpen) c.normal_force = c.tangential_force = 0;
+      if (guesses[k] == Guess::kLeft) c.tangential_force = -friction * c.normal_force;
+      if (guesses[k] == Guess::kRight) c.tangential_force = friction * c.normal_force;
+    }
+    WrongGuess wrong;
+    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, acceleration, start, &wrong)) {
+      std::copy(start.begin(), start.end(), contacts.begin());
+      return true;
+    }
+    if (wrong.contact < 0) return false;
+    guesses[wrong.contact] = wrong.better;
+  }
+  return false;
+}
+
 // Tries all guesses, from no forces. False if none is right.
-bool TryAllGuesses(double friction, double scale, std::span<const double> inverse_mass, std::span<const Vec2d> given,
+bool TryAllGuesses(double friction, double allowed, std::span<const double> inverse_mass, std::span<const Vec2d> given,
                    std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
   std::vector<PressingContact> none(contacts.begin(), contacts.end());
   for (PressingContact& c : none) c.normal_force = c.tangential_force = 0;
   std::vector<Guess> guesses(contacts.size(), Guess::kOpen);
   for (;;) {
-    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, none)) {
+    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, acceleration, none)) {
       std::copy(none.begin(), none.end(), contacts.begin());
       return true;
     }
@@ -201,9 +244,19 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
     if (sweep < direct) continue;
     direct *= 2;
     for (std::size_t k = 0; k < contacts.size(); ++k) guesses[k] = GuessOf(friction, contacts[k]);
-    if (SolveDirectly(friction, scale, inverse_mass, given, guesses, acceleration, contacts)) return Pressing::kSolved;
-    if (sweep != kLongSweeps || NumGuesses(friction, contacts) > kMostGuesses) continue;
-    if (TryAllGuesses(friction, scale, inverse_mass, given, acceleration, contacts)) return Pressing::kSolved;
+    if (SolveDirectly(friction, kExact * scale, inverse_mass, given, guesses, acceleration, contacts)) {
+      return Pressing::kSolved;
+    }
+    if (sweep != kLongSweeps) continue;
+    const bool few = NumGuesses(friction, contacts) <= kMostGuesses;
+    for (const double exact : {kExact, kNearly}) {
+      const double allowed = exact * scale;
+      if (SolveByPivoting(friction, allowed, inverse_mass, given, guesses, acceleration, contacts) ||
+          (few && TryAllGuesses(friction, allowed, inverse_mass, given, acceleration, contacts))) {
+        return Pressing::kSolved;
+      }
+    }
+    if (!few) continue;
     const auto slides = [](const PressingContact& c) { return c.sliding != 0; };
     return std::ranges::any_of(contacts, slides) ? Pressing::kWedged : Pressing::kUnsolved;
   }

@@ -23,8 +23,9 @@ class PressedGroup {
     PressingContact force = {};
     ContactMode mode = ContactMode::kFrictionless;
     bool closed = false;
-    bool rests = false;   // it is not the last bounces that are cut off here
-    bool drifts = false;  // its discs have moved around each other since it was last closed exactly
+    bool stopped = false;  // not closed, but it closed slowly: that speed is taken away
+    bool rests = false;    // it is not the last bounces that are cut off here
+    bool drifts = false;   // its discs have moved around each other since it was last closed exactly
     bool Curved() const { return force.b >= 0 && mode != ContactMode::kStick; }
   };
 
@@ -123,27 +124,37 @@ class PressedGroup {
   void ProjectVelocities() {
     const auto push = [&](int i, const Vec2<T>& change) { discs_[i].v += change; };
     for (Contact& contact : contacts_) contact.rests = std::abs(Value(NormalVelocity(contact))) <= kStillSpeed;
-    // The second pass is for what rounding leaves of the first.
-    for (int pass = 0; pass < 2; ++pass) {
-      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+    StopClosing();
+    // The second pass is for what rounding leaves of the first; what stops one contact may close others.
+    for (int pass = 0; pass < 2;) {
+      AddVelocityRows();
       KeepValues();
       bool negligible = true;
       for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
       SolveRows();
       ForEachPush(push);
-      if (negligible) break;
+      if (StopClosing()) {
+        pass = 0;
+      } else if (negligible) {
+        break;
+      } else {
+        ++pass;
+      }
     }
     if constexpr (kDerivatives) {
-      AddRowsOfClosed([&](const Contact& contact) { AddVelocityRows(contact); });
+      AddVelocityRows();
       KeepDerivatives();
       SolveRows();
       ForEachPush(push);
     }
   }
 
-  // Sets the accelerations under which closed contacts stay closed, when the discs have flown `ahead` s further.
-  void SetAccelerations(double ahead) {
-    AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, ahead); });
+  // Sets the accelerations under which closed contacts stay closed: at the instant, with arc = 0, or for discs that
+  // move around each other over the next `arc` s. A constant acceleration keeps them in contact at the end, exactly, if
+  // their mean relative velocity is normal to the sum of the distances at both ends; then contact forces do no work
+  // either. The end comes from the accelerations as they are.
+  void SetAccelerations(const T& arc) {
+    AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, arc); });
     for (const Contact& contact : contacts_) {
       const Candidate& c = in_.candidates[contact.pair];
       discs_[c.a].a = in_.Acceleration(c.a);
@@ -160,6 +171,22 @@ class PressedGroup {
     ForEachPush(push);
   }
 
+  // Opens the closed contacts that would have to pull under these accelerations: they part within the arc. True if
+  // there are any.
+  bool OpenPulling() {
+    bool any = false;
+    std::size_t row = 0;
+    for (Contact& contact : contacts_) {
+      if (!contact.closed) continue;
+      const double force = contact.force.normal_force + Value(rows_[row].force);
+      row += contact.mode == ContactMode::kStick ? 2 : 1;
+      if (force >= 0) continue;
+      contact.closed = false;
+      any = true;
+    }
+    return any;
+  }
+
   // Sliding speed of a contact and its rate of change, as values.
   double SlidingSpeed(const Contact& contact) const {
     const PressingContact& f = contact.force;
@@ -170,6 +197,11 @@ class PressedGroup {
     const PressingContact& f = contact.force;
     const Vec2d q = ValueOf(discs_[f.a].a) - (f.b >= 0 ? ValueOf(discs_[f.b].a) : Vec2d(0, 0));
     return Dot(Perpendicular(f.normal), q);
+  }
+  // The tangential part of a sliding contact's force for one of 1 N along the normal.
+  T TangentialShare(const Contact& contact) const {
+    if (contact.mode == ContactMode::kStick || wedged_) return T(0.0);
+    return in_.contact.friction * double(-contact.force.sliding);
   }
 
  private:
@@ -289,11 +321,6 @@ class PressedGroup {
     }
     rows_.push_back(row);
   }
-  // The tangential part of a sliding contact's force for one of 1 N along the normal.
-  T TangentialShare(const Contact& contact) const {
-    if (contact.mode == ContactMode::kStick || wedged_) return T(0.0);
-    return in_.contact.friction * double(-contact.force.sliding);
-  }
   // How far a contact that sticks moves along its tangent when its gap is opened, as a multiple of that: while it falls
   // and bounces, nothing holds it against what would make it slide. For a contact by itself; of several that stick
   // there is no such number, which of them meets first decides.
@@ -320,6 +347,22 @@ class PressedGroup {
     const Candidate& c = in_.candidates[contact.pair];
     return Dot(SeparationOf(c).normal, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; }));
   }
+  // Marks what closes though it is not pressed. True if there is anything new.
+  bool StopClosing() {
+    bool any = false;
+    for (Contact& contact : contacts_) {
+      if (contact.closed || contact.stopped || Value(NormalVelocity(contact)) >= -kStillSpeed) continue;
+      contact.stopped = any = true;
+      contact.rests = false;
+    }
+    return any;
+  }
+  void AddVelocityRows() {
+    rows_.clear();
+    for (const Contact& contact : contacts_) {
+      if (contact.closed || contact.stopped) AddVelocityRows(contact);
+    }
+  }
   void AddVelocityRows(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const int b = c.plane ? -1 : c.b;
@@ -328,16 +371,16 @@ class PressedGroup {
     Vec2<T> push = normal;
     if (contact.rests) push += Scale(TangentialShare(contact), tangent);
     rows_.push_back({c.a, b, normal, push, Dot(normal, w), T(0.0)});
-    if (contact.mode != ContactMode::kStick && !wedged_) return;
+    if (contact.stopped || (contact.mode != ContactMode::kStick && !wedged_)) return;
     rows_.push_back({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
   }
 
-  void AddAccelerationRows(const Contact& contact, double ahead) {
+  void AddAccelerationRows(const Contact& contact, const T& arc) {
     const Candidate& c = in_.candidates[contact.pair];
     const PressingContact& f = contact.force;
     const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
       const EventDisc<T>& disc = discs_[i];
-      return disc.p + Scale(ahead, Vec2<T>(disc.v + Scale(0.5 * ahead, disc.a)));
+      return disc.p + Scale(T(0.5 * arc), Vec2<T>(disc.v + Scale(T(0.5 * arc), disc.a)));
     });
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
@@ -348,10 +391,13 @@ class PressedGroup {
     }
     T turning(0.0);
     if (!c.plane && Value(at.distance) > 0) {
-      const Vec2<T> w =
-          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(ahead, discs_[i].a); });
-      const T sliding = Dot(tangent, w);
-      turning = Divide(T(sliding * sliding), at.distance);
+      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+      if (Value(arc) > 0) {
+        turning = Divide(T(2.0 * Dot(at.normal, w)), arc);
+      } else {
+        const T sliding = Dot(tangent, w);
+        turning = Divide(T(sliding * sliding), at.distance);
+      }
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);

@@ -148,20 +148,67 @@ bool IsHeldByFriction(const Group& group) {
          });
 }
 
+// How much the force of a contact accelerates what another measures along its normal, at the discs that they share.
+bool Couples(const Start& start, const Group& group, const Group::Contact& measured, const Group::Contact& pushing) {
+  const Candidate &m = start.touching[measured.pair], &p = start.touching[pushing.pair];
+  double shared = 0;
+  const auto meet = [&](int i, int j, double sign) { shared += i == j ? sign * start.bodies[i].inverse_mass : 0; };
+  meet(m.a, p.a, 1);
+  if (!p.plane) meet(m.a, p.b, -1);
+  if (!m.plane) meet(m.b, p.a, -1);
+  if (!m.plane && !p.plane) meet(m.b, p.b, 1);
+  if (shared == 0) return false;
+  const Vec2d normal = start.Normal(m), pushed = start.Normal(p), tangent = Perpendicular(pushed);
+  const auto along = [&](const Vec2d& direction) { return std::abs(Dot(normal, direction)) > kNoComponent; };
+  if (pushing.mode == ContactMode::kStick) return along(pushed) || along(tangent);
+  return along(pushed + group.TangentialShare(pushing) * tangent);
+}
+
+// The pressed contacts whose forces reach, from one to the next, one that touches only: what bounces there strikes it.
+std::vector<const Group::Contact*> FindRattling(const Start& start, const Group& group) {
+  std::vector<const Group::Contact*> reached;
+  for (const Group::Contact& contact : group.contacts()) {
+    if (!contact.closed) reached.push_back(&contact);
+  }
+  const std::size_t open = reached.size();
+  for (std::size_t k = 0; k < reached.size(); ++k) {
+    for (const Group::Contact& contact : group.contacts()) {
+      const bool known = std::find(reached.begin(), reached.end(), &contact) != reached.end();
+      if (!known && Couples(start, group, *reached[k], contact)) reached.push_back(&contact);
+    }
+  }
+  reached.erase(reached.begin(), reached.begin() + static_cast<std::ptrdiff_t>(open));
+  return reached;
+}
+
 void AddPressed(const Scene& scene, const Start& start, const Group& group, Sides* sides) {
   using Quantity = OneSided::Quantity;
   const double friction = scene.contact.friction, restitution = scene.contact.restitution;
   const bool undecided = IsHeldByFriction(group);
+  for (const Group::Contact* contact : FindRattling(start, group)) {
+    const Candidate& c = start.touching[contact->pair];
+    const Vec2d normal = start.Normal(c);
+    for (const auto quantity : {Quantity::kPosition, Quantity::kVelocity}) sides->AddNone(c, quantity, normal);
+    if (!c.plane) sides->AddNone(c, Quantity::kPosition, Perpendicular(normal));  // see below
+  }
   for (const Group::Contact& contact : group.contacts()) {
     const Candidate& c = start.touching[contact.pair];
     const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
     if (!contact.closed) {
       sides->AddOneSided(c, Quantity::kVelocity, normal);
+      // Before the point where they slide past each other they would meet there.
+      const double sliding = group.SlidingSpeed(contact);
+      if (!c.plane && std::abs(sliding) > internal::kStickSpeed) {
+        sides->AddOneSided(c, Quantity::kPosition, std::copysign(1.0, sliding) * tangent);
+      }
       continue;
     }
     if (restitution >= 1) {
       sides->AddNone(c, Quantity::kPosition, normal);
-      if (LossHasVelocities(scene)) sides->AddNone(c, Quantity::kVelocity, normal);
+      if (LossHasVelocities(scene)) {
+        sides->AddNone(c, Quantity::kVelocity, normal);
+        if (!c.plane) sides->AddNone(c, Quantity::kPosition, tangent);  // see below
+      }
     }
     if (undecided) sides->AddNone(c, Quantity::kPosition, normal);
     const bool starts =
@@ -174,7 +221,10 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
     const Vec2d a = start.discs[c.a].a - (c.plane ? Vec2d(0, 0) : start.discs[c.b].a);
     const bool alone = group.contacts().size() == 1;
     const bool slips = restitution == 0 || Dot(slides, a) >= -friction * (1 + restitution) * Dot(normal, a);
-    if (!alone || !slips) sides->AddNone(c, Quantity::kPosition, normal);
+    if (alone && slips) continue;
+    sides->AddNone(c, Quantity::kPosition, normal);
+    // Moved along another disc by h, it is h^2 / (2 R) off it, and falls back at a speed that is proportional to h.
+    if (!c.plane) sides->AddNone(c, Quantity::kPosition, tangent);
   }
 }
 

@@ -53,8 +53,10 @@ class EventStep {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
       if (q < 0) return CloseCurvedContacts();
-      ++order_;
-      Resolve(q);
+      if (!CutArc(q)) {
+        ++order_;
+        Resolve(q);
+      }
       if (failed_) return;
       for (int other = 0; other < num_pairs(); ++other) {
         if (IsDirty(other)) Predict(other);
@@ -64,9 +66,9 @@ class EventStep {
     Fail("there is no end of events");
   }
 
-  // Whether an event concerned disc i, and if so its state at the end of the step; not a number where there were too
-  // many events, or forces were not found.
-  bool Moved(int i) const { return discs_[i].moved; }
+  // Whether an event changed disc i, and if so its state at the end of the step; not a number where there were too many
+  // events, or forces were not found. One that was looked at only, beside others, flies as if there had been nothing.
+  bool Moved(int i) const { return discs_[i].moved && (discs_[i].reported || failed_); }
   SALTUS_FLATTEN State End(int i) const {
     const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
     return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
@@ -157,7 +159,7 @@ class EventStep {
     if (pair.held) return;
     const Candidate& c = CandidateOf(q);
     const double now = Value(LastTime(c));
-    const Approach approach = ApproachAt(c, now);
+    Approach approach = ApproachAt(c, now);
     bool ignore_start = false;
     if (approach.Touching()) {
       const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
@@ -166,6 +168,8 @@ class EventStep {
         return;
       }
       ignore_start = true;
+      if (std::abs(approach.speed) <= kStillSpeed) approach.polynomial.c[1] = 0;  // or it might turn at once
+      if (std::abs(approach.gap) <= kRoundingGap) approach.polynomial.c[0] = 0;
     }
     const std::span<const double> wait = in_.Solved(
         [&] { return std::array{FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start)}; });
@@ -175,10 +179,7 @@ class EventStep {
   void Resolve(int q) {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
-    if (pairs_[q].held) {
-      Settle(q, pairs_[q].stopping ? StopTime(c, time) : T(time));
-      return;
-    }
+    if (pairs_[q].held) return Settle(q, EventTime(q));
     const Approach approach = ApproachAt(c, time);
     if (approach.speed < -kSlowSpeed) {
       const bool pressed = approach.Pushing() && TouchesAlone(q, time);
@@ -186,11 +187,12 @@ class EventStep {
       return;
     }
     const T slow_time = SlowTime(c, time, approach);
-    if (approach.Pushing()) {
+    // Within a pile all at once: what stops one pair makes the next close, with no end.
+    if (approach.Pushing() || (!approach.Grazing() && !TouchesAlone(q, time))) {
       Settle(q, slow_time);
       return;
     }
-    in_.Report(c, ContactMode::kFrictionless, TimeInStep(slow_time), ContactKind::kGrazing);
+    Report(c, ContactMode::kFrictionless, slow_time, ContactKind::kGrazing);
     if (approach.Grazing()) {
       // Nothing changes for the two, so nothing else is to be considered again.
       pairs_[q].passed = LastDisc(c).order;
@@ -203,7 +205,44 @@ class EventStep {
     pairs_[q].passed = order_;
   }
 
+  // The predicted time of the next event of pair q, with derivatives.
+  T EventTime(int q) const {
+    const Candidate& c = CandidateOf(q);
+    const double time = pairs_[q].next;
+    if (pairs_[q].held) return pairs_[q].stopping ? StopTime(c, time) : T(time);
+    const Approach approach = ApproachAt(c, time);
+    return approach.speed < -kSlowSpeed ? ImpactTime(c, time) : SlowTime(c, time, approach);
+  }
+
+  // The accelerations of discs that move around each other are right at the end of their arc only. Where pair q meets,
+  // or stops, before that, begins the arc again, to end there. True if so: that moves the event a little.
+  bool CutArc(int q) {
+    const Candidate& c = CandidateOf(q);
+    const double end = pairs_[q].next;
+    for (int i : {c.a, c.b}) {
+      if ((i == c.b && c.plane) || !Moves(i)) continue;
+      const EventDisc<T>& disc = discs_[i];
+      const double start = Value(disc.t), arc = disc.arc_end - start;
+      if (arc == kNever || disc.arc_end - end <= kArcEnd * arc || end - start <= kNodeMargin * in_.h) continue;
+      for (int held = 0; held < num_pairs(); ++held) {
+        const Candidate& d = CandidateOf(held);
+        if (!pairs_[held].held || (d.a != i && (d.plane || d.b != i))) continue;
+        const int order = order_;
+        order_ = disc.order;
+        Settle(held, T(disc.t), EventTime(q));
+        order_ = order;
+        return true;
+      }
+    }
+    return false;
+  }
+
   double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
+  void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
+    in_.Report(c, mode, TimeInStep(time), kind);
+    discs_[c.a].reported = true;
+    if (!c.plane) discs_[c.b].reported = true;
+  }
 
   // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
   // overlapped already at its last event has no impact time of its own; it meets at that event.
@@ -247,6 +286,7 @@ class EventStep {
     disc.t = time;
     disc.moved = disc.dirty = true;
     disc.order = order_;
+    disc.arc_end = kNever;
   }
 
   // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
@@ -300,7 +340,7 @@ class EventStep {
     }
     const Vec2<T> impulse = Scale(normal_impulse, at.normal) + Scale(tangential_impulse, tangent);
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-    in_.Report(c, mode, TimeInStep(time));
+    Report(c, mode, time, ContactKind::kImpact);
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
@@ -400,25 +440,24 @@ class EventStep {
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
   }
 
-  // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on.
-  void Settle(int q, const T& time) {
+  // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on. Discs
+  // that move around each other do so in arcs, the first until `arc_end` at most.
+  void Settle(int q, const T& time, const T& arc_end = T(kNever)) {
     group_.Clear();
     Join(q, time);
     while (Grow(time)) {
     }
     if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
-    for (const auto& contact : group_.contacts()) {
-      const Candidate& c = CandidateOf(contact.pair);
-      if (contact.closed || ApproachAt(c, Value(time)).speed >= -kStillSpeed) continue;
-      StopClosing(c);
-      ReportSustained(contact, time);
-    }
     group_.ProjectPositions();
     group_.ProjectVelocities();
-    group_.SetAccelerations(0);
-    const double ahead = CurvedStep(Value(time));
-    if (ahead > 0) group_.SetAccelerations(0.5 * ahead);
-    for (const auto& contact : group_.contacts()) Hold(contact, time, ahead);
+    group_.SetAccelerations(T(0.0));
+    const T arc = Arc(time, arc_end);
+    // The second time with the end that the first has found.
+    for (int pass = 0; pass < 2 && Value(arc) > 0; ++pass) {
+      group_.SetAccelerations(arc);
+      if (pass == 1 && group_.OpenPulling()) pass = -1;
+    }
+    for (const auto& contact : group_.contacts()) Hold(contact, time, Value(arc));
   }
 
   void Join(int q, const T& time) {
@@ -434,6 +473,7 @@ class EventStep {
     for (int q = 0; q < num_pairs(); ++q) {
       const Candidate& c = CandidateOf(q);
       if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
+      if (Value(LastTime(c)) > Value(time)) continue;  // it has come later, where an arc begins again
       const bool drifted = pairs_[q].curved && pairs_[q].released == order_;
       if (!drifted && !ApproachAt(c, Value(time)).Touching()) continue;
       Join(q, time);
@@ -443,9 +483,9 @@ class EventStep {
   }
 
   // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not. A
-  // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: the gap is
-  // off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8 after s.
-  double CurvedStep(double now) const {
+  // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: within s, the
+  // gap is off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
+  T Arc(const T& time, const T& arc_end) const {
     double step = kNever;
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
@@ -458,20 +498,25 @@ class EventStep {
       if (change > 0) limit(std::sqrt(4 * std::sqrt(drift) / change));
       if (turn > 0) limit(std::sqrt(std::sqrt(8 * drift)) / turn);
     }
-    const double left = in_.h - now;
-    if (step == kNever || left <= 0) return 0;
-    return left / std::ceil(left / step);
+    const double now = Value(time), left = in_.h - now;
+    if (step == kNever || left <= 0) return T(0.0);
+    if (Value(arc_end) - now < step) return arc_end - time;
+    return (now + left / std::ceil(left / step)) - time;
   }
 
-  void Hold(const typename Group::Contact& contact, const T& time, double ahead) {
+  void Hold(const typename Group::Contact& contact, const T& time, double arc) {
+    const Candidate& c = CandidateOf(contact.pair);
     Pair& pair = pairs_[contact.pair];
     pair.held = contact.closed;
-    pair.curved = contact.closed && contact.Curved() && ahead > 0;
+    pair.curved = contact.closed && contact.Curved() && arc > 0;
     pair.stopping = false;
     pair.passed = order_;
+    if (contact.closed || contact.stopped) ReportSustained(contact, time);
     if (!contact.closed) return;
-    ReportSustained(contact, time);
-    pair.next = pair.curved ? Value(time) + ahead : kNever;
+    const double arc_end = arc > 0 ? Value(time) + arc : kNever;
+    discs_[c.a].arc_end = arc_end;
+    if (!c.plane) discs_[c.b].arc_end = arc_end;
+    pair.next = pair.curved ? arc_end : kNever;
     if (contact.mode != ContactMode::kSlip) return;
     const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
     if (std::abs(sliding) <= kStickSpeed || sliding * change >= 0) return;
@@ -486,7 +531,7 @@ class EventStep {
     int& reported = pairs_[contact.pair].reported_mode;
     if (reported == static_cast<int>(contact.mode)) return;
     reported = static_cast<int>(contact.mode);
-    in_.Report(CandidateOf(contact.pair), contact.mode, TimeInStep(time), ContactKind::kSustained);
+    Report(CandidateOf(contact.pair), contact.mode, time, ContactKind::kSustained);
   }
 
   // Discs that moved around each other end the step exactly in contact.

@@ -263,6 +263,25 @@ TEST(EventSidesPuck, FrictionTakesItsShareOfTheBounces) {
   }
 }
 
+// What bounces on a pressed contact strikes what touches one of its discs.
+TEST_P(EventSides, BesideOneThatTouchesOnly) {
+  Scene row = Empty(GetParam(), 0, 0.3);
+  row.gravity = {0, 0};
+  for (int i = 0; i < 3; ++i) {
+    row.bodies.push_back({.name = "disc" + std::to_string(i), .radius = 0.1, .mass = 1, .position = {0.2 * i, 0}});
+  }
+  row.control = {{1, 2}, {Vec2d(3.6, 0), Vec2d(-1.1, 0)}};
+  ExpectSlopes("row", row, 1e-5);
+  std::vector<OneSided> along;
+  for (int i = 0; i < 3; ++i) {
+    const Side side = i == 0 ? Side::kBelow : Side::kNone;
+    for (const auto quantity : {Quantity::kPosition, Quantity::kVelocity}) along.push_back({i, quantity, 0, side});
+  }
+  std::vector<OneSided> found = OneSidedDerivatives(row);
+  std::erase_if(found, [](const OneSided& entry) { return entry.component != 0; });
+  EXPECT_EQ(found, along);
+}
+
 TEST(EventSidesOfScenes, WhichExist) {
   // Bounces that never end: positions have a derivative by velocity, velocities have none.
   Scene scene = OnPlane(1, 0, 0, 2, {0, 0});
@@ -288,6 +307,18 @@ TEST(EventSidesOfScenes, WhichExist) {
   EXPECT_EQ(OneSidedDerivatives(scene), apart);
   scene.bodies[0].position[0] = -0.01;
   EXPECT_TRUE(OneSidedDerivatives(scene).empty());
+
+  // One that slides past another: a little behind, it would still meet it.
+  scene.bodies[0].position = {0.2, -0.2};
+  scene.bodies[0].velocity = {1, 0};
+  std::vector<OneSided> ahead;
+  for (int i : {0, 1}) {
+    const Side forth = i == 0 ? Side::kAbove : Side::kBelow, apart_y = i == 0 ? Side::kBelow : Side::kAbove;
+    ahead.push_back({i, Quantity::kPosition, 0, forth});
+    ahead.push_back({i, Quantity::kPosition, 1, apart_y});
+    ahead.push_back({i, Quantity::kVelocity, 1, apart_y});
+  }
+  EXPECT_EQ(OneSidedDerivatives(scene), ahead);
 }
 
 // Two discs meet without friction, on a line that is theirs but for rounding: any friction makes them stick.
@@ -326,6 +357,75 @@ TEST(PressingForces, OfALongRow) {
     for (int i = 0; i < n; ++i) {
       EXPECT_NEAR(contacts[i].normal_force, 2 * 9.8 * (n - i), 1e-8 * n) << n;
       EXPECT_NEAR(acceleration[i].norm(), 0, 1e-8) << n;
+    }
+  }
+}
+
+// A pyramid beside a wall, where more contacts stick than there are ways to move: they agree but for the small speeds
+// and gaps of the state.
+TEST(PressingForces, OfContactsThatDependOnEachOther) {
+  const std::vector<double> inverse_mass = {2, 2.9405595287085524, 2, 2, 0.80988643956465256, 0.8290179952495107};
+  std::vector<Vec2d> acceleration = {Vec2d(0, -0.30625000000000002),
+                                     Vec2d(0.11354292650971652, -0.27246960040545332),
+                                     Vec2d(-0.037752237636595964, -0.18532279672799634),
+                                     Vec2d(0, -0.30625000000000002),
+                                     Vec2d(0, -0.30625000000000002),
+                                     Vec2d(-0.045899272689512591, -0.34992137339382406)};
+  std::vector<PressingContact> contacts = {
+      {.a = 0,
+       .b = 3,
+       .normal = {-0.49999999995838013, -0.86602540380846793},
+       .mass = 0.25,
+       .turning = 0,
+       .sliding = 0},
+      {.a = 0, .b = 1, .normal = {-1, 0}, .mass = 0.20240622427261734, .turning = 0, .sliding = 0},
+      {.a = 1,
+       .b = 3,
+       .normal = {0.50000000006673151, -0.8660254037459113},
+       .mass = 0.20240622427261734,
+       .turning = 1.2128228446096791e-12,
+       .sliding = 1},
+      {.a = 1,
+       .b = 4,
+       .normal = {-0.53620829536955705, -0.84408569705739822},
+       .mass = 0.26663495713829038,
+       .turning = 0.0066189722397978074,
+       .sliding = -1},
+      {.a = 2,
+       .b = 4,
+       .normal = {0.53620829536955728, -0.84408569705739811},
+       .mass = 0.3558862685407792,
+       .turning = 0.0066189722397978074,
+       .sliding = 1},
+      {.a = 3,
+       .b = 5,
+       .normal = {-0.53620829514440893, -0.84408569720042426},
+       .mass = 0.3534795472065575,
+       .turning = 0.0066166674779368434,
+       .sliding = -1},
+      {.a = 0, .b = -1, .normal = {0, 1}, .mass = 0.5, .turning = 0, .sliding = 0},
+      {.a = 0, .b = -1, .normal = {1, 0}, .mass = 0.5, .turning = 0, .sliding = 0},
+      {.a = 1, .b = -1, .normal = {0, 1}, .mass = 0.34007133344421164, .turning = 0, .sliding = -1},
+      {.a = 2, .b = -1, .normal = {0, 1}, .mass = 0.5, .turning = 0, .sliding = -1},
+  };
+  const std::vector<Vec2d> given = acceleration;
+  const double friction = 0.038954626768827438;
+  EXPECT_EQ(SolvePressingForces(friction, inverse_mass, acceleration, contacts), Pressing::kSolved);
+  std::vector<Vec2d> expected = given;
+  for (const PressingContact& c : contacts) {
+    const Vec2d force = c.normal_force * c.normal + c.tangential_force * Perpendicular(c.normal);
+    EXPECT_GE(c.normal_force, 0);
+    EXPECT_LE(std::abs(c.tangential_force), friction * c.normal_force * (1 + 1e-9) + 1e-12);
+    expected[c.a] += inverse_mass[c.a] * force;
+    if (c.b >= 0) expected[c.b] -= inverse_mass[c.b] * force;
+  }
+  for (std::size_t i = 0; i < given.size(); ++i) EXPECT_NEAR((expected[i] - acceleration[i]).norm(), 0, 1e-12);
+  for (const PressingContact& c : contacts) {
+    const Vec2d b = c.b >= 0 ? Vec2d(acceleration[c.a] - acceleration[c.b]) : acceleration[c.a];
+    const double apart = Dot(c.normal, b) + c.turning;
+    EXPECT_GE(apart, -1e-9);
+    if (c.normal_force > 1e-9) {
+      EXPECT_NEAR(apart, 0, 1e-9);
     }
   }
 }
