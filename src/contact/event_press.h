@@ -6,6 +6,7 @@
 // correction in T carries the derivatives.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <memory_resource>
 #include <vector>
@@ -52,10 +53,7 @@ class PressedGroup {
 
   std::span<const Contact> contacts() const { return contacts_; }
   bool Contains(int pair) const {
-    for (const Contact& contact : contacts_) {
-      if (contact.pair == pair) return true;
-    }
-    return false;
+    return std::any_of(contacts_.begin(), contacts_.end(), [&](const Contact& one) { return one.pair == pair; });
   }
   // Precondition: its discs have been moved to the instant of the group.
   void Add(int pair, bool drifts) {
@@ -68,11 +66,10 @@ class PressedGroup {
     contacts_.push_back({.pair = pair, .mode = mode, .closed = true, .drifts = drifts});
   }
   bool HasDisc(int i) const {
-    for (const Contact& contact : contacts_) {
+    return std::any_of(contacts_.begin(), contacts_.end(), [&](const Contact& contact) {
       const Candidate& c = in_.candidates[contact.pair];
-      if (!in_.bodies[i].fixed && (c.a == i || (!c.plane && c.b == i))) return true;
-    }
-    return false;
+      return !in_.bodies[i].fixed && (c.a == i || (!c.plane && c.b == i));
+    });
   }
 
   // The forces on values, and which contacts they close. False if they were not found.

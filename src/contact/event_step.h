@@ -12,29 +12,20 @@
 #include <type_traits>
 #include <vector>
 
+#include "contact/event_motion.h"
 #include "contact/event_press.h"
 #include "contact/event_ties.h"
+#include "contact/impact.h"
 
 namespace saltus::internal {
 
 template <typename T>
-class EventStep {
+class EventStep : private EventMotion<T> {
  public:
-  using State = BodyState<T, 0>;
-  static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
+  using typename EventMotion<T>::State;
 
   EventStep(const StepInput<T>& in, std::span<const State> x)
-      : in_(in),
-        limit_(in.h * (1 - kNodeMargin)),
-        discs_(in.scratch),
-        pairs_(in.candidates.size(), in.scratch),
-        tied_(in.scratch),
-        trial_(in.scratch),
-        group_(in) {
-    discs_.reserve(x.size());
-    for (int i = 0; i < static_cast<int>(x.size()); ++i) {
-      discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
-    }
+      : EventMotion<T>(in, x), limit_(in.h * (1 - kNodeMargin)), tied_(in.scratch), trial_(in.scratch), group_(in) {
     group_.SetDiscs(discs_);
   }
 
@@ -76,17 +67,13 @@ class EventStep {
 
  private:
   using Group = PressedGroup<T>;
-
-  struct Pair {
-    double next = kNever;    // s, its next event
-    int passed = -1;         // number of the event since which it is ignored while it touches
-    int released = -1;       // number of the event that last ended held
-    bool held = false;       // closed, and kept closed by the accelerations of its discs
-    bool curved = false;     // its discs move around each other while held, or did
-    bool stopping = false;   // held, and its next event is that sliding ends
-    int reported_mode = -1;  // of the last report as a sustained contact
-    double tied = -kNever;   // s, when it was last looked at as a part of a tie
-  };
+  using Discs = EventMotion<T>;
+  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ShareDisc,
+      Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::RelativeVelocityAt, Discs::SeparationAtTime,
+      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::MotionAt, Discs::Measure, Discs::ApproachAt,
+      Discs::LastTime, Discs::LastDisc, Discs::TimeInStep, Discs::Report, Discs::ImpactTime, Discs::SlowTime,
+      Discs::StopTime;
+  using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
   struct TieTrial {
@@ -102,13 +89,6 @@ class EventStep {
     in_.Fail(why);
   }
 
-  int num_pairs() const { return static_cast<int>(pairs_.size()); }
-  const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
-  bool Moves(int i) const { return !in_.bodies[i].fixed; }
-  bool IsDirty(int q) const {
-    const Candidate& c = CandidateOf(q);
-    return discs_[c.a].dirty || (!c.plane && discs_[c.b].dirty);
-  }
   int NextPair() const {
     int next = -1;
     double time = limit_;
@@ -119,39 +99,6 @@ class EventStep {
       }
     }
     return next;
-  }
-
-  Vec2<T> RelativeVelocityAt(const Candidate& c, const T& time) const {
-    return RelativeVelocity<T>(c, [&](int i) { return discs_[i].VelocityAt(time); });
-  }
-  Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
-    return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
-  }
-  // The same at the last events of both discs. Precondition: that is the same instant, or a disc is fixed.
-  Vec2<T> LastRelativeVelocity(const Candidate& c) const {
-    return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
-  }
-  Separation<T> LastSeparation(const Candidate& c) const {
-    return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
-  }
-  Motion MotionAt(int i, double time) const {
-    const EventDisc<T>& disc = discs_[i];
-    const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
-    return Motion{value(disc.p), value(disc.v), value(disc.a)}.After(time - Value(disc.t));
-  }
-  template <typename MotionOf>
-  Approach Measure(const Candidate& c, const MotionOf& motion) const {
-    if (c.plane) return MeasureApproach(motion(c.a), in_.planes[c.b], in_.ContactDistance(c));
-    return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
-  }
-  Approach ApproachAt(const Candidate& c, double time) const {
-    return Measure(c, [&](int i) { return MotionAt(i, time); });
-  }
-
-  // The time and the number of the last event of a pair's discs.
-  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
-  const EventDisc<T>& LastDisc(const Candidate& c) const {
-    return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
   }
 
   void Predict(int q) {
@@ -237,46 +184,6 @@ class EventStep {
     return false;
   }
 
-  double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
-  void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
-    in_.Report(c, mode, TimeInStep(time), kind);
-    discs_[c.a].reported = true;
-    if (!c.plane) discs_[c.b].reported = true;
-  }
-
-  // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
-  // overlapped already at its last event has no impact time of its own; it meets at that event.
-  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
-    const T time(predicted);
-    const Separation<T> at = SeparationAtTime(c, time);
-    const T gap = at.distance - in_.ContactDistance(c);
-    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
-    if (predicted <= Value(LastTime(c))) {
-      const bool first = LastDisc(c).order == 0;
-      const double allowed = first ? kContactGap - 2 * kNodeMargin * in_.h * speed : kRoundingGap;
-      if (Value(gap) < -allowed) return LastTime(c);
-    }
-    return time - Divide(T(gap - Value(gap)), speed);
-  }
-  // Likewise when they touch slowly.
-  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
-    const T time(predicted);
-    if (predicted <= Value(LastTime(c))) return LastTime(c);
-    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
-    if (!approach.Pushing()) return time;
-    // They never parted by more than rounding: this is when they begin to close.
-    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
-    return time - Divide(T(speed - Value(speed)), approach.acceleration);
-  }
-  // Likewise for the time at which sliding ends.
-  T StopTime(const Candidate& c, double predicted) const {
-    const T time(predicted);
-    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
-    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
-    const T sliding = Dot(tangent, RelativeVelocityAt(c, time));
-    return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
-  }
-
   SALTUS_FLATTEN void MoveTo(int i, const T& time) {
     if (!Moves(i)) return;
     EventDisc<T>& disc = discs_[i];
@@ -304,43 +211,18 @@ class EventStep {
     }
   }
 
-  // Whether the discs of pair q touch nothing else.
-  bool TouchesAlone(int q, double time) const {
-    const Candidate& c = CandidateOf(q);
-    for (int other = 0; other < num_pairs(); ++other) {
-      const Candidate& d = CandidateOf(other);
-      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
-      if (other == q || (!shares(c.a) && (c.plane || !shares(c.b)))) continue;
-      if (ApproachAt(d, time).gap <= kContactGap) return false;
-    }
-    return true;
-  }
-
   // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
   // of a contact at rest, friction included, sum up to that of a plastic impact.
   SALTUS_FLATTEN void Impact(const Candidate& c, const T& time, bool pressed) {
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = LastSeparation(c);
-    const Vec2<T> w = LastRelativeVelocity(c), tangent = Perpendicular(at.normal);
-    const T speed = Dot(at.normal, w), sliding = Dot(tangent, w);
-    const T& friction = in_.contact.friction;
-    const T mass = in_.EffectiveMass(c);
-    const bool last = pressed && -Value(in_.contact.restitution) * Value(speed) <= kSlowSpeed;
+    const Vec2<T> w = LastRelativeVelocity(c);
+    const bool last = pressed && -Value(in_.contact.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
     const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
-    const T normal_impulse = -bounce * mass * speed;
-    ContactMode mode = Value(friction) > 0 ? ContactMode::kSlip : ContactMode::kFrictionless;
-    // Without friction only the derivative by it is left of this impulse: none head-on, where any friction sticks.
-    const bool head_on =
-        mode == ContactMode::kFrictionless && std::abs(Value(sliding)) <= kHeadOn * std::abs(Value(speed));
-    T tangential_impulse = -friction * (head_on ? 0.0 : SignOf(sliding)) * normal_impulse;
-    if (mode == ContactMode::kSlip && !(Value(mass) * std::abs(Value(sliding)) > std::abs(Value(tangential_impulse)))) {
-      mode = ContactMode::kStick;
-      tangential_impulse = -mass * sliding;
-    }
-    const Vec2<T> impulse = Scale(normal_impulse, at.normal) + Scale(tangential_impulse, tangent);
-    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-    Report(c, mode, time, ContactKind::kImpact);
+    const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, in_.contact.friction, kHeadOn);
+    ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    Report(c, impact.mode, time, ContactKind::kImpact);
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
@@ -367,8 +249,7 @@ class EventStep {
       const Candidate c = CandidateOf(tied_[k]);
       for (int r = 0; r < num_pairs(); ++r) {
         const Candidate& d = CandidateOf(r);
-        const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
-        if (!shares(c.a) && (c.plane || !shares(c.b))) continue;
+        if (!ShareDisc(c, d)) continue;
         if (std::find(tied_.begin(), tied_.end(), r) != tied_.end()) continue;
         const double distance = in_.ContactDistance(d), size = distance + MotionAt(d.a, time).p.template lpNorm<1>();
         if (MeetsNow(ApproachAt(d, time), distance, size, in_.h)) tied_.push_back(r);
@@ -404,27 +285,26 @@ class EventStep {
     for (int r : tied_) fastest = std::max(fastest, -ApproachAt(CandidateOf(r), time).speed);
     if (fastest <= kTieSlowSpeed) return false;
     const double same = kTieSpeed * fastest + kTieSlowSpeed;
-    TieTrial& trial = trial_;
-    trial.tied = tied_;
-    trial.discs = discs_;
-    trial.pairs = pairs_;
+    trial_.tied = tied_;
+    trial_.discs = discs_;
+    trial_.pairs = pairs_;
     const int order = order_;
     const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
     bool matters = false, choice = true;
     for (int k = 1; k <= NumTieOrders(static_cast<int>(tied_.size())) && choice && !matters; ++k) {
-      tied_ = trial.tied;
+      tied_ = trial_.tied;
       ArrangeTie(k, tied_);
       choice = TakeTied(time) || k > 1;
-      if (k == 1) trial.outcome = discs_;
+      if (k == 1) trial_.outcome = discs_;
       for (std::size_t i = 0; i < discs_.size(); ++i) {
-        matters = matters || (trial.outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
+        matters = matters || (trial_.outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
       }
-      discs_ = trial.discs;
-      pairs_ = trial.pairs;
+      discs_ = trial_.discs;
+      pairs_ = trial_.pairs;
       order_ = order;
       if (in_.touches != nullptr) in_.touches->resize(touches);
     }
-    tied_ = trial.tied;
+    tied_ = trial_.tied;
     return matters;
   }
 
@@ -445,8 +325,7 @@ class EventStep {
   void Settle(int q, const T& time, const T& arc_end = T(kNever)) {
     group_.Clear();
     Join(q, time);
-    while (Grow(time)) {
-    }
+    while (Grow(time)) continue;
     if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
     group_.ProjectPositions();
     group_.ProjectVelocities();
@@ -554,16 +433,11 @@ class EventStep {
     if (!c.plane) MoveTo(c.b, time);
     group_.AddClosed(q, static_cast<ContactMode>(pairs_[q].reported_mode), pairs_[q].curved);
     for (int other = 0; other < num_pairs(); ++other) {
-      const Candidate& d = CandidateOf(other);
-      const auto shares = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
-      if (shares(c.a) || (!c.plane && shares(c.b))) Gather(other, time);
+      if (ShareDisc(c, CandidateOf(other))) Gather(other, time);
     }
   }
 
-  const StepInput<T>& in_;
-  double limit_;  // s, events after it are left to the next step
-  std::pmr::vector<EventDisc<T>> discs_;
-  std::pmr::vector<Pair> pairs_;
+  double limit_;                // s, events after it are left to the next step
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
   int order_ = 0;

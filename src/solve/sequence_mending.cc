@@ -53,6 +53,9 @@ class Mending {
     lowest_ = WithinBounds(run_.guess());
     if (!lowest_.exact.ok) lowest_ = run_.guess();
     Add(TaskAlong(SequenceFor(options, run_.guess()), run_.guess()));
+    if (lowest_.control != run_.guess().control && lowest_.exact.only_impacts) {
+      Add(TaskAlong(SequenceFor(options, lowest_), lowest_));
+    }
     for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
       if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();

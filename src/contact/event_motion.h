@@ -1,0 +1,142 @@
+// The discs of one step of the event-driven model (event.h) on their way: where they and pairs of them are at any time,
+// and when two meet, with the derivatives of that time.
+#pragma once
+
+#include <algorithm>
+#include <memory_resource>
+#include <span>
+#include <type_traits>
+#include <vector>
+
+#include "contact/event_press.h"
+
+namespace saltus::internal {
+
+template <typename T>
+class EventMotion {
+ public:
+  using State = BodyState<T, 0>;
+  static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
+
+ protected:
+  struct Pair {
+    double next = kNever;    // s, its next event
+    int passed = -1;         // number of the event since which it is ignored while it touches
+    int released = -1;       // number of the event that last ended held
+    bool held = false;       // closed, and kept closed by the accelerations of its discs
+    bool curved = false;     // its discs move around each other while held, or did
+    bool stopping = false;   // held, and its next event is that sliding ends
+    int reported_mode = -1;  // of the last report as a sustained contact
+    double tied = -kNever;   // s, when it was last looked at as a part of a tie
+  };
+
+  EventMotion(const StepInput<T>& in, std::span<const State> x)
+      : in_(in), discs_(in.scratch), pairs_(in.candidates.size(), in.scratch) {
+    discs_.reserve(x.size());
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) {
+      discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
+    }
+  }
+
+  bool Moves(int i) const { return !in_.bodies[i].fixed; }
+  const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
+  int num_pairs() const { return static_cast<int>(pairs_.size()); }
+  bool IsDirty(int q) const {
+    const Candidate& c = CandidateOf(q);
+    return discs_[c.a].dirty || (!c.plane && discs_[c.b].dirty);
+  }
+  // Whether two pairs have a disc that moves in common.
+  bool ShareDisc(const Candidate& c, const Candidate& d) const {
+    const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+    return has(c.a) || (!c.plane && has(c.b));
+  }
+  // Whether the discs of pair q touch nothing else.
+  bool TouchesAlone(int q, double time) const {
+    const Candidate& c = CandidateOf(q);
+    for (int other = 0; other < num_pairs(); ++other) {
+      const Candidate& d = CandidateOf(other);
+      if (other == q || !ShareDisc(c, d)) continue;
+      if (ApproachAt(d, time).gap <= kContactGap) return false;
+    }
+    return true;
+  }
+
+  Vec2<T> RelativeVelocityAt(const Candidate& c, const T& time) const {
+    return RelativeVelocity<T>(c, [&](int i) { return discs_[i].VelocityAt(time); });
+  }
+  Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
+    return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
+  }
+  // The same at the last events of both discs. Precondition: that is the same instant, or a disc is fixed.
+  Vec2<T> LastRelativeVelocity(const Candidate& c) const {
+    return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
+  }
+  Separation<T> LastSeparation(const Candidate& c) const {
+    return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
+  }
+  Motion MotionAt(int i, double time) const {
+    const EventDisc<T>& disc = discs_[i];
+    const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
+    return Motion{value(disc.p), value(disc.v), value(disc.a)}.After(time - Value(disc.t));
+  }
+  template <typename MotionOf>
+  Approach Measure(const Candidate& c, const MotionOf& motion) const {
+    if (c.plane) return MeasureApproach(motion(c.a), in_.planes[c.b], in_.ContactDistance(c));
+    return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+  }
+  Approach ApproachAt(const Candidate& c, double time) const {
+    return Measure(c, [&](int i) { return MotionAt(i, time); });
+  }
+
+  // The time and the number of the last event of a pair's discs.
+  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
+  const EventDisc<T>& LastDisc(const Candidate& c) const {
+    return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
+  }
+
+  double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
+  void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
+    in_.Report(c, mode, TimeInStep(time), kind);
+    discs_[c.a].reported = true;
+    if (!c.plane) discs_[c.b].reported = true;
+  }
+
+  // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
+  // overlapped already at its last event has no impact time of its own; it meets at that event.
+  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Separation<T> at = SeparationAtTime(c, time);
+    const T gap = at.distance - in_.ContactDistance(c);
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    if (predicted <= Value(LastTime(c))) {
+      const bool first = LastDisc(c).order == 0;
+      const double allowed = first ? kContactGap - 2 * kNodeMargin * in_.h * speed : kRoundingGap;
+      if (Value(gap) < -allowed) return LastTime(c);
+    }
+    return time - Divide(T(gap - Value(gap)), speed);
+  }
+  // Likewise when they touch slowly.
+  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
+    const T time(predicted);
+    if (predicted <= Value(LastTime(c))) return LastTime(c);
+    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
+    if (!approach.Pushing()) return time;
+    // They never parted by more than rounding: this is when they begin to close.
+    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
+    return time - Divide(T(speed - Value(speed)), approach.acceleration);
+  }
+  // Likewise for the time at which sliding ends.
+  T StopTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
+    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
+    const T sliding = Dot(tangent, RelativeVelocityAt(c, time));
+    return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
+  }
+
+  const StepInput<T>& in_;
+  std::pmr::vector<EventDisc<T>> discs_;
+  std::pmr::vector<Pair> pairs_;
+};
+
+}  // namespace saltus::internal
