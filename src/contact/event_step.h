@@ -366,8 +366,10 @@ class EventStep : private EventMotion<T> {
   // gap is off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
   T Arc(const T& time, const T& arc_end) const {
     double step = kNever;
+    bool curved = false;
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
+      curved = true;  // if it does not turn, its derivative does
       const double radius = in_.ContactDistance(CandidateOf(contact.pair));
       const double drift = kLargestDrift / radius;
       const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
@@ -378,9 +380,9 @@ class EventStep : private EventMotion<T> {
       if (turn > 0) limit(std::sqrt(std::sqrt(8 * drift)) / turn);
     }
     const double now = Value(time), left = in_.h - now;
-    if (step == kNever || left <= 0) return T(0.0);
+    if (!curved || left <= 0) return T(0.0);
     if (Value(arc_end) - now < step) return arc_end - time;
-    return (now + left / std::ceil(left / step)) - time;
+    return (now + left / std::max(1.0, std::ceil(left / step))) - time;
   }
 
   void Hold(const typename Group::Contact& contact, const T& time, double arc) {
