@@ -6,7 +6,9 @@
 
 #include <type_traits>
 
+#include "contact/compliant_warp.h"
 #include "contact/direct.h"
+#include "contact/lcp_pgs.h"
 #include "contact/pbd_warp.h"
 #include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"
@@ -83,6 +85,24 @@ struct ForgetsRestitution : Direct<true> {
   }
 };
 
+// By one percent of the speed: two of the stiffness.
+struct PartsStiffer : CompliantWarp {
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    StepInput<T> stiffer = in;
+    const Candidate& c = in.candidates[0];
+    const Vec2<T> normal = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; }).normal;
+    const T speed = Dot(normal, RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return x[i].v; }));
+    if (speed > Base<T>(0)) stiffer.contact.stiffness = in.contact.stiffness * Base<T>(1.02);
+    CompliantWarp::Step(stiffer, x, next);
+  }
+};
+
+// Twice as much of an overlap as stated.
+struct CorrectsTwice : LcpPgs<false> {
+  CorrectsTwice() { erp *= 2; }
+};
+
 struct FlipsTheNormal : Direct<true> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
@@ -135,6 +155,12 @@ Model Tested() {
 
 TEST(SeededFault, ForgottenRestitutionIsFound) {
   EXPECT_THAT(CheckRestitution(Tested<ForgetsRestitution>()), Not(IsEmpty()));
+}
+
+TEST(SeededFault, EnergyFromNothingIsFound) {
+  EXPECT_THAT(CheckRestitution(Tested<CompliantWarp>()), IsEmpty());
+  EXPECT_THAT(CheckRestitution(Tested<PartsStiffer>()), Not(IsEmpty()));
+  EXPECT_THAT(CheckRestitution(Tested<CorrectsTwice>()), Not(IsEmpty()));
 }
 
 TEST(SeededFault, FlippedNormalIsFound) {

@@ -1,6 +1,8 @@
 // Further formulations of contact on the published tasks: loss and gradient at the initial guess, what gradient descent
-// makes of them, and what that is worth under exact dynamics. Values of an independent implementation, to the digits it
-// prints: data/formulations.csv.
+// makes of them, and what that is worth under exact dynamics: data/formulations.csv. Its column `source` says whose
+// formulation a value is of, and how it was computed, by an implementation in double precision that shares no code with
+// this one; the packages themselves were not run. Values have the digits that it prints.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -25,6 +27,7 @@ struct Formulation {
   std::string problem, contact;
   double friction = 0, stiffness = 0;  // 0: that of the problem
   std::map<std::string, Number> expected;
+  std::vector<std::string> without_source;
 
   Scene MakeScene() const {
     Scene scene = ProblemScene(problem);
@@ -44,13 +47,23 @@ std::string NameOf(const testing::TestParamInfo<Formulation>& info) {
 
 std::vector<Formulation> All() {
   const StatusOr<CsvDocument> csv = ReadCsv(SALTUS_SOURCE_DIR "/data/formulations.csv");
+  const auto column = [&](const char* name) { return csv->Find(name).value(); };
+  const size_t problem = column("problem"), friction = column("friction"), contact = column("contact"),
+               stiffness = column("stiffness"), quantity = column("quantity"), value = column("value"),
+               tolerance = column("tolerance"), source = column("source");
   std::vector<Formulation> all;
   for (const std::vector<std::string>& row : csv->rows) {
-    Formulation at{row[0], row[2], std::stod(row[1]), row[3].empty() ? 0 : std::stod(row[3]), {}};
+    Formulation at{row[problem],
+                   row[contact],
+                   std::stod(row[friction]),
+                   row[stiffness].empty() ? 0 : std::stod(row[stiffness]),
+                   {},
+                   {}};
     const bool same = !all.empty() && std::tie(all.back().problem, all.back().contact, all.back().friction) ==
                                           std::tie(at.problem, at.contact, at.friction);
     if (!same) all.push_back(at);
-    all.back().expected[row[4]] = {std::stod(row[5]), std::stod(row[6])};
+    all.back().expected[row[quantity]] = {std::stod(row[value]), std::stod(row[tolerance])};
+    if (row[source].empty()) all.back().without_source.push_back(row[quantity]);
   }
   return all;
 }
@@ -63,6 +76,8 @@ void Compare(const Formulation& at, const std::string& quantity, double value) {
 }
 
 class FormulationOf : public testing::TestWithParam<Formulation> {};
+
+TEST_P(FormulationOf, HasSources) { EXPECT_THAT(GetParam().without_source, testing::IsEmpty()); }
 
 TEST_P(FormulationOf, HasTheLossAndGradient) {
   const Scene scene = GetParam().MakeScene();

@@ -1,8 +1,12 @@
 // Gradient descent against published results and a recurrence by hand.
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <cmath>
+#include <memory>
 
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 
@@ -95,6 +99,26 @@ TEST(GradientDescent, ConvergedOnlyWhereNothingMovesAnyMore) {
   const SolveRequest request{FlightScene(), "direct_toi"};
   EXPECT_EQ(Solve("gd", request, {.iterations = 5, .learning_rate = 0.1}).termination, Termination::kIterationLimit);
   EXPECT_EQ(Solve("gd", request, {.iterations = 500, .learning_rate = 0.1}).termination, Termination::kConverged);
+}
+
+// With so large a rate it jumps about.
+TEST(GradientDescent, ReportsTheBestIterateToo) {
+  const Scene scene = ProblemScene("two_balls");
+  const SolveReport report = Solve("gd", {scene, "direct_toi"}, {.iterations = 60, .learning_rate = 4000});
+  const auto least = std::min_element(report.losses.begin(), report.losses.end());
+  ASSERT_TRUE(report.best);
+  EXPECT_EQ(report.best->loss, *least);
+  EXPECT_EQ(report.best->iteration, least - report.losses.begin());
+  ASSERT_LT(0, report.best->iteration);
+  ASSERT_LT(report.best->iteration, report.iterations);
+  const std::unique_ptr<Simulator> simulator = MakeSimulator("direct_toi", scene, Precision::kDouble);
+  ASSERT_TRUE(simulator->Rollout(report.best->initial_state, report.best->control));
+  std::vector<double> end(simulator->state_size());
+  simulator->GetState(simulator->num_steps(), end);
+  EXPECT_NEAR(TerminalLoss(scene.objective, end, simulator->body_size()) +
+                  EffortLoss(scene.objective, report.best->control, simulator->step()),
+              *least,
+              1e-12 * *least);
 }
 
 TEST(GradientDescent, StopsWhenTold) {
