@@ -370,8 +370,7 @@ class EventStep : private EventMotion<T> {
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
       curved = true;  // if it does not turn, its derivative does
-      const double radius = in_.ContactDistance(CandidateOf(contact.pair));
-      const double drift = kLargestDrift / radius;
+      const double radius = in_.ContactDistance(CandidateOf(contact.pair)), drift = kLargestDrift / radius;
       const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
       const double change = std::abs(group_.SlidingAcceleration(contact)) / radius;
       const auto limit = [&](double s) { step = std::min(step, s); };
@@ -443,8 +442,7 @@ class EventStep : private EventMotion<T> {
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
   int order_ = 0;
-  bool inelastic_ = false;
-  bool failed_ = false;
+  bool inelastic_ = false, failed_ = false;
   Group group_;
 };
 
