@@ -11,7 +11,7 @@
 #include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/physics/units.h"
+#include "physics/units.h"
 
 namespace saltus::campaign {
 namespace {
