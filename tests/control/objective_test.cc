@@ -36,7 +36,8 @@ TEST(Objective, TermsOfOneDiscAddUp) {
 
 TEST(Objective, ALinearTermHasAConstantGradient) {
   Objective objective = ThreeTerms();
-  objective.terminal.push_back({.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .component = 1, .weight = -3});
+  objective.terminal.push_back(
+      {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .component = 1, .weight = -3});
   EXPECT_FALSE(objective.IsSumOfSquares());
   EXPECT_DOUBLE_EQ(TerminalLoss(objective, kState, kBodySize), TerminalLoss(ThreeTerms(), kState, kBodySize) - 12);
   std::vector<double> gradient(kState.size());

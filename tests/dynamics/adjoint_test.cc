@@ -63,8 +63,7 @@ std::vector<Case> PublishedGradients() {
     Case at{row[column("table")], row[column("problem")], row[column("contact")], std::stod(row[column("friction")])};
     if (row[column("precision")] == "float") at.precision = Precision::kFloat;
     if (cases.empty() || !cases.back().IsOf(at)) cases.push_back(at);
-    cases.back().entries.push_back(
-        {quantity, std::stod(row[column("expected")]), std::stod(row[column("tolerance")])});
+    cases.back().entries.push_back({quantity, std::stod(row[column("expected")]), std::stod(row[column("tolerance")])});
   }
   return cases;
 }

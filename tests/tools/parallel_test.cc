@@ -19,8 +19,8 @@ std::vector<std::string> Names(int count) {
 TEST(ComputeAll, ResultsAreInTheOrderOfJobsOnAnyNumberOfThreads) {
   for (const int threads : {1, 2, 4}) {
     Progress progress(ProgressMode::kNone, stderr, "jobs", 200);
-    const auto done = ComputeAll<std::string>(
-        Names(200), threads, &progress, [](int i, const SayNote& say, const auto& keep) {
+    const auto done =
+        ComputeAll<std::string>(Names(200), threads, &progress, [](int i, const SayNote& say, const auto& keep) {
           say("at " + std::to_string(i));
           keep("not yet");
           return std::string(static_cast<size_t>(i), 'x');
