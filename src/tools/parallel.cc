@@ -8,6 +8,7 @@
 #include <condition_variable>
 #include <exception>
 #include <iostream>
+#include <mutex>
 #include <system_error>
 #include <thread>
 
@@ -94,7 +95,8 @@ void Work(Board* board) {
 
 bool AskedToStop() {
   if (!InterruptGuard::Interrupted()) return false;
-  if (FLAGS_minloglevel != google::GLOG_FATAL) FLAGS_minloglevel = google::GLOG_FATAL;
+  static std::once_flag silent;  // several jobs ask at once
+  std::call_once(silent, [] { FLAGS_minloglevel = google::GLOG_FATAL; });
   return true;
 }
 

@@ -1,0 +1,108 @@
+#!/usr/bin/env bash
+# usage: scripts/seed_faults.sh [--afresh] [id...]
+# Do the tests catch faults? Seeds those of tests/faults.tsv (all unless named), one at a time, in a copy of the sources
+# under build/faults/, builds the tests that the list expects to see the fault, and says which of them fails. Faults that
+# build/faults/results.tsv has already are not seeded again, unless named or --afresh. Fails if fewer than 95 % of all
+# are caught, a fault does not apply or compile, or a test fails without any fault.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+list=tests/faults.tsv
+work=$PWD/build/faults
+tree=$work/tree
+build=$tree/build/release
+results=$work/results.tsv
+log=$work/log
+seconds=900  # of a test, after which it counts as one that hangs
+afresh=0
+if (($# > 0)) && [[ $1 == --afresh ]]; then
+  afresh=1
+  shift
+fi
+mkdir -p "$tree" "$log"
+if ((afresh)); then rm -f "$results"; fi
+touch "$results"
+
+# Each fault must apply: what it replaces stands exactly once in its file.
+perl -F'\t' -lane '
+  next if /^(#|id\t|$)/;
+  open my $in, "<", $F[1] or die "$F[0]: no file $F[1]\n";
+  my $text = do { local $/; <$in> };
+  my $count = () = $text =~ /\Q$F[2]\E/g;
+  if (@F != 5 || $count != 1) { print STDERR "$F[0]: \"$F[2]\" stands $count times in $F[1], expected once"; $bad = 1; }
+  END { exit $bad ? 2 : 0; }' "$list"
+
+# build_tests <log> <test...>
+build_tests() {
+  cmake --build "$build" --target "${@:2}" >"$log/$1.build" 2>&1
+}
+
+# run_test <log> <test or test:filter>
+run_test() {
+  local name=${2%%:*} filter='*'
+  if [[ $2 == *:* ]]; then filter=${2#*:}; fi
+  (cd "$build/tests" && timeout "$seconds" "./$name" --gtest_brief=1 "--gtest_filter=$filter") \
+    >"$log/$1" 2>&1 && ! grep -q '\] 0 tests' "$log/$1"
+}
+
+# seed <file> <old> <new>
+seed() {
+  OLD=$2 NEW=$3 perl -0777 -pe 's/\Q$ENV{OLD}\E/$ENV{NEW}/' "$1" >"$tree/$1"
+}
+
+ids=() files=() olds=() news=() tests=()
+while IFS=$'\t' read -r id file old new seen; do
+  if [[ -z $id || $id == '#'* || $id == id ]]; then continue; fi
+  if (($# > 0)) && [[ " $* " != *" $id "* ]]; then continue; fi
+  if (($# == 0)) && cut -f1 "$results" | grep -qxF "$id"; then continue; fi
+  ids+=("$id") files+=("$file") olds+=("$old") news+=("$new") tests+=("$seen")
+done <"$list"
+
+failed=0
+if ((${#ids[@]} > 0)); then
+  # Only files that are newer here, or in which a run that was killed has left a fault.
+  git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -p -u -t "$tree"
+  printf '%s\n' "${files[@]}" | sort -u | while read -r file; do
+    cmp -s "$file" "$tree/$file" || cp "$file" "$tree/$file"
+  done
+  cmake -S "$tree" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON \
+    >"$log/configure" 2>&1 || { tail -5 "$log/configure" >&2; exit 1; }
+  # Without a fault every test must pass.
+  mapfile -t used < <(tr ' ' '\n' <<<"${tests[*]}" | sort -u)
+  mapfile -t targets < <(printf '%s\n' "${used[@]%%:*}" | sort -u)
+  build_tests none "${targets[@]}" || { tail -20 "$log/none.build" >&2; exit 1; }
+  for test in "${used[@]}"; do
+    if ! run_test none "$test"; then
+      echo "without a fault: $test fails; see $log/none" >&2
+      exit 1
+    fi
+  done
+fi
+
+for i in "${!ids[@]}"; do
+  id=${ids[i]}
+  seed "${files[i]}" "${olds[i]}" "${news[i]}"
+  verdict=missed by=''
+  read -ra seen <<<"${tests[i]}"
+  if ! build_tests "$id" $(printf '%s\n' "${seen[@]%%:*}" | sort -u); then
+    verdict='does not compile' failed=1
+  else
+    for test in "${seen[@]}"; do
+      if ! run_test "$id" "$test"; then
+        verdict=caught by=$(sed -nE '/^\[  FAILED  \] ([^ ,]+).*/{s//\1/p;q}' "$log/$id")
+        by=$test${by:+ ($by)}
+        break
+      fi
+    done
+  fi
+  cp "${files[i]}" "$tree/${files[i]}"
+  grep -vE "^$id"$'\t' "$results" >"$results.new" || true
+  printf '%s\t%s\t%s\t%s\n' "$id" "${files[i]}" "$verdict" "$by" >>"$results.new"
+  mv "$results.new" "$results"
+  printf '%-28s %-36s %s %s\n' "$id" "${files[i]}" "$verdict" "$by"
+done
+
+all=$(wc -l <"$results")
+caught=$(cut -f3 "$results" | grep -cx caught || true)
+echo "$caught of $all seeded faults are caught"
+((failed == 0 && all > 0 && 100 * caught >= 95 * all))

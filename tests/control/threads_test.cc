@@ -1,0 +1,108 @@
+// Several threads at once: steps of one simulator, and solvers and audits side by side, with the bits of one thread.
+// What it does not notice by itself, ThreadSanitizer does (preset tsan).
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "saltus/audit/audit.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kThreads = 4;
+
+// job(0), ..., job(kThreads - 1), each on a thread of its own.
+void OnThreads(const std::function<void(int)>& job) {
+  std::vector<std::thread> threads;
+  for (int i = 0; i < kThreads; ++i) threads.emplace_back(job, i);
+  for (std::thread& thread : threads) thread.join();
+}
+
+std::vector<std::string> AllNames() {
+  std::vector<std::string> names;
+  for (const ModelTraits& model : AllContactModels()) names.emplace_back(model.name);
+  return names;
+}
+
+class SharedSimulator : public testing::TestWithParam<std::string> {};
+
+// A step and its linearization as numbers.
+std::vector<double> StepAt(const Simulator& simulator, std::span<const double> x, std::span<const double> force) {
+  std::vector<double> numbers(simulator.state_size());
+  simulator.Step(x, force, numbers);
+  StepLinearization linearization;
+  simulator.Linearize(x, force, /*with_parameters=*/true, &linearization);
+  for (const StepLinearization::Island& island : linearization.islands) {
+    numbers.insert(numbers.end(), island.A.data(), island.A.data() + island.A.size());
+    numbers.insert(numbers.end(), island.P.data(), island.P.data() + island.P.size());
+  }
+  return numbers;
+}
+
+TEST_P(SharedSimulator, StepsAndLinearizesOnSeveralThreads) {
+  const Scene scene = ProblemScene("two_balls");
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(GetParam(), scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
+  ASSERT_FALSE(simulator->touches().empty());
+  const int contact = simulator->touches().front().step;
+  std::vector<double> force(2 * simulator->num_bodies());
+  simulator->ExpandForce(control, 0, force);
+  // Of each thread another step: in flight, and about the contact.
+  std::vector<std::vector<double>> x(kThreads, std::vector<double>(simulator->state_size()));
+  for (int i = 0; i < kThreads; ++i) simulator->GetState(i == 0 ? 0 : contact + i - 1, x[i]);
+  std::vector<std::vector<double>> alone, together(kThreads);
+  for (int i = 0; i < kThreads; ++i) alone.push_back(StepAt(*simulator, x[i], force));
+  OnThreads([&](int i) {
+    for (int repetition = 0; repetition < 5; ++repetition) together[i] = StepAt(*simulator, x[i], force);
+  });
+  EXPECT_EQ(together, alone);
+}
+
+INSTANTIATE_TEST_SUITE_P(AllModels, SharedSimulator, testing::ValuesIn(AllNames()),
+                         [](const auto& test) { return test.param; });
+
+TEST(Threads, SolversSideBySide) {
+  const Scene scene = ProblemScene("two_balls");
+  const struct {
+    const char *solver, *contact;
+  } runs[kThreads] = {{"gd", "lcp"}, {"ceres_lbfgs", "event"}, {"ceres_lm", "event"}, {"hmp", "event"}};
+  const auto losses = [&](int i) {
+    return Solve(runs[i].solver, {scene, runs[i].contact}, {.iterations = 8, .learning_rate = 10}).losses;
+  };
+  std::vector<std::vector<double>> alone, together(kThreads);
+  for (int i = 0; i < kThreads; ++i) alone.push_back(losses(i));
+  OnThreads([&](int i) { together[i] = losses(i); });
+  EXPECT_EQ(together, alone);
+  for (const std::vector<double>& each : alone) EXPECT_FALSE(each.empty());
+}
+
+TEST(Threads, AuditsSideBySide) {
+  Scene scene = ProblemScene("bounce_once");
+  scene.steps = 60;
+  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  ASSERT_TRUE(exact);
+  const char* contacts[kThreads] = {"direct", "direct_toi", "compliant_warp", "lcp_pgs"};
+  const auto audit = [&](int i) {
+    const ModelAudit result = AuditModel(contacts[i], scene, Precision::kDouble, exact, {});
+    return std::pair(result.verdict, result.Why());
+  };
+  std::vector<std::pair<Verdict, std::string>> alone, together(kThreads);
+  for (int i = 0; i < kThreads; ++i) alone.push_back(audit(i));
+  OnThreads([&](int i) { together[i] = audit(i); });
+  EXPECT_EQ(together, alone);
+  EXPECT_EQ(alone[0].first, Verdict::kWrongSign);
+}
+
+}  // namespace
+}  // namespace saltus
