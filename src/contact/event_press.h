@@ -149,7 +149,7 @@ class PressedGroup {
   // Sets the accelerations under which closed contacts stay closed: at the instant, with arc = 0, or for discs that
   // move around each other over the next `arc` s. A constant acceleration keeps them in contact at the end, exactly, if
   // their mean relative velocity is normal to the sum of the distances at both ends; then contact forces do no work
-  // either. The end comes from the accelerations as they are.
+  // either. With friction it is the force at half the time that is taken. Ends come from the accelerations as they are.
   void SetAccelerations(const T& arc) {
     AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, arc); });
     for (const Contact& contact : contacts_) {
@@ -375,9 +375,12 @@ class PressedGroup {
   void AddAccelerationRows(const Contact& contact, const T& arc) {
     const Candidate& c = in_.candidates[contact.pair];
     const PressingContact& f = contact.force;
+    // With friction the mean force must be right as well: it is that at half the time.
+    const bool half = contact.mode == ContactMode::kSlip;
+    const T reach = (half ? 0.25 : 0.5) * arc;
     const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
       const EventDisc<T>& disc = discs_[i];
-      return disc.p + Scale(T(0.5 * arc), Vec2<T>(disc.v + Scale(T(0.5 * arc), disc.a)));
+      return disc.p + Scale(T(0.5 * arc), Vec2<T>(disc.v + Scale(reach, disc.a)));
     });
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
@@ -388,8 +391,10 @@ class PressedGroup {
     }
     T turning(0.0);
     if (!c.plane && Value(at.distance) > 0) {
-      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
-      if (Value(arc) > 0) {
+      const T ahead = (half ? 0.5 : 0.0) * arc;
+      const Vec2<T> w =
+          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(ahead, discs_[i].a); });
+      if (Value(arc) > 0 && !half) {
         turning = Divide(T(2.0 * Dot(at.normal, w)), arc);
       } else {
         const T sliding = Dot(tangent, w);

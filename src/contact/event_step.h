@@ -93,7 +93,9 @@ class EventStep : private EventMotion<T> {
     int next = -1;
     double time = limit_;
     for (int q = 0; q < num_pairs(); ++q) {
-      if (pairs_[q].next < time) {
+      // What ends an arc that was cut there comes before the arc's end.
+      const bool first = pairs_[q].next < time || (pairs_[q].next == time && next >= 0 && pairs_[q].stopping);
+      if (first) {
         time = pairs_[q].next;
         next = q;
       }
@@ -164,6 +166,7 @@ class EventStep : private EventMotion<T> {
   // The accelerations of discs that move around each other are right at the end of their arc only. Where pair q meets,
   // or stops, before that, begins the arc again, to end there. True if so: that moves the event a little.
   bool CutArc(int q) {
+    if (!EndsExactly()) return false;
     const Candidate& c = CandidateOf(q);
     const double end = pairs_[q].next;
     for (int i : {c.a, c.b}) {
@@ -332,7 +335,8 @@ class EventStep : private EventMotion<T> {
     group_.SetAccelerations(T(0.0));
     const T arc = Arc(time, arc_end);
     // The second time with the end that the first has found.
-    for (int pass = 0; pass < 2 && Value(arc) > 0; ++pass) {
+    const int passes = EndsExactly() ? 2 : 1;
+    for (int pass = 0; pass < passes && Value(arc) > 0; ++pass) {
       group_.SetAccelerations(arc);
       if (pass == 1 && group_.OpenPulling()) pass = -1;
     }
@@ -361,6 +365,10 @@ class EventStep : private EventMotion<T> {
     return grows;
   }
 
+  // Whether discs that move around each other touch exactly at the end of each arc. With friction it is their mean
+  // force that is right (event_press.h), wherever an arc ends.
+  bool EndsExactly() const { return !(Value(in_.contact.friction) > 0); }
+
   // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not. A
   // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: within s, the
   // gap is off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
@@ -380,6 +388,7 @@ class EventStep : private EventMotion<T> {
     }
     const double now = Value(time), left = in_.h - now;
     if (!curved || left <= 0) return T(0.0);
+    if (!EndsExactly()) return T(step == kNever ? 0.0 : left / std::ceil(left / step));
     if (Value(arc_end) - now < step) return arc_end - time;
     return (now + left / std::max(1.0, std::ceil(left / step))) - time;
   }
@@ -401,8 +410,8 @@ class EventStep : private EventMotion<T> {
     const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
     if (std::abs(sliding) <= kStickSpeed || sliding * change >= 0) return;
     const double stop = Value(time) - sliding / change;
-    if (stop > pair.next) return;
-    pair.next = stop;
+    if (stop - pair.next > kArcEnd * arc) return;  // it is the end of an arc that was cut there
+    pair.next = std::min(stop, pair.next);
     pair.stopping = true;
   }
 
