@@ -3,14 +3,29 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <memory_resource>
 #include <span>
+#include <string_view>
 #include <type_traits>
 #include <vector>
 
 #include "contact/event_press.h"
 
 namespace saltus::internal {
+
+// For how long discs that move around each other at a distance, sliding at a speed, may keep a constant acceleration,
+// s: it does not follow a normal that turns with rate w and its change b, and within s the gap is off by about R w b
+// s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
+inline double LongestArc(double distance, double speed, double acceleration) {
+  const double drift = kLargestDrift / distance;
+  const double turn = std::abs(speed) / distance, change = std::abs(acceleration) / distance;
+  double longest = kNever;
+  if (turn * change > 0) longest = std::min(longest, std::cbrt(4 * drift / (turn * change)));
+  if (change > 0) longest = std::min(longest, std::sqrt(4 * std::sqrt(drift) / change));
+  if (turn > 0) longest = std::min(longest, std::sqrt(std::sqrt(8 * drift)) / turn);
+  return longest;
+}
 
 template <typename T>
 class EventMotion {
@@ -31,7 +46,7 @@ class EventMotion {
   };
 
   EventMotion(const StepInput<T>& in, std::span<const State> x)
-      : in_(in), discs_(in.scratch), pairs_(in.candidates.size(), in.scratch) {
+      : in_(in), start_(x), discs_(in.scratch), pairs_(in.candidates.size(), in.scratch) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
       discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
@@ -74,10 +89,13 @@ class EventMotion {
   Separation<T> LastSeparation(const Candidate& c) const {
     return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
   }
+  static Motion ValueOf(const Vec2<T>& p, const Vec2<T>& v, const Vec2<T>& a = Vec2<T>(T(0.0), T(0.0))) {
+    const auto value = [](const Vec2<T>& x) { return Vec2d(Value(x[0]), Value(x[1])); };
+    return {value(p), value(v), value(a)};
+  }
   Motion MotionAt(int i, double time) const {
     const EventDisc<T>& disc = discs_[i];
-    const auto value = [](const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); };
-    return Motion{value(disc.p), value(disc.v), value(disc.a)}.After(time - Value(disc.t));
+    return ValueOf(disc.p, disc.v, disc.a).After(time - Value(disc.t));
   }
   template <typename MotionOf>
   Approach Measure(const Candidate& c, const MotionOf& motion) const {
@@ -134,7 +152,43 @@ class EventMotion {
     return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
   }
 
+  // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
+  void StopClosing(const Candidate& c) {
+    const Vec2<T> normal = LastSeparation(c).normal;
+    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
+    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+  }
+
+  // What no motion of rigid discs does, and this one has done by the end of the step; empty if nothing. Contacts that
+  // last are followed to thresholds, and now and then in a crowd these are not enough.
+  std::string_view WhatIsWrong() const {
+    double gain = 0, energy = 0;
+    for (std::size_t i = 0; i < discs_.size(); ++i) {
+      if (!discs_[i].moved || !Moves(static_cast<int>(i))) continue;
+      const Motion before = ValueOf(start_[i].p, start_[i].v), after = MotionAt(static_cast<int>(i), in_.h);
+      const Vec2<T> a = in_.Acceleration(static_cast<int>(i));
+      const Vec2d force = Value(in_.bodies[i].mass) * Vec2d(Value(a[0]), Value(a[1]));
+      const double m = 0.5 * Value(in_.bodies[i].mass);
+      gain += m * (after.v.squaredNorm() - before.v.squaredNorm()) - Dot(force, Vec2d(after.p - before.p));
+      energy += m * std::max(after.v.squaredNorm(), before.v.squaredNorm()) + force.norm();
+    }
+    // Unless it is asked for, or forces have worked before the start.
+    bool may_gain = Value(in_.contact.restitution) > 1;
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      const Approach end = ApproachAt(c, in_.h);
+      const double gap = Measure(c, [&](int i) { return ValueOf(start_[i].p, start_[i].v); }).gap;
+      may_gain = may_gain || gap < -kContactGap;
+      // What meets within the last kNodeMargin is left to the next step.
+      const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);
+      if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap, what happens here is not resolved";
+    }
+    const bool gains = !may_gain && gain > kLargestGain * energy;
+    return gains ? "contacts that last would gain energy, what happens here is not resolved" : std::string_view();
+  }
+
   const StepInput<T>& in_;
+  std::span<const State> start_;
   std::pmr::vector<EventDisc<T>> discs_;
   std::pmr::vector<Pair> pairs_;
 };

@@ -43,7 +43,7 @@ class EventStep : private EventMotion<T> {
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
       const int q = NextPair();
-      if (q < 0) return CloseCurvedContacts();
+      if (q < 0) return Finish();
       if (!CutArc(q)) {
         ++order_;
         Resolve(q);
@@ -72,7 +72,7 @@ class EventStep : private EventMotion<T> {
       Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::RelativeVelocityAt, Discs::SeparationAtTime,
       Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::MotionAt, Discs::Measure, Discs::ApproachAt,
       Discs::LastTime, Discs::LastDisc, Discs::TimeInStep, Discs::Report, Discs::ImpactTime, Discs::SlowTime,
-      Discs::StopTime;
+      Discs::StopTime, Discs::StopClosing;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -316,13 +316,6 @@ class EventStep : private EventMotion<T> {
     for (int r : tied_) in_.ties->push_back({CandidateOf(r), TimeInStep(T(time)), tie});
   }
 
-  // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
-  void StopClosing(const Candidate& c) {
-    const Vec2<T> normal = LastSeparation(c).normal;
-    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
-    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-  }
-
   // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on. Discs
   // that move around each other do so in arcs, the first until `arc_end` at most.
   void Settle(int q, const T& time, const T& arc_end = T(kNever)) {
@@ -369,22 +362,15 @@ class EventStep : private EventMotion<T> {
   // force that is right (event_press.h), wherever an arc ends.
   bool EndsExactly() const { return !(Value(in_.contact.friction) > 0); }
 
-  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not. A
-  // constant acceleration does not follow a normal that turns with rate w and its change b at distance R: within s, the
-  // gap is off by about R w b s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
+  // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not.
   T Arc(const T& time, const T& arc_end) const {
     double step = kNever;
     bool curved = false;
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
       curved = true;  // if it does not turn, its derivative does
-      const double radius = in_.ContactDistance(CandidateOf(contact.pair)), drift = kLargestDrift / radius;
-      const double turn = std::abs(group_.SlidingSpeed(contact)) / radius;
-      const double change = std::abs(group_.SlidingAcceleration(contact)) / radius;
-      const auto limit = [&](double s) { step = std::min(step, s); };
-      if (turn * change > 0) limit(std::cbrt(4 * drift / (turn * change)));
-      if (change > 0) limit(std::sqrt(4 * std::sqrt(drift) / change));
-      if (turn > 0) limit(std::sqrt(std::sqrt(8 * drift)) / turn);
+      const double distance = in_.ContactDistance(CandidateOf(contact.pair));
+      step = std::min(step, LongestArc(distance, group_.SlidingSpeed(contact), group_.SlidingAcceleration(contact)));
     }
     const double now = Value(time), left = in_.h - now;
     if (!curved || left <= 0) return T(0.0);
@@ -421,6 +407,12 @@ class EventStep : private EventMotion<T> {
     if (reported == static_cast<int>(contact.mode)) return;
     reported = static_cast<int>(contact.mode);
     Report(CandidateOf(contact.pair), contact.mode, time, ContactKind::kSustained);
+  }
+
+  void Finish() {
+    CloseCurvedContacts();
+    if constexpr (!std::is_same_v<T, double>) return;
+    if (const std::string_view wrong = this->WhatIsWrong(); !wrong.empty()) Fail(wrong);
   }
 
   // Discs that moved around each other end the step exactly in contact.

@@ -8,10 +8,10 @@
 #include <span>
 
 #include "contact/random_scene.h"
+#include "physics/units.h"
 #include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "physics/units.h"
 
 namespace saltus::campaign {
 namespace {
@@ -74,7 +74,12 @@ class SceneCheck {
 
   Counts Run(bool gradient) {
     if (!simulator_->Rollout(initial_, control_)) {
-      Fail("a state is not finite");
+      const std::string why = simulator_->WhyFailed();
+      if (why.find("not finite") != std::string::npos) {
+        Fail("a state is not finite");
+      } else {
+        Count("refused: " + why.substr(why.find(": ") + 2, why.rfind(" (") - why.find(": ") - 2));
+      }
       return counts_;
     }
     CountTouches();

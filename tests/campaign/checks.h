@@ -13,7 +13,7 @@ using Counts = std::map<std::string, int64_t>;
 inline constexpr char kFailure[] = "FAILED ";
 
 // Simulates the scene with the contact model `event`, and checks that
-//   - every state is finite,
+//   - every state is finite; a rollout that the model refuses is counted by its reason,
 //   - nothing overlaps by more than 1e-9 of the scene's size,
 //   - energy, that of gravity and of the constant forces included, never grows by more than 1e-9 of its scale,
 //   - without planes and fixed discs forces alone change the momentum;

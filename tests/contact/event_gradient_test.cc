@@ -56,7 +56,7 @@ struct Result {
   double loss = 0;
 
   explicit Result(const Experiment& e) : simulator(e.scene, Precision::kDouble), end(e.initial.size()) {
-    EXPECT_TRUE(simulator.Rollout(e.initial, e.control));
+    EXPECT_TRUE(simulator.Rollout(e.initial, e.control)) << simulator.WhyFailed();
     simulator.GetState(e.scene.steps, end);
     for (std::size_t i = 0; i < end.size(); ++i) loss += end[i] * (e.slope[i] + 0.5 * e.bend[i] * end[i]);
   }
