@@ -6,32 +6,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "terminal_costate.h"
+
 namespace saltus {
-namespace {
-
-// d(terminal terms) by position and velocity of a disc at the end.
-template <typename T>
-struct DiscCostate {
-  Vec2<T> position = Vec2<T>(T(0.0), T(0.0)), velocity = Vec2<T>(T(0.0), T(0.0));
-};
-
-template <typename T>
-DiscCostate<T> TerminalCostate(const Objective& objective, int body, const Vec2<T>& p, const Vec2<T>& v) {
-  DiscCostate<T> costate;
-  for (const TerminalTerm& term : objective.terminal) {
-    if (term.body != body) continue;
-    const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
-    Vec2<T>& out = of_position ? costate.position : costate.velocity;
-    if (term.component) {
-      out[*term.component] += T(term.weight);
-    } else {
-      out += Scale(2 * term.weight, Vec2<T>((of_position ? p : v) - term.target.template cast<T>()));
-    }
-  }
-  return costate;
-}
-
-}  // namespace
 
 CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
                              std::span<const double> lengths, std::vector<std::optional<double>> theta)

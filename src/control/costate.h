@@ -22,6 +22,7 @@
 
 #include "event_phases.h"
 #include "impact_jump.h"
+#include "terminal_costate.h"
 
 namespace saltus {
 
@@ -48,18 +49,6 @@ struct HmpSystem {
 namespace internal {
 
 template <typename T>
-Costate<T> TerminalCostate(const Scene& scene, int body, const Knot<T>& end) {
-  Costate<T> costate{end.time, Vec2<T>(T(0.0), T(0.0)), Vec2<T>(T(0.0), T(0.0))};
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.body != body) continue;
-    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
-    const Vec2<T> miss = (position ? end.p : end.v) - term.target.template cast<T>();
-    (position ? costate.position : costate.velocity) += Scale(2 * term.weight, miss);
-  }
-  return costate;
-}
-
-template <typename T>
 Costate<T> ArcCostate(const Scene& scene, const Arc<T>& arc, bool at_end) {
   const double mass = scene.bodies[arc.body].mass, scale = 2 * scene.objective.effort * mass * mass;
   const T time = at_end ? T(arc.from.time + arc.length) : arc.from.time;
@@ -80,7 +69,9 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
 
   std::vector<Costate<T>> now;  // of every disc; of pushed ones only while they fly freely
   for (int i = 0; i < scene.num_bodies(); ++i) {
-    now.push_back(internal::TerminalCostate(scene, i, path->end[i]));
+    const Knot<T>& end = path->end[i];
+    const DiscCostate<T> last = TerminalCostate<T>(scene.objective, i, end.p, end.v);
+    now.push_back({end.time, last.position, last.velocity});
     if (path->last_arc[i] < 0) continue;
     const Costate<T> costate = internal::ArcCostate(scene, path->arcs[path->last_arc[i]], true);
     for (int d = 0; d < 2; ++d) *terminal++ = costate.position[d] - now[i].position[d];

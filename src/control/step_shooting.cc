@@ -6,8 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "objective_cost.h"
-
 namespace saltus {
 
 StepShooting::StepShooting(const SingleShooting* shooting, std::span<const double> z)
@@ -33,13 +31,13 @@ std::vector<double> StepShooting::Decisions() const {
   return z;
 }
 
-void StepShooting::AddEffort(ceres::Problem* problem) {
+void StepShooting::AddEffort(const std::function<void(std::unique_ptr<ceres::CostFunction>, double*)>& add) {
   const Scene& scene = shooting_->scene();
   if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
   const double scale = std::sqrt(scene.objective.effort * simulator().step());
   const int forces = 2 * simulator().num_controlled();
   for (int k = 0; k < num_steps(); ++k) {
-    problem->AddResidualBlock(new EffortCost(scale, forces), nullptr, StepBlocks(k)[1]);
+    add(std::make_unique<EffortCost>(scale, forces), StepBlocks(k)[1]);
   }
 }
 
@@ -55,6 +53,16 @@ void StepShooting::HoldConstants(ceres::Problem* problem) {
   problem->SetManifold(State(0), new ceres::SubsetManifold(state_size(), held));
   if (simulator().num_controlled() == 0) return;
   for (int k = 0; k < num_steps(); ++k) problem->SetParameterBlockConstant(StepBlocks(k)[1]);
+}
+
+std::unique_ptr<StepCost> MakeStepCost(const Simulator& simulator) {
+  return std::make_unique<StepCost>(std::shared_ptr<const Simulator>(std::shared_ptr<void>(), &simulator));
+}
+
+std::unique_ptr<TerminalCost> MakeTerminalCost(const Simulator& simulator) {
+  const Objective& objective = simulator.scene().objective;
+  if (objective.terminal.empty()) return nullptr;
+  return std::make_unique<TerminalCost>(objective, simulator.num_bodies(), simulator.body_size());
 }
 
 std::vector<double> StatesOf(const Simulator& simulator) {

@@ -10,10 +10,14 @@
 
 #include <ceres/problem.h>
 
+#include <functional>
+#include <memory>
 #include <span>
 #include <vector>
 
+#include "objective_cost.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/control/step_cost.h"
 
 namespace saltus {
 
@@ -35,8 +39,8 @@ class StepShooting {
   // The decision variables of single shooting among the variables.
   std::vector<double> Decisions() const;
 
-  // Adds the effort, unless the forces are given. The terminal cost is left to the caller.
-  void AddEffort(ceres::Problem* problem);
+  // Hands over the effort of each step with its forces; none if these are given.
+  void AddEffort(const std::function<void(std::unique_ptr<ceres::CostFunction> cost, double* forces)>& add);
 
   // Holds constant what is not to be optimized. Precondition: all steps have been added to the problem.
   void HoldConstants(ceres::Problem* problem);
@@ -47,6 +51,12 @@ class StepShooting {
   std::vector<double> control_;        // K x C x 2
   std::vector<int> decision_indices_;  // indices in x_0 of the decision variables, unless these are forces
 };
+
+// The cost of any step of a simulator, which must outlive it.
+std::unique_ptr<StepCost> MakeStepCost(const Simulator& simulator);
+
+// Null if the objective has no terminal terms.
+std::unique_ptr<TerminalCost> MakeTerminalCost(const Simulator& simulator);
 
 // The states of the simulator's last rollout, (K + 1) x state size.
 std::vector<double> StatesOf(const Simulator& simulator);

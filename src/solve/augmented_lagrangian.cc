@@ -164,6 +164,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     result.usable = true;
     const double before = result.cost;
     result.violation = UpdateMultipliers(&result.cost);
+    if (options.after_round) options.after_round();
     result.interrupted = watch.interrupted();
     if (result.interrupted || watch.iterations() >= options.iterations) break;
     const bool settled = round > 0 && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);

@@ -38,6 +38,7 @@ class AugmentedLagrangian {
     double tolerance = 1e-9;                                 // largest violation of a row
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
+    std::function<void()> after_round = nullptr;  // called after each solve
   };
   struct Summary {
     bool usable = false;     // no solve failed

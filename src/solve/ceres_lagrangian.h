@@ -1,10 +1,9 @@
-// Step shooting by an augmented Lagrangian: ceres::Solver minimizes terminal terms and effort plus
+// Step shooting by an augmented Lagrangian (augmented_lagrangian.h), which demonstrates that this fails: terminal terms
+// and effort are minimized over states and forces, subject to
 //
-//   sum_k mu |c_k + y_k / mu|^2,   c_k = x_{k+1} - f(x_k, u_k),
+//   c_k = x_{k+1} - f(x_k, u_k) = 0,
 //
-// over states and forces, at first with mu = 1 / dt (defects per time, in the mean over time); between such rounds the
-// multipliers y_k grow by mu c_k, and mu by kGrowth where defects did not shrink enough (Hestenes, Powell 1969;
-// Nocedal, Wright, "Numerical Optimization", 17.3).
+// of weight 1 / dt at first: defects per time, in the mean over time.
 //
 // Without contact this converges. Through a collision it should not be trusted: with its defects open a trajectory need
 // not collide as the forces would have it. The Jacobian of a defect knows nothing of a collision in the step before or

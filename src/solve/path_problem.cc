@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "ceres_common.h"
-#include "step_solver.h"
+#include "control/step_shooting.h"
 
 namespace saltus {
 namespace {
@@ -254,6 +254,20 @@ class ArrivalOnPath final : public ceres::CostFunction {
   Arrival arrival_;
 };
 
+// Reads the decision variables where an iteration has left the variables, before others look at them.
+class ReadDecisions final : public ceres::IterationCallback {
+ public:
+  ReadDecisions(const StepShooting* variables, std::vector<double>* z) : variables_(variables), z_(z) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
+    *z_ = variables_->Decisions();
+    return ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const StepShooting* variables_;
+  std::vector<double>* z_;
+};
+
 // Damping is the same for every variable, as if of the integral of |dx|^2 + |du|^2 over time: by their own diagonals
 // (Ceres' default) states would be held by the weights of their defects.
 double Damping(const Simulator& simulator) {
@@ -282,7 +296,9 @@ struct PathProblem::Parts {
                                variables.StepBlocks(k)[1],
                                variables.StepBlocks(k + 1)[1]);
     }
-    variables.AddEffort(&problem);
+    variables.AddEffort([&](std::unique_ptr<ceres::CostFunction> cost, double* forces) {
+      problem.AddResidualBlock(cost.release(), nullptr, forces);
+    });
     variables.HoldConstants(&problem);
   }
 
@@ -308,8 +324,15 @@ PathProblem::~PathProblem() = default;
 ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tolerance,
                                              const std::vector<ceres::IterationCallback*>& callbacks) {
   ReadDecisions read(&parts_->variables, &z_);
-  ceres::Solver::Options options = SparseOptions(iterations);
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // the same bits every time
+  options.logging_type = ceres::SILENT;
+  options.max_num_iterations = iterations;
+  options.gradient_tolerance = kGradientTolerance;
   options.function_tolerance = function_tolerance;
+  options.parameter_tolerance = kParameterTolerance;
+  options.update_state_every_iteration = true;  // the callbacks read it; dropped otherwise if Ceres fails
   options.jacobi_scaling = false;
   options.min_lm_diagonal = options.max_lm_diagonal = Damping(parts_->path.simulator());
   options.callbacks = {&read};

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "control/control_bounds.h"
 #include "phase_transcription.h"
 #include "physics/time_grid.h"
 
@@ -167,7 +168,7 @@ class TranscribedPlan {
       const double whole = DurationOf(trial);
       for (double& duration : trial.durations) duration *= scene_.duration / whole;
     }
-    ClampToBounds(scene_, &trial.control);  // multipliers leave about 1e-10 beyond
+    MoveWithinBounds(scene_.control, trial.control);  // multipliers leave about 1e-10 beyond
     saltus::RollOut(scene_, run_.terms(), plan_, steps_, attempt);
     attempt->violation = ViolationOf(scene_, trial);
   }

@@ -6,6 +6,7 @@
 #include <limits>
 #include <numeric>
 
+#include "control/control_bounds.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {
@@ -84,7 +85,7 @@ class Mending {
 
   Trial WithinBounds(Trial trial) const {
     const std::vector<double> control = trial.control;
-    ClampToBounds(scene_, &trial.control);
+    MoveWithinBounds(scene_.control, trial.control);
     if (trial.control == control) return trial;
     Simulate(scene_, run_.terms(), &trial);
     return trial;
@@ -117,7 +118,7 @@ class Mending {
         begin += to.durations[k];
         between.durations[k] *= factor;
       }
-      ClampToBounds(scene_, &between.control);
+      MoveWithinBounds(scene_.control, between.control);
       Simulate(scene_, run_.terms(), &between);
       const double merit = Merit(between);
       if (!(merit < least)) continue;
@@ -526,16 +527,6 @@ bool PhasePlan::HasModes() const {
 }
 
 bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; }
-
-void ClampToBounds(const Scene& scene, std::vector<double>* control) {
-  const Control& bounds = scene.control;
-  for (size_t k = 0; k < control->size() / 2; ++k) {
-    const size_t c = k % scene.num_controlled();
-    Eigen::Map<Vec2d> u(&(*control)[2 * k]);
-    if (!bounds.max.empty()) u = u.cwiseMax(-bounds.max[c]).cwiseMin(bounds.max[c]);
-    if (!bounds.max_norm.empty() && u.norm() > bounds.max_norm[c]) u *= bounds.max_norm[c] / u.norm();
-  }
-}
 
 double DurationOf(const Trial& trial) { return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0); }
 

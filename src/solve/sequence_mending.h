@@ -80,8 +80,6 @@ Miss LargestMiss(const Scene& scene, const Trial& trial);
 // Its size; infinite if the trial has not run, or what must not touch has.
 double ViolationOf(const Scene& scene, const Trial& trial);
 double DurationOf(const Trial& trial);
-// Forces beyond the bounds on the control become those on the bounds.
-void ClampToBounds(const Scene& scene, std::vector<double>* control);
 // Force k of a trial holds at its time. The trial must outlive it.
 std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& trial);
 

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "io/csv.h"
+#include "paper_tables.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -23,25 +23,7 @@ class Comparison : public testing::Test {
     ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
 
-  // As CSV: what a cell says without its colour.
-  static CsvDocument Find(const std::string& name) {
-    for (const CaptionedTable& table : comparison_->Tables()) {
-      if (table.name == name) return *ParseCsv(table.table.ToCsv());
-    }
-    ADD_FAILURE() << "no table " << name;
-    return {};
-  }
-  static std::string Get(const CsvDocument& csv, size_t row, const std::string& column) {
-    return csv.rows[row][*csv.Find(column)];
-  }
-  // Of the run of that model and solver; "" if there is none.
-  static std::string Get(const CsvDocument& csv, const std::string& contact, const std::string& solver,
-                         const std::string& column) {
-    for (size_t row = 0; row < csv.rows.size(); ++row) {
-      if (Get(csv, row, "contact") == contact && Get(csv, row, "solver") == solver) return Get(csv, row, column);
-    }
-    return "";
-  }
+  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
 
   static SolverComparison* comparison_;
 };

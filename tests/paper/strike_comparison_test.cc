@@ -8,7 +8,7 @@
 #include <cstdlib>
 #include <set>
 
-#include "io/csv.h"
+#include "paper_tables.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -21,16 +21,7 @@ class Strike : public testing::Test {
                                        ReadBoundedReferences(SALTUS_SOURCE_DIR "/data/constrained_references.json"));
     ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
-  static CsvDocument Find(const std::string& name) {
-    for (const CaptionedTable& table : comparison_->Tables()) {
-      if (table.name == name) return *ParseCsv(table.table.ToCsv());
-    }
-    ADD_FAILURE() << "no table " << name;
-    return {};
-  }
-  static std::string Get(const CsvDocument& csv, size_t row, const std::string& column) {
-    return csv.rows[row][*csv.Find(column)];
-  }
+  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
   static double Gap(const std::string& steps, const std::string& solver) {
     const CsvDocument csv = Find("strike");
     for (size_t row = 0; row < csv.rows.size(); ++row) {

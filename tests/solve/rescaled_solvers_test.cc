@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "box_scene.h"
 #include "rescaled_scene.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
@@ -153,24 +154,6 @@ std::vector<Scene> Constrained() {
   return {bounds, hard, out_of_reach, via};
 }
 
-// Its sequence is mended: the last two impacts change places.
-Scene Mended() {
-  Scene scene;
-  scene.name = "mended";
-  scene.duration = 1;
-  scene.steps = 100;
-  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {0.2, 0.3}, .velocity = {4.5, 2.7}}};
-  scene.planes = {{"left", {-0.5, 0}, {1, 0}},
-                  {"right", {0.5, 0}, {-1, 0}},
-                  {"floor", {0, -0.5}, {0, 1}},
-                  {"roof", {0, 0.5}, {0, -1}}};
-  scene.control = {{0}, {{0, 0}}};
-  scene.objective.terminal = {{.body = 0, .target = {0.1, -0.2}}};
-  scene.objective.effort = 0.001;
-  scene.optimize = Optimize::kControl;
-  return scene;
-}
-
 class ByPhases : public testing::TestWithParam<Scene> {};
 
 TEST_P(ByPhases, TheSameStepsAndVerdictsInAnyUnits) {
@@ -188,7 +171,7 @@ TEST_P(ByPhases, TheSameStepsAndVerdictsInAnyUnits) {
 
 std::vector<Scene> PhaseScenes() {
   std::vector<Scene> scenes = Constrained();
-  scenes.push_back(Mended());
+  scenes.push_back(BallInBox(1, 100));
   return scenes;
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "box_scene.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -28,20 +29,6 @@ Scene Unpushed(double duration, int steps, double restitution) {
   return scene;
 }
 
-// A ball that flies about in a box, and needs a small correction on its long way: 10 bounces a second.
-Scene Box(double duration, int steps) {
-  Scene scene = Unpushed(duration, steps, 1);
-  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {0.2, 0.3}, .velocity = {4.5, 2.7}}};
-  scene.planes = {{"left", {-0.5, 0}, {1, 0}},
-                  {"right", {0.5, 0}, {-1, 0}},
-                  {"floor", {0, -0.5}, {0, 1}},
-                  {"roof", {0, 0.5}, {0, -1}}};
-  scene.control = {{0}, {{0, 0}}};
-  scene.objective.terminal = {{.body = 0, .target = {0.1, -0.2}}};
-  scene.objective.effort = 0.001;
-  return scene;
-}
-
 // A bounce only mirrors what follows. Unfolded, the way is straight but for the correction, and the least loss that of
 // a free disc: k d^2 / (1 + k) with k = 3 effort / T^3 for a guess that misses by d.
 double BoxOptimum(double loss_of_guess, const Scene& scene) {
@@ -52,7 +39,7 @@ double BoxOptimum(double loss_of_guess, const Scene& scene) {
 class BySequence : public testing::TestWithParam<std::string> {};
 
 TEST_P(BySequence, ReachesTheOptimumAfterTenBounces) {
-  const Scene scene = Box(1, 500);
+  const Scene scene = BallInBox(1, 500);
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
@@ -67,7 +54,7 @@ TEST_P(BySequence, ReachesTheOptimumAfterTenBounces) {
 }
 
 TEST_P(BySequence, ReachesTheOptimumAfterThirtySevenBounces) {
-  const Scene scene = Box(4, 2000);
+  const Scene scene = BallInBox(4, 2000);
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_NEAR(report.final_loss, BoxOptimum(report.initial_loss, scene), 1e-11);
@@ -154,7 +141,7 @@ TEST(CeresPhases, CrossesFromSlipToStick) {
 }
 
 TEST(CeresPhases, KeepsToASequenceThatIsGiven) {
-  const Scene scene = Box(1, 500);
+  const Scene scene = BallInBox(1, 500);
   SolverOptions options;
   options.sequence = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps)).contacts;
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, options);
