@@ -97,8 +97,7 @@ class PressedGroup {
   // disturbance dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of
   // their impulse, normal and friction alike, is what undoes the disturbance. An impulse thus acts along the contact's
   // whole force. A gap takes longer to close than a velocity to die out, but likewise it is undone by the integral P of
-  // that lack of impulse over time, acting along the force; as the force turns meanwhile, the velocity changes by -P
-  // times its rate.
+  // that lack of impulse over time, along the force; as that turns, the velocity changes by -P times its rate.
   void ProjectPositions() {
     const auto move = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
     rows_.clear();
@@ -377,10 +376,9 @@ class PressedGroup {
     const PressingContact& f = contact.force;
     // With friction the mean force must be right as well: it is that at half the time.
     const bool half = contact.mode == ContactMode::kSlip;
-    const T reach = (half ? 0.25 : 0.5) * arc;
+    const T ahead = (half ? 0.25 : 0.5) * arc;
     const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
-      const EventDisc<T>& disc = discs_[i];
-      return disc.p + Scale(T(0.5 * arc), Vec2<T>(disc.v + Scale(reach, disc.a)));
+      return discs_[i].p + Scale(T(0.5 * arc), Vec2<T>(discs_[i].v + Scale(ahead, discs_[i].a)));
     });
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
@@ -391,15 +389,12 @@ class PressedGroup {
     }
     T turning(0.0);
     if (!c.plane && Value(at.distance) > 0) {
-      const T ahead = (half ? 0.5 : 0.0) * arc;
+      const T until = (half ? 0.5 : 0.0) * arc;
       const Vec2<T> w =
-          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(ahead, discs_[i].a); });
-      if (Value(arc) > 0 && !half) {
-        turning = Divide(T(2.0 * Dot(at.normal, w)), arc);
-      } else {
-        const T sliding = Dot(tangent, w);
-        turning = Divide(T(sliding * sliding), at.distance);
-      }
+          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(until, discs_[i].a); });
+      const T sliding = Dot(tangent, w);
+      const bool bends = Value(arc) > 0 && !half;
+      turning = bends ? Divide(T(2.0 * Dot(at.normal, w)), arc) : Divide(T(sliding * sliding), at.distance);
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);

@@ -69,10 +69,9 @@ class EventStep : private EventMotion<T> {
   using Group = PressedGroup<T>;
   using Discs = EventMotion<T>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ShareDisc,
-      Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::RelativeVelocityAt, Discs::SeparationAtTime,
-      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::MotionAt, Discs::Measure, Discs::ApproachAt,
-      Discs::LastTime, Discs::LastDisc, Discs::TimeInStep, Discs::Report, Discs::ImpactTime, Discs::SlowTime,
-      Discs::StopTime, Discs::StopClosing;
+      Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity, Discs::LastSeparation,
+      Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep, Discs::Report,
+      Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
