@@ -1,3 +1,4 @@
+// What the numbers of a certificate amount to, and its words (certificate.h).
 #include <algorithm>
 #include <array>
 #include <string>

@@ -1,3 +1,4 @@
+// The width of a terminal, and lines that fit it.
 #include "output/text_layout.h"
 
 #include <gmock/gmock.h>
