@@ -1,4 +1,4 @@
-// The conditions where forces are free and the loss is terminal terms and effort: from closed-form costates.
+// The conditions where forces are free and the loss is terminal terms and effort.
 #include <algorithm>
 #include <array>
 #include <cmath>
