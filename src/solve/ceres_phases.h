@@ -6,8 +6,6 @@
 
 namespace saltus {
 
-std::string WhyNotPhases(const SolveRequest& request);
-
 // Along the sequence that is given, or that of the initial guess, which is mended on the way (sequence_mending.h).
 // Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and misses no
 // constraint.

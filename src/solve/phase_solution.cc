@@ -81,14 +81,19 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
 
 }  // namespace
 
-std::string WhyNotEventPhases(const SolveRequest& request) {
+std::string WhyNotPhases(const SolveRequest& request) {
   const Scene& scene = request.scene;
   const ModelTraits* model = FindContactModel(request.contact);
   if (model != nullptr && !model->event_driven) return "it solves with exact impacts only (contact model event)";
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (scene.optimize != Optimize::kControl) return "it finds a control, and the scene optimizes something else";
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  if (scene.objective.effort == 0) return "without a cost of effort the best control is not unique";
+  return "";
+}
+
+std::string WhyNotEventPhases(const SolveRequest& request) {
+  if (std::string reason = WhyNotPhases(request); !reason.empty()) return reason;
+  if (request.scene.objective.effort == 0) return "without a cost of effort the best control is not unique";
   return "";
 }
 

@@ -15,7 +15,9 @@
 
 namespace saltus {
 
-// Why event phases cannot take a request; empty if they can.
+// Why phases between exact impacts cannot take a request, and why arcs in closed form between them cannot; empty if
+// they can.
+std::string WhyNotPhases(const SolveRequest& request);
 std::string WhyNotEventPhases(const SolveRequest& request);
 
 // A control on intervals of any length, and what it does in exact dynamics.
