@@ -1,10 +1,13 @@
 // Costs and constraints of a user's own: where scene files can say the same, the solution is the same.
 #include <ceres/autodiff_cost_function.h>
+#include <ceres/gradient_checker.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 
+#include "control/own_term_cost.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -128,6 +131,61 @@ TEST(OwnTerms, UnitsAreThoseOfTheScene) {
   ASSERT_EQ(one.termination, Termination::kConverged) << one.reason;
   EXPECT_EQ(other.iterations, one.iterations);
   EXPECT_NEAR(other.final_loss, one.final_loss * 1024 * 1024, 1e-9 * other.final_loss);
+}
+
+// Of the states of two discs, a force and a length, no two entries alike.
+struct Mixed {
+  template <typename T>
+  bool operator()(const T* x, const T* y, const T* u, const T* h, T* residuals) const {
+    residuals[0] = x[0] * y[1] + x[2] * x[3] * h[0] - y[2];
+    residuals[1] = u[0] * u[1] * h[0] * h[0] + 3.0 * x[1] - y[0] * y[3];
+    return true;
+  }
+};
+
+// In units that share no factor, and with two times in the place of a step's length: what Ceres is given has the
+// values of the function in SI units, and its derivatives.
+TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
+  const Units units{.length = 4, .time = 0.5, .mass = 8, .loss = 32, .origin = Vec2d(64, -128)};
+  OwnTerm term{.role = OwnTerm::Role::kEquality, .states = {0, 1}, .forces = {0}, .with_length = true, .scale = 0.25};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<Mixed, 2, 4, 4, 2, 1>>(new Mixed);
+  const std::array<double, 4> x{0.3, -0.7, 1.1, 0.6}, y{-0.2, 0.9, -1.3, 0.4};
+  const std::array<double, 2> u{0.8, -1.7};
+  constexpr int kSteps = 5;
+  constexpr double kBegin = 0.3, kEnd = 0.9;
+
+  for (const OwnTerm::At at : {OwnTerm::At::kEachStep, OwnTerm::At::kEnd}) {
+    term.at = at;
+    const bool steps = at == OwnTerm::At::kEachStep;
+    const double length = 0.5 * (steps ? (kEnd - kBegin) / kSteps : kEnd);
+    const auto in_si = [](const std::array<double, 4>& z) {
+      return std::array<double, 4>{64 + 4 * z[0], -128 + 4 * z[1], 8 * z[2], 8 * z[3]};
+    };
+    const std::array<double, 4> x_si = in_si(x), y_si = in_si(y);
+    const std::array<double, 2> u_si{128 * u[0], 128 * u[1]};  // kg m / s^2
+    std::array<double, 2> expected;
+    Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
+
+    const OwnTermCost cost(term, units, kSteps);
+    std::vector<const double*> blocks{x.data(), y.data(), u.data()};
+    if (steps) blocks.push_back(&kBegin);
+    blocks.push_back(&kEnd);
+    std::array<double, 2> residuals;
+    ASSERT_TRUE(cost.Evaluate(blocks.data(), residuals.data(), nullptr));
+    for (int r = 0; r < 2; ++r) EXPECT_NEAR(residuals[r], expected[r] / 0.25, 1e-12 * std::abs(expected[r]));
+    ceres::GradientChecker checker(&cost, static_cast<const std::vector<const ceres::Manifold*>*>(nullptr), {});
+    ceres::GradientChecker::ProbeResults results;
+    EXPECT_TRUE(checker.Probe(blocks.data(), 1e-8, &results)) << results.error_log;
+  }
+
+  // A cost's square is a loss.
+  term.role = OwnTerm::Role::kCost;
+  std::array<double, 2> constraint, residuals;
+  const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kEnd};
+  ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
+  term.role = OwnTerm::Role::kEquality;
+  ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
+  for (int r = 0; r < 2; ++r) EXPECT_NEAR(residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
 }
 
 struct Nowhere {
