@@ -19,7 +19,7 @@ inline constexpr double kHeadOn = 1e-9;    // of the closing speed
 inline constexpr double kPushing = 1e-11;  // acceleration
 inline constexpr double kLargestDrift = 3e-11;
 inline constexpr double kArcEnd = 1e-6;          // of the length of an arc
-inline constexpr double kLargestGain = 2e-8;     // of the energy in a step, ...
+inline constexpr double kLargestGain = 1e-9;     // of the energy in a step, ...
 inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
 inline constexpr int kMaxEvents = 100000;
 

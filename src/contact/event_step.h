@@ -358,7 +358,7 @@ class EventStep : private EventMotion<T> {
   }
 
   // Whether discs that move around each other touch exactly at the end of each arc. With friction it is their mean
-  // force that is right (event_press.h), wherever an arc ends.
+  // force that is right (event_press.h), wherever an arc ends; its work to second order in the arc, which is shorter.
   bool EndsExactly() const { return !(Value(in_.contact.friction) > 0); }
 
   // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not.
@@ -373,7 +373,7 @@ class EventStep : private EventMotion<T> {
     }
     const double now = Value(time), left = in_.h - now;
     if (!curved || left <= 0) return T(0.0);
-    if (!EndsExactly()) return T(step == kNever ? 0.0 : left / std::ceil(left / step));
+    if (!EndsExactly()) return T(step == kNever ? 0.0 : left / std::ceil(4 * left / step));
     if (Value(arc_end) - now < step) return arc_end - time;
     return (now + left / std::max(1.0, std::ceil(left / step))) - time;
   }
