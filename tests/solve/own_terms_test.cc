@@ -185,7 +185,9 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
   term.role = OwnTerm::Role::kEquality;
   ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
-  for (int r = 0; r < 2; ++r) EXPECT_NEAR(residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
+  for (int r = 0; r < 2; ++r)
+    EXPECT_NEAR(
+        residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
 }
 
 struct Nowhere {
