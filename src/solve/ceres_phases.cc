@@ -1,15 +1,109 @@
 #include "ceres_phases.h"
 
+#include <algorithm>
+
 #include "phase_attempt.h"
+#include "phase_transcription.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus {
+namespace {
+
+constexpr double kSameTime = 1e-6;  // of the horizon
+
+// Of a real motion: impacts and the instants of via terms, and how many steps lie between.
+struct Phases {
+  std::vector<PhaseCut> cuts;
+  std::vector<int> steps;
+};
+
+// Nothing if some of these come at the same time, or at the final one.
+std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
+  Phases phases;
+  for (size_t k = 0; k < trial.exact.events.size(); ++k) {
+    phases.cuts.push_back({trial.exact.contacts[k], trial.exact.events[k].time});
+  }
+  for (const ViaTerm& via : scene.objective.via) phases.cuts.push_back({std::nullopt, via.time});
+  std::stable_sort(
+      phases.cuts.begin(), phases.cuts.end(), [](const PhaseCut& a, const PhaseCut& b) { return a.time < b.time; });
+  double end = 0;
+  int steps = 0;
+  for (const double duration : trial.durations) {
+    end += duration;
+    ++steps;
+    const size_t cut = phases.steps.size();
+    if (cut == phases.cuts.size() || std::abs(phases.cuts[cut].time - end) > kSameTime * scene.duration) continue;
+    phases.steps.push_back(steps);
+    steps = 0;
+  }
+  if (phases.steps.size() < phases.cuts.size() || steps == 0) return std::nullopt;
+  phases.steps.push_back(steps);
+  return phases;
+}
+
+// From the optimum under exact flight along its impacts, which stay exact, to that with steps of the contact model.
+SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& options, SolveReport exact) {
+  exact.certificate = {};
+  const auto give_up = [&](const std::string& why) {
+    exact.reason = "under exact flight, from which it starts: " + why;
+    return exact;
+  };
+  if (exact.termination != Termination::kConverged) return give_up(exact.reason);
+  Trial trial{exact.control, exact.durations, {}, {}};
+  Scene scene = request.scene;
+  scene.duration = DurationOf(trial);
+  Simulate(scene, request.terms, &trial);
+  std::optional<Phases> phases = PhasesOf(scene, trial);
+  if (!phases) {
+    exact.termination = Termination::kNoProgress;
+    return give_up("impacts are at the same time, or at the final time");
+  }
+  const std::unique_ptr<Simulator> flight = MakeSimulator(request.contact, request.scene, Precision::kDouble);
+  for (int& steps : phases->steps) steps = std::max(1, steps / flight->traits().grid_steps);
+
+  PhaseRun run(exact.solver, request, options);
+  run.report().losses = exact.losses;
+  run.report().evaluations = exact.evaluations;
+  ContactSequence apart;
+  for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
+  PhaseTranscription transcription(
+      scene, request.terms, phases->cuts, phases->steps, ForcesOf(scene, trial), apart, 0, flight.get());
+  AugmentedLagrangian::Options limits;
+  limits.iterations = std::max(1, options.iterations - exact.iterations);
+  limits.callback = [&](double cost) { return run.Record(cost); };
+  const AugmentedLagrangian::Summary summary = transcription.Minimize(limits);
+  run.report().evaluations += summary.jacobians;
+  Trial found;
+  TakeControl(transcription, scene, &found);
+  const Termination termination = summary.interrupted ? Termination::kInterrupted
+                                  : summary.converged ? Termination::kConverged
+                                                      : Termination::kIterationLimit;
+  SolveReport report =
+      run.Finish(found, summary.cost, termination, "steps of " + request.contact.name() + " between exact impacts");
+  report.seconds += exact.seconds;
+  return report;
+}
+
+}  // namespace
+
+std::string WhyNotPhases(const SolveRequest& request) {
+  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (IsExact(request)) return "";
+  if (!request.scene.objective.running.empty()) {
+    return "running costs are integrated along exact flight (contact model event)";
+  }
+  const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
+  if (simulator->FreeFlightOver(simulator->step())) return "";
+  return request.contact.name() + " has no free flight over steps of any length, with derivatives";
+}
 
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_phases", request, options);
   if (auto refused = run.WhyNotStart()) return *refused;
-  return SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+  SolveReport exact = SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
     return TryByTranscription(&run, plan, start, may_go_on);
   });
+  return IsExact(request) ? exact : SolveUnderModel(request, options, std::move(exact));
 }
 
 }  // namespace saltus

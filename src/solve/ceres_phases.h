@@ -8,7 +8,11 @@ namespace saltus {
 
 // Along the sequence that is given, or that of the initial guess, which is mended on the way (sequence_mending.h).
 // Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and misses no
-// constraint.
+// constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
+// and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options);
+
+// What it cannot take; empty if it can.
+std::string WhyNotPhases(const SolveRequest& request);
 
 }  // namespace saltus

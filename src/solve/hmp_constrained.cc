@@ -109,7 +109,7 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
 }
 
 std::string WhyNotConstrainedHmp(const SolveRequest& request) {
-  if (std::string reason = WhyNotPhases(request); !reason.empty()) return reason;
+  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
   return CostateShooting::WhyNot(request.scene);
 }
 

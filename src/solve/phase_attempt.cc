@@ -5,7 +5,6 @@
 #include <numeric>
 
 #include "control/control_bounds.h"
-#include "phase_transcription.h"
 #include "physics/time_grid.h"
 
 namespace saltus {
@@ -156,21 +155,9 @@ class TranscribedPlan {
     attempt->converged = summary.converged;
     attempt->interrupted = summary.interrupted && !left;
     attempt->jacobians += summary.jacobians;
-    transcription.Control(&attempt->trial.control, &attempt->trial.durations);
-    RollOut(attempt);
-  }
-
-  void RollOut(PlanAttempt* attempt) const {
-    Trial& trial = attempt->trial;
-    // A phase that vanished may be a little less than nothing.
-    for (double& duration : trial.durations) duration = std::max(duration, 1e-12 * scene_.duration);
-    if (!scene_.objective.duration) {
-      const double whole = DurationOf(trial);
-      for (double& duration : trial.durations) duration *= scene_.duration / whole;
-    }
-    MoveWithinBounds(scene_.control, trial.control);  // multipliers leave about 1e-10 beyond
+    TakeControl(transcription, scene_, &attempt->trial);
     saltus::RollOut(scene_, run_.terms(), plan_, steps_, attempt);
-    attempt->violation = ViolationOf(scene_, trial);
+    attempt->violation = ViolationOf(scene_, attempt->trial);
   }
 
   // In natural units, a force that matters costs far less than the misses that it mends.
@@ -210,6 +197,17 @@ class TranscribedPlan {
 };
 
 }  // namespace
+
+void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial) {
+  transcription.Control(&trial->control, &trial->durations);
+  // A phase that vanished may be a little less than nothing.
+  for (double& duration : trial->durations) duration = std::max(duration, 1e-12 * scene.duration);
+  if (!scene.objective.duration) {
+    const double whole = DurationOf(*trial);
+    for (double& duration : trial->durations) duration *= scene.duration / whole;
+  }
+  MoveWithinBounds(scene.control, trial->control);  // multipliers leave about 1e-10 beyond
+}
 
 void RollOut(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan,
              const std::vector<int>& steps, PlanAttempt* attempt) {

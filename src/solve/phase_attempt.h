@@ -1,9 +1,13 @@
 // One solve along a plan by the transcription with a cost for every step (phase_transcription.h).
 #pragma once
 
+#include "phase_transcription.h"
 #include "sequence_mending.h"
 
 namespace saltus {
+
+// The control that a transcription stands at, within its bounds and as long as the horizon, to the last bit.
+void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial);
 
 // The exact roll-out of attempt->trial, whose phases have so many steps: fills trial.exact, times and realized. What a
 // solve leaves of gaps moves impacts off their nodes, by far less than a step: these follow them.

@@ -81,18 +81,25 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
 
 }  // namespace
 
-std::string WhyNotPhases(const SolveRequest& request) {
-  const Scene& scene = request.scene;
+bool IsExact(const SolveRequest& request) {
   const ModelTraits* model = FindContactModel(request.contact);
-  if (model != nullptr && !model->event_driven) return "it solves with exact impacts only (contact model event)";
+  return model != nullptr && model->event_driven;
+}
+
+std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (scene.optimize != Optimize::kControl) return "it finds a control, and the scene optimizes something else";
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
   return "";
 }
 
+std::string WhyNotExactPhases(const SolveRequest& request) {
+  if (!IsExact(request)) return "it solves with exact impacts only (contact model event)";
+  return WhyNoPhases(request.scene);
+}
+
 std::string WhyNotEventPhases(const SolveRequest& request) {
-  if (std::string reason = WhyNotPhases(request); !reason.empty()) return reason;
+  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
   if (request.scene.objective.effort == 0) return "without a cost of effort the best control is not unique";
   return "";
 }

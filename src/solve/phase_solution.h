@@ -15,9 +15,13 @@
 
 namespace saltus {
 
-// Why phases between exact impacts cannot take a request, and why arcs in closed form between them cannot; empty if
-// they can.
-std::string WhyNotPhases(const SolveRequest& request);
+// Whether the contact model is one of exact events.
+bool IsExact(const SolveRequest& request);
+
+// Why there are no phases between impacts for a scene, why exact phases cannot take a request, and why arcs in closed
+// form between impacts cannot; empty if they can.
+std::string WhyNoPhases(const Scene& scene);
+std::string WhyNotExactPhases(const SolveRequest& request);
 std::string WhyNotEventPhases(const SolveRequest& request);
 
 // A control on intervals of any length, and what it does in exact dynamics.

@@ -8,6 +8,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "control/model_step.h"
+
 namespace saltus {
 namespace {
 
@@ -50,18 +52,19 @@ bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane &
 
 PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms,
                                        std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
-                                       const ContactSequence& apart, double margin)
+                                       const ContactSequence& apart, double margin, const Simulator* flight)
     : scene_(scene),
       terms_(terms),
+      flight_(flight),
       cuts_(std::move(cuts)),
       steps_(std::move(steps)),
       place_(scene.bodies.size(), -1),
-      dense_(scene.bodies.size(), false) {
+      stepped_(scene.bodies.size(), false) {
   CHECK_EQ(steps_.size(), cuts_.size() + 1);
-  for (const int body : scene_.control.bodies) dense_[body] = true;
-  for (const RunningTerm& term : scene_.objective.running) dense_[term.body] = true;
+  for (const int body : scene_.control.bodies) stepped_[body] = true;
+  for (const RunningTerm& term : scene_.objective.running) stepped_[term.body] = true;
   for (const OwnTerm& term : terms_) {
-    for (const int body : term.states) dense_[body] = dense_[body] || term.at == OwnTerm::At::kEachStep;
+    for (const int body : term.states) stepped_[body] = stepped_[body] || term.at == OwnTerm::At::kEachStep;
   }
   for (int c = 0; c < scene_.num_controlled(); ++c) place_[scene_.control.bodies[c]] = c;
   times_ = {0.0};
@@ -86,7 +89,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
 
 bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const {
   if (scene_.bodies[body].fixed) return false;
-  if (dense_[body]) return true;
+  if (stepped_[body]) return true;
   const auto is_of_body = [&](const auto& term) { return term.body == body; };
   const Objective& objective = scene_.objective;
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
@@ -125,12 +128,7 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
       const int steps = StepsOf(i, j);
       for (int k = 0; k < steps; ++k) {
         const double* u = place_[i] >= 0 ? ForceOn(i, j, k) : nullptr;
-        Node next;
-        Fly(nodes_[track.back()].data(),
-            FlightAcceleration(scene_.gravity, 1 / scene_.bodies[i].mass, u),
-            length / steps,
-            next.data());
-        track.push_back(AddNode(next));
+        track.push_back(AddNode(FlyOnce(i, nodes_[track.back()], u, length / steps)));
       }
       last[i] = track.back();
       tracks_[i].push_back(std::move(track));
@@ -138,6 +136,17 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
     if (j + 1 < num_phases() && cuts_[j].impact) Strike(*cuts_[j].impact, &last);
   }
   final_ = last;
+}
+
+PhaseTranscription::Node PhaseTranscription::FlyOnce(int body, const Node& x, const double* force, double h) const {
+  const Vec2d a = FlightAcceleration(scene_.gravity, 1 / scene_.bodies[body].mass, force);
+  Node next;
+  if (flight_ == nullptr) {
+    Fly(x.data(), a, h, next.data());
+  } else {
+    Fly(flight_->FreeFlightOver(h).value().flight, x.data(), a, next.data());
+  }
+  return next;
 }
 
 // The impact as if the two touched; not if they separate.
@@ -180,7 +189,15 @@ void PhaseTranscription::AddSteps() {
       for (int k = 0; k < steps; ++k) {
         double *x = NodeAt(track[k]), *next = NodeAt(track[k + 1]);
         const StepOfPhase step{k, steps};
-        if (place_[i] >= 0) {
+        if (flight_ != nullptr) {
+          std::vector<double*> blocks = {x, Begin(j), End(j), next};
+          std::optional<ModelStep::Push> push;
+          if (place_[i] >= 0) {
+            push = {1 / scene_.bodies[i].mass, scene_.objective.effort, least};
+            blocks.insert(blocks.begin() + 1, ForceOn(i, static_cast<int>(j), k));
+          }
+          problem_.Add(std::make_unique<ModelStep>(*flight_, step, push), {.equalities = 4}, blocks);
+        } else if (place_[i] >= 0) {
           problem_.Add(Sized<4, 2, 1, 1, 4>(
                            PushedStep{step, scene_.gravity, 1 / scene_.bodies[i].mass, scene_.objective.effort, least}),
                        {.equalities = 4},
@@ -330,9 +347,9 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
         const int body = side == 0 ? c.a : c.b;
         clearance.sides[side].at = cut.at[side];
         if (cut.at[side]) continue;
-        clearance.sides[side].coasts = !dense_[body];
+        clearance.sides[side].coasts = !IsDense(body);
         clearance.sides[side].inverse_mass = 1 / scene_.bodies[body].mass;
-        blocks.push_back(NodeAt(tracks_[body][j][dense_[body] ? k : 0]));
+        blocks.push_back(NodeAt(tracks_[body][j][IsDense(body) ? k : 0]));
         sizes.push_back(4);
         if (place_[body] < 0) continue;
         clearance.sides[side].pushed = true;

@@ -2,7 +2,8 @@
 //
 // The cuts (impacts, and instants that terms of the objective name) divide [0, T] into phases of free length. Unknown
 // are the times of the cuts, the nodes of every disc that the problem concerns and the forces of each step; impacts
-// happen only between phases, so every function is smooth. The functions are those of control/phase_costs.h.
+// happen only between phases, so every function is smooth. The functions are those of control/phase_costs.h; steps may
+// be those of a contact model instead of exact arcs (control/model_step.h).
 //
 // Numbers are expected to be of order one: the scene is one without units (its lengths, times and loss of order one).
 #pragma once
@@ -17,6 +18,7 @@
 #include "control/own_term_cost.h"
 #include "control/phase_costs.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus {
@@ -37,10 +39,11 @@ class PhaseTranscription {
   // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
   // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
   // time within [0, T]; some phase has steps. `terms` must outlive this object. The pairs of `apart` never come nearer
-  // than the distance at which they touch and `margin` of it.
+  // than the distance at which they touch and `margin` of it. Discs fly as in a step of `flight`, which must outlive
+  // this object and fly over any length; if it is null, exactly.
   PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms, std::vector<PhaseCut> cuts,
-                     std::vector<int> steps, const ForceAt& force, const ContactSequence& apart = {},
-                     double margin = 0);
+                     std::vector<int> steps, const ForceAt& force, const ContactSequence& apart = {}, double margin = 0,
+                     const Simulator* flight = nullptr);
   PhaseTranscription(const PhaseTranscription&) = delete;
 
   AugmentedLagrangian::Summary Minimize(const AugmentedLagrangian::Options& options);
@@ -62,7 +65,9 @@ class PhaseTranscription {
 
   int num_phases() const { return static_cast<int>(steps_.size()); }
   bool Concerns(int body, const ContactSequence& apart) const;
-  int StepsOf(int body, int phase) const { return dense_[body] ? steps_[phase] : std::min(steps_[phase], 1); }
+  // Whether a disc has a node at each step, not only at the ends of phases: exact flight without force may be one step.
+  bool IsDense(int body) const { return flight_ != nullptr || stepped_[body]; }
+  int StepsOf(int body, int phase) const { return IsDense(body) ? steps_[phase] : std::min(steps_[phase], 1); }
   double* NodeAt(int i) { return nodes_[i].data(); }
   double* ForceOn(int body, int phase, int step) {
     return forces_[first_force_[phase] + step * scene_.num_controlled() + place_[body]].data();
@@ -71,6 +76,7 @@ class PhaseTranscription {
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
 
   void Lay(const ForceAt& force, const ContactSequence& apart);
+  Node FlyOnce(int body, const Node& x, const double* force, double h) const;
   void Strike(const Candidate& c, std::vector<int>* last);
   int AddNode(const Node& node);
   void AddSteps();
@@ -84,10 +90,11 @@ class PhaseTranscription {
 
   Scene scene_;
   const std::vector<OwnTerm>& terms_;
+  const Simulator* flight_;
   std::vector<PhaseCut> cuts_;
   std::vector<int> steps_;
   std::vector<int> place_;     // of each disc in the control, or -1
-  std::vector<bool> dense_;    // of each disc: it has a node at each step, not only at the ends of phases
+  std::vector<bool> stepped_;  // of each disc: something is asked of it at each step
   std::vector<double> times_;  // of the boundaries of phases: 0, those of the cuts, T
   std::vector<int>
       boundary_;  // of each phase and after the last one: which of the times; one that has no length shares it

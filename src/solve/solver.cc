@@ -112,7 +112,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, true, false, false, true, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
       {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
   };

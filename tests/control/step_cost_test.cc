@@ -10,6 +10,7 @@
 #include <cmath>
 #include <string>
 
+#include "control/model_step.h"
 #include "saltus/dynamics/registry.h"
 #include "test_scenes.h"
 
@@ -59,12 +60,13 @@ Blocks BlocksAt(const Simulator& simulator, std::span<const double> control, int
 }
 
 // By ceres::GradientChecker; its own verdict is relative even to entries that are zero up to rounding.
-bool GradientsAgree(const ceres::CostFunction& cost, const Blocks& blocks, double width, std::string* error) {
+bool GradientsAgree(const ceres::CostFunction& cost, const std::vector<const double*>& blocks, double width,
+                    std::string* error) {
   ceres::NumericDiffOptions options;
   options.ridders_relative_initial_step_size = width / 32;  // its first differences are so much wider
   ceres::GradientChecker checker(&cost, static_cast<const std::vector<const ceres::Manifold*>*>(nullptr), options);
   ceres::GradientChecker::ProbeResults results;
-  checker.Probe(blocks.Pointers().data(), 1e-6, &results);
+  checker.Probe(blocks.data(), 1e-6, &results);
   *error = results.error_log;
   if (!results.return_value) return false;
   for (size_t i = 0; i < results.jacobians.size(); ++i) {
@@ -91,13 +93,41 @@ TEST_P(StepCostOf, HasTheJacobianOfTheStep) {
     const StepCost cost(simulator);
     for (int k : InterestingSteps(*simulator)) {
       std::string error;
-      EXPECT_TRUE(GradientsAgree(cost, BlocksAt(*simulator, control, k), width, &error))
+      EXPECT_TRUE(GradientsAgree(cost, BlocksAt(*simulator, control, k).Pointers(), width, &error))
           << scene.name << " step " << k << "\n"
           << error;
       touched = touched || k > 1;
     }
   }
   EXPECT_TRUE(touched);
+}
+
+// The free flight of a step of any length, as a cost of a phase: the model's own step, and its derivatives.
+TEST_P(StepCostOf, HasItsFreeFlightOverAnyLength) {
+  Scene scene;
+  scene.name = "alone";
+  scene.duration = 1;
+  scene.steps = 480;
+  scene.gravity = {0.3, -1.1};
+  scene.bodies = {{.name = "disc", .radius = 0.2, .mass = 2, .position = {-2, -2}, .velocity = {0.7, -0.4}}};
+  std::shared_ptr<Simulator> simulator = MakeSimulator(GetParam(), scene, Precision::kDouble);
+  std::vector<double> x(simulator->state_size()), next(x.size());
+  simulator->ExpandInitial(InitialState(scene), x);
+  constexpr int kCount = 7;
+  const double begin = 0.4, end = begin + kCount * simulator->step();
+  for (const bool pushed : {true, false}) {
+    const std::vector<double> force = pushed ? std::vector{1.3, -0.6} : std::vector{0.0, 0.0};
+    simulator->Step(x, force, next);
+    const std::optional push = pushed ? std::optional(ModelStep::Push{0.5, 0.3, 1e-9}) : std::nullopt;
+    const ModelStep cost(*simulator, {2, kCount}, push);
+    std::vector<const double*> blocks{x.data(), &begin, &end, next.data()};
+    if (pushed) blocks.insert(blocks.begin() + 1, force.data());
+    std::vector<double> rows(cost.num_residuals());
+    ASSERT_TRUE(cost.Evaluate(blocks.data(), rows.data(), nullptr));
+    for (int r = 0; r < 4; ++r) EXPECT_NEAR(rows[r], 0, 1e-12) << r;
+    std::string error;
+    EXPECT_TRUE(GradientsAgree(cost, blocks, 1e-3, &error)) << error;
+  }
 }
 
 std::vector<std::string> Models(bool published_jacobian) {
@@ -125,7 +155,7 @@ TEST_P(PublishedStepCostOf, DiffersFromTheStepInContactOnly) {
   int differs = 0;
   for (int k : InterestingSteps(*simulator)) {
     std::string error;
-    const bool agrees = GradientsAgree(cost, BlocksAt(*simulator, control, k), WidthFor(GetParam()), &error);
+    const bool agrees = GradientsAgree(cost, BlocksAt(*simulator, control, k).Pointers(), WidthFor(GetParam()), &error);
     EXPECT_TRUE(agrees || k > 1) << error;
     if (!agrees) ++differs;
   }
@@ -158,8 +188,8 @@ TEST(StepCost, TheCheckCanFail) {
   ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));
   const Blocks blocks = BlocksAt(*simulator, control, 1);
   std::string error;
-  EXPECT_TRUE(GradientsAgree(StepCost(simulator), blocks, WidthFor("direct_toi"), &error)) << error;
-  EXPECT_FALSE(GradientsAgree(WrongCost(simulator), blocks, WidthFor("direct_toi"), &error));
+  EXPECT_TRUE(GradientsAgree(StepCost(simulator), blocks.Pointers(), WidthFor("direct_toi"), &error)) << error;
+  EXPECT_FALSE(GradientsAgree(WrongCost(simulator), blocks.Pointers(), WidthFor("direct_toi"), &error));
 }
 
 TEST(StepCost, IsZeroAlongARollout) {

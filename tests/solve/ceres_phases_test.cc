@@ -2,11 +2,15 @@
 // free time and running costs; and what its sequences are mended to.
 #include <gmock/gmock.h>
 
+#include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <span>
 
 #include "constrained_reference.h"
 #include "saltus/control/exact_run.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 
@@ -14,6 +18,7 @@ namespace saltus {
 namespace {
 
 using testing::HasSubstr;
+using Vec4d = Eigen::Vector4d;
 
 class ConstrainedOptimum : public testing::TestWithParam<Json> {};
 
@@ -84,6 +89,75 @@ TEST(CeresPhases, TakesAtMostTwentyIterationsFromThePapersGuess) {
   const SolveReport report = Solve("ceres_phases", {ProblemScene("two_balls"), "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LE(report.iterations, 20);
+}
+
+// Where one disc flies by the model's own steps, under the forces from row `first` on.
+Vec4d FlyBy(const std::string& model, const Body& disc, Vec4d x, std::span<const double> forces, double h) {
+  Scene alone;
+  alone.name = "alone";
+  alone.bodies = {disc};
+  alone.duration = h;
+  alone.steps = FindContactModel(model)->grid_steps;
+  alone.duration = h * alone.steps;  // a step of the model may cover several of the grid
+  for (size_t k = 0; k < forces.size(); k += 2) {
+    // Gravity is what has a force on a disc of 1 kg.
+    alone.gravity = {forces[k], forces[k + 1]};
+    const auto simulator = MakeSimulator(model, alone, Precision::kDouble);
+    std::vector<double> full(simulator->state_size()), next(full.size());
+    simulator->ExpandInitial(std::span(x.data(), 4), full);
+    simulator->Step(full, std::vector<double>{0, 0}, next);
+    x = Vec4d(next[0], next[1], next[2], next[3]);
+  }
+  return x;
+}
+
+class FlownByAModel : public testing::TestWithParam<std::string> {};
+
+// The loss is that of the model's steps and an exact impact; with finer steps both go to the exact optimum.
+TEST_P(FlownByAModel, HasTheLossOfItsStepsAndOfAnExactImpact) {
+  const std::string& model = GetParam();
+  std::vector<double> gaps;
+  for (const int steps : {60, 240, 960}) {
+    Scene scene = ProblemScene("two_balls");
+    scene.steps = steps;
+    const SolveReport report = Solve("ceres_phases", {scene, model}, {.iterations = 1000});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_THAT(report.reason, HasSubstr(model));
+    gaps.push_back(std::abs(report.final_loss - 1.3965421601));
+    if (steps != 60) continue;
+
+    // Steps are equal before the impact, and after it.
+    const auto after = std::find_if(report.durations.begin(), report.durations.end(), [&](double h) {
+      return std::abs(h - report.durations[0]) > 1e-9 * h;
+    });
+    ASSERT_NE(after, report.durations.end());
+    const size_t before = after - report.durations.begin();
+    const std::vector<double>& u = report.control;
+    const auto length = [&](size_t k) { return report.durations[k] / FindContactModel(model)->grid_steps; };
+    Vec4d striker = FlyBy(model, scene.bodies[0], {-2, -2, 0, 0}, std::span(u).first(2 * before), length(0));
+    const Vec2d normal = Vec2d(-1 - striker[0], -1 - striker[1]).normalized();
+    EXPECT_NEAR((Vec2d(-1, -1) - striker.head<2>()).norm(), 0.4, 1e-9);
+    Vec4d target(-1, -1, 0, 0);
+    target.tail<2>() = normal * normal.dot(striker.tail<2>());
+    const std::vector<double> none(2 * (report.durations.size() - before), 0.0);
+    target = FlyBy(model, scene.bodies[1], target, none, length(before));
+    double loss = target.head<2>().squaredNorm();
+    for (size_t k = 0; k < u.size(); ++k) loss += 0.1 * u[k] * u[k] * report.durations[k / 2];
+    EXPECT_NEAR(report.final_loss, loss, 1e-9);
+  }
+  const double order = std::log(gaps[0] / gaps[2]) / std::log(16.0);
+  EXPECT_GT(order, 0.9) << gaps[0] << " " << gaps[1] << " " << gaps[2];
+}
+
+INSTANTIATE_TEST_SUITE_P(Models, FlownByAModel,
+                         testing::Values("direct_toi", "compliant_warp", "lcp", "pbd_brax", "smooth_compliant"));
+
+TEST(CeresPhases, SaysWhatItCannotTakeUnderAModel) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.running = {{.body = 0, .times = {0}, .targets = {Vec2d(-1, -2)}, .weight = 1}};
+  const SolveReport report = Solve("ceres_phases", {scene, "direct_toi"}, {});
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_THAT(report.reason, HasSubstr("running costs"));
 }
 
 TEST(CeresPhases, SaysSoWhereTheTargetIsOutOfReach) {

@@ -1,0 +1,72 @@
+#include "model_step.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace saltus {
+
+ModelStep::ModelStep(const Simulator& simulator, StepOfPhase step, std::optional<Push> push)
+    : simulator_(simulator), step_(step), push_(push) {
+  std::vector<int>& sizes = *mutable_parameter_block_sizes();
+  sizes = push ? std::vector<int>{4, 2, 1, 1, 4} : std::vector<int>{4, 1, 1, 4};
+  set_num_residuals(push ? PushedStep::kRows : CoastingStep::kRows);
+}
+
+bool ModelStep::Evaluate(double const* const* parameters, double* rows, double** jacobians) const {
+  const int times = push_ ? 2 : 1;  // which block is `begin`
+  const double *x = parameters[0], *force = push_ ? parameters[1] : nullptr, *next = parameters[times + 2];
+  const double h = step_.Length(parameters[times], parameters[times + 1]);
+  const std::optional<FlightOver> over = simulator_.FreeFlightOver(h);
+  if (!over) return false;
+  const double inverse_mass = push_ ? push_->inverse_mass : 0;
+  const Vec2d a = FlightAcceleration(simulator_.scene().gravity, inverse_mass, force);
+  Fly(over->flight, x, a, rows);
+  for (int r = 0; r < 4; ++r) rows[r] = next[r] - rows[r];
+  const bool grows = push_ && h > push_->least;
+  const double scale = push_ ? std::sqrt(push_->effort * std::max(h, push_->least)) : 0;
+  for (int j = 0; push_ && j < 2; ++j) rows[4 + j] = scale * force[j];
+  if (!std::all_of(rows, rows + num_residuals(), [](double row) { return std::isfinite(row); })) return false;
+  if (jacobians == nullptr) return true;
+
+  // Writes entries (row, column, value) into a block of zeros.
+  const auto fill = [&](int block, const auto& entries) {
+    if (jacobians[block] == nullptr) return;
+    const int columns = parameter_block_sizes()[block];
+    std::fill_n(jacobians[block], num_residuals() * columns, 0.0);
+    entries([&](int row, int column, double value) { jacobians[block][row * columns + column] = value; });
+  };
+  const StepLinearization::FreeFlight& by = over->flight;
+  fill(0, [&](const auto& set) {
+    for (int j = 0; j < 2; ++j) {
+      set(j, j, -by.pp);
+      set(j, 2 + j, -by.pv);
+      set(2 + j, j, -by.vp);
+      set(2 + j, 2 + j, -by.vv);
+    }
+  });
+  if (push_) {
+    fill(1, [&](const auto& set) {
+      for (int j = 0; j < 2; ++j) {
+        set(j, j, -by.pa * inverse_mass);
+        set(2 + j, j, -by.va * inverse_mass);
+        set(4 + j, j, scale);
+      }
+    });
+  }
+  std::array<double, 4> by_length;
+  Fly(over->by_time, x, a, by_length.data());
+  for (const int end : {0, 1}) {
+    const double length = (end ? 1.0 : -1.0) / step_.count;  // d(h)/d(end) or d(h)/d(begin)
+    fill(times + end, [&](const auto& set) {
+      for (int r = 0; r < 4; ++r) set(r, 0, -length * by_length[r]);
+      for (int j = 0; grows && j < 2; ++j) set(4 + j, 0, length * 0.5 * scale / h * force[j]);
+    });
+  }
+  fill(times + 2, [&](const auto& set) {
+    for (int r = 0; r < 4; ++r) set(r, r, 1);
+  });
+  return true;
+}
+
+}  // namespace saltus
