@@ -49,7 +49,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
     return exact;
   };
   if (exact.termination != Termination::kConverged) return give_up(exact.reason);
-  Trial trial{exact.control, exact.durations, {}, {}};
+  Trial trial{exact.control, exact.durations, {}, {}, exact.initial_state};
   Scene scene = request.scene;
   scene.duration = DurationOf(trial);
   Simulate(scene, request.terms, &trial);
@@ -66,8 +66,14 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
   run.report().evaluations = exact.evaluations;
   ContactSequence apart;
   for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
-  PhaseTranscription transcription(
-      scene, request.terms, phases->cuts, phases->steps, ForcesOf(scene, trial), apart, 0, flight.get());
+  PhaseTranscription transcription(BeginningAs(trial, scene),
+                                   request.terms,
+                                   phases->cuts,
+                                   phases->steps,
+                                   ForcesOf(scene, trial),
+                                   apart,
+                                   0,
+                                   flight.get());
   AugmentedLagrangian::Options limits;
   limits.iterations = std::max(1, options.iterations - exact.iterations);
   limits.callback = [&](double cost) { return run.Record(cost); };

@@ -134,7 +134,7 @@ class TranscribedPlan {
       cuts.insert(cuts.begin(), {plan_.cuts[k], start_.times[k], ties * margin, plan_.modes[k]});
     }
     PhaseTranscription transcription(
-        scene_, run_.terms(), cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);
+        BeginningAs(start_.trial, scene_), run_.terms(), cuts, steps_, ForcesOf(scene_, start_.trial), apart_, margin);
     const auto read = [&] {
       attempt->times = transcription.CutTimes();
       attempt->times.push_back(transcription.Duration());
@@ -200,6 +200,7 @@ class TranscribedPlan {
 
 void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial) {
   transcription.Control(&trial->control, &trial->durations);
+  if (scene.optimize != Optimize::kControl) trial->initial = transcription.InitialState();
   // A phase that vanished may be a little less than nothing.
   for (double& duration : trial->durations) duration = std::max(duration, 1e-12 * scene.duration);
   if (!scene.objective.duration) {

@@ -53,7 +53,7 @@ SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termin
   report_.initial_loss = report_.losses.front();
   report_.final_loss = loss;
   report_.iterations = static_cast<int>(report_.losses.size()) - 1;
-  report_.initial_state = InitialState(scene_);
+  report_.initial_state = InitialOf(scene_, trial);
   report_.control = trial.control;
   report_.durations = trial.durations;
   report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();

@@ -88,14 +88,15 @@ bool IsExact(const SolveRequest& request) {
 
 std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
-  if (scene.optimize != Optimize::kControl) return "it finds a control, and the scene optimizes something else";
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
   return "";
 }
 
 std::string WhyNotExactPhases(const SolveRequest& request) {
   if (!IsExact(request)) return "it solves with exact impacts only (contact model event)";
-  return WhyNoPhases(request.scene);
+  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (request.scene.optimize == Optimize::kControl) return "";
+  return "it finds a control, and the scene optimizes something else";
 }
 
 std::string WhyNotEventPhases(const SolveRequest& request) {
@@ -104,8 +105,21 @@ std::string WhyNotEventPhases(const SolveRequest& request) {
   return "";
 }
 
+std::vector<double> InitialOf(const Scene& scene, const Trial& trial) {
+  return trial.initial.empty() ? InitialState(scene) : trial.initial;
+}
+
+Scene BeginningAs(const Trial& trial, Scene scene) {
+  for (size_t i = 0; 4 * i < trial.initial.size(); ++i) {
+    const double* x = &trial.initial[4 * i];
+    scene.bodies[i].position = {x[0], x[1]};
+    scene.bodies[i].velocity = {x[2], x[3]};
+  }
+  return scene;
+}
+
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
-  trial->exact = SimulateExactly(scene, InitialState(scene), trial->control, trial->durations);
+  trial->exact = SimulateExactly(scene, InitialOf(scene, *trial), trial->control, trial->durations);
   trial->own = {};
   if (terms.empty() || !trial->exact.ok) return;
   trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
@@ -119,7 +133,7 @@ Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms) {
 }
 
 Flight FlightOf(const Scene& scene, const Trial& trial) {
-  return Flight(scene, InitialState(scene), trial.control, trial.durations, trial.exact);
+  return Flight(scene, InitialOf(scene, trial), trial.control, trial.durations, trial.exact);
 }
 
 PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence) {

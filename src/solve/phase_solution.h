@@ -29,7 +29,12 @@ struct Trial {
   std::vector<double> control, durations;
   ExactRun exact;  // its loss with the costs of a user's own
   OwnValues own;
+  std::vector<double> initial = {};  // B x 4, where it is to be found; empty: the scene's
 };
+
+std::vector<double> InitialOf(const Scene& scene, const Trial& trial);
+// The scene that begins as the trial does.
+Scene BeginningAs(const Trial& trial, Scene scene);
 
 // Runs trial->control.
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);

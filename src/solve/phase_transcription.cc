@@ -2,6 +2,7 @@
 
 #include <ceres/autodiff_cost_function.h>
 #include <ceres/dynamic_autodiff_cost_function.h>
+#include <ceres/manifold.h>
 #include <glog/logging.h>
 
 #include <algorithm>
@@ -80,6 +81,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
   }
   Lay(force, apart);
   AddSteps();
+  HoldWhatIsGiven();
   AddImpacts();
   AddBounds();
   AddTerms();
@@ -111,7 +113,7 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
     const Body& body = scene_.bodies[i];
     if (Concerns(i, apart)) last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
   }
-  num_initial_nodes_ = static_cast<int>(nodes_.size());
+  initial_ = last;
   tracks_.resize(scene_.num_bodies());
   for (int j = 0; j < num_phases(); ++j) {
     const double begin = *Begin(j), length = *End(j) - begin;
@@ -209,7 +211,24 @@ void PhaseTranscription::AddSteps() {
       }
     }
   }
-  for (int i = 0; i < num_initial_nodes_; ++i) problem_.problem().SetParameterBlockConstant(NodeAt(i));
+}
+
+// The initial state, but for what is optimized of it, and then the forces.
+void PhaseTranscription::HoldWhatIsGiven() {
+  ceres::Problem& problem = problem_.problem();
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    if (initial_[i] < 0) continue;
+    double* x = NodeAt(initial_[i]);
+    const bool is_free = std::find(scene_.free.begin(), scene_.free.end(), i) != scene_.free.end();
+    if (!is_free || (scene_.optimize != Optimize::kPosition && scene_.optimize != Optimize::kVelocity)) {
+      problem.SetParameterBlockConstant(x);
+      continue;
+    }
+    const std::vector<int> held = scene_.optimize == Optimize::kPosition ? std::vector{2, 3} : std::vector{0, 1};
+    problem.SetManifold(x, new ceres::SubsetManifold(4, held));
+  }
+  if (scene_.optimize == Optimize::kControl) return;
+  for (std::array<double, 2>& force : forces_) problem.SetParameterBlockConstant(force.data());
 }
 
 double PhaseTranscription::LeastLength() const {
@@ -243,7 +262,7 @@ void PhaseTranscription::AddBounds() {
     problem_.Add(Sized<1, 1>(LengthBound{}), {.inequalities = 1}, {Begin(j), End(j)});
   }
   const saltus::Control& control = scene_.control;
-  for (size_t k = 0; k < forces_.size(); ++k) {
+  for (size_t k = 0; scene_.optimize == Optimize::kControl && k < forces_.size(); ++k) {
     const int c = static_cast<int>(k) % scene_.num_controlled();
     if (!control.max.empty()) {
       problem_.Add(Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4}, {forces_[k].data()});
@@ -392,6 +411,14 @@ std::vector<double> PhaseTranscription::CutSpeeds() const {
     speeds.back() = rows.back();
   }
   return speeds;
+}
+
+std::vector<double> PhaseTranscription::InitialState() const {
+  std::vector<double> states = saltus::InitialState(scene_);
+  for (int i = 0; i < scene_.num_bodies(); ++i) {
+    if (initial_[i] >= 0) std::copy_n(nodes_[initial_[i]].data(), 4, &states[4 * i]);
+  }
+  return states;
 }
 
 void PhaseTranscription::Control(std::vector<double>* control, std::vector<double>* durations) const {

@@ -1,9 +1,10 @@
 // A motion through a given sequence of impacts as a constrained least squares problem in which every step is a cost.
 //
 // The cuts (impacts, and instants that terms of the objective name) divide [0, T] into phases of free length. Unknown
-// are the times of the cuts, the nodes of every disc that the problem concerns and the forces of each step; impacts
-// happen only between phases, so every function is smooth. The functions are those of control/phase_costs.h; steps may
-// be those of a contact model instead of exact arcs (control/model_step.h).
+// are the times of the cuts, the nodes of every disc that the problem concerns and the forces of each step, or in place
+// of these the positions or velocities at the start that the scene optimizes; impacts happen only between phases, so
+// every function is smooth. The functions are those of control/phase_costs.h; steps may be those of a contact model
+// instead of exact arcs (control/model_step.h).
 //
 // Numbers are expected to be of order one: the scene is one without units (its lengths, times and loss of order one).
 #pragma once
@@ -53,6 +54,8 @@ class PhaseTranscription {
   // Of the cuts: the normal velocity just before an impact, negative if closing; 0 of instants.
   std::vector<double> CutSpeeds() const;
   double Duration() const { return times_.back(); }
+  // Of all discs, B x 4.
+  std::vector<double> InitialState() const;
   // One row a step, of all controlled discs, and the steps' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
 
@@ -80,6 +83,7 @@ class PhaseTranscription {
   void Strike(const Candidate& c, std::vector<int>* last);
   int AddNode(const Node& node);
   void AddSteps();
+  void HoldWhatIsGiven();
   void AddImpacts();
   void AddBounds();
   void AddTerms();
@@ -98,8 +102,8 @@ class PhaseTranscription {
   std::vector<double> times_;  // of the boundaries of phases: 0, those of the cuts, T
   std::vector<int>
       boundary_;  // of each phase and after the last one: which of the times; one that has no length shares it
-  std::vector<Node> nodes_;  // the initial ones first
-  int num_initial_nodes_ = 0;
+  std::vector<Node> nodes_;                            // the initial ones first
+  std::vector<int> initial_;                           // of each disc: its first node, or -1
   std::vector<std::vector<std::vector<int>>> tracks_;  // of each disc that the problem concerns and phase: its nodes
   std::vector<int> final_;                             // of each disc: its last node
   std::vector<ImpactNodes> impacts_;

@@ -105,6 +105,9 @@ class Mending {
     double part = 1;
     for (int i = 0; i <= kHalvings; ++i, part /= 2) {
       Trial between = to;
+      for (size_t j = 0; j < to.initial.size(); ++j) {
+        between.initial[j] = part * to.initial[j] + (1 - part) * InitialOf(scene_, from)[j];
+      }
       const double factor = part + (1 - part) * stretch;
       double begin = 0;
       for (size_t k = 0; k < to.durations.size(); ++k) {
@@ -353,6 +356,7 @@ class Mending {
   void LeaveSaddleOfBest() {
     if (!HasOptimum() || saddles_ >= kMostSaddles) return;
     if (!run_.terms().empty()) return;  // the certificate is of the scene's objective
+    if (scene_.optimize != Optimize::kControl) return;
     const Certificate certificate = CertifyTrial(scene_, best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
@@ -420,6 +424,7 @@ class Mending {
   // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
   void Certify() {
     if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0 || !run_.terms().empty()) return;
+    if (scene_.optimize != Optimize::kControl) return;
     Certificate certificate = CertifyTrial(scene_, best_->trial);
     const bool kinks = best_plan_.HasTies() || best_plan_.HasModes() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {

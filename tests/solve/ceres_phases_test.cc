@@ -91,6 +91,46 @@ TEST(CeresPhases, TakesAtMostTwentyIterationsFromThePapersGuess) {
   EXPECT_LE(report.iterations, 20);
 }
 
+// The launch off ground and wall to a target, by velocity, and by where it starts; also as single shooting finds it.
+TEST(CeresPhases, FindsWhereAndHowFastToStart) {
+  for (const Optimize what : {Optimize::kVelocity, Optimize::kPosition}) {
+    for (const double friction : {0.0, 0.1}) {
+      SCOPED_TRACE(std::string(OptimizeToString(what)) + ", friction " + std::to_string(friction));
+      Scene scene = ProblemScene("ground_wall");
+      scene.optimize = what;
+      scene.contact.friction = friction;
+      // Near enough to the start for a position alone.
+      if (what == Optimize::kPosition) scene.objective.terminal[0].target = {-0.5, 1.2};
+      const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+      ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+      EXPECT_LT(report.final_loss, 1e-16);
+      const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+      ASSERT_TRUE(exact.ok) << exact.reason;
+      EXPECT_EQ(exact.loss, report.final_loss);
+      EXPECT_EQ(exact.events.size(), 2u);
+      // What is given has stayed.
+      const std::vector<double> given = InitialState(scene);
+      const int held = what == Optimize::kVelocity ? 0 : 2;
+      for (int j = held; j < held + 2; ++j) EXPECT_EQ(report.initial_state[j], given[j]);
+      const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {});
+      ASSERT_LT(shot.final_loss, 1e-16) << shot.reason;
+      for (int j = 0; j < 4; ++j) EXPECT_NEAR(report.initial_state[j], shot.initial_state[j], 1e-6) << j;
+    }
+  }
+}
+
+TEST(CeresPhases, ReachesTheOptimaOfTheFollowUp) {
+  // In continuous time (data/exact_references.json), and the better of the known sequences of the second.
+  const std::vector<std::pair<const char*, double>> problems = {{"single_collision", 0.31141687035847},
+                                                                {"multiple_collisions", 0.3562800859}};
+  for (const auto& [name, optimum] : problems) {
+    const SolveReport report = Solve("ceres_phases", {ProblemScene(name), "event"}, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << name << ": " << report.reason;
+    EXPECT_GT(report.final_loss, optimum - 1e-9) << name;
+    EXPECT_LT(report.final_loss, optimum + 1e-6) << name;
+  }
+}
+
 // Where one disc flies by the model's own steps, under the forces from row `first` on.
 Vec4d FlyBy(const std::string& model, const Body& disc, Vec4d x, std::span<const double> forces, double h) {
   Scene alone;
@@ -151,6 +191,20 @@ TEST_P(FlownByAModel, HasTheLossOfItsStepsAndOfAnExactImpact) {
 
 INSTANTIATE_TEST_SUITE_P(Models, FlownByAModel,
                          testing::Values("direct_toi", "compliant_warp", "lcp", "pbd_brax", "smooth_compliant"));
+
+TEST(CeresPhases, LaunchesByAModelsSteps) {
+  for (const int steps : {36, 288}) {
+    Scene scene = ProblemScene("ground_wall");
+    scene.steps = steps;
+    const SolveReport report = Solve("ceres_phases", {scene, "direct_toi"}, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_LT(report.final_loss, 1e-16);
+    // Euler's steps under gravity are off by g T h / 2.
+    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    ASSERT_TRUE(exact.ok) << exact.reason;
+    EXPECT_NEAR(std::sqrt(exact.loss), 9.8 * 0.6 * 0.3 / steps, 0.6 * 9.8 * 0.6 * 0.3 / steps);
+  }
+}
 
 TEST(CeresPhases, SaysWhatItCannotTakeUnderAModel) {
   Scene scene = ProblemScene("two_balls");
