@@ -92,6 +92,11 @@ std::vector<Program> MakePrograms() {
        "Writes a scene of many discs to standard output, for --scene of the other programs",
        {"[--kind=NAME] [--discs=N] [--seed=N]"},
        {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
+      {"saltus_simulate",
+       "A contact model as a black box: answers on standard output what is asked on standard input, one JSON object a "
+       "line",
+       {"--contact=NAME [--precision=NAME] [--offer=LIST]"},
+       {kModels, {"Protocol", {"offer=LIST"}}}},
       {"saltus_reproduce",
        "Every table and figure of the paper, next to the published values",
        {"[--output_dir=DIR]"},
