@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "hmp_roots.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -88,7 +89,8 @@ std::string WhyNotPhases(const SolveRequest& request) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (scene.optimize != Optimize::kControl) return "it finds a control, and the scene optimizes something else";
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return "";
+  const std::string beyond = BeyondPlanes(scene);
+  return beyond.empty() ? "" : "the scene has " + beyond + "; it knows impacts of discs and planes";
 }
 
 std::string WhyNotEventPhases(const SolveRequest& request) {
