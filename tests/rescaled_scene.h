@@ -31,7 +31,20 @@ inline Scene Rescaled(Scene scene, const Rescaling& by) {
     body.position = by.length * body.position + by.shift;
     body.velocity *= by.speed();
   }
-  for (Plane& plane : scene.planes) plane.point = by.length * plane.point + by.shift;
+  const auto move = [&](Vec2d* point) { *point = by.length * *point + by.shift; };
+  for (Plane& plane : scene.planes) move(&plane.point);
+  for (EdgeSegment& segment : scene.segments) {
+    move(&segment.from);
+    move(&segment.to);
+  }
+  for (EdgePolygon& polygon : scene.polygons) {
+    for (Vec2d& point : polygon.points) move(&point);
+  }
+  for (EdgeArc& arc : scene.arcs) {
+    move(&arc.center);
+    arc.radius *= by.length;
+  }
+  if (scene.table) scene.table->gravity *= by.acceleration();
   scene.contact.stiffness *= by.force() / by.length;
   scene.contact.damping *= by.force() / by.speed();
   for (Vec2d& force : scene.control.initial) force *= by.force();

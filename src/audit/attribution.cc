@@ -17,6 +17,7 @@
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -67,7 +68,7 @@ struct Interval {
 class Attributor {
  public:
   Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop)
-      : contact_(contact), scene_(scene), stop_(stop), model_(Simulate(contact, scene)) {}
+      : contact_(contact), scene_(scene), walls_(WallPartsOf(scene)), stop_(stop), model_(Simulate(contact, scene)) {}
 
   Attribution Run();
 
@@ -129,6 +130,7 @@ class Attributor {
 
   Contact contact_;
   Scene scene_;
+  std::vector<WallPart> walls_;
   const StopRequest& stop_;
   std::unique_ptr<Simulator> model_;
   std::string exact_contact_;
@@ -146,7 +148,7 @@ double Attributor::Norm(const Eigen::VectorXd& costate) const {
 }
 
 std::string Attributor::PairName(const Candidate& pair) const {
-  return scene_.bodies[pair.a].name + " - " + (pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name);
+  return scene_.bodies[pair.a].name + " - " + (pair.plane ? walls_[pair.b].name : scene_.bodies[pair.b].name);
 }
 
 bool Attributor::Overlap(const Interval& interval, int k) const {
@@ -156,8 +158,7 @@ bool Attributor::Overlap(const Interval& interval, int k) const {
     const Candidate& pair = meeting.pair;
     const double radius = scene_.bodies[pair.a].radius;
     if (pair.plane) {
-      const Plane& plane = scene_.planes[pair.b];
-      return Dot(Vec2d(plane.normal.normalized()), Vec2d(position(pair.a) - plane.point)) < radius - kTouching;
+      return Separate<double>(position(pair.a), walls_[pair.b].wall).distance < radius - kTouching;
     }
     return (position(pair.a) - position(pair.b)).norm() < radius + scene_.bodies[pair.b].radius - kTouching;
   });
@@ -301,7 +302,7 @@ ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd
     return meeting.first == error.first_step;
   });
   error.a = scene_.bodies[first->pair.a].name;
-  error.b = first->pair.plane ? scene_.planes[first->pair.b].name : scene_.bodies[first->pair.b].name;
+  error.b = first->pair.plane ? walls_[first->pair.b].name : scene_.bodies[first->pair.b].name;
 
   const std::vector<double> begin = StateAt(interval.begin);
   const int steps = interval.end - interval.begin;
@@ -375,7 +376,10 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
   impact.acceleration_a = a.a;
   impact.velocity_b = impact.acceleration_b = Vec2d::Zero();
   if (pair.plane) {
-    impact.normal = scene_.planes[pair.b].normal.normalized();
+    const Wall<double>& wall = walls_[pair.b].wall;
+    const Separation<double> at_wall = Separate<double>(a.p, wall);
+    impact.normal = at_wall.normal;
+    if (wall.curved()) impact.inverse_distance = 1 / (at_wall.distance + wall.side * wall.radius);
   } else {
     const Motion b = motion(pair.b);
     impact.normal = (a.p - b.p).normalized();

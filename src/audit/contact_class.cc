@@ -11,6 +11,7 @@
 #include "audit/statistics.h"
 #include "physics/units.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -196,7 +197,7 @@ ContactRecognition Recogniser::Run() {
   }
   out_.step = encounter_->step;
   out_.a = scene_.bodies[encounter_->pair.a].name;
-  out_.b = encounter_->pair.plane ? scene_.planes[encounter_->pair.b].name : scene_.bodies[encounter_->pair.b].name;
+  out_.b = encounter_->pair.plane ? WallNamesOf(scene_)[encounter_->pair.b] : scene_.bodies[encounter_->pair.b].name;
   h_ = scene_.duration / (scene_.steps / CHECK_NOTNULL(FindContactModel(contact_))->grid_steps);
   if (!RunContacts()) {
     out_.words = "the contact does not happen at every length of step";

@@ -12,6 +12,7 @@
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -64,13 +65,13 @@ struct Touching {
 };
 
 // Whether something else is within `margin` of a disc of the pair that moves.
-bool Crowded(const Scene& scene, const Candidate& pair, std::span<const double> x, int body_size, double margin) {
+bool Crowded(const Scene& scene, const std::vector<WallPart>& walls, const Candidate& pair, std::span<const double> x,
+             int body_size, double margin) {
   const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
   const auto near = [&](int disc, int other, bool plane) {
     const double radius = scene.bodies[disc].radius;
     if (plane) {
-      const Plane& at = scene.planes[other];
-      return Dot(Vec2d(at.normal.normalized()), Vec2d(position(disc) - at.point)) < radius + margin;
+      return walls[other].extent.Covers(position(disc)) && walls[other].LeastDistance(position(disc)) < radius + margin;
     }
     return (position(disc) - position(other)).norm() < radius + scene.bodies[other].radius + margin;
   };
@@ -80,7 +81,7 @@ bool Crowded(const Scene& scene, const Candidate& pair, std::span<const double> 
       const bool in_pair = i == pair.a || (!pair.plane && i == pair.b);
       if (!in_pair && near(disc, i, /*plane=*/false)) return true;
     }
-    for (int i = 0; i < static_cast<int>(scene.planes.size()); ++i) {
+    for (int i = 0; i < static_cast<int>(walls.size()); ++i) {
       if (!(pair.plane && i == pair.b) && near(disc, i, /*plane=*/true)) return true;
     }
     return false;
@@ -107,6 +108,7 @@ PairMotion::PairMotion(const Simulator& simulator, const StepLinearization::Free
     if (scene.bodies[body].fixed) return Vec2d::Zero();
     return Vec2d(force[2 * body], force[2 * body + 1]) * InverseMass(scene.bodies[body]) + scene.gravity;
   };
+  if (pair.plane) wall_ = WallPartsOf(scene)[pair.b].wall;
   acceleration_ = pair.plane ? acceleration(pair.a) : Vec2d(acceleration(pair.a) - acceleration(pair.b));
 }
 
@@ -119,7 +121,7 @@ Vec2d PairMotion::Relative(std::span<const double> x, int offset) const {
 }
 
 Vec2d PairMotion::NormalAt(std::span<const double> x) const {
-  if (pair_.plane) return simulator_.scene().planes[pair_.b].normal.normalized();
+  if (pair_.plane) return Separate<double>(Relative(x, 0), wall_).normal;
   return Relative(x, 0).normalized();
 }
 
@@ -145,6 +147,7 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
     return x;
   };
   const StepLinearization::FreeFlight free = FreeFlightOf(*model);
+  const std::vector<WallPart> walls = WallPartsOf(scene);
   std::vector<Touching> pairs;
   for (const StepTouch& at : model->touches()) {
     Touching& touching = FindTouching(at, &pairs);
@@ -156,7 +159,7 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
     touching.changes.push_back(motion.Change(x, state(at.step + 1)));
     const double closing = -motion.Speed(x);
     if (touching.crowded || motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
-    touching.crowded = Crowded(scene, touching.pair, x, model->body_size(), kApart * closing * model->step());
+    touching.crowded = Crowded(scene, walls, touching.pair, x, model->body_size(), kApart * closing * model->step());
     if (touching.crowded) continue;
     // A force that sets in smoothly has begun before it is felt.
     const int earlier = 2 * (touching.NumFelt(kFelt * closing) - 1);

@@ -32,6 +32,7 @@ class PairMotion {
   const Simulator& simulator_;
   StepLinearization::FreeFlight free_;
   Candidate pair_;
+  Wall<double> wall_;  // of a pair with one
   Vec2d acceleration_;
 };
 

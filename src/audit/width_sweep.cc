@@ -13,6 +13,7 @@
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -90,8 +91,8 @@ double Room(const Scene& scene, int body) {
     const Body& b = scene.bodies[i];
     if (i != body) gap = std::min(gap, (a.position - b.position).norm() - a.radius - b.radius);
   }
-  for (const Plane& plane : scene.planes) {
-    gap = std::min(gap, Dot(Vec2d(plane.normal.normalized()), Vec2d(a.position - plane.point)) - a.radius);
+  for (const WallPart& part : WallPartsOf(scene)) {
+    if (part.extent.Covers(a.position)) gap = std::min(gap, part.LeastDistance(a.position) - a.radius);
   }
   return gap / 2;
 }

@@ -4,7 +4,8 @@
 // its mass and radius. Restitution and friction of two surfaces multiply: both are the squares of the scene's values.
 // The spin w, rad/s, is positive clockwise: a point at r from the centre moves with (w r_y, -w r_x).
 //
-// Contact of a disc and a half-plane: p_c = p - r n, depth = (q - p_c) . n for a point q of its boundary.
+// Contact of a disc and a half-plane: p_c = p - r n, depth = (q - p_c) . n for a point q of its boundary. So too for
+// ends of edges and arcs, which the source does not have.
 // Contact of two discs: n = (p_a - p_b) / (D + eps), p_c = (p_a + p_b) / 2, depth = r_a + r_b - D, eps = 1e-6.
 // They touch iff depth > 0. The eps terms are part of the published derivatives; none may be dropped.
 #pragma once
@@ -90,8 +91,12 @@ template <typename T, typename PositionOf>
 Contact<T> ContactAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   using S = Base<T>;
   const Vec2<T> a = position(c.a);
+  if (c.plane && in.planes[c.b].curved()) {
+    const Separation<T> at = Separate<T>(a, in.planes[c.b]);
+    return {c, at.normal, a - Scale(in.bodies[c.a].radius, at.normal), in.bodies[c.a].radius - at.distance};
+  }
   if (c.plane) {
-    const HalfPlane<S>& plane = in.planes[c.b];
+    const Wall<S>& plane = in.planes[c.b];
     const Vec2<T> normal = PlaneNormal(plane.normal).template cast<T>();
     const Vec2<T> boundary = Scale(plane.offset, plane.normal).template cast<T>();
     const Vec2<T> point = a - Scale(in.bodies[c.a].radius, normal);

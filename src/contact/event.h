@@ -36,6 +36,10 @@
 //   one-sided. Reported as kSustained, again in every step.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, at the end of which they are exactly in contact and no work was done. Everything else is exact.
+// Edges. The sides and ends of segments, polygons and arcs (walls.h) are met where they count, to kSeam. A disc that
+//   slides off the end of one leaves it there: onto the next, around the end, or freely.
+// Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as
+//   sustained, of the disc and the table. There is no force on it then, and no contact that lasts.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed (with
 //   all that they touch), or passes if it parts before the gap is -kContactGap. kGrazing if alone; the derivative is of
 //   the side on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
@@ -58,6 +62,13 @@ struct EventDriven {
                                           .relative = true};
   static constexpr int kRotation = 0;
   static constexpr int kTapedFrom = 5;  // discs
+  static std::string WhyNot(const Scene& scene) {
+    if (!scene.table) return "";
+    if (!scene.control.bodies.empty())
+      return "forces on a table: its friction turns with the velocity, on no exact arc";
+    return scene.gravity.isZero(0) ? ""
+                                   : "gravity along a table: its friction turns with the velocity, on no exact arc";
+  }
   template <typename T>
   using State = BodyState<T, kRotation>;
 

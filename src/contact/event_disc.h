@@ -21,6 +21,8 @@ inline constexpr double kLargestDrift = 3e-11;
 inline constexpr double kArcEnd = 1e-6;          // of the length of an arc
 inline constexpr double kLargestGain = 1e-9;     // of the energy in a step, ...
 inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
+// How far beyond its end an edge still counts (walls.h), and a disc that slides along it leaves it: lengths.
+inline constexpr double kSeam = 1e-12;
 inline constexpr int kMaxEvents = 100000;
 
 // A disc since the last event that concerned it.
@@ -59,15 +61,6 @@ struct Approach {
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
 };
 
-inline Approach MeasureApproach(const Motion& a, const HalfPlane<double>& plane, double radius) {
-  Approach out;
-  out.gap = Dot(plane.normal, a.p) - plane.offset - radius;
-  out.speed = Dot(plane.normal, a.v);
-  out.acceleration = Dot(plane.normal, a.a);
-  out.polynomial.c = {out.gap, out.speed, 0.5 * out.acceleration, 0, 0};
-  return out;
-}
-
 inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius) {
   const Separation<double> at = Separate<double>(a.p, b.p);
   const Vec2d d = a.p - b.p, w = a.v - b.v, q = a.a - b.a;
@@ -78,6 +71,23 @@ inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius)
   out.acceleration = Dot(at.normal, q) + (at.distance > 0 ? sliding * sliding / at.distance : 0.0);
   out.polynomial.c = {
       out.gap * (at.distance + radius), 2 * Dot(d, w), Dot(w, w) + Dot(d, q), Dot(w, q), 0.25 * Dot(q, q)};
+  return out;
+}
+
+inline Approach MeasureApproach(const Motion& a, const Wall<double>& wall, double radius) {
+  Approach out;
+  if (wall.curved()) {
+    const Motion center{wall.center, Vec2d(0, 0), Vec2d(0, 0)};
+    out = MeasureApproach(a, center, wall.radius + wall.side * radius);
+    if (wall.side > 0) return out;
+    for (double* x : {&out.gap, &out.speed, &out.acceleration}) *x = -*x;
+    for (double& c : out.polynomial.c) c = -c;
+    return out;
+  }
+  out.gap = Dot(wall.normal, a.p) - wall.offset - radius;
+  out.speed = Dot(wall.normal, a.v);
+  out.acceleration = Dot(wall.normal, a.a);
+  out.polynomial.c = {out.gap, out.speed, 0.5 * out.acceleration, 0, 0};
   return out;
 }
 

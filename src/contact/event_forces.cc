@@ -267,7 +267,7 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
     c.normal_force = c.tangential_force = 0;
     const double given_here = RelativeAcceleration(c, acceleration).norm();
     if (!std::isfinite(given_here) || !std::isfinite(c.turning)) return Pressing::kUnsolved;
-    scale = std::max({scale, given_here, c.turning});
+    scale = std::max({scale, given_here, std::abs(c.turning)});
   }
   // Sweeps carry a force from one contact to the next: what many contacts do is guessed first, that all press.
   const bool many = contacts.size() > kMostDenseRows;

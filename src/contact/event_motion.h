@@ -41,6 +41,7 @@ class EventMotion {
     bool held = false;       // closed, and kept closed by the accelerations of its discs
     bool curved = false;     // its discs move around each other while held, or did
     bool stopping = false;   // held, and its next event is that sliding ends
+    bool leaving = false;    // held, and its next event is that the disc has slid off the edge
     int reported_mode = -1;  // of the last report as a sustained contact
     double tied = -kNever;   // s, when it was last looked at as a part of a tie
   };
@@ -61,6 +62,7 @@ class EventMotion {
 
   bool Moves(int i) const { return !in_.bodies[i].fixed; }
   const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
+  bool IsTable(const Candidate& c) const { return c.plane && c.b == in_.table; }
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
   bool IsDirty(int q) const {
     const Candidate& c = CandidateOf(q);
@@ -139,10 +141,48 @@ class EventMotion {
     const EventDisc<T>& disc = discs_[i];
     return ValueOf(disc.p, disc.v, disc.a).After(time - Value(disc.t));
   }
+  // The gap is infinite where a part of an edge does not count; its polynomial still is the part's.
   template <typename MotionOf>
   Approach Measure(const Candidate& c, const MotionOf& motion) const {
-    if (c.plane) return MeasureApproach(motion(c.a), in_.planes[c.b], in_.ContactDistance(c));
-    return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+    if (!c.plane) return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+    const Motion a = motion(c.a);
+    Approach approach = MeasureApproach(a, in_.planes[c.b], in_.ContactDistance(c));
+    if (IsEdge(c) && !CountsAt(c, a.p)) approach.gap = kNever;
+    return approach;
+  }
+  bool IsEdge(const Candidate& c) const { return c.plane && !in_.extents.empty() && !in_.extents[c.b].endless; }
+  // Whether a part of an edge counts (walls.h) for a disc at p. Precondition: IsEdge(c).
+  bool CountsAt(const Candidate& c, const Vec2d& p) const {
+    return Separate<double>(p, in_.planes[c.b]).distance > 0 && in_.extents[c.b].Covers(p, kSeam);
+  }
+
+  // How long after `now` a pair closes, given its approach then, s. The line of an edge goes on beyond its ends, where
+  // a disc crosses it freely.
+  double FirstClosingOf(const Candidate& c, double now, GapPolynomial g, double horizon, bool ignore_start) const {
+    double after = FirstClosing(g, horizon, ignore_start);
+    if (!IsEdge(c)) return after;
+    constexpr int kMostClosings = 4;  // of a quartic, where it has a maximum below zero included
+    for (int closing = 0; closing < kMostClosings; ++closing) {
+      if (after > horizon || CountsAt(c, MotionAt(c.a, now + after).p)) return after;
+      GapPolynomial rest = ShiftedTo(g, after);
+      rest.c[0] = std::min(rest.c[0], 0.0);  // it has just closed
+      after += FirstClosing(rest, horizon - after, /*ignore_start=*/true);
+    }
+    return kNever;
+  }
+
+  // How long a held pair stays on its part of an edge, while its disc moves as it does from `now` on, s.
+  double TimeOnEdge(const Candidate& c, double now) const {
+    double first = kNever;
+    if (!IsEdge(c)) return first;
+    const Motion motion = MotionAt(c.a, now);
+    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
+      const double speed = Dot(bound.normal, motion.v), change = Dot(bound.normal, motion.a);
+      const GapPolynomial left{{bound.Inside(motion.p) + 2 * kSeam, speed, 0.5 * change, 0, 0}};
+      const double after = FirstClosing(left, in_.h - now);
+      if (after < first && !in_.extents[c.b].Covers(motion.After(after).p, kSeam)) first = after;
+    }
+    return first;
   }
   Approach ApproachAt(const Candidate& c, double time) const {
     return Measure(c, [&](int i) { return MotionAt(i, time); });
@@ -194,11 +234,62 @@ class EventMotion {
     return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
   }
 
+  // Likewise for the time at which a disc has slid off an edge.
+  T LeavingTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> p = discs_[c.a].PositionAt(time), v = discs_[c.a].VelocityAt(time);
+    const WallExtent::Bound* passed = nullptr;
+    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
+      const double off = std::abs(bound.Inside(ValueOf(p, v).p) + 2 * kSeam);
+      if (passed == nullptr || off < std::abs(passed->Inside(ValueOf(p, v).p) + 2 * kSeam)) passed = &bound;
+    }
+    const T inside = Dot(passed->normal, p);
+    return time - Divide(T(inside - Value(inside)), Value(Dot(passed->normal, v)));
+  }
+
+  // On a table disc i slows against its velocity as it is now, or rests.
+  void Slide(int i) {
+    if (in_.table < 0 || !Moves(i)) return;
+    EventDisc<T>& disc = discs_[i];
+    const T speed = Length(disc.v);
+    const bool slides = Value(speed) > 0;
+    // A small velocity would stop after a way that is smaller still.
+    if (!slides) disc.v = Vec2<T>(T(0.0), T(0.0));
+    disc.a = slides ? Scale(-in_.slowing, Quotient(disc.v, speed)) : Vec2<T>(T(0.0), T(0.0));
+    disc.moved = true;
+    ReportOnTable(i, slides ? ContactMode::kSlip : ContactMode::kStick);
+  }
+  void SlideOn(const Candidate& c) {
+    Slide(c.a);
+    if (!c.plane) Slide(c.b);
+  }
+  void ReportOnTable(int i, ContactMode mode) {
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (c.a != i || !IsTable(c) || pairs_[q].reported_mode == static_cast<int>(mode)) continue;
+      pairs_[q].reported_mode = static_cast<int>(mode);
+      Report(c, mode, discs_[i].t, ContactKind::kSustained);
+    }
+  }
+
   // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
   void StopClosing(const Candidate& c) {
     const Vec2<T> normal = LastSeparation(c).normal;
     const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
     ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+  }
+
+  // The gap at the start of the step; along edges the least of all that the disc meets, whichever it was nearest to.
+  double StartGap(const Candidate& c) const {
+    const auto gap_of = [&](const Candidate& d) {
+      return Measure(d, [&](int i) { return ValueOf(start_[i].p, start_[i].v); }).gap;
+    };
+    double gap = gap_of(c);
+    if (!IsEdge(c)) return gap;
+    for (const Candidate& d : in_.candidates) {
+      if (IsEdge(d) && d.a == c.a) gap = std::min(gap, gap_of(d));
+    }
+    return gap;
   }
 
   // What no motion of rigid discs does, and this one has done by the end of the step; empty if nothing. Contacts that
@@ -219,7 +310,7 @@ class EventMotion {
     for (int q = 0; q < num_pairs(); ++q) {
       const Candidate& c = CandidateOf(q);
       const Approach end = ApproachAt(c, in_.h);
-      const double gap = Measure(c, [&](int i) { return ValueOf(start_[i].p, start_[i].v); }).gap;
+      const double gap = StartGap(c);
       may_gain = may_gain || gap < -kContactGap;
       // What meets within the last kNodeMargin is left to the next step.
       const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);

@@ -28,7 +28,8 @@ class PressedGroup {
     bool stopped = false;  // not closed, but it closed slowly: that speed is taken away
     bool rests = false;    // it is not the last bounces that are cut off here
     bool drifts = false;   // its discs have moved around each other since it was last closed exactly
-    bool Curved() const { return force.b >= 0 && mode != ContactMode::kStick; }
+    bool bends = false;    // its normal turns as its discs move along each other
+    bool Curved() const { return bends && mode != ContactMode::kStick; }
   };
 
   explicit PressedGroup(const StepInput<T>& in)
@@ -276,7 +277,9 @@ class PressedGroup {
     const double sliding = SlidingSpeed(*contact);
     const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
-    f.turning = c.plane || at.distance == 0 || may_stick ? 0.0 : sliding * sliding / at.distance;
+    const double turning = Value(TurningDistance(in_, c, T(at.distance)));
+    contact->bends = !c.plane || turning != 0;
+    f.turning = turning == 0 || may_stick ? 0.0 : sliding * sliding / turning;
   }
 
   // `along`: the acceleration along the tangent.
@@ -306,8 +309,8 @@ class PressedGroup {
     Row row{c.a, c.plane ? -1 : c.b, at.normal, at.normal + Scale(along, tangent), gap, T(0.0)};
     if (contact.mode == ContactMode::kStick) {
       row.push = at.normal - Scale(DriftOf(contact), tangent);
-    } else if (!c.plane && Value(at.distance) > 0) {
-      const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), at.distance);
+    } else if (const T turning = TurningDistance(in_, c, at.distance); Value(turning) != 0) {
+      const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), turning);
       row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
     }
     rows_.Add(row);
@@ -383,13 +386,14 @@ class PressedGroup {
       return;
     }
     T turning(0.0);
-    if (!c.plane && Value(at.distance) > 0) {
+    const T distance = TurningDistance(in_, c, at.distance);
+    if (Value(distance) != 0) {
       const T until = (half ? 0.5 : 0.0) * arc;
       const Vec2<T> w =
           RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(until, discs_[i].a); });
       const T sliding = Dot(tangent, w);
       const bool bends = Value(arc) > 0 && !half;
-      turning = bends ? Divide(T(2.0 * Dot(at.normal, w)), arc) : Divide(T(sliding * sliding), at.distance);
+      turning = bends ? Divide(T(2.0 * Dot(at.normal, w)), arc) : Divide(T(sliding * sliding), distance);
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);

@@ -18,6 +18,14 @@ struct GapPolynomial {
   double operator()(double s) const { return c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * c[4]))); }
 };
 
+// g(from + s) as a polynomial in s.
+inline GapPolynomial ShiftedTo(GapPolynomial g, double from) {
+  for (int k = 0; k < 4; ++k) {
+    for (int j = 3; j >= k; --j) g.c[j] += from * g.c[j + 1];
+  }
+  return g;
+}
+
 inline constexpr double kNever = std::numeric_limits<double>::infinity();
 
 // A cheap sufficient test: true only if g > 0 on all of [0, horizon].

@@ -24,9 +24,9 @@ struct Start {
       const double inverse_mass = body.fixed ? 0.0 : 1 / body.mass;
       bodies.push_back({body.mass, inverse_mass, body.radius, body.fixed});
     }
-    for (const Plane& plane : scene.planes) {
-      const Vec2d normal = plane.normal.normalized();
-      planes.push_back({normal, Dot(normal, plane.point)});
+    for (WallPart& part : WallPartsOf(scene)) {
+      planes.push_back(part.wall);
+      extents.push_back(std::move(part.extent));
     }
     force.assign(bodies.size(), Vec2d(0, 0));
     for (int i = 0; i < scene.num_controlled(); ++i) force[scene.control.bodies[i]] = scene.control.initial[i];
@@ -35,6 +35,7 @@ struct Start {
     in.contact = {scene.contact.restitution, scene.contact.friction, scene.contact.stiffness, scene.contact.damping};
     in.bodies = bodies;
     in.planes = planes;
+    in.extents = extents;
     in.force = force;
     in.scratch = std::pmr::get_default_resource();
     for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -50,12 +51,15 @@ struct Start {
     if (c.plane) return MeasureApproach(motion(c.a), planes[c.b], in.ContactDistance(c));
     return MeasureApproach(motion(c.a), motion(c.b), in.ContactDistance(c));
   }
+  // Whether the normal turns as the two move along each other.
+  bool Bends(const Candidate& c) const { return !c.plane || planes[c.b].curved(); }
   Vec2d Normal(const Candidate& c) const {
     return SeparationAt(in, c, [&](int i) { return discs[i].p; }).normal;
   }
 
   std::vector<BodyConstants<double>> bodies;
-  std::vector<HalfPlane<double>> planes;
+  std::vector<Wall<double>> planes;
+  std::vector<WallExtent> extents;
   std::vector<Vec2d> force;
   std::vector<EventDisc<double>> discs;
   std::vector<Candidate> touching;
@@ -66,7 +70,10 @@ struct Start {
   void FindTouching() {
     const int n = static_cast<int>(bodies.size());
     const auto add = [&](const Candidate& c) {
-      if (Measure(c).gap <= internal::kContactGap) touching.push_back(c);
+      if (c.plane && !extents[c.b].Covers(discs[c.a].p, internal::kSeam)) return;
+      const double gap = Measure(c).gap;
+      const bool behind = c.plane && !extents[c.b].endless && gap <= -bodies[c.a].radius;
+      if (gap <= internal::kContactGap && !behind) touching.push_back(c);
     };
     const auto left = [&](int i) { return discs[i].p[0] - bodies[i].radius; };
     std::vector<int> order(n);
@@ -189,7 +196,7 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
     const Candidate& c = start.touching[contact->pair];
     const Vec2d normal = start.Normal(c);
     for (const auto quantity : {Quantity::kPosition, Quantity::kVelocity}) sides->AddNone(c, quantity, normal);
-    if (!c.plane) sides->AddNone(c, Quantity::kPosition, Perpendicular(normal));  // see below
+    if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, Perpendicular(normal));  // see below
   }
   for (const Group::Contact& contact : group.contacts()) {
     const Candidate& c = start.touching[contact.pair];
@@ -198,7 +205,7 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
       sides->AddOneSided(c, Quantity::kVelocity, normal);
       // Before the point where they slide past each other they would meet there.
       const double sliding = group.SlidingSpeed(contact);
-      if (!c.plane && std::abs(sliding) > internal::kStickSpeed) {
+      if (start.Bends(c) && std::abs(sliding) > internal::kStickSpeed) {
         sides->AddOneSided(c, Quantity::kPosition, std::copysign(1.0, sliding) * tangent);
       }
       continue;
@@ -207,7 +214,7 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
       sides->AddNone(c, Quantity::kPosition, normal);
       if (LossHasVelocities(scene)) {
         sides->AddNone(c, Quantity::kVelocity, normal);
-        if (!c.plane) sides->AddNone(c, Quantity::kPosition, tangent);  // see below
+        if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, tangent);  // see below
       }
     }
     if (undecided) sides->AddNone(c, Quantity::kPosition, normal);
@@ -224,7 +231,7 @@ void AddPressed(const Scene& scene, const Start& start, const Group& group, Side
     if (alone && slips) continue;
     sides->AddNone(c, Quantity::kPosition, normal);
     // Moved along another disc by h, it is h^2 / (2 R) off it, and falls back at a speed that is proportional to h.
-    if (!c.plane) sides->AddNone(c, Quantity::kPosition, tangent);
+    if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, tangent);
   }
 }
 

@@ -32,6 +32,7 @@ class EventStep : private EventMotion<T> {
   // True if some pair may touch within the step.
   bool AnythingMayHappen() const {
     for (const Candidate& c : in_.candidates) {
+      if (IsTable(c)) return true;
       if (!StaysApart(ApproachAt(c, 0).polynomial, in_.h)) return true;
     }
     return false;
@@ -39,6 +40,7 @@ class EventStep : private EventMotion<T> {
 
   // GCC 12 cannot flatten it as a whole.
   [[gnu::noinline]] void Run() {
+    for (int i = 0; in_.table >= 0 && i < static_cast<int>(discs_.size()); ++i) Slide(i);
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
@@ -71,7 +73,8 @@ class EventStep : private EventMotion<T> {
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ForEachPairOf,
       Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
-      Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing;
+      Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing, Discs::FirstClosingOf,
+      Discs::TimeOnEdge, Discs::LeavingTime, Discs::IsTable, Discs::Slide, Discs::SlideOn;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -102,10 +105,17 @@ class EventStep : private EventMotion<T> {
     return next;
   }
 
+  double LeftAfter(double time) const { return std::max(limit_ - time, 0.0); }
+
   void Predict(int q) {
     Pair& pair = pairs_[q];
     if (pair.held) return;
     const Candidate& c = CandidateOf(q);
+    if (IsTable(c)) {
+      const double speed = Value(Length(discs_[c.a].v));
+      pair.next = speed > 0 && in_.slowing > 0 ? Value(discs_[c.a].t) + speed / in_.slowing : kNever;
+      return;
+    }
     const double now = Value(LastTime(c));
     Approach approach = ApproachAt(c, now);
     bool ignore_start = false;
@@ -120,13 +130,15 @@ class EventStep : private EventMotion<T> {
       if (std::abs(approach.gap) <= kRoundingGap) approach.polynomial.c[0] = 0;
     }
     const std::span<const double> wait = in_.Solved(
-        [&] { return std::array{FirstClosing(approach.polynomial, std::max(limit_ - now, 0.0), ignore_start)}; });
+        [&] { return std::array{FirstClosingOf(c, now, approach.polynomial, LeftAfter(now), ignore_start)}; });
     pair.next = now + wait[0];
   }
 
   void Resolve(int q) {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
+    if (IsTable(c)) return Stop(c.a);
+    if (pairs_[q].held && pairs_[q].leaving) return Release(c.a, EventTime(q));
     if (pairs_[q].held) return Settle(q, EventTime(q));
     const Approach approach = ApproachAt(c, time);
     if (approach.speed < -kSlowSpeed) {
@@ -144,12 +156,13 @@ class EventStep : private EventMotion<T> {
     if (approach.Grazing()) {
       // Nothing changes for the two, so nothing else is to be considered again.
       pairs_[q].passed = LastDisc(c).order;
-      pairs_[q].next = time + FirstClosing(approach.polynomial, std::max(limit_ - time, 0.0), true);
+      pairs_[q].next = time + FirstClosingOf(c, time, approach.polynomial, LeftAfter(time), true);
       return;
     }
     Release(c.a, slow_time);
     if (!c.plane) Release(c.b, slow_time);
     StopClosing(c);
+    SlideOn(c);
     pairs_[q].passed = order_;
   }
 
@@ -157,6 +170,7 @@ class EventStep : private EventMotion<T> {
   T EventTime(int q) const {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
+    if (pairs_[q].held && pairs_[q].leaving) return LeavingTime(c, time);
     if (pairs_[q].held) return pairs_[q].stopping ? StopTime(c, time) : T(time);
     const Approach approach = ApproachAt(c, time);
     return approach.speed < -kSlowSpeed ? ImpactTime(c, time) : SlowTime(c, time, approach);
@@ -203,6 +217,7 @@ class EventStep : private EventMotion<T> {
     if (!Moves(i)) return;
     MoveTo(i, time);
     discs_[i].a = in_.Acceleration(i);
+    Slide(i);
     ForEachPairOf(i, [&](int q) {
       const Candidate& c = CandidateOf(q);
       if (!pairs_[q].held) return;
@@ -211,6 +226,13 @@ class EventStep : private EventMotion<T> {
       Release(c.a, time);
       if (!c.plane) Release(c.b, time);
     });
+  }
+
+  void Stop(int i) {
+    const T time = discs_[i].t + Length(discs_[i].v) / in_.slowing;
+    MoveTo(i, time);
+    discs_[i].v = Vec2<T>(T(0.0), T(0.0));
+    Slide(i);
   }
 
   // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
@@ -224,6 +246,7 @@ class EventStep : private EventMotion<T> {
     const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
     const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, in_.contact.friction, kHeadOn);
     ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    SlideOn(c);
     Report(c, impact.mode, time, ContactKind::kImpact);
   }
 
@@ -317,6 +340,7 @@ class EventStep : private EventMotion<T> {
   // Finds what closes among all pairs that touch and are connected with pair q through discs, from `time` on. Discs
   // that move around each other do so in arcs, the first until `arc_end` at most.
   void Settle(int q, const T& time, const T& arc_end = T(kNever)) {
+    if (in_.table >= 0) return Fail("discs press against each other while they slide on a table");
     group_.Clear();
     Join(q, time);
     while (Grow(time)) continue;
@@ -367,7 +391,8 @@ class EventStep : private EventMotion<T> {
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
       curved = true;  // if it does not turn, its derivative does
-      const double distance = in_.ContactDistance(CandidateOf(contact.pair));
+      const Candidate& c = CandidateOf(contact.pair);
+      const double distance = std::abs(Value(TurningDistance(in_, c, T(in_.ContactDistance(c)))));
       step = std::min(step, LongestArc(distance, group_.SlidingSpeed(contact), group_.SlidingAcceleration(contact)));
     }
     const double now = Value(time), left = in_.h - now;
@@ -382,7 +407,7 @@ class EventStep : private EventMotion<T> {
     Pair& pair = pairs_[contact.pair];
     pair.held = contact.closed;
     pair.curved = contact.closed && contact.Curved() && arc > 0;
-    pair.stopping = false;
+    pair.stopping = pair.leaving = false;
     pair.passed = order_;
     if (contact.closed || contact.stopped) ReportSustained(contact, time);
     if (!contact.closed) return;
@@ -390,6 +415,11 @@ class EventStep : private EventMotion<T> {
     discs_[c.a].arc_end = arc_end;
     if (!c.plane) discs_[c.b].arc_end = arc_end;
     pair.next = pair.curved ? arc_end : kNever;
+    const double leaves = Value(time) + TimeOnEdge(c, Value(time));
+    if (leaves < kNever && leaves - pair.next <= kArcEnd * arc) {
+      pair.next = std::min(leaves, pair.next);
+      pair.leaving = true;
+    }
     if (contact.mode != ContactMode::kSlip) return;
     const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
     if (std::abs(sliding) <= kStickSpeed || sliding * change >= 0) return;
@@ -397,6 +427,7 @@ class EventStep : private EventMotion<T> {
     if (stop - pair.next > kArcEnd * arc) return;  // it is the end of an arc that was cut there
     pair.next = std::min(stop, pair.next);
     pair.stopping = true;
+    pair.leaving = false;
   }
 
   // Once for each mode.

@@ -110,6 +110,8 @@ bool StaysBeyondRange(const Energy& energy) {
 }  // namespace internal
 
 std::string IpcBarrier::WhyNot(const Scene& scene) {
+  if (scene.HasEdges())
+    return "walls end: this model keeps gaps open within a step to what is nearest at its start only";
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Body& a = scene.bodies[i];
     for (int j = i + 1; j < scene.num_bodies(); ++j) {

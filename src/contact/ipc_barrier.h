@@ -49,7 +49,7 @@ struct BarrierEnergy {
   };
   struct Side {
     int a, b;  // discs; b < 0 at a plane
-    HalfPlane<double> plane;
+    Wall<double> plane;
     double touching;  // m, distance at which the gap is zero
     Vec2<T> tangent;  // at q
     T friction;       // mu l_c, N
@@ -277,7 +277,7 @@ struct IpcBarrier {
       const T force = -kappa * Energy::BarrierSlope(T(at.distance - in.ContactDistance(c)), range);
       energy.contacts.push_back({place[c.a],
                                  c.plane ? -1 : place[c.b],
-                                 c.plane ? in.planes[c.b] : HalfPlane<double>{},
+                                 c.plane ? in.planes[c.b] : Wall<double>{},
                                  in.ContactDistance(c),
                                  Perpendicular(at.normal),
                                  T(in.contact.friction * force)});

@@ -58,12 +58,12 @@ DofVector<kMaxRows> ImpulseDirection(const Dofs& dofs, const Candidate& c, const
   return a;
 }
 
-// d ImpulseDirection / dp for two discs at `distance`; zero at a plane. Normal and tangent turn alike, each along the
-// other, when the centres move along the tangent.
+// d ImpulseDirection / dp, whose turning distance (step_input.h) is given. Normal and tangent turn alike, each along
+// the other, when the centres move along the tangent.
 template <int kMaxRows>
 DofMatrix<kMaxRows> TurningOfDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction,
                                        const Vec2d& tangent, double distance) {
-  if (c.plane) return DofMatrix<kMaxRows>::Zero(dofs.size(), dofs.size());
+  if (c.plane && distance == 0) return DofMatrix<kMaxRows>::Zero(dofs.size(), dofs.size());
   const DofVector<kMaxRows> along = ImpulseDirection<kMaxRows>(dofs, c, tangent);
   return ImpulseDirection<kMaxRows>(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
 }
@@ -193,7 +193,8 @@ void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<doub
     const int i = solution.clamping[k];
     const Vec2d tangent = Perpendicular(group[group[i].normal].direction);
     direction.col(k) = ImpulseDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction);
-    turning[k] = TurningOfDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction, tangent, group[i].distance);
+    const double distance = TurningDistance(in, group[i].candidate, group[i].distance);
+    turning[k] = TurningOfDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction, tangent, distance);
     caused.col(k) = direction.col(k);
     caused_turning[k] = turning[k];
     for (int j = 0; j < static_cast<int>(group.size()); ++j) {
@@ -201,8 +202,8 @@ void Lcp::LinearizeGroup(const StepInput<double>& in, std::span<const State<doub
       if (group[j].normal != i || (c != LcpClass::kUpperBound && c != LcpClass::kLowerBound)) continue;
       const double sigma = c == LcpClass::kUpperBound ? in.contact.friction : -in.contact.friction;
       caused.col(k) += sigma * ImpulseDirection<kMaxRows>(dofs, group[j].candidate, group[j].direction);
-      caused_turning[k] += sigma * TurningOfDirection<kMaxRows>(
-                                       dofs, group[j].candidate, group[j].direction, tangent, group[j].distance);
+      caused_turning[k] +=
+          sigma * TurningOfDirection<kMaxRows>(dofs, group[j].candidate, group[j].direction, tangent, distance);
     }
     beta[k] = group[i].bounced ? 1 + in.contact.restitution : 1;
     rhs[k] = group[i].rhs;

@@ -44,7 +44,7 @@ struct NcpEquations {
   };
   struct Side {
     int a, b;  // discs; b < 0 at a plane
-    HalfPlane<double> plane;
+    Wall<double> plane;
     double touching;  // m, distance of centres or of centre and plane
     Vec2<T> normal;   // at q
   };
@@ -248,11 +248,8 @@ struct Ncp {
       const Candidate& c = group.contact(i).candidate;
       const int a = add(c.a), b = c.plane ? -1 : add(c.b);
       const auto now = [&](int disc) -> const Vec2<T>& { return x[disc].p; };
-      equations.contacts.push_back({a,
-                                    b,
-                                    c.plane ? in.planes[c.b] : HalfPlane<double>{},
-                                    in.ContactDistance(c),
-                                    SeparationAt(in, c, now).normal});
+      equations.contacts.push_back(
+          {a, b, c.plane ? in.planes[c.b] : Wall<double>{}, in.ContactDistance(c), SeparationAt(in, c, now).normal});
     }
     return equations;
   }

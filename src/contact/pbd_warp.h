@@ -38,6 +38,11 @@ struct PbdWarp {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
+  static std::string WhyNot(const Scene& scene) {
+    const bool slides = scene.contact.friction > 0 && scene.HasEdges();
+    return slides ? "friction with segments, polygons and arcs: its source has friction with planes only" : "";
+  }
+
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next;

@@ -5,6 +5,7 @@
 
 #include "optimality_conditions.h"
 #include "physics/units.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {
@@ -17,6 +18,9 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
     return "without a cost of effort forces and costates are not related";
   }
   if (!exact.ok) return exact.reason;
+  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+    return "the scene has " + beyond + "; the conditions are those of impacts of discs and planes";
+  }
   if (!exact.only_impacts) return "discs rest on or graze each other or a plane; the conditions are those of impacts";
   return "";
 }

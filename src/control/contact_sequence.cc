@@ -74,6 +74,11 @@ ContactSequence AllPairs(const Scene& scene) {
   return pairs;
 }
 
+std::string BeyondPlanes(const Scene& scene) {
+  if (scene.HasEdges()) return "walls that end (segments, polygons or arcs)";
+  return scene.table ? "a table that discs slide on" : "";
+}
+
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence) {
   sequence->clear();
   if (text == "none") return "";

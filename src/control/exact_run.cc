@@ -10,6 +10,7 @@
 #include "contact/event_ties.h"
 #include "physics/units.h"
 #include "running_loss.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 
@@ -95,6 +96,11 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
     run->loss += objective.duration->weight * std::accumulate(lengths.begin(), lengths.end(), 0.0);
   }
   if (objective.running.empty() && objective.via.empty()) return;
+  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+    run->ok = false;
+    run->reason = "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+    return;
+  }
   if (!run->only_impacts) {
     run->ok = false;
     run->reason = "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";

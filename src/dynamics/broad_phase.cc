@@ -33,8 +33,9 @@ int GridWidth(int num_discs) {
 
 }  // namespace
 
-BroadPhase::BroadPhase(std::vector<HalfPlane<double>> planes, std::vector<Disc> discs, const Options& options)
-    : planes_(std::move(planes)),
+BroadPhase::BroadPhase(std::vector<WallPart> walls, std::vector<Disc> discs, const Options& options)
+    : walls_(std::move(walls)),
+      parts_(walls_),
       discs_(std::move(discs)),
       options_(options),
       acceleration_(discs_.size(), 0.0),
@@ -75,7 +76,7 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
   for (size_t before = 0;; before = candidates->size()) {
     SetReaches();
     if (!ListStands()) {
-      if (num_discs() <= options_.all_pairs) {
+      if (num_discs() <= options_.all_pairs && parts_.num_parts() <= options_.all_pairs) {
         ListAllPairs();
       } else {
         ListNearPairs();
@@ -114,7 +115,7 @@ void BroadPhase::ListAllPairs() {
     }
   }
   for (int i = 0; i < num_discs(); ++i) {
-    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(planes_.size()); ++p) list_.push_back({i, p, true});
+    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(walls_.size()); ++p) list_.push_back({i, p, true});
   }
   skin_ = kInfinity;
   listed_ = true;
@@ -159,12 +160,33 @@ void BroadPhase::ListNearPairs() {
     }
     std::sort(list_.begin() + first, list_.end(), [](const auto& l, const auto& r) { return l.b < r.b; });
   }
+  ListNearWalls(near_gap);
+}
+
+void BroadPhase::ListNearWalls(double near_gap) {
+  const int num_planes = static_cast<int>(walls_.size()) - parts_.num_parts();
   for (int i = 0; i < num_discs(); ++i) {
-    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(planes_.size()); ++p) {
-      const double gap = Dot(planes_[p].normal, there_[i]) - planes_[p].offset - discs_[i].radius;
-      if (gap <= near_gap) list_.push_back({i, p, true});
+    if (discs_[i].fixed) continue;
+    const double near = discs_[i].radius + near_gap;
+    for (int p = 0; p < num_planes; ++p) {
+      const double gap = Dot(walls_[p].wall.normal, there_[i]) - walls_[p].wall.offset - discs_[i].radius;
+      if (gap <= near_gap || walls_[p].table) list_.push_back({i, p, true});
+    }
+    parts_.FindNear(there_[i], near, &near_parts_);
+    for (int p : near_parts_) {
+      if (walls_[p].LeastDistance(there_[i]) <= near) list_.push_back({i, p, true});
     }
   }
+}
+
+bool BroadPhase::MayTouchPart(int i, int p) const {
+  const WallPart& part = walls_[p];
+  const Vec2d& x = now_[i].p;
+  if (part.LeastDistance(x) >= discs_[i].radius + options_.push_gap + reach_[i]) return false;
+  const bool in_front = Separate<double>(x, part.wall).distance >= 0;
+  if (!options_.all_parts) return in_front && part.extent.Covers(x);
+  // From behind it is reached around an end only.
+  return in_front || !part.extent.Covers(x, -reach_[i]);
 }
 
 void BroadPhase::SortIntoGrid(double cell) {
@@ -193,9 +215,13 @@ void BroadPhase::SortIntoGrid(double cell) {
 void BroadPhase::Collect(std::vector<Candidate>* candidates) const {
   candidates->clear();
   for (const Candidate& c : list_) {
-    if (c.plane) {
-      const double gap = Dot(planes_[c.b].normal, now_[c.a].p) - planes_[c.b].offset - discs_[c.a].radius;
-      if (gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(planes_[c.b].offset)) candidates->push_back(c);
+    if (c.plane && !walls_[c.b].extent.endless) {
+      if (MayTouchPart(c.a, c.b)) candidates->push_back(c);
+    } else if (c.plane) {
+      const Wall<double>& plane = walls_[c.b].wall;
+      const double gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
+      const bool near = gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(plane.offset);
+      if (near || walls_[c.b].table) candidates->push_back(c);
     } else {
       const Vec2d d = now_[c.a].p - now_[c.b].p;
       const double near = discs_[c.a].radius + discs_[c.b].radius + options_.push_gap + reach_[c.a] + reach_[c.b];
@@ -240,8 +266,12 @@ double BroadPhase::TimeToMeet(const Candidate& c) const {
     return discs_[i].fixed ? 0.0 : acceleration_[i] + 4 * options_.rounding * (size / dt + speed_[i]) / dt;
   };
   double gap, closing, acceleration;
-  if (c.plane) {
-    const HalfPlane<double>& plane = planes_[c.b];
+  if (c.plane && !walls_[c.b].extent.endless) {
+    gap = walls_[c.b].LeastDistance(now_[c.a].p) - discs_[c.a].radius - margin_[c.a];
+    closing = walls_[c.b].Closing(now_[c.a].p, now_[c.a].v);
+    acceleration = drift(c.a);
+  } else if (c.plane) {
+    const Wall<double>& plane = walls_[c.b].wall;
     gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
     gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
     closing = -Dot(plane.normal, now_[c.a].v);

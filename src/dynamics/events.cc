@@ -7,6 +7,7 @@
 #include <tuple>
 
 #include "contact/event_ties.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 
@@ -30,11 +31,14 @@ std::vector<StepTouch> EventTouches(const Simulator& simulator) {
 std::vector<Event> EventsOf(const Simulator& simulator) {
   const Scene& scene = simulator.scene();
   std::vector<Event> events;
-  for (const StepTouch& at : EventTouches(simulator)) {
+  const std::vector<StepTouch> touches = EventTouches(simulator);
+  if (touches.empty()) return events;
+  const std::vector<std::string> walls = WallNamesOf(scene);
+  for (const StepTouch& at : touches) {
     const Candidate& c = at.touch.candidate;
     events.push_back({at.step * simulator.step() + at.touch.time,
                       scene.bodies[c.a].name,
-                      c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name,
+                      c.plane ? walls[c.b] : scene.bodies[c.b].name,
                       at.touch.mode});
   }
   return events;
@@ -72,11 +76,13 @@ std::vector<Tie> TiesOf(const Simulator& simulator) {
       same->bodies.merge(group.bodies);
     }
   }
+  if (groups.empty()) return {};
+  const std::vector<std::string> walls = WallNamesOf(scene);
   std::vector<Tie> ties;
   for (const Group& group : groups) {
     Tie& tie = ties.emplace_back(Tie{group.time, {}, static_cast<int>(group.contacts.size())});
     for (const auto& [plane, i] : group.bodies) {
-      tie.bodies.push_back(plane ? scene.planes[i].name : scene.bodies[i].name);
+      tie.bodies.push_back(plane ? walls[i] : scene.bodies[i].name);
     }
   }
   std::stable_sort(ties.begin(), ties.end(), [](const Tie& l, const Tie& r) { return l.time < r.time; });

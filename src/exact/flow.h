@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "exact/closed_forms.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/physics/geometry.h"
 #include "saltus/physics/scene.h"
 
@@ -20,7 +21,9 @@ inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no 
 // What ValidateStructure says of a scene; empty if nothing is wrong with it.
 inline std::string WhatIsWrongWith(const Scene& scene) {
   const std::optional<SceneError> error = ValidateStructure(scene);
-  return error ? "the scene is wrong: " + error->ToString() : "";
+  if (error) return "the scene is wrong: " + error->ToString();
+  const std::string beyond = BeyondPlanes(scene);
+  return beyond.empty() ? "" : "the scene has " + beyond + "; the closed forms are of discs and planes";
 }
 
 // Nothing, and why.

@@ -251,6 +251,10 @@ class SceneReader {
 
   Body ReadBody(const Value& value);
   Plane ReadPlane(const Value& value);
+  EdgeSegment ReadSegment(const Value& value);
+  EdgePolygon ReadPolygon(const Value& value);
+  EdgeArc ReadArc(const Value& value);
+  TableFriction ReadTable(const Value& value);
   ContactParameters ReadContact(const Value& value);
   std::vector<double> ReadBounds(const Value& value, size_t count);
   Control ReadControl(const Value& value);
@@ -363,6 +367,42 @@ Plane SceneReader::ReadPlane(const Value& value) {
   return {ReadName(fields.Require("name", "a name")),
           ReadVector(fields.Require("point", "a point [x, y] of the boundary in m")),
           ReadVector(fields.Require("normal", "the normal [x, y]"))};
+}
+
+EdgeSegment SceneReader::ReadSegment(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "from", "to"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("from", "the point [x, y] in m where it begins")),
+          ReadVector(fields.Require("to", "the point [x, y] in m where it ends"))};
+}
+
+EdgePolygon SceneReader::ReadPolygon(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "points", "solid"});
+  EdgePolygon polygon;
+  polygon.name = ReadName(fields.Require("name", "a name"));
+  const Value& points = fields.Require("points", "the corners, a list of points [x, y] in m");
+  for (const Value& point : ReadList(points, "a list of points [x, y]")) polygon.points.push_back(ReadVector(point));
+  const Value& solid = fields.Require("solid", "inside or outside");
+  const bool outside = ReadChoice(solid, {"inside", "outside"}) == 1;
+  polygon.solid = outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside;
+  return polygon;
+}
+
+EdgeArc SceneReader::ReadArc(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "center", "radius", "from", "to"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("center", "the center [x, y] in m")),
+          ReadNumber(fields.Require("radius", "the radius in m")),
+          ReadNumber(fields.Require("from", "the angle in rad where it begins")),
+          ReadNumber(fields.Require("to", "the angle in rad where it ends"))};
+}
+
+TableFriction SceneReader::ReadTable(const Value& value) {
+  const Fields fields = ReadFields(value, {"friction", "gravity"});
+  TableFriction table;
+  table.friction = ReadNumber(fields.Require("friction", "the coefficient of friction"));
+  if (const Value* gravity = fields.Find("gravity")) table.gravity = ReadNumber(*gravity);
+  return table;
 }
 
 ContactParameters SceneReader::ReadContact(const Value& value) {
@@ -514,6 +554,10 @@ Scene SceneReader::Read(const YAML::Node& root) {
                                     "gravity",
                                     "bodies",
                                     "planes",
+                                    "segments",
+                                    "polygons",
+                                    "arcs",
+                                    "table",
                                     "contact",
                                     "control",
                                     "objective",
@@ -528,6 +572,16 @@ Scene SceneReader::Read(const YAML::Node& root) {
   if (const Value* planes = fields.Find("planes")) {
     for (const Value& plane : ReadList(*planes, "a list of planes")) scene_.planes.push_back(ReadPlane(plane));
   }
+  if (const Value* segments = fields.Find("segments")) {
+    for (const Value& one : ReadList(*segments, "a list of segments")) scene_.segments.push_back(ReadSegment(one));
+  }
+  if (const Value* polygons = fields.Find("polygons")) {
+    for (const Value& one : ReadList(*polygons, "a list of polygons")) scene_.polygons.push_back(ReadPolygon(one));
+  }
+  if (const Value* arcs = fields.Find("arcs")) {
+    for (const Value& one : ReadList(*arcs, "a list of arcs")) scene_.arcs.push_back(ReadArc(one));
+  }
+  if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
   if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
   if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
   scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
@@ -601,6 +655,41 @@ void WritePlane(YAML::Emitter* out, const Plane& plane) {
   WriteField(out, "name", plane.name);
   WriteField(out, "point", plane.point);
   WriteField(out, "normal", plane.normal);
+  *out << YAML::EndMap;
+}
+
+void WriteSegment(YAML::Emitter* out, const Scene&, const EdgeSegment& segment) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "name", segment.name);
+  WriteField(out, "from", segment.from);
+  WriteField(out, "to", segment.to);
+  *out << YAML::EndMap;
+}
+
+void WritePolygon(YAML::Emitter* out, const Scene&, const EdgePolygon& polygon) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "name", polygon.name);
+  *out << YAML::Key << "points" << YAML::Value << YAML::BeginSeq;
+  for (const Vec2d& point : polygon.points) *out << point;
+  *out << YAML::EndSeq;
+  WriteField(out, "solid", polygon.solid == EdgePolygon::Solid::kOutside ? "outside" : "inside");
+  *out << YAML::EndMap;
+}
+
+void WriteArc(YAML::Emitter* out, const Scene&, const EdgeArc& arc) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "name", arc.name);
+  WriteField(out, "center", arc.center);
+  WriteField(out, "radius", arc.radius);
+  WriteField(out, "from", arc.from);
+  WriteField(out, "to", arc.to);
+  *out << YAML::EndMap;
+}
+
+void WriteTable(YAML::Emitter* out, const TableFriction& table) {
+  *out << YAML::Key << "table" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "friction", table.friction);
+  WriteField(out, "gravity", table.gravity);
   *out << YAML::EndMap;
 }
 
@@ -690,7 +779,7 @@ void WriteFreeDuration(YAML::Emitter* out, const FreeDuration& duration) {
   *out << YAML::EndMap;
 }
 
-// A list of terms under a key, if there are any.
+// A list of terms, or of edges, under a key, if there are any.
 template <typename Term>
 void WriteTerms(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<Term>& terms,
                 void (*write)(YAML::Emitter*, const Scene&, const Term&)) {
@@ -765,6 +854,10 @@ std::string WriteScene(const Scene& scene) {
   out << YAML::EndSeq << YAML::Key << "planes" << YAML::Value << YAML::BeginSeq;
   for (const Plane& plane : scene.planes) WritePlane(&out, plane);
   out << YAML::EndSeq;
+  WriteTerms(&out, "segments", scene, scene.segments, WriteSegment);
+  WriteTerms(&out, "polygons", scene, scene.polygons, WritePolygon);
+  WriteTerms(&out, "arcs", scene, scene.arcs, WriteArc);
+  if (scene.table) WriteTable(&out, *scene.table);
   WriteContact(&out, scene.contact);
   if (scene.num_controlled() > 0) WriteControl(&out, scene);
   WriteObjective(&out, scene);

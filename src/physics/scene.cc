@@ -6,10 +6,13 @@
 #include <charconv>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <string_view>
 #include <unordered_map>
 
+#include "physics/polygon.h"
 #include "physics/units.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -68,6 +71,10 @@ class Rules {
     CheckTime();
     CheckBodies();
     CheckPlanes();
+    CheckSegments();
+    CheckPolygons();
+    CheckArcs();
+    CheckTable();
     CheckContact();
     CheckControl();
     CheckObjective();
@@ -175,6 +182,53 @@ class Rules {
         return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-24";
       });
     }
+  }
+
+  void CheckSegments() {
+    for (std::size_t i = 0; i < scene_.segments.size() && !error_; ++i) {
+      const EdgeSegment& segment = scene_.segments[i];
+      UniqueName(At("segments", i, "name"), segment.name);
+      Vector(At("segments", i, "from"), segment.from);
+      Vector(At("segments", i, "to"), segment.to);
+      Expect((segment.to - segment.from).norm() >= kSmallestPositive,
+             At("segments", i, "to"),
+             "found the point where it begins, expected another: a segment has a length");
+    }
+  }
+
+  void CheckPolygons() {
+    for (std::size_t i = 0; i < scene_.polygons.size() && !error_; ++i) {
+      const EdgePolygon& polygon = scene_.polygons[i];
+      UniqueName(At("polygons", i, "name"), polygon.name);
+      for (std::size_t k = 0; k < polygon.points.size(); ++k) {
+        for (int j = 0; j < 2; ++j) {
+          Number({"polygons", i, "points", static_cast<int>(k)}, polygon.points[k][j], kAny);
+        }
+      }
+      if (error_) return;
+      const std::string wrong = WhyNoPolygon(polygon.points, all_);
+      Expect(wrong.empty(), At("polygons", i, "points"), [&] { return wrong; });
+    }
+  }
+
+  void CheckArcs() {
+    for (std::size_t i = 0; i < scene_.arcs.size() && !error_; ++i) {
+      const EdgeArc& arc = scene_.arcs[i];
+      UniqueName(At("arcs", i, "name"), arc.name);
+      Vector(At("arcs", i, "center"), arc.center);
+      Number(At("arcs", i, "radius"), arc.radius, kPositive);
+      Number(At("arcs", i, "from"), arc.from, kAny);
+      const double turn = arc.to - arc.from;
+      Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), At("arcs", i, "to"), [&] {
+        return "found " + ToText(arc.to) + " rad, expected more than from, by at most a full turn";
+      });
+    }
+  }
+
+  void CheckTable() {
+    if (!scene_.table) return;
+    Number({"table.friction"}, scene_.table->friction, kNotNegative);
+    Number({"table.gravity"}, scene_.table->gravity, kNotNegative);
   }
 
   void CheckContact() {
@@ -300,6 +354,7 @@ class Rules {
       for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
       if (error_) return;
     }
+    if (scene_.HasEdges()) CheckEdges();
   }
 
   void CheckApart(std::size_t i, std::size_t j) {
@@ -309,7 +364,7 @@ class Rules {
     const Vec2d apart = a.position - b.position;
     const double contact_distance = a.radius + b.radius;
     if (std::abs(apart[0]) >= contact_distance) return;  // spares most pairs of a large scene the square root
-    Overlap(i, "bodies", j, b.name, contact_distance - std::hypot(apart[0], apart[1]));
+    Overlap(i, At("bodies", j).ToString() + " (" + b.name + ")", contact_distance - std::hypot(apart[0], apart[1]));
   }
 
   void CheckAbove(std::size_t i, std::size_t j) {
@@ -318,17 +373,35 @@ class Rules {
     if (body.fixed) return;
     const Vec2d normal = plane.normal / std::hypot(plane.normal[0], plane.normal[1]);
     const double height = Dot(normal, Vec2d(body.position - plane.point));
-    Overlap(i, "planes", j, plane.name, body.radius - height);
+    Overlap(i, At("planes", j).ToString() + " (" + plane.name + ")", body.radius - height);
   }
 
-  void Overlap(std::size_t body, const char* list, std::size_t other, const std::string& name, double depth) {
+  void CheckEdges() {
+    const std::vector<WallPart> parts = WallPartsOf(scene_);
+    for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[i];
+      if (body.fixed) continue;
+      for (std::size_t p = scene_.planes.size(); p < parts.size(); ++p) {
+        if (!parts[p].extent.Covers(body.position)) continue;
+        Overlap(i, parts[p].name, body.radius - parts[p].LeastDistance(body.position));
+      }
+      for (const EdgePolygon& polygon : scene_.polygons) {
+        const bool solid = IsInside(body.position, polygon.points) == (polygon.solid == EdgePolygon::Solid::kInside);
+        Expect(!solid, At("bodies", i, "position"), [&] {
+          return "found a point in what is solid of the polygon " + polygon.name + ", expected one outside it";
+        });
+      }
+    }
+  }
+
+  void Overlap(std::size_t body, const std::string& other, double depth) {
     // Positions are rounded when they are written; a difference of two, and its length, by as much again.
     const double rounding =
         8 * std::numeric_limits<double>::epsilon() * scene_.bodies[body].position.cwiseAbs().maxCoeff();
     const double tolerance = std::max(tolerance_, rounding);
     Expect(depth <= tolerance, At("bodies", body, "position"), [&] {
-      return "found an overlap of " + ToText(depth) + " m with " + At(list, other).ToString() + " (" + name +
-             ") at the start, expected at most " + ToText(tolerance) + " m";
+      return "found an overlap of " + ToText(depth) + " m with " + other + " at the start, expected at most " +
+             ToText(tolerance) + " m";
     });
   }
 

@@ -37,6 +37,21 @@ bool IsPositionTarget(const TerminalTerm& term) {
   return term.quantity == TerminalTerm::Quantity::kPosition && !term.component;
 }
 
+// Calls visit(point) for points that the scene's segments, polygons and arcs do not leave.
+template <typename Visit>
+void VisitEdges(const Scene& scene, const Visit& visit) {
+  for (const EdgeSegment& segment : scene.segments) {
+    visit(segment.from);
+    visit(segment.to);
+  }
+  for (const EdgePolygon& polygon : scene.polygons) {
+    for (const Vec2d& point : polygon.points) visit(point);
+  }
+  for (const EdgeArc& arc : scene.arcs) {
+    for (const double side : {-arc.radius, arc.radius}) visit(Vec2d(arc.center + Vec2d(side, side)));
+  }
+}
+
 // In one direction.
 Extent ExtentOf(const Scene& scene, int axis) {
   Extent extent;
@@ -46,6 +61,7 @@ Extent ExtentOf(const Scene& scene, int axis) {
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (IsPositionTarget(term)) extent.Include(term.target[axis], term.target[axis]);
   }
+  VisitEdges(scene, [&](const Vec2d& point) { extent.Include(point[axis], point[axis]); });
   return extent;
 }
 
@@ -71,7 +87,8 @@ double MassOf(const Scene& scene) {
 
 double SpeedOf(const Scene& scene, double length) {
   const double mean = length / scene.duration;
-  double square = mean * mean, gravity = scene.gravity.norm(), acceleration = gravity;
+  const double table = scene.table ? scene.table->friction * scene.table->gravity : 0;
+  double square = mean * mean, gravity = scene.gravity.norm() + table, acceleration = gravity;
   for (const Body& body : scene.bodies) square = std::max(square, body.velocity.squaredNorm());
   for (size_t i = 0; i < scene.control.bodies.size(); ++i) {
     const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
@@ -182,6 +199,18 @@ Scene InUnits(const Scene& scene, const Units& units) {
     body.velocity *= by.speed;
   }
   for (Plane& plane : out.planes) convert_position(&plane.point);
+  for (EdgeSegment& segment : out.segments) {
+    convert_position(&segment.from);
+    convert_position(&segment.to);
+  }
+  for (EdgePolygon& polygon : out.polygons) {
+    for (Vec2d& point : polygon.points) convert_position(&point);
+  }
+  for (EdgeArc& arc : out.arcs) {
+    convert_position(&arc.center);
+    arc.radius *= by.length;
+  }
+  if (out.table) out.table->gravity *= by.acceleration;
   out.contact.stiffness *= by.force / by.length;
   out.contact.damping *= by.force / by.speed;
   for (Vec2d& force : out.control.initial) force *= by.force;

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "hmp_roots.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -89,7 +90,8 @@ bool IsExact(const SolveRequest& request) {
 std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return "";
+  const std::string beyond = BeyondPlanes(scene);
+  return beyond.empty() ? "" : "the scene has " + beyond + "; it knows impacts of discs and planes";
 }
 
 std::string WhyNotExactPhases(const SolveRequest& request) {

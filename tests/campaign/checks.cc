@@ -12,6 +12,7 @@
 #include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus::campaign {
 namespace {
@@ -30,8 +31,8 @@ constexpr double kSmallestDerivative = 1e-3;  // what the tolerances are at leas
 Vec2d PositionOf(std::span<const double> x, int i) { return {x[4 * i], x[4 * i + 1]}; }
 Vec2d VelocityOf(std::span<const double> x, int i) { return {x[4 * i + 2], x[4 * i + 3]}; }
 
-// The largest overlap of discs with each other or with planes, m.
-double LargestOverlap(const Scene& scene, std::span<const double> x) {
+// The largest overlap of discs with each other or with walls, m.
+double LargestOverlap(const Scene& scene, const std::vector<WallPart>& walls, std::span<const double> x) {
   double overlap = 0;
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Body& body = scene.bodies[i];
@@ -40,10 +41,9 @@ double LargestOverlap(const Scene& scene, std::span<const double> x) {
       const double distance = (PositionOf(x, i) - PositionOf(x, j)).norm();
       overlap = std::max(overlap, body.radius + scene.bodies[j].radius - distance);
     }
-    for (const Plane& plane : scene.planes) {
-      if (body.fixed) continue;
-      const double height = Dot(plane.normal, Vec2d(PositionOf(x, i) - plane.point)) / plane.normal.norm();
-      overlap = std::max(overlap, body.radius - height);
+    for (const WallPart& wall : walls) {
+      if (body.fixed || !wall.extent.Covers(PositionOf(x, i))) continue;
+      overlap = std::max(overlap, body.radius - wall.LeastDistance(PositionOf(x, i)));
     }
   }
   return overlap;
@@ -63,6 +63,7 @@ class SceneCheck {
  public:
   SceneCheck(const Scene& scene, std::uint32_t seed)
       : scene_(scene),
+        walls_(WallPartsOf(scene)),
         random_(~seed),
         simulator_(MakeSimulator("event", scene, Precision::kDouble)),
         initial_(InitialState(scene)),
@@ -138,7 +139,7 @@ class SceneCheck {
       if (!std::all_of(x.begin(), x.end(), [](double value) { return std::isfinite(value); })) {
         return Fail("a state is not finite");
       }
-      overlap = std::max(overlap, LargestOverlap(scene_, x));
+      overlap = std::max(overlap, LargestOverlap(scene_, walls_, x));
       double energy = 0, kinetic_energy = 0;
       Vec2d momentum = Vec2d::Zero();
       for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -162,8 +163,8 @@ class SceneCheck {
     momentum_scale += simulator_->num_steps() * simulator_->step() * pushed.norm();
     if (!(overlap <= kTolerance * size)) Fail("overlap above 1e-9");
     if (!(growth <= kTolerance * largest)) Fail(growth <= 1e-6 * largest ? "energy grows above 1e-9" : "energy grows");
-    const bool isolated = scene_.planes.empty() &&
-                          std::none_of(scene_.bodies.begin(), scene_.bodies.end(), [](auto& b) { return b.fixed; });
+    const bool isolated =
+        walls_.empty() && std::none_of(scene_.bodies.begin(), scene_.bodies.end(), [](auto& b) { return b.fixed; });
     if (isolated && !(momentum_error <= kTolerance * momentum_scale)) Fail("momentum changes");
   }
 
@@ -207,7 +208,7 @@ class SceneCheck {
       std::vector<double> x = initial_, u = control_;
       for (size_t i = 0; i < x.size(); ++i) x[i] += sign * width * initial[i];
       for (size_t i = 0; i < u.size(); ++i) u[i] += sign * width * control[i];
-      if (LargestOverlap(scene_, x) > kOverlapTolerance) return {{}, "discs would overlap"};
+      if (LargestOverlap(scene_, walls_, x) > kOverlapTolerance) return {{}, "discs would overlap"};
       const std::optional<double> moved = Loss(x, u);
       if (!moved) return {{}, "not finite"};
       slope = sign * (*moved - loss) / width;
@@ -291,6 +292,7 @@ class SceneCheck {
   }
 
   const Scene& scene_;
+  const std::vector<WallPart> walls_;
   testing::RandomScenes random_;
   std::unique_ptr<Simulator> simulator_;
   std::vector<double> initial_, control_;

@@ -24,6 +24,7 @@ DEFINE_int64(gradient_every, 100, "of so many scenes one has its gradient checke
 DEFINE_double(scene_seconds, 300, "what takes longer hangs");
 DEFINE_double(time_limit, 0, "s; begins no scene after that (0: none)");
 DEFINE_int64(only, -1, "run this seed alone, gradient included");
+DEFINE_bool(edges, false, "scenes among segments, polygons and arcs, and on tables");
 DEFINE_bool(print, false, "with --only: print the scene as YAML");
 
 namespace saltus {
@@ -47,8 +48,13 @@ Counts Decode(const std::string& text) {
   return counts;
 }
 
+campaign::NamedScene SceneOf(int64_t seed) {
+  const auto number = static_cast<std::uint32_t>(seed);
+  return FLAGS_edges ? campaign::RandomEdgeScene(number) : campaign::RandomScene(number);
+}
+
 Counts RunScene(int64_t seed, bool gradient) {
-  const campaign::NamedScene scene = campaign::RandomScene(static_cast<std::uint32_t>(seed));
+  const campaign::NamedScene scene = SceneOf(seed);
   Counts counts = campaign::Check(scene.scene, static_cast<std::uint32_t>(seed), gradient);
   counts["scenes"] = 1;
   counts["scenes of kind " + scene.kind] = 1;
@@ -93,7 +99,7 @@ class Tally {
 };
 
 int RunOne() {
-  if (FLAGS_print) std::cout << WriteScene(campaign::RandomScene(static_cast<std::uint32_t>(FLAGS_only)).scene);
+  if (FLAGS_print) std::cout << WriteScene(SceneOf(FLAGS_only).scene);
   const Counts counts = RunScene(FLAGS_only, /*gradient=*/true);
   std::cerr << Encode(counts);
   const bool failed = std::any_of(
@@ -133,12 +139,13 @@ int RunAll() {
 }  // namespace saltus
 
 int main(int argc, char** argv) {
-  const saltus::Program program = {"random_scenes",
-                                   "Random scenes by exact events",
-                                   {"--scenes=1000000 [--seed=1]"},
-                                   {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "only=SEED", "print"}},
-                                    {"Limits", {"scene_seconds=S", "time_limit=S", "threads=N"}},
-                                    {"Output", {"progress=auto|plain|none"}}}};
+  const saltus::Program program = {
+      "random_scenes",
+      "Random scenes by exact events",
+      {"--scenes=1000000 [--seed=1]"},
+      {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "edges", "only=SEED", "print"}},
+       {"Limits", {"scene_seconds=S", "time_limit=S", "threads=N"}},
+       {"Output", {"progress=auto|plain|none"}}}};
   return saltus::RunMain(argc, argv, program, [] {
     const auto in_range = [](int64_t seed) { return 0 <= seed && seed <= UINT32_MAX; };
     if (FLAGS_scenes < 1 || !in_range(FLAGS_seed) || !in_range(FLAGS_seed + FLAGS_scenes - 1) ||

@@ -223,7 +223,9 @@ void Push(RandomScenes* random, Scene* scene) {
   }
 }
 
-void Measure(RandomScenes* random, Scene* scene) {
+}  // namespace
+
+void MeasureEnd(RandomScenes* random, Scene* scene) {
   using Quantity = TerminalTerm::Quantity;
   for (int i = 0; i < scene->num_bodies(); ++i) {
     if (scene->bodies[i].fixed) continue;
@@ -238,8 +240,6 @@ void Measure(RandomScenes* random, Scene* scene) {
   scene->optimize = Optimize::kVelocity;
 }
 
-}  // namespace
-
 NamedScene RandomScene(std::uint32_t seed) {
   RandomScenes random(seed);
   const auto& kind = AnyKind(&random);
@@ -251,7 +251,7 @@ NamedScene RandomScene(std::uint32_t seed) {
     SetContact(&random, &scene);
     kind.make(&random, &scene);
     Push(&random, &scene);
-    Measure(&random, &scene);
+    MeasureEnd(&random, &scene);
     if (!Validate(scene)) return {kind.name, scene};  // else some discs overlap
   }
 }

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <string>
 
+#include "contact/random_scene.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus::campaign {
@@ -17,5 +18,11 @@ struct NamedScene {
 // which some may be fixed or pushed, up to 4 planes, 20 to 40 steps. Its loss is a random linear function of the final
 // state of all discs that move.
 NamedScene RandomScene(std::uint32_t seed);
+
+// Likewise among segments, polygons and arcs, one in three on a table: 1 to 4 discs, none pushed.
+NamedScene RandomEdgeScene(std::uint32_t seed);
+
+// Gives a scene its loss, a random linear function of the final state, by the velocities of all discs that move.
+void MeasureEnd(testing::RandomScenes* random, Scene* scene);
 
 }  // namespace saltus::campaign

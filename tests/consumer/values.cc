@@ -24,7 +24,7 @@ std::array<T, 8> Step(const Model& model, const std::array<double, 12>& numbers)
   }
   std::pmr::monotonic_buffer_resource scratch;
   const std::array<BodyConstants<T>, 2> bodies = {{{T(1.3), T(1 / 1.3), 0.2, false}, {T(0.7), T(1 / 0.7), 0.3, false}}};
-  const std::array<HalfPlane<double>, 1> planes = {{{Vec2d(0.6, 0.8), -0.1}}};
+  const std::array<Wall<double>, 1> planes = {{{Vec2d(0.6, 0.8), -0.1}}};
   const std::array<Vec2<T>, 2> force = {Vec2<T>(at[8], at[9]), Vec2<T>(at[10], at[11])};
   const std::array<Candidate, 3> candidates = {{{0, 1, false}, {0, 0, true}, {1, 0, true}}};
   StepInput<T> in{};

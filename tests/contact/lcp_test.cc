@@ -371,7 +371,7 @@ TEST(Lcp, JetsAgreeWithThePublishedVelocityBlocks) {
   std::byte buffer[1 << 14];
   std::pmr::monotonic_buffer_resource scratch(buffer, sizeof buffer);
   const std::vector<BodyConstants<double>> bodies = {{2, 0.5, 0.2, false}, {0.5, 2, 0.1, false}};
-  const std::vector<HalfPlane<double>> planes = {{Vec2d(0, 1), -0.19}};
+  const std::vector<Wall<double>> planes = {{Vec2d(0, 1), -0.19}};
   const std::vector<Candidate> candidates = {{0, 1, false}, {0, 0, true}};
   std::vector<BodyState<double, 0>> x = {{{0, 0}, {1, -1}}, {{0.2, 0.21}, {-1, -2}}}, next(2);
   const std::vector<Vec2d> force(2, Vec2d::Zero());

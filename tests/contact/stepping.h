@@ -70,7 +70,7 @@ std::vector<BodyState<T, 0>> StepOnce(const Scene& scene, const StepArguments<T>
     const T inverse = fixed ? T(S(0)) : Divide(S(1), arguments.mass[i]);
     bodies.push_back({arguments.mass[i], inverse, static_cast<S>(scene.bodies[i].radius), fixed});
   }
-  std::vector<HalfPlane<S>> planes;
+  std::vector<Wall<S>> planes;
   for (const Plane& plane : scene.planes) {
     const Vec2d normal = plane.normal.normalized();
     planes.push_back({normal.cast<S>(), static_cast<S>(normal.dot(plane.point))});

@@ -150,6 +150,42 @@ optimize: velocity
 }
 
 // As stated in the papers: task 3, and the second problem of the follow-up.
+TEST(ParseScene, ReadsEdgesAndATable) {
+  const std::string head =
+      "name: edges\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"
+      "bodies: [{name: ball, radius: 0.1, mass: 1, position: [0, 5]}]\n";
+  const std::string edges = R"(segments:
+  - {name: gate, from: [0, 0], to: [1, 0.5]}
+polygons:
+  - {name: box, points: [[-3, 0], [-2, 0], [-2, 1]], solid: inside}
+  - {name: room, points: [[-9, -9], [9, -9], [9, 9], [-9, 9]], solid: outside}
+arcs:
+  - {name: corner, center: [3, 0], radius: 1, from: 0, to: 1.5}
+table: {friction: 0.1}
+)";
+  const Scene scene = SceneOf(ParseScene(head + edges, "edges.yaml"));
+  ASSERT_EQ(scene.segments.size(), 1u);
+  EXPECT_EQ(scene.segments[0], (EdgeSegment{"gate", {0, 0}, {1, 0.5}}));
+  ASSERT_EQ(scene.polygons.size(), 2u);
+  EXPECT_EQ(scene.polygons[0], (EdgePolygon{"box", {{-3, 0}, {-2, 0}, {-2, 1}}, EdgePolygon::Solid::kInside}));
+  EXPECT_EQ(scene.polygons[1].solid, EdgePolygon::Solid::kOutside);
+  ASSERT_EQ(scene.arcs.size(), 1u);
+  EXPECT_EQ(scene.arcs[0], (EdgeArc{"corner", {3, 0}, 1, 0, 1.5}));
+  ASSERT_TRUE(scene.table);
+  EXPECT_EQ(*scene.table, (TableFriction{0.1, 9.81}));
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written.yaml")), scene);
+
+  const auto key_of = [&](const std::string& text) { return ErrorOf(head + text).key; };
+  EXPECT_EQ(key_of("segments: [{name: s, from: [0, 0]}]"), "segments[0].to");
+  EXPECT_EQ(key_of("segments: [{name: s, from: [0, 0], to: [1, 0], side: both}]"), "segments[0].side");
+  EXPECT_EQ(key_of("polygons: [{name: p, points: [[0, 0], [1, 0], [0, 1]], solid: both}]"), "polygons[0].solid");
+  EXPECT_EQ(key_of("polygons: [{name: p, points: [[0, 0], [1, 0]], solid: inside}]"), "polygons[0].points");
+  EXPECT_EQ(key_of("polygons: [{name: p, points: 5, solid: inside}]"), "polygons[0].points");
+  EXPECT_EQ(key_of("arcs: [{name: a, center: [0, 0], radius: 1, from: 1, to: 0}]"), "arcs[0].to");
+  EXPECT_EQ(key_of("table: 0.1"), "table");
+  EXPECT_EQ(key_of("table: {gravity: 9.81}"), "table.friction");
+}
+
 TEST(LoadSceneFile, ReadsTheProblems) {
   Scene expected;
   expected.name = "two_balls";

@@ -237,6 +237,43 @@ TEST(Validate, NeedsNoObjectiveToOptimizeNothing) {
   EXPECT_FALSE(Validate(scene));
 }
 
+TEST(Validate, SaysWhatIsWrongWithEdges) {
+  using Solid = EdgePolygon::Solid;
+  const auto key_of = [](const auto& change) {
+    Scene scene = GoodScene();
+    scene.segments = {{"segment", {20, 20}, {21, 20}}};
+    scene.polygons = {{"polygon", {{30, 30}, {31, 30}, {30, 31}}, Solid::kInside}};
+    scene.arcs = {{"arc", {40, 40}, 1, 0, 1}};
+    EXPECT_FALSE(Validate(scene));
+    change(&scene);
+    const std::optional<SceneError> error = Validate(scene);
+    return error ? error->key : "none";
+  };
+  EXPECT_EQ(key_of([](Scene* s) { s->segments[0].name = s->bodies[0].name; }), "segments[0].name");
+  EXPECT_EQ(key_of([](Scene* s) { s->segments[0].to = s->segments[0].from; }), "segments[0].to");
+  EXPECT_EQ(key_of([](Scene* s) { s->segments[0].from[0] = kNan; }), "segments[0].from[0]");
+  EXPECT_EQ(key_of([](Scene* s) { s->polygons[0].points.pop_back(); }), "polygons[0].points");
+  EXPECT_EQ(key_of([](Scene* s) { std::swap(s->polygons[0].points[0], s->polygons[0].points[1]); }),
+            "polygons[0].points");
+  EXPECT_EQ(key_of([](Scene* s) { s->polygons[0].points = {{0, 0}, {9, 0}, {9, 9}, {5, -1}}; }), "polygons[0].points");
+  EXPECT_EQ(key_of([](Scene* s) { s->polygons[0].points[1] = s->polygons[0].points[0]; }), "polygons[0].points");
+  EXPECT_EQ(key_of([](Scene* s) { s->arcs[0].radius = 0; }), "arcs[0].radius");
+  EXPECT_EQ(key_of([](Scene* s) { s->arcs[0].to = 0; }), "arcs[0].to");
+  EXPECT_EQ(key_of([](Scene* s) { s->arcs[0].to = 7; }), "arcs[0].to");
+  EXPECT_EQ(key_of([](Scene* s) { s->table = TableFriction{.friction = -1}; }), "table.friction");
+  const auto place = [](Scene* s) { return s->bodies[0].position; };
+  EXPECT_EQ(key_of([&](Scene* s) {
+              s->segments[0] = {"segment", place(s), place(s) + Vec2d(1, 0)};
+            }),
+            "bodies[0].position");
+  EXPECT_EQ(key_of([&](Scene* s) { s->arcs[0].center = place(s) - Vec2d(1, 0) * 1.01; }), "bodies[0].position");
+  const auto around = [&](Scene* s) {
+    const Vec2d p = place(s);
+    return std::vector<Vec2d>{p + Vec2d(-8, -8), p + Vec2d(8, -8), p + Vec2d(0, 9)};
+  };
+  EXPECT_EQ(key_of([&](Scene* s) { s->polygons[0].points = around(s); }), "bodies[0].position");
+}
+
 TEST(Objective, IsASumOfSquaresUnlessATermIsLinear) {
   Objective objective;
   EXPECT_TRUE(objective.IsSumOfSquares());

@@ -8,7 +8,19 @@
 namespace saltus {
 namespace {
 
-std::vector<Scene> Scenes() { return {ProblemScene("two_balls"), ProblemScene("bounce_once"), FourDiscs(0.2)}; }
+// The four discs among edges, on a table.
+Scene FourDiscsAmongEdges() {
+  Scene scene = FourDiscs(0.2);
+  scene.segments = {{"segment", {-2, -1.5}, {2, -1.25}}};
+  scene.polygons = {{"polygon", {{-3, -3}, {3, -3}, {0, -2}}, EdgePolygon::Solid::kInside}};
+  scene.arcs = {{"arc", {0, 0}, 4, 0.5, 2.5}};
+  scene.table = TableFriction{.friction = 0.1};
+  return scene;
+}
+
+std::vector<Scene> Scenes() {
+  return {ProblemScene("two_balls"), ProblemScene("bounce_once"), FourDiscs(0.2), FourDiscsAmongEdges()};
+}
 
 TEST(Units, LengthsTimesMassesAndLossesAreAboutOne) {
   const Scene scene = InNaturalUnits(

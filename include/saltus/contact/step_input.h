@@ -9,6 +9,7 @@
 
 #include "saltus/contact/solve_record.h"
 #include "saltus/physics/geometry.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 
@@ -40,8 +41,9 @@ struct ContactConstants {
   T restitution, friction, stiffness, damping;  // as in ContactParameters
 };
 
-// Disc `a` and either disc `b` or half-plane `b`, which may touch in this step. Normals point towards `a`; a < b for
-// two discs. Never two fixed discs, nor a fixed disc and a plane.
+// Disc `a` and either disc `b` or, as `plane`, wall `b` (walls.h), which may touch in this step. Normals point towards
+// `a`; a < b for two discs. Never two fixed discs, nor a fixed disc and a wall. The parts of edges come and go: those
+// that count at the start of the step, or for event-driven models all that may be met within it.
 struct Candidate {
   int a = 0;
   int b = 0;
@@ -81,7 +83,7 @@ struct StepInput {
   Vec2<S> gravity;  // m/s^2
   ContactConstants<T> contact;
   std::span<const BodyConstants<T>> bodies;
-  std::span<const HalfPlane<S>> planes;
+  std::span<const Wall<S>> planes;        // half-planes, and the parts of edges (walls.h)
   std::span<const Vec2<T>> force;         // N
   std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
   std::pmr::memory_resource* scratch;     // for temporaries; released after the step
@@ -90,6 +92,10 @@ struct StepInput {
   std::string_view* failure = nullptr;    // if given, the step says there why it has no result
   std::vector<TiedContact>* ties = nullptr;  // if given, the step appends ties; only event-driven models know them
   int tie_order = 0;                         // in which order they take tied impacts (event_ties.h); 0: their own
+  // Of the walls, for event-driven models only.
+  std::span<const WallExtent> extents = {};  // where each of them counts, if given
+  int table = -1;                            // which of them is the table that discs slide on; -1: none
+  S slowing = S(0);                          // m/s^2, by which it slows them
 
   // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
   // may depend on values only.
@@ -143,6 +149,16 @@ template <typename T, typename PositionOf>
 Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   if (c.plane) return Separate<T>(position(c.a), in.planes[c.b]);
   return Separate<T>(position(c.a), position(c.b));
+}
+
+// By what way along the tangent a candidate's normal turns by one radian, at this distance of the two, m: positive
+// around what is convex, negative within an arc; 0 at a line, where it does not turn.
+template <typename T>
+T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance) {
+  using S = Base<T>;
+  if (!c.plane) return distance;
+  const Wall<S>& wall = in.planes[c.b];
+  return wall.curved() ? T(distance + S(wall.side) * wall.radius) : T(S(0));
 }
 
 // Velocity of a relative to b when the discs have the velocities that `velocity(i)` says.

@@ -26,4 +26,8 @@ std::string ContactSequenceToString(const Scene& scene, const ContactSequence& s
 // Every pair that could collide: discs by index pairs, then discs against planes.
 ContactSequence AllPairs(const Scene& scene);
 
+// What discs meet or lie on in `scene` that is neither disc nor plane, which is all that sequences, closed forms and
+// conditions of optimality know; empty if there is nothing.
+std::string BeyondPlanes(const Scene& scene);
+
 }  // namespace saltus

@@ -10,6 +10,10 @@
 // Few discs are compared all with all. Of many, a list of near pairs is kept (Verlet 1967), found with a uniform grid:
 // all pairs whose gap is at most `skin` more than that. It stands as long as no disc can have moved by more than half
 // of that.
+//
+// Of the parts of edges (walls.h), near pairs come from a grid of their own (part_grid.h). A part is a candidate for a
+// disc where it counts at the start of the step, on the disc's side; or, for models that look ahead (all_parts),
+// wherever it may do so before the end.
 #pragma once
 
 #include <cstdint>
@@ -17,6 +21,8 @@
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
+#include "saltus/dynamics/part_grid.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 
@@ -28,14 +34,15 @@ class BroadPhase {
     bool fixed;
   };
   struct Options {
-    double dt;           // s
-    bool chains;         // as ModelTraits::chains
-    double push_gap;     // m, ModelTraits::push_gap
-    double rounding;     // relative error of one operation of the simulation
-    int all_pairs = 16;  // up to so many discs, all pairs are compared
+    double dt;               // s
+    bool chains;             // as ModelTraits::chains
+    double push_gap;         // m, ModelTraits::push_gap
+    double rounding;         // relative error of one operation of the simulation
+    bool all_parts = false;  // edges: all that may be met, not only those that count at the start
+    int all_pairs = 16;      // up to so many discs, and parts of edges, all pairs are compared
   };
 
-  BroadPhase(std::vector<HalfPlane<double>> planes, std::vector<Disc> discs, const Options& options);
+  BroadPhase(std::vector<WallPart> walls, std::vector<Disc> discs, const Options& options);
 
   // Bounds on the accelerations of the discs in the steps to come, m/s^2.
   void SetAccelerations(std::span<const double> accelerations);
@@ -60,7 +67,10 @@ class BroadPhase {
   void ListAllPairs();
   void ListNearPairs();
   void SortIntoGrid(double cell);
+  void ListNearWalls(double near_gap);
   void Collect(std::vector<Candidate>* candidates) const;
+  // Whether disc i may touch part p of an edge within the step.
+  bool MayTouchPart(int i, int p) const;
   // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
   void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
   int Root(int i);
@@ -68,7 +78,8 @@ class BroadPhase {
   int QuietSteps() const;
   double TimeToMeet(const Candidate& pair) const;
 
-  std::vector<HalfPlane<double>> planes_;
+  std::vector<WallPart> walls_;
+  PartGrid parts_;
   std::vector<Disc> discs_;
   Options options_;
   std::vector<double> acceleration_;
@@ -82,6 +93,8 @@ class BroadPhase {
   std::vector<Vec2d> there_;    // positions when it was made
   double largest_radius_ = 0;   // m
   double smallest_radius_ = 0;  // m
+
+  std::vector<int> near_parts_;
 
   std::vector<int> parent_, group_size_;
   std::vector<double> energy_;

@@ -11,7 +11,7 @@ namespace saltus {
 struct Event {
   double time = 0;  // s, since the start
   std::string a;    // a disc
-  std::string b;    // a disc or a plane
+  std::string b;    // a disc or a plane, a part of an edge (walls.h), or "table"
   ContactMode mode = ContactMode::kFrictionless;
 };
 

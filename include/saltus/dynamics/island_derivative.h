@@ -192,6 +192,9 @@ class IslandDerivative {
     jets_.contact.damping.a = in.contact.damping;
     jets_.bodies = bodies_;
     jets_.planes = in.planes;
+    jets_.extents = in.extents;
+    jets_.table = in.table;
+    jets_.slowing = in.slowing;
     jets_.force = force_;
     jets_.candidates = in.candidates;
     jets_.scratch = in.scratch;

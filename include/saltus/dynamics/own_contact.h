@@ -24,6 +24,9 @@ std::string WhyModelNotApplicable(const Scene& scene) {
   if (scene.steps % M::kTraits.grid_steps != 0) {
     return "this model needs a number of steps divisible by " + std::to_string(M::kTraits.grid_steps);
   }
+  if (!M::kTraits.event_driven && scene.table) {
+    return "discs slide on a table: this model has no friction with what they lie on";
+  }
   if constexpr (requires { M::WhyNot(scene); }) return M::WhyNot(scene);
   return "";
 }

@@ -143,12 +143,13 @@ class Stepper {
     for (const BodyConstants<S>& body : scene.bodies) {
       discs.push_back({double(body.radius), double(body.mass), body.fixed});
     }
-    return {scene.wide_planes,
+    return {scene.wall_parts,
             std::move(discs),
             {.dt = step,
              .chains = M::kTraits.chains,
              .push_gap = M::kTraits.push_gap,
-             .rounding = std::numeric_limits<S>::epsilon()}};
+             .rounding = std::numeric_limits<S>::epsilon(),
+             .all_parts = M::kTraits.event_driven}};
   }
 
   StepInput<S> Input() {
@@ -160,7 +161,10 @@ class Stepper {
             .force = force_,
             .candidates = candidates_,
             .scratch = &scratch_,
-            .tie_order = tie_order_};
+            .tie_order = tie_order_,
+            .extents = scene_.extents,
+            .table = scene_.table,
+            .slowing = scene_.slowing};
   }
 
   // `next` has free flight and gets the step.

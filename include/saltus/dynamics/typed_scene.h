@@ -9,6 +9,7 @@
 
 #include "saltus/contact/step_input.h"
 #include "saltus/physics/scene.h"
+#include "saltus/physics/walls.h"
 
 namespace saltus {
 
@@ -26,10 +27,13 @@ struct TypedScene {
       bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
       fixed.push_back(body.fixed);
     }
-    for (const Plane& plane : scene.planes) {
-      const Vec2d normal = plane.normal.normalized();
-      planes.push_back({normal.cast<S>(), S(Dot(normal, plane.point))});
-      wide_planes.push_back({normal, Dot(normal, plane.point)});
+    if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);
+    for (WallPart& part : WallPartsOf(scene)) {
+      const Wall<double>& wall = part.wall;
+      planes.push_back({wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius)});
+      extents.push_back(part.extent);
+      if (part.table) table = static_cast<int>(wall_parts.size());
+      wall_parts.push_back(std::move(part));
     }
   }
 
@@ -40,8 +44,11 @@ struct TypedScene {
   ContactConstants<S> contact;
   std::vector<BodyConstants<S>> bodies;
   std::vector<char> fixed;  // of each disc
-  std::vector<HalfPlane<S>> planes;
-  std::vector<HalfPlane<double>> wide_planes;  // the same, not rounded
+  std::vector<Wall<S>> planes;
+  int table = -1;                    // which of these is the table
+  S slowing = S(0);                  // m/s^2, of discs that slide on it
+  std::vector<WallExtent> extents;   // of each of these
+  std::vector<WallPart> wall_parts;  // the same, not rounded
 };
 
 // K x C x 2 forces, each held over a step.

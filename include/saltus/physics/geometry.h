@@ -50,11 +50,23 @@ struct HalfPlane {
   S offset;  // m
 };
 
-// Where a disc stands relative to another disc or to a plane.
+// One side of something that never moves: of a straight line, or of a circle, which may be a point.
+template <typename S>
+struct Wall {
+  Vec2<S> normal = Vec2<S>::Zero();  // of a line, |normal| = 1; discs are where normal . x >= offset
+  S offset = S(0);                   // m
+  int side = 0;                      // 0: a line; 1: discs are outside a circle, -1: inside
+  Vec2<S> center = Vec2<S>::Zero();  // m, of the circle
+  S radius = S(0);                   // m; 0: a point
+
+  bool curved() const { return side != 0; }
+};
+
+// Where a disc stands relative to another disc or to a wall.
 template <typename T>
 struct Separation {
-  T distance;      // m, between the centres, or from the centre to the plane; negative below the plane
-  Vec2<T> normal;  // unit vector towards the first disc; constant for a plane, (1, 0) for coinciding centres
+  T distance;      // m, between the centres, or from the centre to the wall; negative behind it
+  Vec2<T> normal;  // unit vector towards the first disc; constant for a line, (1, 0) for coinciding centres
 };
 
 // Disc at `a` relative to a disc at `b`.
@@ -70,6 +82,16 @@ Separation<T> Separate(const Vec2<T>& a, const Vec2<T>& b) {
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const HalfPlane<Base<T>>& plane) {
   return {Dot(plane.normal, a) - plane.offset, plane.normal.template cast<T>()};
+}
+
+// Disc at `a` relative to a wall.
+template <typename T>
+Separation<T> Separate(const Vec2<T>& a, const Wall<Base<T>>& wall) {
+  using S = Base<T>;
+  if (!wall.curved()) return {Dot(wall.normal, a) - wall.offset, wall.normal.template cast<T>()};
+  const Separation<T> center = Separate<T>(a, Vec2<T>(wall.center.template cast<T>()));
+  const S side = S(wall.side);
+  return {side * (center.distance - wall.radius), Scale(side, center.normal)};
 }
 
 }  // namespace saltus

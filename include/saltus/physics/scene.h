@@ -33,11 +33,49 @@ struct Body {
 
 // A half-plane. Bodies stay on the side that the normal points to.
 struct Plane {
-  std::string name;              // as of a body; no two bodies or planes have the same
+  std::string name;              // as of a body; no two bodies, planes, segments, polygons or arcs have the same
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
 
   bool operator==(const Plane&) const = default;
+};
+
+// A straight wall of finite length. Both sides are solid, and so are its ends. Where walls share an end they are
+// joined.
+struct EdgeSegment {
+  std::string name;                                // as of a body
+  Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m; different
+
+  bool operator==(const EdgeSegment&) const = default;
+};
+
+// A closed line of straight walls, of which one side is solid.
+struct EdgePolygon {
+  enum class Solid { kInside, kOutside };
+  std::string name;           // as of a body
+  std::vector<Vec2d> points;  // m; corners in counter-clockwise order, at least three; its sides do not meet
+  Solid solid = Solid::kInside;
+
+  bool operator==(const EdgePolygon&) const = default;
+};
+
+// A wall along a part of a circle, or a whole one. Both sides are solid, and so are its ends.
+struct EdgeArc {
+  std::string name;              // as of a body
+  Vec2d center = Vec2d::Zero();  // m
+  double radius = 0;             // m, > 0
+  double from = 0, to = 0;       // rad, counter-clockwise; from < to <= from + 2 pi
+
+  bool operator==(const EdgeArc&) const = default;
+};
+
+// Discs slide on a horizontal table, seen from above: each slows by friction * gravity against its velocity, and rests
+// in the end.
+struct TableFriction {
+  double friction = 0;    // >= 0
+  double gravity = 9.81;  // m/s^2, >= 0; across the plane of the scene
+
+  bool operator==(const TableFriction&) const = default;
 };
 
 // Scene-wide contact parameters. A model reads those it knows.
@@ -161,6 +199,10 @@ struct Scene {
   Vec2d gravity = Vec2d::Zero();  // m/s^2
   std::vector<Body> bodies;
   std::vector<Plane> planes;
+  std::vector<EdgeSegment> segments = {};
+  std::vector<EdgePolygon> polygons = {};
+  std::vector<EdgeArc> arcs = {};
+  std::optional<TableFriction> table = std::nullopt;  // none: nothing slows discs but contact
   ContactParameters contact;
   Control control;  // empty if nothing is pushed
   Objective objective;
@@ -174,6 +216,8 @@ struct Scene {
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
+  // True if there are walls that end: segments, polygons or arcs.
+  bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 
   bool operator==(const Scene&) const = default;
 };
@@ -189,8 +233,9 @@ struct SceneError {
 // The first rule that `scene` breaks, or nothing. Checked: numbers (see the top), ranges as stated above, names that
 // are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for (kNone
 // needs neither), and no overlap above kOverlapTolerance, and above what rounding makes of positions far from the
-// origin, at the start between discs or of a disc with a plane (two fixed discs may overlap, and a fixed disc may reach
-// into a plane). Quadratic in the number of bodies.
+// origin, at the start between discs or of a disc with a plane, a segment, an arc or a polygon (two fixed discs may
+// overlap, and a fixed disc may reach into what does not move). Quadratic in the number of bodies, and of the points of
+// a polygon.
 std::optional<SceneError> Validate(const Scene& scene);
 
 // The first of those rules that `scene` breaks and a simulation relies on: numbers, ranges and indices. Names, what is
