@@ -13,4 +13,4 @@ case "$*" in
     exit 2
     ;;
 esac
-find bench include problems src tests \( -name '*.h' -o -name '*.cc' \) -print0 | xargs -0 clang-format "${action[@]}"
+find bench engines include problems src tests -name node_modules -prune -o \( -name '*.h' -o -name '*.cc' \) -print0 | xargs -0 clang-format "${action[@]}"

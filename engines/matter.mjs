@@ -1,0 +1,42 @@
+// Matter: discs as the polygons that it makes of them, half-planes as large rectangles. It is made for pixels and ms.
+import matter from 'matter-js';
+import { serve, versionOf } from './protocol.mjs';
+
+const METRE = 100;  // px
+const FAR = 1000 * METRE;  // the size of a rectangle
+const SECOND = 1000;  // ms
+
+function make(scene, initial, h) {
+  const [gx, gy] = scene.gravity;
+  const engine = matter.Engine.create({ gravity: { x: gx, y: gy, scale: METRE / SECOND ** 2 } });
+  const surface = { restitution: scene.restitution, friction: scene.friction, frictionStatic: 0, frictionAir: 0 };
+  const perStep = METRE * matter.Body._baseDelta / SECOND;  // Matter's velocities are per 1/60 s
+  const bodies = initial.map(([x, y, vx, vy], i) => {
+    const disc = scene.discs[i];
+    const body = matter.Bodies.circle(x * METRE, y * METRE, disc.radius * METRE, { ...surface, isStatic: disc.fixed });
+    if (!disc.fixed) {
+      matter.Body.setMass(body, disc.mass);
+      matter.Body.setInertia(body, Infinity);
+      body.deltaTime = h * SECOND;
+      matter.Body.setVelocity(body, { x: vx * perStep, y: vy * perStep });
+    }
+    return body;
+  });
+  const grounds = scene.planes.map(({ point: [x, y], normal: [nx, ny] }) =>
+    matter.Bodies.rectangle(x * METRE - nx * FAR / 2, y * METRE - ny * FAR / 2, FAR, FAR,
+      { ...surface, isStatic: true, angle: Math.atan2(-nx, ny) }));
+  matter.Composite.add(engine.world, [...bodies, ...grounds]);
+  return {
+    push: (disc, fx, fy) => {
+      bodies[disc].force.x += fx * METRE / SECOND ** 2;
+      bodies[disc].force.y += fy * METRE / SECOND ** 2;
+    },
+    step: () => matter.Engine.update(engine, h * SECOND),
+    get: (disc) => {
+      const p = bodies[disc].position, v = matter.Body.getVelocity(bodies[disc]);
+      return [p.x / METRE, p.y / METRE, v.x / perStep, v.y / perStep];
+    },
+  };
+}
+
+await serve({ name: `matter-js ${await versionOf('matter-js')}`, make });
