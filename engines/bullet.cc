@@ -1,4 +1,5 @@
-// Bullet: discs as spheres that stay in the plane z = 0, half-planes as planes. Built once for each precision.
+// Bullet: discs as spheres that stay in the plane z = 0, half-planes as planes. Built once for each precision. It sees
+// a plane from 0.02 m on, and with steps in which a disc moves less it brakes there: nothing rebounds.
 #include <btBulletDynamicsCommon.h>
 
 #include "protocol.h"

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-# DART: discs as spheres on two slides, half-planes as large boxes. --detector=fcl takes its default detector of contacts,
-# which makes meshes of spheres.
+# DART: discs as spheres on two slides, half-planes as large boxes. --detector=fcl takes its default detector of
+# contacts, which makes meshes of spheres.
 import sys
 
 import dartpy as dart

@@ -50,47 +50,57 @@ function newWorld(gravity) {
   return world;
 }
 
-function addDisc(world, disc, material, flags, [x, y, vx, vy]) {
-  const place = vector(x, y, (at) => new px.PxTransform(at, new px.PxQuat(px.PxIDENTITYEnum.PxIdentity)));
-  const geometry = new px.PxSphereGeometry(disc.radius);
+// angle: of the turn about z.
+function place(x, y, angle, use) {
+  const turn = new px.PxQuat(0, 0, Math.sin(angle / 2), Math.cos(angle / 2));
+  const made = vector(x, y, (at) => new px.PxTransform(at, turn));
+  try {
+    return use(made);
+  } finally {
+    px.destroy(made);
+    px.destroy(turn);
+  }
+}
+
+function addShape(world, body, geometry, material) {
+  const flags = new px.PxShapeFlags(px.PxShapeFlagEnum.eSIMULATION_SHAPE);
   const shape = physics.createShape(geometry, material, true, flags);
   shape.setSimulationFilterData(collide);
-  const body = disc.fixed ? physics.createRigidStatic(place) : physics.createRigidDynamic(place);
   body.attachShape(shape);
-  if (!disc.fixed) {
-    px.PxRigidBodyExt.prototype.setMassAndUpdateInertia(body, disc.mass);
-    body.setLinearDamping(0);
-    body.setAngularDamping(0);
-    body.setSleepThreshold(0);
-    const lock = px.PxRigidDynamicLockFlagEnum;
-    for (const flag of [lock.eLOCK_LINEAR_Z, lock.eLOCK_ANGULAR_X, lock.eLOCK_ANGULAR_Y, lock.eLOCK_ANGULAR_Z]) {
-      body.setRigidDynamicLockFlag(flag, true);
-    }
-    vector(vx, vy, (velocity) => body.setLinearVelocity(velocity));
-  }
   world.addActor(body);
   shape.release();
+  px.destroy(flags);
   px.destroy(geometry);
-  px.destroy(place);
+}
+
+function addDisc(world, disc, material, [x, y, vx, vy]) {
+  const body = place(x, y, 0, (at) => (disc.fixed ? physics.createRigidStatic(at) : physics.createRigidDynamic(at)));
+  addShape(world, body, new px.PxSphereGeometry(disc.radius), material);
+  if (disc.fixed) return body;
+  px.PxRigidBodyExt.prototype.setMassAndUpdateInertia(body, disc.mass);
+  body.setLinearDamping(0);
+  body.setAngularDamping(0);
+  body.setSleepThreshold(0);
+  const lock = px.PxRigidDynamicLockFlagEnum;
+  for (const flag of [lock.eLOCK_LINEAR_Z, lock.eLOCK_ANGULAR_X, lock.eLOCK_ANGULAR_Y, lock.eLOCK_ANGULAR_Z]) {
+    body.setRigidDynamicLockFlag(flag, true);
+  }
+  vector(vx, vy, (velocity) => body.setLinearVelocity(velocity));
   return body;
 }
 
-function addPlane(world, { point, normal }, material) {
-  const height = normal[0] * point[0] + normal[1] * point[1];
-  const plane = vector(...normal, (n) => new px.PxPlane(n, -height));
-  const body = top.CreatePlane(physics, plane, material);
-  px.destroy(plane);
-  world.addActor(body);
+// PhysX' planes look along x.
+function addPlane(world, { point: [x, y], normal: [nx, ny] }, material) {
+  const body = place(x, y, Math.atan2(ny, nx), (at) => physics.createRigidStatic(at));
+  addShape(world, body, new px.PxPlaneGeometry(), material);
   return body;
 }
 
 function make(scene, initial) {
   const world = newWorld(scene.gravity);
   const material = physics.createMaterial(scene.friction, scene.friction, scene.restitution);
-  const flags = new px.PxShapeFlags(px.PxShapeFlagEnum.eSIMULATION_SHAPE);
-  const bodies = initial.map((state, i) => addDisc(world, scene.discs[i], material, flags, state));
+  const bodies = initial.map((state, i) => addDisc(world, scene.discs[i], material, state));
   const grounds = scene.planes.map((plane) => addPlane(world, plane, material));
-  px.destroy(flags);
   return {
     push: (disc, fx, fy) => vector(fx, fy, (force) => bodies[disc].addForce(force)),
     step: (h) => {

@@ -1,8 +1,8 @@
-# Makes a simulator a command for `saltus_audit --simulate=COMMAND`: copy this file, write a world, call serve. The protocol
-# is described at the top of protocol.h.
+# Makes a simulator a command for `saltus_audit --simulate=COMMAND`: copy this file, write a world, call serve. The
+# protocol is described at the top of protocol.h.
 #
-# A world is an object with push(disc, fx, fy): a force in N on the centre of a disc, in the next step only; step(h), in s;
-# and get(disc), which returns [px, py, vx, vy]. Discs do not turn.
+# A world is an object with push(disc, fx, fy): a force in N on the centre of a disc, in the next step only; step(h), in
+# s; and get(disc), which returns [px, py, vx, vy]. Discs do not turn.
 import json
 import math
 import os
@@ -33,8 +33,8 @@ class Plane:
 
 class Scene:
     def __init__(self, scene):
-        refuse_unknown(scene, "scene", {"name", "duration", "steps", "gravity", "bodies", "planes", "contact", "control",
-                                        "objective", "optimize", "free", "no_contact"})
+        refuse_unknown(scene, "scene", {"name", "duration", "steps", "gravity", "bodies", "planes", "contact",
+                                        "control", "objective", "optimize", "free", "no_contact"})
         contact = scene.get("contact") or {}
         refuse_unknown(contact, "contact", {"restitution", "friction", "stiffness", "damping"})
         names = [body["name"] for body in scene["bodies"]]
@@ -89,8 +89,9 @@ def simulate(make, scene, request):
     return answer
 
 
-# Answers standard input until it ends. make(scene, initial, h) returns a new world, with nothing left of an earlier one;
-# refusal(scene) says why a scene cannot be taken, "" if it can. What the simulator itself prints goes to standard error.
+# Answers standard input until it ends. make(scene, initial, h) returns a new world, with nothing left of an earlier
+# one; refusal(scene) says why a scene cannot be taken, "" if it can. What the simulator itself prints goes to standard
+# error.
 def serve(name, make, refusal=lambda scene: ""):
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)

@@ -1,0 +1,119 @@
+# The figures of the page of engines.
+import html
+
+from svg import FAINT, INK, Plot, decades
+from verdict import gradient_errors, of_contact, relative_error
+
+# A colour for each class of contact.
+COLOURS = [("impact time", "#0a8a5f"), ("force", "#7C117D"), ("projection", "#0a8fc7"), ("impulse", "#DB7549"),
+           ("depth", "#a40e26"), ("", "#6e7781")]
+
+
+def colour_of(study):
+    contact = of_contact(study)
+    return next(colour for start, colour in COLOURS if contact.startswith(start))
+
+
+def exponent(value):
+    power = f"{value:.0e}".split("e")
+    return f"{power[0]}e{int(power[1])}"
+
+
+def scan_panel(title, losses, known, curve, size=(240, 170)):
+    exact = known["exact"]["scan"]
+    centre, half = known["exact"]["loss"], 0.06
+    plot = Plot(*size, (-20, 20), (centre - half, centre + half), margins=(38, 8, 24, 22))
+    plot.axes([(x, f"{x:+d}" if x else "-2 m") for x in (-20, 0, 20)],
+              [(y, f"{y:.2f}") for y in (2.0, 2.05, 2.1)], title=html.escape(title))
+    at = [1000 * x for x in known["scan"]]  # mm
+    plot.line(list(zip(at, exact)), FAINT, 3)
+    plot.line(list(zip(at, losses)), curve, 1.3)
+    return plot.svg()
+
+
+def scans(rows, known):
+    return [scan_panel(row["engine"], known["engines"][row["id"]]["scan"], known, "var(--curve)") for row in rows]
+
+
+# Curves of errors that names at their right ends tell apart, pushed apart where they would overlap.
+def labelled_curves(plot, curves):
+    right = plot.box[2]
+    ends = sorted((plot.at(*points[-1])[1], title, colour) for title, colour, points in curves)
+    for title, colour, points in curves:
+        plot.line(points, colour, title=html.escape(title))
+    below = plot.box[1] - 11
+    placed = []
+    for y, title, colour in ends:
+        below = max(y, below + 11)
+        placed.append([below, y, title, colour])
+    over = max(0, below - plot.box[3])
+    for label in placed:
+        label[0] -= over * (label[0] - plot.box[1]) / max(below - plot.box[1], 1)
+    for label_y, y, title, colour in placed:
+        plot.segment((right, y), (right + 12, label_y), colour, 0.6)
+        plot.text(right + 15, label_y + 4, html.escape(title), "start", 9.5, colour)
+
+
+def error_plot(curves, x_range, x_ticks, x_label):
+    low, high = 1e-10, 1e3
+    plot = Plot(900, 470, x_range, (low, high), True, True, (60, 200, 14, 40))
+    plot.axes(x_ticks, [(y, exponent(y)) for y in decades(low, high)], x_label, "relative error of the gradient")
+    labelled_curves(plot, curves)
+    return plot.svg()
+
+
+def error_by_step(rows, known):
+    curves = [(row["engine"], colour_of(known["engines"][row["id"]]),
+               list(zip(known["steps"], gradient_errors(known["engines"][row["id"]], known["exact"])))) for row in rows]
+    return error_plot(curves, (100, 4000), [(steps, str(steps)) for steps in known["steps"]], "steps")
+
+
+def error_by_width(rows, known):
+    curves = []
+    for row in rows:
+        by_width = known["engines"][row["id"]]["by_width"]
+        points = [(float(width), relative_error(gradient, known["exact"]["gradient"]))
+                  for width, gradient in by_width.items()]
+        curves.append((row["engine"], colour_of(known["engines"][row["id"]]), sorted(points)))
+    return error_plot(curves, (1e-7, 0.04), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
+                      "width of the differences, m or m/s")
+
+
+def class_diagram(rows, known):
+    plot = Plot(900, 430, (-0.35, 0.05), (-2.2, 1.4), margins=(60, 20, 16, 40))
+    plot.axes([(x / 100, f"{x / 100:.2f}") for x in range(-35, 6, 5)],
+              [(y, str(y)) for y in (-2, -1, 0, 1)], "feed", "keep")
+    for value, words in ((1, "impulse at a step boundary"), (0, "projection"),
+                         (-1, "impact time resolved, or a resolved force")):
+        plot.text(plot.box[2] - 6, plot.at(0, value)[1] - 6, words, "end", 11, INK)
+    plot.text(plot.at(-0.2, 1.3)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
+    for row in rows:
+        study = known["engines"][row["id"]]
+        for steps, radius in (("240", 3), ("2400", 5.5)):
+            impact = study["impact"][steps]
+            if isinstance(impact, dict):
+                title = f'{row["engine"]}, {steps} steps: keep {impact["keep"]:.3f}, feed {impact["feed"]:.3f}'
+                plot.mark(impact["feed"], impact["keep"], colour_of(study), radius, html.escape(title))
+    return plot.svg()
+
+
+# A few engines, in fixed colours and on white, for pages that cannot say what colours are.
+PICTURED = ["box2d", "jolt", "physx_tgs", "rapier", "bullet64", "mujoco2", "havok", "siconos_event"]
+
+
+def picture(rows, known, columns=4):
+    width, height, head = 240, 170, 26
+    chosen = [row for row in rows if row["id"] in PICTURED and "scan" in known["engines"].get(row["id"], {})]
+    chosen.sort(key=lambda row: PICTURED.index(row["id"]))
+    panels = []
+    for i, row in enumerate(chosen):
+        panel = scan_panel(row["engine"], known["engines"][row["id"]]["scan"], known, "#0550ae")
+        x, y = i % columns * width, head + i // columns * height
+        panels.append(panel.replace("<svg ", f'<svg x="{x}" y="{y}" ', 1))
+    total = columns * width, head + -(-len(chosen) // columns) * height
+    body = "".join(panels).replace("var(--ink)", "#24292f").replace("var(--faint)", "#59636e").replace(
+        "var(--line)", "#d8dee4")
+    return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total[0]} {total[1]}" width="{total[0]}" '
+            f'height="{total[1]}" font-family="sans-serif"><rect width="100%" height="100%" fill="#ffffff"/>'
+            f'<text x="8" y="18" font-size="12" fill="#24292f">Loss of task 3 against the start of the striker in mm '
+            f'(blue), and the exact one (grey)</text>{body}</svg>\n')
