@@ -86,7 +86,7 @@ def main():
     for row in rows:
         command = command_of(row, arguments.build)
         if command is None:
-            print(f"{row['id']}: not there ({how_to_get(row)})")
+            print(f"{row['id']}: not installed, or not built ({how_to_get(row)}; cmake -DSALTUS_BUILD_ENGINES=ON)")
             continue
         try:
             found = disagreements(row, command)

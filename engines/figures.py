@@ -21,12 +21,11 @@ def exponent(value):
 
 def scan_panel(title, losses, known, curve, size=(240, 170)):
     exact = known["exact"]["scan"]
-    centre, half = known["exact"]["loss"], 0.06
-    plot = Plot(*size, (-20, 20), (centre - half, centre + half), margins=(38, 8, 24, 22))
+    plot = Plot(*size, (-20, 20), (1.965, 2.125), margins=(36, 16, 24, 22))
     plot.axes([(x, f"{x:+d}" if x else "-2 m") for x in (-20, 0, 20)],
               [(y, f"{y:.2f}") for y in (2.0, 2.05, 2.1)], title=html.escape(title))
     at = [1000 * x for x in known["scan"]]  # mm
-    plot.line(list(zip(at, exact)), FAINT, 3)
+    plot.line(list(zip(at, exact)), "#9aa4af", 3.5)
     plot.line(list(zip(at, losses)), curve, 1.3)
     return plot.svg()
 
@@ -65,7 +64,7 @@ def error_plot(curves, x_range, x_ticks, x_label):
 def error_by_step(rows, known):
     curves = [(row["engine"], colour_of(known["engines"][row["id"]]),
                list(zip(known["steps"], gradient_errors(known["engines"][row["id"]], known["exact"])))) for row in rows]
-    return error_plot(curves, (100, 4000), [(steps, str(steps)) for steps in known["steps"]], "steps")
+    return error_plot(curves, (110, known["steps"][-1]), [(steps, str(steps)) for steps in known["steps"]], "steps")
 
 
 def error_by_width(rows, known):
@@ -75,7 +74,7 @@ def error_by_width(rows, known):
         points = [(float(width), relative_error(gradient, known["exact"]["gradient"]))
                   for width, gradient in by_width.items()]
         curves.append((row["engine"], colour_of(known["engines"][row["id"]]), sorted(points)))
-    return error_plot(curves, (1e-7, 0.04), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
+    return error_plot(curves, (1e-7, 0.03), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
                       "width of the differences, m or m/s")
 
 
