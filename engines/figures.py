@@ -79,13 +79,13 @@ def error_by_width(rows, known):
 
 
 def class_diagram(rows, known):
-    plot = Plot(900, 430, (-0.35, 0.05), (-2.2, 1.4), margins=(60, 20, 16, 40))
+    plot = Plot(900, 430, (-0.35, 0.08), (-2.2, 1.4), margins=(60, 20, 16, 40))
     plot.axes([(x / 100, f"{x / 100:.2f}") for x in range(-35, 6, 5)],
               [(y, str(y)) for y in (-2, -1, 0, 1)], "feed", "keep")
     for value, words in ((1, "impulse at a step boundary"), (0, "projection"),
                          (-1, "impact time resolved, or a resolved force")):
-        plot.text(plot.box[2] - 6, plot.at(0, value)[1] - 6, words, "end", 11, INK)
-    plot.text(plot.at(-0.2, 1.3)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
+        plot.text(plot.at(-0.006, 0)[0], plot.at(0, value)[1] - 6, words, "end", 11, INK)
+    plot.text(plot.at(-0.2, 0)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
     for row in rows:
         study = known["engines"][row["id"]]
         for steps, radius in (("240", 3), ("2400", 5.5)):
@@ -93,6 +93,12 @@ def class_diagram(rows, known):
             if isinstance(impact, dict):
                 title = f'{row["engine"]}, {steps} steps: keep {impact["keep"]:.3f}, feed {impact["feed"]:.3f}'
                 plot.mark(impact["feed"], impact["keep"], colour_of(study), radius, html.escape(title))
+        fine = study["impact"]["2400"]
+        if isinstance(fine, dict) and min(abs(fine["keep"] - named) for named in (1, 0, -1)) > 0.08:
+            x, y = plot.at(fine["feed"], fine["keep"])
+            side = -1 if fine["feed"] < -0.21 else 1
+            plot.text(x + 8 * side, y + 4, html.escape(row["engine"]), "end" if side < 0 else "start", 9.5,
+                      colour_of(study))
     return plot.svg()
 
 
