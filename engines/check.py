@@ -7,6 +7,7 @@ import argparse
 import csv
 import importlib.util
 import pathlib
+import shutil
 import sys
 
 from client import DriverError, NotApplicable
@@ -29,7 +30,7 @@ def command_of(row, build):
     words = row["command"].split()
     package = row["package"].split()[1]
     if words[0] == "node":
-        installed = (HERE / "node_modules" / package).is_dir()
+        installed = shutil.which("node") and (HERE / "node_modules" / package).is_dir()
         return ["node", str(HERE / words[1]), *words[2:]] if installed else None
     if words[0] == "python3":
         installed = importlib.util.find_spec(PYTHON_MODULES[package])
