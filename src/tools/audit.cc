@@ -90,11 +90,6 @@ std::string WhyNotJudged(const OneSided& entry) {
 
 }  // namespace
 
-bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
-  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
-  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
-}
-
 AuditReport RunAudit(const Request& request, bool needs_reference) {
   AuditOptions options;
   options.width_sweep = FLAGS_width_sweep;

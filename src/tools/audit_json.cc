@@ -136,6 +136,11 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
 
 }  // namespace
 
+bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
+  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
+  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
+}
+
 Json AuditToJson(const Request& request, const AuditReport& report) {
   Json document = {{"scene", request.scene.name},
                    {"steps", request.scene.steps},

@@ -317,8 +317,6 @@ Scene LoadScene(const std::string& path) {
   return std::get<Scene>(std::move(loaded));
 }
 
-double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
-
 int ThreadsFromFlags() {
   if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
   if (FLAGS_threads > 0) return FLAGS_threads;

@@ -85,7 +85,7 @@ Scene LoadScene(const std::string& path);
 bool IsGiven(const char* flag);
 
 // The learning rate of the published experiments for this kind of problem, per N for controls.
-double DefaultLearningRate(const Scene& scene);
+inline double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
 inline constexpr int kPublishedSteps = 480;  // for which that of a control is
 
 // Creates the directory and its parents if need be. Throws InputError.

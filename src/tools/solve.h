@@ -1,21 +1,12 @@
 // Optimise a scene with chosen contact models and solvers.
 #pragma once
 
-#include <optional>
 #include <string>
-#include <vector>
 
-#include "tools/json_output.h"
 #include "tools/program.h"
+#include "tools/solved_run.h"
 
 namespace saltus {
-
-// A solver's report with its solution re-simulated exactly, and certified if it is a control.
-struct SolvedRun {
-  SolveReport report;
-  ExactRun exact;
-  std::optional<Certificate> certificate;
-};
 
 // The report's reason, and what is ambiguous in its exact run.
 std::string RemarkOn(const SolvedRun& run);
@@ -23,17 +14,12 @@ std::string RemarkOn(const SolvedRun& run);
 // Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
 // number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
 // Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.
-struct SolvedRuns {
-  std::vector<SolvedRun> runs;
-  bool interrupted = false;  // some are missing, or were at work
-};
 SolvedRuns SolveAll(const Request& request);
 
 // Why a run is no answer, in a few words: it did not converge, its defects are open, or it ends worse than it began.
 // Empty if it is one, and for what is not applicable.
 std::string WhyNoAnswer(const SolveReport& report);
 
-Json SolveToJson(const Request& request, const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
 // Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
 void WriteSolutions(const Request& request, const SolvedRuns& solved);
