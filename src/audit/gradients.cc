@@ -26,12 +26,19 @@ std::string WhyNotGradient(const Scene& scene) {
 
 // Loss, events and the adjoint's gradient.
 void FillIn(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
-            ModelGradient* result) {
-  const Scene near = NearOrigin(scene);
+            ModelGradient* result, const std::vector<double>* control = nullptr) {
+  Scene near = NearOrigin(scene);
+  if (control != nullptr) near.optimize = Optimize::kControl;
   SingleShooting shooting(MakeSimulator(contact, near, precision));
   shooting.set_stop(stop);
   result->num_steps = shooting.simulator().num_steps();
-  if (!shooting.EvaluateAll(shooting.initial_guess(), &result->loss, &result->gradient)) {
+  const std::vector<double>& variables = control != nullptr ? *control : shooting.initial_guess();
+  if (static_cast<int>(variables.size()) != shooting.num_variables()) {
+    result->reason = "found a control of " + std::to_string(variables.size()) + " numbers, expected " +
+                     std::to_string(shooting.num_variables());
+    return;
+  }
+  if (!shooting.EvaluateAll(variables, &result->loss, &result->gradient)) {
     const std::string why = shooting.simulator().WhyFailed();
     result->reason = why.empty() ? "the loss is not finite" : "the rollout fails: " + why;
     if (shooting.stopped()) result->reason = kStopped;
@@ -103,14 +110,14 @@ void SetScales(const Scene& scene, ModelGradient* gradient) {
   gradient->loss_scale = natural.loss;
 }
 
-ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
-                              const StopRequest& stop) {
+ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
+                              const std::vector<double>* control) {
   ModelGradient result;
   result.contact = contact.name();
   SetScales(scene, &result);
   result.reason = WhyNotApplicable(contact, scene);
   if (result.ok()) result.reason = WhyNotGradient(scene);
-  if (result.ok()) FillIn(contact, scene, precision, stop, &result);
+  if (result.ok()) FillIn(contact, scene, precision, stop, &result, control);
   if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
     result.one_sided = OneSidedDerivatives(InNaturalUnits(scene));
   }

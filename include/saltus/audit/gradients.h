@@ -1,4 +1,4 @@
-// The gradient of a scene's loss at its initial guess, as a contact model sees it.
+// The gradient of a scene's loss at its initial guess, or under a given control, as a contact model sees it.
 #pragma once
 
 #include <optional>
@@ -44,9 +44,10 @@ struct ModelGradient {
 // Sets the scales of a gradient: those of the scene.
 void SetScales(const Scene& scene, ModelGradient* gradient);
 
-// An unknown model and a wrong scene are reasons too. Here and below, one that was stopped has the reason kStopped.
+// An unknown model and a wrong scene are reasons too. Here and below, one that was stopped has the reason kStopped. A
+// `control` (K x C x 2) replaces the initial guess; one of another size is a reason.
 ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
-                              const StopRequest& stop = nullptr);
+                              const StopRequest& stop = nullptr, const std::vector<double>* control = nullptr);
 inline constexpr char kStopped[] = "interrupted";
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
