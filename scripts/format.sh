@@ -13,4 +13,4 @@ case "$*" in
     exit 2
     ;;
 esac
-find bench include problems src tests \( -name '*.h' -o -name '*.cc' \) -print0 | xargs -0 clang-format "${action[@]}"
+find bench include problems python src tests \( -name '*.h' -o -name '*.cc' \) -print0 | xargs -0 clang-format "${action[@]}"

@@ -1,0 +1,108 @@
+// Audits of contact models and gradients of scenes, as the programs report them.
+#include "saltus/audit/audit.h"
+
+#include <pybind11/stl.h>
+#include <tbb/info.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+
+#include "arrays.h"
+#include "computation.h"
+#include "convert.h"
+#include "tools/audit.h"
+
+namespace saltus::python {
+namespace {
+
+// The loss and its gradient by everything, under the scene's own control or another one.
+py::dict Gradient(const Scene& scene, const py::object& contact_name, const std::string& precision,
+                  const py::object& control) {
+  const Contact contact = ReadContact(contact_name);
+  CheckTakes(contact, scene);
+  std::vector<double> given;
+  if (!control.is_none()) {
+    const int steps = scene.steps / FindContactModel(contact)->grid_steps;
+    given = ToVector(ReadArray(control, "control", {steps, scene.num_controlled(), 2}));
+  }
+  const Precision arithmetic = ReadPrecision(precision);
+  ModelGradient gradient;
+  Computation computation;
+  computation.RunOrThrow([&] {
+    gradient = ComputeGradient(contact, scene, arithmetic, computation.stop(), control.is_none() ? nullptr : &given);
+  });
+  if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
+  Json item = {{"contact", gradient.contact},
+               {"loss", NumberToJson(gradient.loss)},
+               {"gradient", GradientToJson(scene, gradient.gradient)},
+               {"events", EventsToJson(gradient.events)}};
+  if (!gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, gradient.one_sided);
+  AddTies(gradient.ambiguous, gradient.spread, &item);
+  return ToPython(item);
+}
+
+// compute(i) for i = 0 .. count - 1, on so many threads; this one takes part.
+template <typename Compute>
+void InParallel(int count, int threads, const Compute& compute) {
+  tbb::task_arena arena(std::min(threads, tbb::info::default_concurrency()));
+  arena.execute(
+      [&] { tbb::parallel_for(0, count, [&](int i) { tbb::this_task_arena::isolate([&] { compute(i); }); }); });
+}
+
+py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::string& precision,
+                    bool width_sweep, const py::object& surrogate, int threads) {
+  Request request;
+  request.scene = scene;
+  request.precision = ReadPrecision(precision);
+  for (const std::string& name : contacts) request.contacts.push_back(ReadContact(py::str(name)).name());
+  Computation computation;
+  AuditOptions options;
+  options.width_sweep = width_sweep;
+  options.surrogate = ReadSurrogate(surrogate);
+  if (options.surrogate && width_sweep) {
+    throw py::value_error("width_sweep: is of the models' own gradients, expected no surrogate with it");
+  }
+  options.stop = computation.stop();
+  const int workers = ReadThreads(threads);
+  if (contacts.size() == 1) options.threads = workers;
+  AuditReport report;
+  report.models.resize(contacts.size());
+  computation.RunOrThrow([&] {
+    report.reference = ExactGradientOf(scene, options.stop);
+    InParallel(static_cast<int>(contacts.size()), workers, [&](int i) {
+      report.models[i] = AuditModel(request.contacts[i], scene, request.precision, report.reference, options);
+    });
+  });
+  const ModelGradient& first = report.models[0].gradient;
+  if (contacts.size() == 1 && !first.ok() && IsNotApplicable(first, scene)) {
+    throw py::value_error("contact " + first.contact + ": " + first.reason);
+  }
+  return ToPython(AuditToJson(request, report));
+}
+
+py::dict ModelSummaries() {
+  py::dict summaries;
+  for (const ModelTraits& model : AllContactModels()) {
+    summaries[py::str(std::string(model.name))] = std::string(model.summary);
+  }
+  return summaries;
+}
+
+}  // namespace
+
+void BindAudit(py::module_* module) {
+  module->def("gradient", &Gradient, py::arg("scene"), py::arg("contact"), py::arg("precision"), py::arg("control"));
+  module->def("audit",
+              &AuditScene,
+              py::arg("scene"),
+              py::arg("contacts"),
+              py::kw_only(),
+              py::arg("precision"),
+              py::arg("width_sweep"),
+              py::arg("surrogate"),
+              py::arg("threads"));
+  module->def("contact_models", &ModelSummaries);
+}
+
+}  // namespace saltus::python

@@ -1,0 +1,91 @@
+// Loss and gradient at many points, on all cores.
+#include "saltus/control/batch.h"
+
+#include <mutex>
+
+#include "convert.h"
+#include "motion.h"
+#include "physics/units.h"
+
+namespace saltus::python {
+namespace {
+
+class PointsOfScene {
+ public:
+  PointsOfScene(const Scene& scene, const Contact& contact, const std::string& precision, int threads)
+      : scene_(scene), near_(NearOrigin(scene)) {
+    CheckTakes(contact, near_);
+    batch_ = std::make_unique<Batch>(contact, near_, ReadPrecision(precision), ReadThreads(threads));
+  }
+
+  int num_threads() const { return batch_->num_threads(); }
+  int num_variables() const { return batch_->num_variables(); }
+
+  py::tuple LossAndGradient(const py::object& points, const py::object& losses_out, const py::object& gradients_out) {
+    const Array read = ReadPoints(points);
+    const py::ssize_t count = read.shape(0);
+    Array losses = WritableArray(losses_out, "losses", {count}, &read);
+    Array gradients = WritableArray(gradients_out, "gradients", {count, num_variables()}, &read);
+    Evaluate(read, MutableView(losses), MutableView(gradients));
+    return py::make_tuple(losses, gradients);
+  }
+
+  Array Loss(const py::object& points, const py::object& losses_out) {
+    const Array read = ReadPoints(points);
+    Array losses = WritableArray(losses_out, "losses", {read.shape(0)}, &read);
+    Evaluate(read, MutableView(losses), {});
+    return losses;
+  }
+
+ private:
+  // P points, each flat or in the shape of the decision variables.
+  Array ReadPoints(const py::object& points) const {
+    const py::array any = py::array::ensure(points);
+    if (!any || any.ndim() < 2) {
+      throw py::value_error("points: expected an array of P points of " + std::to_string(num_variables()) + " numbers");
+    }
+    const py::ssize_t count = any.shape(0);
+    if (any.size() != count * num_variables()) return ReadArray(any, "points", {count, num_variables()});
+    return ReadArray(any.attr("reshape")(count, num_variables()), "points", {count, num_variables()});
+  }
+
+  void Evaluate(const Array& points, std::span<double> losses, std::span<double> gradients) {
+    Computation computation;
+    computation.RunOrThrow([&] {
+      const std::lock_guard lock(mutex_);
+      batch_->set_stop(computation.stop());
+      batch_->Evaluate(NearVariables(scene_, near_, View(points), &shifted_), losses, gradients);
+      batch_->set_stop(nullptr);
+    });
+    for (double& loss : losses) loss = ConvertLoss(loss, near_.units, scene_.units);
+  }
+
+  Scene scene_, near_;
+  std::unique_ptr<Batch> batch_;
+  std::vector<double> shifted_;
+  std::mutex mutex_;
+};
+
+}  // namespace
+
+void BindBatch(py::module_* module) {
+  py::class_<PointsOfScene>(*module, "Batch")
+      .def(py::init([](const Scene& scene, const py::object& contact, const std::string& precision, int threads) {
+             return std::make_unique<PointsOfScene>(scene, ReadContact(contact), precision, threads);
+           }),
+           py::arg("scene"),
+           py::arg("contact") = "event",
+           py::kw_only(),
+           py::arg("precision") = "double",
+           py::arg("threads") = 0)
+      .def_property_readonly("threads", &PointsOfScene::num_threads)
+      .def_property_readonly("num_variables", &PointsOfScene::num_variables)
+      .def("loss", &PointsOfScene::Loss, py::arg("points"), py::arg("losses") = py::none())
+      .def("loss_and_gradient",
+           &PointsOfScene::LossAndGradient,
+           py::arg("points"),
+           py::arg("losses") = py::none(),
+           py::arg("gradients") = py::none());
+}
+
+}  // namespace saltus::python

@@ -1,0 +1,28 @@
+#include "computation.h"
+
+namespace saltus::python {
+namespace {
+
+constexpr std::chrono::milliseconds kLook(50);  // how often signals are looked for
+
+}  // namespace
+
+bool Computation::Stopped() {
+  if (stopped_) return true;
+  if (std::this_thread::get_id() != caller_) return false;
+  const auto now = std::chrono::steady_clock::now();
+  if (now < next_look_) return false;
+  next_look_ = now + kLook;
+  WithPython([] {
+    if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+  });
+  return stopped_;
+}
+
+void Computation::StopFor(std::exception_ptr error) {
+  const std::lock_guard lock(mutex_);
+  if (!error_) error_ = std::move(error);
+  stopped_ = true;
+}
+
+}  // namespace saltus::python

@@ -1,0 +1,74 @@
+// A computation without the GIL that Ctrl-C ends, and that ends when a callback throws.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <atomic>
+#include <chrono>
+#include <exception>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+#include "saltus/dynamics/simulator.h"
+
+namespace saltus::python {
+
+namespace py = pybind11;
+
+// To be made and destroyed with the GIL held.
+class Computation {
+ public:
+  Computation() : caller_(std::this_thread::get_id()) {}
+  Computation(const Computation&) = delete;
+  Computation& operator=(const Computation&) = delete;
+
+  // Runs `compute` without the GIL. What it finds stands even if it was stopped.
+  template <typename Compute>
+  void Run(const Compute& compute) {
+    const py::gil_scoped_release release;
+    compute();
+  }
+  // Throws what has stopped it: KeyboardInterrupt, what another signal's handler raised, or what a callback threw.
+  void Rethrow() const {
+    if (error_) std::rethrow_exception(error_);
+  }
+  // Both.
+  template <typename Compute>
+  void RunOrThrow(const Compute& compute) {
+    Run(compute);
+    Rethrow();
+  }
+
+  // For what computes to ask, from any thread. The thread that began it looks for signals now and then.
+  StopRequest stop() {
+    return [this] { return Stopped(); };
+  }
+  bool Stopped();
+
+  // Runs `call` with the GIL, from any thread; stops the computation if it throws. False then, and without a call if it
+  // has been stopped before.
+  template <typename Call>
+  bool WithPython(const Call& call) {
+    if (stopped_) return false;
+    const py::gil_scoped_acquire acquire;
+    try {
+      call();
+    } catch (...) {
+      StopFor(std::current_exception());
+      return false;
+    }
+    return true;
+  }
+
+ private:
+  void StopFor(std::exception_ptr error);
+
+  std::thread::id caller_;
+  std::chrono::steady_clock::time_point next_look_{};  // of the caller's thread
+  std::atomic<bool> stopped_{false};
+  std::mutex mutex_;
+  std::exception_ptr error_;  // the first
+};
+
+}  // namespace saltus::python

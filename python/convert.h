@@ -1,0 +1,41 @@
+// Between C++ and Python: JSON documents, scenes and names.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <string>
+
+#include "saltus/dynamics/registry.h"
+#include "saltus/physics/scene.h"
+#include "tools/json_output.h"
+
+namespace saltus::python {
+
+namespace py = pybind11;
+
+// dicts, lists, str, int, float, bool and None, with the same bits.
+py::object ToPython(const Json& value);
+
+// "double" or "float". ValueError.
+Precision ReadPrecision(const std::string& name);
+
+// ValueError with the reason if the model cannot take the scene.
+void CheckTakes(const Contact& contact, const Scene& scene);
+
+// A contact model by its name, perhaps with options, or one made in Python. ValueError.
+Contact ReadContact(const py::handle& contact);
+
+// What a report says the surrogate is, or none. `surrogate`: its keyword arguments, or None. ValueError, TypeError.
+std::optional<Surrogate> ReadSurrogate(const py::object& surrogate);
+
+// 0 is one per core. ValueError.
+int ReadThreads(int threads);
+
+// Parts of the module.
+void BindScene(py::module_* module);
+void BindSimulation(py::module_* module);
+void BindBatch(py::module_* module);
+void BindSolve(py::module_* module);
+void BindAudit(py::module_* module);
+
+}  // namespace saltus::python

@@ -1,0 +1,12 @@
+// The extension module behind the Python package saltus, which documents it and checks nothing twice.
+#include "convert.h"
+
+PYBIND11_MODULE(_saltus, module) {
+  using namespace saltus::python;
+  module.attr("__version__") = SALTUS_VERSION;
+  BindScene(&module);
+  BindSimulation(&module);
+  BindBatch(&module);
+  BindSolve(&module);
+  BindAudit(&module);
+}

@@ -1,0 +1,65 @@
+// A scene under a contact model as Python sees it: numbers of the scene, whatever units and origin are computed in.
+#pragma once
+
+#include <mutex>
+#include <optional>
+#include <thread>
+
+#include "arrays.h"
+#include "computation.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+
+namespace saltus::python {
+
+// How the decision variables of `scene` are arranged for a model that takes `num_steps`: (K, C, 2) for a control, (F,
+// 2) for velocities and positions of F discs; flat with a free final time behind.
+Shape VariablesShape(const SingleShooting& shooting);
+
+// Positions among the decision variables, from the scene's origin to that of the computation. `z` as it is if there are
+// none, else `shifted` holds them.
+std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
+                                      std::vector<double>* shifted);
+
+// Loss and gradient by the decision variables. Used by one thread at a time: others wait.
+class Simulation {
+ public:
+  Simulation(const Scene& scene, const Contact& contact, const std::string& precision, double memory_limit);
+
+  const Scene& scene() const { return scene_; }
+  const std::string& contact() const { return contact_; }
+  Shape shape() const { return VariablesShape(shooting_); }
+  py::ssize_t num_variables() const { return shooting_.num_variables(); }
+  py::ssize_t num_steps() const { return shooting_.simulator().num_steps(); }
+  int body_size() const { return shooting_.simulator().body_size(); }
+  Array InitialGuess() const;
+
+  double Loss(const py::object& z);
+  py::tuple LossAndGradient(const py::object& z, const py::object& out);
+  // Residuals whose squares are the loss but for effort, and their Jacobian.
+  py::tuple Residuals(const py::object& z);
+  // The states (K + 1, B, body size) of the motion, and what happened in it.
+  py::dict Rollout(const py::object& z, const py::object& out);
+
+  Array Step(const py::object& state, const py::object& force) const;
+  py::tuple Linearize(const py::object& state, const py::object& force) const;
+
+ private:
+  class Use;
+  Array Variables(const py::object& z) const;
+  // Throws if the evaluation has failed.
+  void CheckEvaluated(bool ok, const Computation& computation) const;
+  Array NearState(const py::object& state) const;
+  Array Force(const py::object& force) const;
+  // From states of the computation to those of the scene, in place.
+  void MoveFromNear(std::span<double> states) const;
+
+  Scene scene_, near_;
+  std::string contact_;
+  SingleShooting shooting_;
+  std::vector<double> shifted_;
+  std::mutex mutex_;
+  std::atomic<std::thread::id> user_{};
+};
+
+}  // namespace saltus::python

@@ -1,0 +1,50 @@
+"""Trajectory optimization and optimal control through rigid contact, with exact and audited gradients.
+
+    >>> import saltus
+    >>> scene = saltus.load_scene("problems/two_balls.yaml")
+    >>> saltus.loss_and_gradient(scene, "direct_toi").loss
+    >>> saltus.audit(scene, ["direct_toi", "toi_velocity"]).verdicts
+    {'direct_toi': 'wrong', 'toi_velocity': 'consistent'}
+    >>> run = saltus.solve(scene, "event", "hmp")
+    >>> run.exact_loss, run.control.shape
+
+Scenes          load_scene, Scene, SceneError
+Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict or the path of a file
+Many of them    Simulation (one scene, evaluated again and again), Batch (many points, on all cores)
+Optimisation    solve, solvers
+Audits          audit, contact_models, WrongGradient
+Results         Result: the keys of the programs' JSON; save, load_result
+
+Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
+model takes K steps. A state is (B, 4 or more): [p_x p_y v_x v_y ...] of each disc. A control is (K, C, 2), forces in N
+held over each step. Numbers are those of the programs saltus_solve and saltus_audit, bit by bit.
+"""
+
+from ._results import Audit, Gradient, Result, Rollout, Run, WrongGradient, load_result
+from ._saltus import __version__
+from ._scene import Scene, SceneError, load_scene
+from ._simulate import Batch, Simulation, linearize, loss_and_gradient, rollout
+from ._solve import audit, contact_models, solve, solvers
+
+__all__ = [
+    "Audit",
+    "Batch",
+    "Gradient",
+    "Result",
+    "Rollout",
+    "Run",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "WrongGradient",
+    "__version__",
+    "audit",
+    "contact_models",
+    "linearize",
+    "load_result",
+    "load_scene",
+    "loss_and_gradient",
+    "rollout",
+    "solve",
+    "solvers",
+]

@@ -1,0 +1,211 @@
+"""Results: the keys of the programs' JSON, with numbers as numpy arrays."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from typing import Any, Iterator, Mapping
+
+import numpy as np
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Result):
+        return value.to_dict()
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def _number_array(value: Any) -> Any:
+    """Lists of numbers as an array, null as NaN; all else as it is."""
+    if not isinstance(value, list) or not value:
+        return value
+    first = value
+    while isinstance(first, list):
+        if not first:
+            return value
+        first = first[0]
+    if isinstance(first, bool) or not (first is None or isinstance(first, (int, float))):
+        return value
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return value
+
+
+class Result(Mapping[str, Any]):
+    """A result under the keys of the programs' JSON.
+
+    ``result["control"]`` is what the JSON holds (lists, numbers, text); ``result.control`` the same with lists of
+    numbers as arrays and objects as results. ``to_dict()`` gives plain Python, ``save(path)`` writes JSON from which
+    ``load_result(path)`` reads the same bits.
+    """
+
+    _kind = "result"
+
+    def __init__(self, data: Mapping[str, Any]):
+        self._data = dict(data)
+
+    def __getitem__(self, key: str) -> Any:
+        return self._data[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name not in self._data:
+            raise AttributeError(f"this {self._kind} has no {name!r}; it has {', '.join(self._data)}")
+        value = self._data[name]
+        return Result(value) if isinstance(value, dict) else _number_array(value)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._data]
+
+    def __reduce__(self) -> Any:
+        return (type(self), (self._data,))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers and text, as in the programs' JSON."""
+        return json.loads(json.dumps(self._data, default=_plain))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes JSON with all digits."""
+        with open(path, "w", encoding="utf-8") as file:
+            json.dump({"saltus": self._kind, **self.to_dict()}, file, indent=1)
+            file.write("\n")
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """What `repr` shows."""
+        return [(key, _brief(value)) for key, value in self._data.items()]
+
+    def __repr__(self) -> str:
+        rows = self._rows()
+        width = max((len(key) for key, _ in rows), default=0)
+        return "\n".join([f"<saltus {self._kind}>", *(f"  {key:<{width}}  {text}" for key, text in rows)])
+
+    def _repr_html_(self) -> str:
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(key)}</th>"
+            f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
+            for key, text in self._rows()
+        )
+        return f"<table><caption>saltus {html.escape(self._kind)}</caption>{cells}</table>"
+
+
+def _brief(value: Any) -> str:
+    """One line of a value, whatever its size."""
+    value = _number_array(value)
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}" if value.size > 6 else np.array2string(value, precision=10, separator=", ").replace("\n", "")
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(value) + "}"
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return f"{len(value)} of {{{', '.join(value[0])}}}"
+    return str(value)
+
+
+class Rollout(Result):
+    """A motion: ``states`` (K + 1, B, 4 or more) with [p_x p_y v_x v_y ...] of each disc, ``times`` (K + 1) in s,
+    ``loss``, ``events``, ``steps_with_contact``."""
+
+    _kind = "rollout"
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(K + 1, B, 2), m."""
+        return self._data["states"][..., :2]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """(K + 1, B, 2), m/s."""
+        return self._data["states"][..., 2:4]
+
+    @property
+    def final_state(self) -> np.ndarray:
+        """(B, 4 or more)"""
+        return self._data["states"][-1]
+
+
+class Gradient(Result):
+    """A loss and its gradient by everything: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2),
+    ``.parameters``."""
+
+    _kind = "gradient"
+
+
+class Run(Result):
+    """A run of a solver: ``termination``, ``final_loss`` under its contact model, ``exact_loss`` under exact dynamics,
+    ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ..."""
+
+    _kind = "run"
+
+    @property
+    def converged(self) -> bool:
+        return self._data["termination"] == "converged"
+
+
+class Audit(Result):
+    """Gradients of contact models beside the exact one: ``reference`` (if there is one) and ``audits``, one for each
+    model, with ``verdict``, ``relative_error``, ``class``, ``why``, ..."""
+
+    _kind = "audit"
+
+    def of(self, contact: str) -> Result:
+        """The audit of one model. Raises KeyError."""
+        for item in self._data["audits"]:
+            if item["contact"] == contact:
+                return Result(item)
+        raise KeyError(f"{contact!r}; audited were {', '.join(item['contact'] for item in self._data['audits'])}")
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """The verdict on each model, or why there is none."""
+        return {item["contact"]: item.get("verdict", item.get("termination", "")) for item in self._data["audits"]}
+
+    def raise_if_wrong(self, accept: tuple[str, ...] = ("right", "consistent")) -> None:
+        """Raises WrongGradient unless every verdict is one of `accept`: for test suites."""
+        wrong = [item for item in self._data["audits"] if item.get("verdict") not in accept]
+        if wrong:
+            raise WrongGradient("; ".join(_why_wrong(item) for item in wrong))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("scene", f"{self._data['scene']}, {self._data['steps']} steps, {self._data['precision']}")]
+        for item in self._data["audits"]:
+            error = f", relative error {item['relative_error']:.3g}" if item.get("relative_error") is not None else ""
+            why = item.get("why") or item.get("reason")
+            text = item.get("verdict", item.get("termination", ""))
+            rows.append((item["contact"], f"{text}{error}{': ' + why if why else ''}"))
+        return rows
+
+
+def _why_wrong(item: Mapping[str, Any]) -> str:
+    verdict = item.get("verdict", item.get("termination", "no verdict"))
+    why = item.get("why") or item.get("reason")
+    return f"{item['contact']}: the gradient is {verdict}" + (f" ({why})" if why else "")
+
+
+class WrongGradient(AssertionError):
+    """A gradient that is not right, with the audit's reasons."""
+
+
+_KINDS = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit)}
+
+
+def load_result(path: str | os.PathLike[str]) -> Result:
+    """What ``Result.save`` has written. Raises ValueError if the file is something else."""
+    with open(path, encoding="utf-8") as file:
+        data = json.load(file)
+    if not isinstance(data, dict) or "saltus" not in data:
+        raise ValueError(f"{os.fspath(path)}: expected a result that saltus has saved")
+    kind = _KINDS.get(data.pop("saltus"), Result)
+    if kind is Rollout:
+        data = {key: np.array(value) if key in ("states", "times", "steps_with_contact") else value
+                for key, value in data.items()}
+    return kind(data)

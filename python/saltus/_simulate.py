@@ -1,0 +1,140 @@
+"""Motions, losses and gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _saltus
+from ._results import Gradient, Rollout
+from ._scene import Scene, SceneLike, as_scene
+
+
+class Simulation(_saltus.Simulation):
+    """A scene under a contact model, to be evaluated many times.
+
+    ``Simulation(scene, contact="event", *, precision="double", memory_limit=1024)``; memory_limit is in MiB, for the
+    states of a rollout. The decision variables z are what the scene optimizes, in the shape ``shape``: a control
+    (K, C, 2) in N, or velocities or positions (F, 2) of the discs that are free; flat with the final time behind where
+    that is free. A flat array of as many numbers will do, None is the initial guess.
+
+    Attributes: ``scene``, ``contact``, ``shape``, ``num_variables``, ``num_steps`` (K), ``initial_guess``.
+
+    ``loss(z=None)``
+        The loss at z.
+    ``loss_and_gradient(z=None, out=None)``
+        The loss and its gradient, in the shape of z: a new array, or `out`.
+    ``residuals(z=None)``
+        What is squared and summed up in the loss but for the effort, (R,), and its Jacobian (R, num_variables).
+    ``rollout(z=None, out=None)``
+        A dict with states (K + 1, B, 4 or more; in `out` if given), loss, events.
+    ``step(state, force=None)``
+        The state (B, 4 or more) after one step, under forces (C, 2); None is the scene's.
+    ``linearize(state, force=None)``
+        The derivatives of that step by state, (S, S) with S the size of a state, and by force, (S, C, 2).
+
+    Several threads may use one simulation, one after the other; the interpreter is free meanwhile. Ctrl-C ends what
+    takes long. Raises ValueError and TypeError, which name the argument and what was expected, and RuntimeError for a
+    rollout that fails.
+    """
+
+    def __init__(
+        self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", memory_limit: float = 1024
+    ):
+        super().__init__(as_scene(scene), contact, precision=precision, memory_limit=memory_limit)
+
+
+class Batch(_saltus.Batch):
+    """Losses and gradients at many points at once, on all cores, with the same bits for any number of threads.
+
+    ``Batch(scene, contact="event", *, precision="double", threads=0)``; 0 is one per core.
+
+    ``loss(points, losses=None)``
+        The losses (P,) at points (P, num_variables), or (P, *shape of z); see Simulation.
+    ``loss_and_gradient(points, losses=None, gradients=None)``
+        These and the gradients (P, num_variables).
+
+    Results are new arrays, or those given. Where a rollout fails, the loss and its gradient are NaN.
+    """
+
+    def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
+        super().__init__(as_scene(scene), contact, precision=precision, threads=threads)
+
+
+def _start(scene: SceneLike, position: Any, velocity: Any, by_control: bool) -> _saltus.Scene:
+    """The scene from another start; with `by_control` as if its control were what it optimizes."""
+    read = as_scene(scene)
+    if position is None and velocity is None and not by_control:
+        return read
+    return _saltus.starting_at(read, position, velocity, by_control)
+
+
+def rollout(
+    scene: SceneLike,
+    contact: Any = "event",
+    *,
+    control: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    precision: str = "double",
+    memory_limit: float = 1024,
+) -> Rollout:
+    """Simulates a scene.
+
+    control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's.
+    position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's.
+
+    Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
+    """
+    given = _start(scene, position, velocity, control is not None)
+    simulation = _saltus.Simulation(given, contact, precision=precision, memory_limit=memory_limit)
+    found = simulation.rollout(control)
+    times = np.arange(simulation.num_steps + 1) * (given.duration / simulation.num_steps)
+    return Rollout({"scene": given.name, "contact": simulation.contact, "times": times, **found})
+
+
+def loss_and_gradient(
+    scene: SceneLike,
+    contact: Any = "event",
+    *,
+    control: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    precision: str = "double",
+) -> Gradient:
+    """The loss of a motion and its gradient by all that determines it: position, velocity, control and parameters.
+
+    Arguments as those of `rollout`. To evaluate a scene many times by what it optimizes, use Simulation, which spares
+    the set-up. Scenes with hard, running or via terms or a free final time are refused: Simulation takes them.
+
+    Raises as rollout.
+    """
+    given = _start(scene, position, velocity, control is not None)
+    return Gradient(_saltus.gradient(given, contact, precision, control))
+
+
+def linearize(
+    scene: SceneLike,
+    contact: Any = "event",
+    *,
+    control: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    precision: str = "double",
+) -> tuple[np.ndarray, np.ndarray]:
+    """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
+
+    Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors
+    as those of `rollout`.
+    """
+    given = _start(scene, position, velocity, control is not None)
+    simulation = _saltus.Simulation(given, contact, precision=precision)
+    states = simulation.rollout(control)["states"]
+    rows: list[Any] = [None] * simulation.num_steps if control is None else list(
+        np.reshape(np.asarray(control, dtype=float), (simulation.num_steps, -1, 2)))
+    if control is None and given.optimize == "control" and len(simulation.shape) == 3:
+        rows = list(simulation.initial_guess)
+    pairs = [simulation.linearize(state, row) for state, row in zip(states, rows)]
+    return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])

@@ -1,0 +1,264 @@
+#include <algorithm>
+#include <cmath>
+
+#include "convert.h"
+#include "motion.h"
+#include "physics/units.h"
+#include "saltus/dynamics/events.h"
+
+namespace saltus::python {
+namespace {
+
+constexpr double kMebibyte = 1 << 20;
+
+SingleShooting MakeShooting(const Contact& contact, const Scene& near, const std::string& precision) {
+  CheckTakes(contact, near);
+  SingleShooting::OfDuration of_duration;
+  const bool exact = FindContactModel(contact)->event_driven && ReadPrecision(precision) == Precision::kDouble;
+  if (near.objective.duration && exact && near.optimize == Optimize::kControl) {
+    of_duration = [contact, near](double duration) {
+      Scene of_other_length = near;
+      of_other_length.duration = duration;
+      return MakeSimulator(contact, of_other_length, Precision::kDouble);
+    };
+  }
+  return SingleShooting(
+      MakeSimulator(contact, near, ReadPrecision(precision)), SingleShooting::Variables::kOfScene, of_duration);
+}
+
+}  // namespace
+
+Shape VariablesShape(const SingleShooting& shooting) {
+  const Scene& scene = shooting.scene();
+  if (shooting.has_duration()) return {shooting.num_variables()};
+  if (scene.optimize == Optimize::kControl) return {shooting.simulator().num_steps(), scene.num_controlled(), 2};
+  return {shooting.num_variables() / 2, 2};
+}
+
+std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
+                                      std::vector<double>* shifted) {
+  if (scene.optimize != Optimize::kPosition) return z;
+  shifted->resize(z.size());
+  for (size_t i = 0; i + 1 < z.size(); i += 2) {
+    const Vec2d position = ConvertPosition({z[i], z[i + 1]}, scene.units, near.units);
+    std::copy_n(position.data(), 2, shifted->data() + i);
+  }
+  return *shifted;
+}
+
+// The simulator, for one thread, without the GIL.
+class Simulation::Use {
+ public:
+  explicit Use(Simulation* simulation) : simulation_(simulation) {
+    // A signal handler may come back here while this very thread computes.
+    if (simulation->user_ == std::this_thread::get_id()) {
+      throw std::runtime_error("this simulation is at work in this thread; expected another one");
+    }
+    simulation->mutex_.lock();
+    simulation->user_ = std::this_thread::get_id();
+  }
+  ~Use() {
+    simulation_->shooting_.set_stop(nullptr);
+    simulation_->user_ = std::thread::id();
+    simulation_->mutex_.unlock();
+  }
+
+ private:
+  Simulation* simulation_;
+};
+
+Simulation::Simulation(const Scene& scene, const Contact& contact, const std::string& precision, double memory_limit)
+    : scene_(scene),
+      near_(NearOrigin(scene)),
+      contact_(contact.name()),
+      shooting_(MakeShooting(contact, near_, precision)) {
+  if (!(memory_limit > 0 && memory_limit < 1e9)) {
+    throw py::value_error("memory_limit: found " + std::to_string(memory_limit) + ", expected MiB > 0");
+  }
+  shooting_.set_memory_limit(static_cast<std::size_t>(memory_limit * kMebibyte));
+}
+
+Array Simulation::InitialGuess() const {
+  Array guess = ToArray(shooting_.initial_guess(), shape());
+  if (scene_.optimize != Optimize::kPosition) return guess;
+  for (size_t i = 0; i < scene_.free.size(); ++i) {
+    std::copy_n(scene_.bodies[scene_.free[i]].position.data(), 2, guess.mutable_data() + 2 * i);
+  }
+  return guess;
+}
+
+Array Simulation::Variables(const py::object& z) const {
+  return z.is_none()
+             ? InitialGuess()
+             : ReadArray(z, scene_.optimize == Optimize::kNone ? "z" : OptimizeToString(scene_.optimize), shape());
+}
+
+void Simulation::CheckEvaluated(bool ok, const Computation& computation) const {
+  computation.Rethrow();
+  if (ok) return;
+  const std::string why = shooting_.WhyFailed();
+  throw std::runtime_error(why.empty() ? contact_ + ": the loss is not finite" : "the rollout fails: " + why);
+}
+
+double Simulation::Loss(const py::object& z) {
+  const Array variables = Variables(z);
+  double loss = 0;
+  bool ok = false;
+  Computation computation;
+  computation.Run([&] {
+    const Use use(this);
+    shooting_.set_stop(computation.stop());
+    ok = shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr);
+  });
+  CheckEvaluated(ok, computation);
+  return ConvertLoss(loss, near_.units, scene_.units);
+}
+
+py::tuple Simulation::LossAndGradient(const py::object& z, const py::object& out) {
+  const Array variables = Variables(z);
+  Array gradient = WritableArray(out, "out", shape(), &variables);
+  double loss = 0;
+  bool ok = false;
+  Computation computation;
+  computation.Run([&] {
+    const Use use(this);
+    shooting_.set_stop(computation.stop());
+    ok = shooting_.Evaluate(
+        NearVariables(scene_, near_, View(variables), &shifted_), &loss, MutableView(gradient).data());
+  });
+  CheckEvaluated(ok, computation);
+  return py::make_tuple(ConvertLoss(loss, near_.units, scene_.units), gradient);
+}
+
+py::tuple Simulation::Residuals(const py::object& z) {
+  if (!scene_.objective.IsSumOfSquares())
+    throw py::value_error("the objective is no sum of squares: a term has a component");
+  const Array variables = Variables(z);
+  Array residuals(Shape{shooting_.num_residuals()}), jacobian(Shape{shooting_.num_residuals(), num_variables()});
+  bool ok = false;
+  Computation computation;
+  computation.Run([&] {
+    const Use use(this);
+    shooting_.set_stop(computation.stop());
+    ok = shooting_.EvaluateResiduals(
+        NearVariables(scene_, near_, View(variables), &shifted_), residuals.mutable_data(), jacobian.mutable_data());
+  });
+  CheckEvaluated(ok, computation);
+  return py::make_tuple(residuals, jacobian);
+}
+
+void Simulation::MoveFromNear(std::span<double> states) const {
+  for (size_t i = 0; i < states.size(); i += body_size()) {
+    const Vec2d position = ConvertPosition({states[i], states[i + 1]}, near_.units, scene_.units);
+    std::copy_n(position.data(), 2, states.data() + i);
+  }
+}
+
+py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
+  const Array variables = Variables(z);
+  Array states = WritableArray(out, "out", {num_steps() + 1, scene_.num_bodies(), body_size()}, &variables);
+  const Simulator& simulator = shooting_.simulator();
+  double loss = 0;
+  bool ok = false;
+  Json events, ties = Json::object();
+  std::vector<int> touched;
+  Computation computation;
+  computation.Run([&] {
+    const Use use(this);
+    shooting_.set_stop(computation.stop());
+    ok = shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr);
+    if (!ok) return;
+    const size_t size = simulator.state_size();
+    for (int k = 0; k <= simulator.num_steps(); ++k) simulator.GetState(k, MutableView(states).subspan(k * size, size));
+    MoveFromNear(MutableView(states));
+    events = EventsToJson(EventsOf(simulator));
+    AddTies(TiesOf(simulator), std::nullopt, &ties);
+    for (const StepTouch& touch : simulator.touches()) {
+      if (touched.empty() || touched.back() != touch.step) touched.push_back(touch.step);
+    }
+  });
+  CheckEvaluated(ok, computation);
+  py::dict result = ToPython(ties);
+  result["loss"] = ConvertLoss(loss, near_.units, scene_.units);
+  result["states"] = states;
+  result["events"] = ToPython(events);
+  result["steps_with_contact"] = py::array_t<int>(static_cast<py::ssize_t>(touched.size()), touched.data());
+  return result;
+}
+
+Array Simulation::NearState(const py::object& state) const {
+  const Array read = ReadArray(state, "state", {scene_.num_bodies(), body_size()});
+  Array near = ToArray(View(read), {read.size()});
+  const std::span<double> numbers = MutableView(near);
+  for (size_t i = 0; i < numbers.size(); i += body_size()) {
+    const Vec2d position = ConvertPosition({numbers[i], numbers[i + 1]}, scene_.units, near_.units);
+    std::copy_n(position.data(), 2, numbers.data() + i);
+  }
+  return near;
+}
+
+Array Simulation::Force(const py::object& force) const {
+  const Simulator& simulator = shooting_.simulator();
+  Array on_all(Shape{2 * scene_.num_bodies()});
+  std::vector<double> control(simulator.control_size());
+  const Array row = force.is_none() ? ToArray(InitialControl(scene_, 1), {scene_.num_controlled(), 2})
+                                    : ReadArray(force, "force", {scene_.num_controlled(), 2});
+  std::copy_n(row.data(), row.size(), control.begin());
+  simulator.ExpandForce(control, 0, MutableView(on_all));
+  return on_all;
+}
+
+Array Simulation::Step(const py::object& state, const py::object& force) const {
+  const Array x = NearState(state), u = Force(force);
+  Array next(Shape{scene_.num_bodies(), body_size()});
+  Computation().RunOrThrow([&] { shooting_.simulator().Step(View(x), View(u), MutableView(next)); });
+  if (std::isnan(next.data()[0])) throw std::runtime_error(contact_ + ": the step fails from this state");
+  MoveFromNear(MutableView(next));
+  return next;
+}
+
+py::tuple Simulation::Linearize(const py::object& state, const py::object& force) const {
+  const Array x = NearState(state), u = Force(force);
+  Eigen::MatrixXd A, B;
+  Computation().RunOrThrow([&] {
+    StepLinearization linearization;
+    shooting_.simulator().Linearize(View(x), View(u), /*with_parameters=*/false, &linearization);
+    linearization.ToDense(&A, &B);
+  });
+  const py::ssize_t size = A.rows(), controlled = scene_.num_controlled();
+  Array by_state(Shape{size, size}), by_force(Shape{size, controlled, 2});
+  for (py::ssize_t row = 0; row < size; ++row) {
+    for (py::ssize_t column = 0; column < size; ++column) by_state.mutable_at(row, column) = A(row, column);
+    for (py::ssize_t c = 0; c < controlled; ++c) {
+      for (int j = 0; j < 2; ++j) by_force.mutable_at(row, c, j) = B(row, 2 * scene_.control.bodies[c] + j);
+    }
+  }
+  return py::make_tuple(by_state, by_force);
+}
+
+void BindSimulation(py::module_* module) {
+  py::class_<Simulation>(*module, "Simulation")
+      .def(py::init([](const Scene& scene, const py::object& contact, const std::string& precision, double limit) {
+             return std::make_unique<Simulation>(scene, ReadContact(contact), precision, limit);
+           }),
+           py::arg("scene"),
+           py::arg("contact") = "event",
+           py::kw_only(),
+           py::arg("precision") = "double",
+           py::arg("memory_limit") = 1024.0)
+      .def_property_readonly("scene", &Simulation::scene, py::return_value_policy::copy)
+      .def_property_readonly("contact", &Simulation::contact)
+      .def_property_readonly("shape",
+                             [](const Simulation& simulation) { return py::tuple(py::cast(simulation.shape())); })
+      .def_property_readonly("num_variables", &Simulation::num_variables)
+      .def_property_readonly("num_steps", &Simulation::num_steps)
+      .def_property_readonly("initial_guess", &Simulation::InitialGuess)
+      .def("loss", &Simulation::Loss, py::arg("z") = py::none())
+      .def("loss_and_gradient", &Simulation::LossAndGradient, py::arg("z") = py::none(), py::arg("out") = py::none())
+      .def("residuals", &Simulation::Residuals, py::arg("z") = py::none())
+      .def("rollout", &Simulation::Rollout, py::arg("z") = py::none(), py::arg("out") = py::none())
+      .def("step", &Simulation::Step, py::arg("state"), py::arg("force") = py::none())
+      .def("linearize", &Simulation::Linearize, py::arg("state"), py::arg("force") = py::none());
+}
+
+}  // namespace saltus::python

@@ -1,0 +1,155 @@
+// Solvers, with a callback, as the programs report them.
+#include <pybind11/stl.h>
+
+#include <cmath>
+
+#include "computation.h"
+#include "convert.h"
+#include "saltus/solve/solver.h"
+#include "tools/solved_run.h"
+
+namespace saltus::python {
+namespace {
+
+struct Keywords {
+  int iterations;
+  std::optional<double> learning_rate;
+  bool rate_per_time;
+  std::string sequence;
+  py::object surrogate;
+  int threads;
+  double memory_limit;  // MiB
+  bool keep_iterates;
+};
+
+void SetSequence(const Scene& scene, const std::string& sequence, SolverOptions* options) {
+  options->search = sequence == "auto";
+  if (sequence == "auto" || sequence == "fixed") return;
+  const std::string wrong = ParseContactSequence(scene, sequence, &options->sequence.emplace());
+  if (!wrong.empty()) throw py::value_error("sequence: " + wrong);
+}
+
+SolverOptions ReadOptions(const Scene& scene, const Keywords& keywords) {
+  SolverOptions options;
+  if (keywords.iterations < 0) throw py::value_error("iterations: expected a number of at least 0");
+  options.iterations = keywords.iterations;
+  options.rate_per_time = keywords.rate_per_time;
+  options.learning_rate = keywords.learning_rate.value_or(
+      DefaultLearningRate(scene) * (keywords.rate_per_time ? scene.duration / kPublishedSteps : 1));
+  if (!(options.learning_rate > 0) || !std::isfinite(options.learning_rate)) {
+    throw py::value_error("learning_rate: expected a finite number > 0");
+  }
+  if (keywords.rate_per_time && scene.optimize != Optimize::kControl) {
+    throw py::value_error("rate_per_time: the scene does not optimize a control");
+  }
+  if (!(keywords.memory_limit > 0 && keywords.memory_limit < 1e9)) {
+    throw py::value_error("memory_limit: expected MiB > 0");
+  }
+  SetSequence(scene, keywords.sequence, &options);
+  options.surrogate = ReadSurrogate(keywords.surrogate);
+  options.threads = ReadThreads(keywords.threads);
+  options.memory_limit = static_cast<std::size_t>(keywords.memory_limit * (1 << 20));
+  options.keep_iterates = keywords.keep_iterates;
+  return options;
+}
+
+// What a callback says: False ends the run, True and None go on.
+bool GoesOn(const py::object& answer) {
+  if (answer.is_none()) return true;
+  if (PyBool_Check(answer.ptr())) return answer.cast<bool>();
+  throw py::type_error("callback: found " + std::string(py::repr(answer)) + ", expected True, False or None");
+}
+
+py::dict RunToPython(const Scene& scene, const SolvedRun& run) {
+  Request request;
+  request.scene = scene;
+  py::dict result = ToPython(SolveToJson(request, {{run}, false})["runs"][0]);
+  if (!run.report.iterates.empty()) result["iterates"] = py::cast(run.report.iterates);
+  return result;
+}
+
+// A run, and what has stopped it: an exception or None.
+py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const std::string& solver,
+                     const std::string& precision, const py::object& callback, const py::object& status,
+                     const Keywords& keywords) {
+  const Contact contact = ReadContact(contact_name);
+  SolverOptions options = ReadOptions(scene, keywords);
+  Computation computation;
+  options.stop = computation.stop();
+  if (!callback.is_none()) {
+    options.callback = [&](int iteration, double loss) {
+      bool on = true;
+      return computation.WithPython([&] { on = GoesOn(callback(iteration, loss)); }) && on;
+    };
+  }
+  if (!status.is_none()) {
+    options.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
+  }
+  SolvedRun run;
+  const Precision arithmetic = ReadPrecision(precision);
+  computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
+  if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
+  py::object stopped_by = py::none();
+  try {
+    computation.Rethrow();
+  } catch (py::error_already_set& error) {
+    stopped_by = error.value();
+  }
+  return py::make_tuple(RunToPython(scene, run), stopped_by);
+}
+
+py::dict SolverSummaries() {
+  py::dict summaries;
+  for (const SolverEntry& entry : AllSolvers())
+    summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
+  return summaries;
+}
+
+}  // namespace
+
+void BindSolve(py::module_* module) {
+  module->def(
+      "solve",
+      [](const Scene& scene,
+         const py::object& contact,
+         const std::string& solver,
+         const std::string& precision,
+         const py::object& callback,
+         const py::object& status,
+         int iterations,
+         std::optional<double>
+             learning_rate,
+         bool rate_per_time,
+         const std::string& sequence,
+         const py::object& surrogate,
+         int threads,
+         double memory_limit,
+         bool keep_iterates) {
+        return SolveScene(
+            scene,
+            contact,
+            solver,
+            precision,
+            callback,
+            status,
+            {iterations, learning_rate, rate_per_time, sequence, surrogate, threads, memory_limit, keep_iterates});
+      },
+      py::arg("scene"),
+      py::arg("contact"),
+      py::arg("solver"),
+      py::kw_only(),
+      py::arg("precision"),
+      py::arg("callback"),
+      py::arg("status"),
+      py::arg("iterations"),
+      py::arg("learning_rate"),
+      py::arg("rate_per_time"),
+      py::arg("sequence"),
+      py::arg("surrogate"),
+      py::arg("threads"),
+      py::arg("memory_limit"),
+      py::arg("keep_iterates"));
+  module->def("solvers", &SolverSummaries);
+}
+
+}  // namespace saltus::python

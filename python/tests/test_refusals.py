@@ -1,0 +1,172 @@
+"""What is wrong is refused with an exception that names the argument and what was expected."""
+
+import pickle
+
+import numpy as np
+import pytest
+from conftest import SOURCE
+
+import saltus
+
+
+def refused(error, *words):
+    return pytest.raises(error, match="(?s)" + ".*".join(words))
+
+
+class TestScenes:
+    def test_messages_are_those_of_scene_files(self, two_balls):
+        data = two_balls.to_dict()
+        data["bodies"][1]["radius"] = -0.2
+        with refused(saltus.SceneError, r"bodies\[1\]\.radius: found -0\.2", "expected") as caught:
+            saltus.Scene(data)
+        assert caught.value.key == "bodies[1].radius"
+
+    def test_a_file_is_named_with_its_line(self, tmp_path):
+        path = tmp_path / "wrong.yaml"
+        text = (SOURCE / "problems" / "two_balls.yaml").read_text().replace("steps: 480", "stepz: 480")
+        path.write_text(text)
+        with refused(saltus.SceneError, r"wrong\.yaml:\d+", "stepz") as caught:
+            saltus.load_scene(path)
+        assert text.splitlines()[caught.value.line - 1].startswith("stepz")
+        with pytest.raises(FileNotFoundError):
+            saltus.load_scene(tmp_path / "none.yaml")
+
+    @pytest.mark.parametrize("value", [float("nan"), float("inf"), "wide", [1], None, {}, True, 1e30, object()])
+    def test_values_that_are_no_radius(self, two_balls, value):
+        data = two_balls.to_dict()
+        data["bodies"][0]["radius"] = value
+        with pytest.raises((saltus.SceneError, TypeError)):
+            saltus.Scene(data)
+
+    def test_no_scene_at_all(self):
+        with refused(TypeError, "scene: found int", "expected"):
+            saltus.rollout(3)
+        with pytest.raises(saltus.SceneError):
+            saltus.Scene({})
+
+    def test_copies_are_equal(self, two_balls):
+        assert saltus.Scene(two_balls.to_dict()) == two_balls
+        assert pickle.loads(pickle.dumps(two_balls)) == two_balls
+        assert two_balls.replace(contact={"friction": 0.5}) != two_balls
+        assert saltus.Scene(**{**two_balls.to_dict(), "steps": 480}) == two_balls
+
+    def test_keywords_and_numpy(self, two_balls):
+        data = two_balls.to_dict()
+        data["bodies"][0]["position"] = np.array([-2.0, -2.0])
+        data["steps"] = np.int64(480)
+        assert saltus.Scene(data) == two_balls
+
+
+class TestArrays:
+    @pytest.mark.parametrize("shape", [(), (960, 1), (480, 2), (479, 1, 2), (481, 1, 2), (480, 1, 2, 1), (0,)])
+    def test_shapes(self, two_balls, shape):
+        with refused(ValueError, "control: found shape", r"expected \(480, 1, 2\) or \(960,\)"):
+            saltus.Simulation(two_balls).loss(np.zeros(shape))
+
+    def test_types(self, two_balls):
+        simulation = saltus.Simulation(two_balls)
+        for wrong in [np.zeros(960, complex), np.zeros(960, object), np.zeros(960, bool), ["a"] * 960, "text"]:
+            with refused(TypeError, "control: found", "expected real numbers"):
+                simulation.loss(wrong)
+        assert simulation.loss(np.full(960, 3)) == simulation.loss([3.0] * 960) == simulation.loss()
+        assert simulation.loss(np.full(960, 3, np.float32)) == simulation.loss()
+        assert simulation.loss(np.full((2, 1, 480), 3.0).T) == simulation.loss()
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+    def test_numbers_that_are_not_finite(self, two_balls, value):
+        control = np.full((480, 1, 2), 3.0)
+        control[3, 0, 1] = value
+        with refused(ValueError, r"control\[3, 0, 1\]: found", "expected a finite number"):
+            saltus.Simulation(two_balls).loss_and_gradient(control)
+        with refused(ValueError, "velocity", "finite"):
+            saltus.rollout(two_balls, velocity=np.full((2, 2), value))
+
+    def test_places_to_write_to(self, two_balls):
+        simulation = saltus.Simulation(two_balls)
+        z = simulation.initial_guess
+        read_only = np.zeros(960)
+        read_only.flags.writeable = False
+        with refused(ValueError, "out: found a read-only array"):
+            simulation.loss_and_gradient(z, out=read_only)
+        with refused(TypeError, "out: found an array of dtype float32", "float64"):
+            simulation.loss_and_gradient(z, out=np.zeros(960, np.float32))
+        with refused(TypeError, "out: found", "C-contiguous"):
+            simulation.loss_and_gradient(z, out=np.zeros((960, 2))[:, 0])
+        with refused(TypeError, "out: found list"):
+            simulation.loss_and_gradient(z, out=[0.0] * 960)
+        with refused(ValueError, "out: found shape"):
+            simulation.loss_and_gradient(z, out=np.zeros(959))
+        with refused(ValueError, "out: found an array that shares memory"):
+            simulation.loss_and_gradient(z, out=z)
+        out = np.zeros(960)
+        loss, gradient = simulation.loss_and_gradient(z, out=out)
+        assert gradient is out or gradient.base is out or np.shares_memory(gradient, out)
+        assert np.any(out != 0)
+
+    def test_batches(self, two_balls):
+        batch = saltus.Batch(two_balls)
+        with refused(ValueError, "points"):
+            batch.loss(np.zeros(960))
+        with refused(ValueError, "points: found shape"):
+            batch.loss(np.zeros((3, 959)))
+        with refused(ValueError, "losses: found shape"):
+            batch.loss(np.zeros((3, 960)), losses=np.zeros(2))
+        with refused(ValueError, "threads"):
+            saltus.Batch(two_balls, threads=-1)
+        assert batch.loss(np.zeros((0, 960))).shape == (0,)
+
+
+class TestNames:
+    def test_contact_models_and_options(self, two_balls):
+        for contact, words in [("dirct", "expected a contact model"), ("ncp:kappa=-1", "kappa"), ("", "contact")]:
+            with refused(ValueError, "contact", words):
+                saltus.Simulation(two_balls, contact)
+            with refused(ValueError, "contact", words):
+                saltus.audit(two_balls, [contact])
+            with pytest.raises(ValueError):
+                saltus.solve(two_balls, contact, "gd")
+        with refused(TypeError, "contact: found int"):
+            saltus.rollout(two_balls, 7)
+
+    def test_what_a_model_or_solver_cannot_take(self, two_balls):
+        rough = two_balls.replace(contact={"friction": 0.1})
+        with refused(ValueError, "direct", "friction"):
+            saltus.rollout(rough, "direct")
+        with refused(ValueError, "direct", "friction"):
+            saltus.audit(rough, "direct")
+        with pytest.raises(ValueError):
+            saltus.solve(two_balls, "direct", "hmp")
+        with refused(ValueError, "solver"):
+            saltus.solve(two_balls, "event", "newton")
+
+    def test_options(self, two_balls):
+        for wrong in [{"iterations": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")}, {"threads": -2},
+                      {"sequence": "striker-moon"}, {"memory_limit": 0}, {"surrogate": "exact"},
+                      {"surrogate": {"kind": "smoothed_zeroth", "samples": 3}}, {"precision": "half"}]:
+            with refused(ValueError, next(iter(wrong))):
+                saltus.solve(two_balls, "event", "gd", **wrong)
+
+    def test_a_start_that_overlaps(self, two_balls):
+        with refused(ValueError, "overlap"):
+            saltus.rollout(two_balls, position=[[-1, -1], [-1, -1]])
+
+    def test_residuals_of_no_squares(self):
+        with refused(ValueError, "sum of squares"):
+            saltus.Simulation(SOURCE / "problems" / "bounce_once.yaml").residuals()
+
+
+def test_results_are_saved_with_all_digits(two_balls, tmp_path):
+    run = saltus.solve(two_balls, "direct_toi", "gd", iterations=3)
+    for result in [run, saltus.rollout(two_balls), saltus.loss_and_gradient(two_balls), saltus.audit(two_balls, "lcp")]:
+        result.save(tmp_path / "result.json")
+        read = saltus.load_result(tmp_path / "result.json")
+        assert type(read) is type(result)
+        assert read.to_dict() == result.to_dict()
+        assert pickle.loads(pickle.dumps(result)).to_dict() == result.to_dict()
+        assert "<table>" in result._repr_html_() and result._kind in repr(result)
+    assert run.control.shape == (480, 1, 2) and run.losses.shape == (4,)
+    with refused(AttributeError, "no 'controls'", "control"):
+        run.controls  # pylint: disable=pointless-statement
+    with pytest.raises(saltus.WrongGradient, match="convex: the gradient is wrong"):
+        saltus.audit(two_balls, "convex").raise_if_wrong()
+    saltus.audit(two_balls, ["event", "toi_velocity"]).raise_if_wrong()

@@ -1,0 +1,151 @@
+"""Callbacks, Ctrl-C, threads and memory."""
+
+import concurrent.futures
+import gc
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import saltus
+
+
+def interrupt_soon(seconds=0.3):
+    """Ctrl-C from another thread; the computation must take longer."""
+    timer = threading.Timer(seconds, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    return timer
+
+
+class TestCallbacks:
+    def test_is_told_every_iteration(self, two_balls):
+        seen = []
+        run = saltus.solve(two_balls, "direct_toi", "gd", iterations=5, callback=lambda k, loss: seen.append((k, loss)))
+        assert [k for k, _ in seen] == list(range(6))
+        np.testing.assert_array_equal([loss for _, loss in seen], run.losses)
+
+    def test_false_ends_the_run(self, two_balls):
+        run = saltus.solve(two_balls, "direct_toi", "gd", callback=lambda k, loss: k < 7)
+        assert run["termination"] == "interrupted" and run["iterations"] == 7
+
+    @pytest.mark.parametrize("solver", ["gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting"])
+    def test_an_exception_comes_out_with_the_run(self, two_balls, solver):
+        def fail(iteration, loss):
+            if iteration == 1:
+                raise ZeroDivisionError("mine")
+
+        with pytest.raises(ZeroDivisionError, match="mine") as caught:
+            saltus.solve(two_balls, "direct_toi", solver, callback=fail)
+        assert caught.value.run["termination"] == "interrupted"
+
+    @pytest.mark.parametrize("answer", ["yes", 1, 0.0, [], np.zeros(3)])
+    def test_rubbish(self, two_balls, answer):
+        with pytest.raises(TypeError, match="callback: found .*expected True, False or None"):
+            saltus.solve(two_balls, "direct_toi", "gd", callback=lambda k, loss: answer)
+
+    def test_not_callable(self, two_balls):
+        with pytest.raises(TypeError):
+            saltus.solve(two_balls, "direct_toi", "gd", callback=3)
+
+
+class TestInterrupts:
+    def test_a_solve_keeps_what_it_has(self, two_balls):
+        timer = interrupt_soon()
+        with pytest.raises(KeyboardInterrupt) as caught:
+            saltus.solve(two_balls, "ncp", "gd", iterations=10_000_000)
+        timer.join()
+        assert caught.value.run["termination"] == "interrupted"
+        assert caught.value.run["iterations"] >= 0
+
+    def test_batches_and_audits(self, two_balls):
+        timer = interrupt_soon()
+        with pytest.raises(KeyboardInterrupt):
+            saltus.Batch(two_balls, "ncp").loss_and_gradient(np.full((20_000, 960), 3.0))
+        timer.join()
+        timer = interrupt_soon()
+        with pytest.raises(KeyboardInterrupt):
+            saltus.audit(two_balls.replace(steps=96_000), "all")
+        timer.join()
+
+    def test_another_handler(self, two_balls):
+        def handler(number, frame):
+            raise LookupError("alarm")
+
+        before = signal.signal(signal.SIGALRM, handler)
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            with pytest.raises(LookupError, match="alarm"):
+                saltus.solve(two_balls, "ncp", "gd", iterations=10_000_000)
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+
+class TestThreads:
+    def test_one_simulation_for_several(self, two_balls):
+        simulation = saltus.Simulation(two_balls, "direct_toi")
+        points = 3 + np.random.default_rng(3).normal(size=(200, 960))
+        alone = [simulation.loss(point) for point in points]
+        with concurrent.futures.ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(simulation.loss, points)) == alone
+
+    def test_python_goes_on_meanwhile(self, two_balls):
+        counted = 0
+        done = threading.Event()
+
+        def solve():
+            saltus.solve(two_balls, "ncp", "gd", iterations=20)
+            done.set()
+
+        thread = threading.Thread(target=solve)
+        thread.start()
+        while not done.wait(0.001):
+            counted += 1
+        thread.join()
+        assert counted > 0
+
+    def test_a_run_in_another_thread_ends_by_its_callback(self, two_balls):
+        stop = threading.Event()
+        with concurrent.futures.ThreadPoolExecutor(1) as pool:
+            future = pool.submit(
+                saltus.solve, two_balls, "direct_toi", "gd", iterations=10_000_000, callback=lambda k, loss: not stop.is_set()
+            )
+            stop.set()
+            assert future.result()["termination"] == "interrupted"
+
+
+def test_memory_does_not_grow(two_balls):
+    """10^6 calls, each of which counts references; warmed up first."""
+    simulation = saltus.Simulation(two_balls.replace(steps=4), "direct_toi")
+    z, out = simulation.initial_guess, np.zeros(simulation.shape)
+    wrong = np.zeros(7)
+
+    def calls(count):
+        for _ in range(count):
+            simulation.loss_and_gradient(z, out)
+            simulation.loss_and_gradient(z)
+        for _ in range(count // 100):
+            with pytest.raises(ValueError):
+                simulation.loss(wrong)
+            simulation.rollout()
+        gc.collect()
+
+    calls(20_000)
+    references = sys.getrefcount(z), sys.getrefcount(out), sys.getrefcount(simulation)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    calls(500_000)
+    assert (sys.getrefcount(z), sys.getrefcount(out), sys.getrefcount(simulation)) == references
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 4096  # KiB: 4 bytes a call
+
+
+def test_nothing_is_printed(tmp_path):
+    code = (
+        "import saltus, os; s = saltus.load_scene(os.environ['SALTUS_SOURCE'] + '/problems/two_balls.yaml');"
+        "saltus.solve(s, 'event', 'ceres_lm', callback=lambda k, loss: False); saltus.audit(s, ['event', 'lcp'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "" and done.stderr == ""
