@@ -11,6 +11,7 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
+#include "output/palette.h"
 #include "tools/audit.h"
 
 namespace saltus::python {
@@ -89,6 +90,18 @@ py::dict ModelSummaries() {
   return summaries;
 }
 
+// Colour, line and marker of a contact model in every figure, in matplotlib's names.
+py::dict StyleOfModel(const std::string& contact) {
+  static constexpr const char* kLines[] = {"solid", "dashed", "dotted", "dashdot"};
+  static constexpr const char* kMarkers[] = {"", "o", "s", "^", "v", "D", "o", "s", "x"};
+  const ModelStyle& style = StyleOf(contact);
+  const bool open = style.marker == Marker::kOpenCircle || style.marker == Marker::kOpenSquare;
+  return py::dict(py::arg("color") = std::string(style.colour),
+                  py::arg("linestyle") = kLines[static_cast<int>(style.dash)],
+                  py::arg("marker") = kMarkers[static_cast<int>(style.marker)],
+                  py::arg("fillstyle") = open ? "none" : "full");
+}
+
 }  // namespace
 
 void BindAudit(py::module_* module) {
@@ -103,6 +116,7 @@ void BindAudit(py::module_* module) {
               py::arg("surrogate"),
               py::arg("threads"));
   module->def("contact_models", &ModelSummaries);
+  module->def("style", &StyleOfModel, py::arg("contact"));
 }
 
 }  // namespace saltus::python

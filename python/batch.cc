@@ -1,8 +1,6 @@
 // Loss and gradient at many points, on all cores.
 #include "saltus/control/batch.h"
 
-#include <mutex>
-
 #include "convert.h"
 #include "motion.h"
 #include "physics/units.h"
@@ -16,6 +14,7 @@ class PointsOfScene {
       : scene_(scene), near_(NearOrigin(scene)) {
     CheckTakes(contact, near_);
     batch_ = std::make_unique<Batch>(contact, near_, ReadPrecision(precision), ReadThreads(threads));
+    batch_->set_stop(user_.stop());
   }
 
   int num_threads() const { return batch_->num_threads(); }
@@ -52,10 +51,8 @@ class PointsOfScene {
   void Evaluate(const Array& points, std::span<double> losses, std::span<double> gradients) {
     Computation computation;
     computation.RunOrThrow([&] {
-      const std::lock_guard lock(mutex_);
-      batch_->set_stop(computation.stop());
+      const OneUser::Use use(&user_, &computation);
       batch_->Evaluate(NearVariables(scene_, near_, View(points), &shifted_), losses, gradients);
-      batch_->set_stop(nullptr);
     });
     for (double& loss : losses) loss = ConvertLoss(loss, near_.units, scene_.units);
   }
@@ -63,7 +60,7 @@ class PointsOfScene {
   Scene scene_, near_;
   std::unique_ptr<Batch> batch_;
   std::vector<double> shifted_;
-  std::mutex mutex_;
+  OneUser user_;
 };
 
 }  // namespace

@@ -7,6 +7,12 @@ constexpr std::chrono::milliseconds kLook(50);  // how often signals are looked 
 
 }  // namespace
 
+thread_local Computation* Computation::current_ = nullptr;
+
+void Computation::StopCurrent(std::exception_ptr error) {
+  if (current_ != nullptr) current_->StopFor(std::move(error));
+}
+
 bool Computation::Stopped() {
   if (stopped_) return true;
   if (std::this_thread::get_id() != caller_) return false;

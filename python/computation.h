@@ -7,6 +7,7 @@
 #include <chrono>
 #include <exception>
 #include <mutex>
+#include <stdexcept>
 #include <thread>
 #include <utility>
 
@@ -26,6 +27,7 @@ class Computation {
   // Runs `compute` without the GIL. What it finds stands even if it was stopped.
   template <typename Compute>
   void Run(const Compute& compute) {
+    const Current current(this);
     const py::gil_scoped_release release;
     compute();
   }
@@ -61,14 +63,67 @@ class Computation {
     return true;
   }
 
+  // Stops what this thread runs, if anything, and makes it throw `error`.
+  static void StopCurrent(std::exception_ptr error);
+
  private:
+  // Makes it what the thread runs.
+  class Current {
+   public:
+    explicit Current(Computation* computation) : before_(std::exchange(current_, computation)) {}
+    ~Current() { current_ = before_; }
+
+   private:
+    Computation* before_;
+  };
   void StopFor(std::exception_ptr error);
 
+  static thread_local Computation* current_;
   std::thread::id caller_;
   std::chrono::steady_clock::time_point next_look_{};  // of the caller's thread
   std::atomic<bool> stopped_{false};
   std::mutex mutex_;
   std::exception_ptr error_;  // the first
+};
+
+// Lets one thread at a time use a simulator, and tells that one, all its life, when its user is asked to stop.
+class OneUser {
+ public:
+  StopRequest stop() {
+    return [this] {
+      Computation* computation = computation_;
+      return computation != nullptr && computation->Stopped();
+    };
+  }
+
+  // While it lives, the simulator is `computation`'s; others wait. To be made without the GIL.
+  class Use {
+   public:
+    Use(OneUser* of, Computation* computation) : of_(of) {
+      // A signal handler may come back while this very thread computes.
+      if (of_->thread_ == std::this_thread::get_id()) {
+        throw std::runtime_error("this simulation is at work in this very thread; expected another one");
+      }
+      of_->mutex_.lock();
+      of_->thread_ = std::this_thread::get_id();
+      of_->computation_ = computation;
+    }
+    ~Use() {
+      of_->computation_ = nullptr;
+      of_->thread_ = std::thread::id();
+      of_->mutex_.unlock();
+    }
+    Use(const Use&) = delete;
+    Use& operator=(const Use&) = delete;
+
+   private:
+    OneUser* of_;
+  };
+
+ private:
+  std::mutex mutex_;
+  std::atomic<std::thread::id> thread_{};
+  std::atomic<Computation*> computation_{nullptr};
 };
 
 }  // namespace saltus::python

@@ -35,6 +35,7 @@ int ReadThreads(int threads);
 void BindScene(py::module_* module);
 void BindSimulation(py::module_* module);
 void BindBatch(py::module_* module);
+void BindEndState(py::module_* module);
 void BindSolve(py::module_* module);
 void BindAudit(py::module_* module);
 

@@ -7,6 +7,7 @@ PYBIND11_MODULE(_saltus, module) {
   BindScene(&module);
   BindSimulation(&module);
   BindBatch(&module);
+  BindEndState(&module);
   BindSolve(&module);
   BindAudit(&module);
 }

@@ -1,9 +1,7 @@
 // A scene under a contact model as Python sees it: numbers of the scene, whatever units and origin are computed in.
 #pragma once
 
-#include <mutex>
 #include <optional>
-#include <thread>
 
 #include "arrays.h"
 #include "computation.h"
@@ -45,10 +43,10 @@ class Simulation {
   py::tuple Linearize(const py::object& state, const py::object& force) const;
 
  private:
-  class Use;
   Array Variables(const py::object& z) const;
-  // Throws if the evaluation has failed.
-  void CheckEvaluated(bool ok, const Computation& computation) const;
+  // Calls evaluate() without the GIL, as the only user. Throws if it returns false, or was stopped.
+  template <typename Evaluate>
+  void Compute(const Evaluate& evaluate);
   Array NearState(const py::object& state) const;
   Array Force(const py::object& force) const;
   // From states of the computation to those of the scene, in place.
@@ -58,8 +56,7 @@ class Simulation {
   std::string contact_;
   SingleShooting shooting_;
   std::vector<double> shifted_;
-  std::mutex mutex_;
-  std::atomic<std::thread::id> user_{};
+  OneUser user_;
 };
 
 }  // namespace saltus::python

@@ -46,27 +46,6 @@ std::span<const double> NearVariables(const Scene& scene, const Scene& near, std
   return *shifted;
 }
 
-// The simulator, for one thread, without the GIL.
-class Simulation::Use {
- public:
-  explicit Use(Simulation* simulation) : simulation_(simulation) {
-    // A signal handler may come back here while this very thread computes.
-    if (simulation->user_ == std::this_thread::get_id()) {
-      throw std::runtime_error("this simulation is at work in this thread; expected another one");
-    }
-    simulation->mutex_.lock();
-    simulation->user_ = std::this_thread::get_id();
-  }
-  ~Use() {
-    simulation_->shooting_.set_stop(nullptr);
-    simulation_->user_ = std::thread::id();
-    simulation_->mutex_.unlock();
-  }
-
- private:
-  Simulation* simulation_;
-};
-
 Simulation::Simulation(const Scene& scene, const Contact& contact, const std::string& precision, double memory_limit)
     : scene_(scene),
       near_(NearOrigin(scene)),
@@ -75,6 +54,7 @@ Simulation::Simulation(const Scene& scene, const Contact& contact, const std::st
   if (!(memory_limit > 0 && memory_limit < 1e9)) {
     throw py::value_error("memory_limit: found " + std::to_string(memory_limit) + ", expected MiB > 0");
   }
+  shooting_.set_stop(user_.stop());
   shooting_.set_memory_limit(static_cast<std::size_t>(memory_limit * kMebibyte));
 }
 
@@ -93,57 +73,49 @@ Array Simulation::Variables(const py::object& z) const {
              : ReadArray(z, scene_.optimize == Optimize::kNone ? "z" : OptimizeToString(scene_.optimize), shape());
 }
 
-void Simulation::CheckEvaluated(bool ok, const Computation& computation) const {
-  computation.Rethrow();
-  if (ok) return;
-  const std::string why = shooting_.WhyFailed();
-  throw std::runtime_error(why.empty() ? contact_ + ": the loss is not finite" : "the rollout fails: " + why);
+template <typename Evaluate>
+void Simulation::Compute(const Evaluate& evaluate) {
+  std::string failure;
+  Computation computation;
+  computation.RunOrThrow([&] {
+    const OneUser::Use use(&user_, &computation);
+    if (evaluate()) return;
+    const std::string why = shooting_.WhyFailed();
+    failure = why.empty() ? contact_ + ": the loss is not finite" : "the rollout fails: " + why;
+  });
+  if (!failure.empty()) throw std::runtime_error(failure);
 }
 
 double Simulation::Loss(const py::object& z) {
   const Array variables = Variables(z);
   double loss = 0;
-  bool ok = false;
-  Computation computation;
-  computation.Run([&] {
-    const Use use(this);
-    shooting_.set_stop(computation.stop());
-    ok = shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr);
-  });
-  CheckEvaluated(ok, computation);
+  Compute([&] { return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr); });
   return ConvertLoss(loss, near_.units, scene_.units);
 }
 
 py::tuple Simulation::LossAndGradient(const py::object& z, const py::object& out) {
   const Array variables = Variables(z);
-  Array gradient = WritableArray(out, "out", shape(), &variables);
+  // In the shape of z, flat or not, unless told otherwise.
+  Array gradient = out.is_none() ? Array(Shape(variables.shape(), variables.shape() + variables.ndim()))
+                                 : WritableArray(out, "out", shape(), &variables);
   double loss = 0;
-  bool ok = false;
-  Computation computation;
-  computation.Run([&] {
-    const Use use(this);
-    shooting_.set_stop(computation.stop());
-    ok = shooting_.Evaluate(
+  Compute([&] {
+    return shooting_.Evaluate(
         NearVariables(scene_, near_, View(variables), &shifted_), &loss, MutableView(gradient).data());
   });
-  CheckEvaluated(ok, computation);
   return py::make_tuple(ConvertLoss(loss, near_.units, scene_.units), gradient);
 }
 
 py::tuple Simulation::Residuals(const py::object& z) {
-  if (!scene_.objective.IsSumOfSquares())
+  if (!scene_.objective.IsSumOfSquares()) {
     throw py::value_error("the objective is no sum of squares: a term has a component");
+  }
   const Array variables = Variables(z);
   Array residuals(Shape{shooting_.num_residuals()}), jacobian(Shape{shooting_.num_residuals(), num_variables()});
-  bool ok = false;
-  Computation computation;
-  computation.Run([&] {
-    const Use use(this);
-    shooting_.set_stop(computation.stop());
-    ok = shooting_.EvaluateResiduals(
+  Compute([&] {
+    return shooting_.EvaluateResiduals(
         NearVariables(scene_, near_, View(variables), &shifted_), residuals.mutable_data(), jacobian.mutable_data());
   });
-  CheckEvaluated(ok, computation);
   return py::make_tuple(residuals, jacobian);
 }
 
@@ -157,17 +129,14 @@ void Simulation::MoveFromNear(std::span<double> states) const {
 py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
   const Array variables = Variables(z);
   Array states = WritableArray(out, "out", {num_steps() + 1, scene_.num_bodies(), body_size()}, &variables);
-  const Simulator& simulator = shooting_.simulator();
+  Array times(Shape{num_steps() + 1});
   double loss = 0;
-  bool ok = false;
   Json events, ties = Json::object();
   std::vector<int> touched;
-  Computation computation;
-  computation.Run([&] {
-    const Use use(this);
-    shooting_.set_stop(computation.stop());
-    ok = shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr);
-    if (!ok) return;
+  Compute([&] {
+    if (!shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr)) return false;
+    const Simulator& simulator = shooting_.simulator();  // of the final time in z, if that is free
+    for (int k = 0; k <= simulator.num_steps(); ++k) times.mutable_data()[k] = k * simulator.step();
     const size_t size = simulator.state_size();
     for (int k = 0; k <= simulator.num_steps(); ++k) simulator.GetState(k, MutableView(states).subspan(k * size, size));
     MoveFromNear(MutableView(states));
@@ -176,10 +145,11 @@ py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
     for (const StepTouch& touch : simulator.touches()) {
       if (touched.empty() || touched.back() != touch.step) touched.push_back(touch.step);
     }
+    return true;
   });
-  CheckEvaluated(ok, computation);
   py::dict result = ToPython(ties);
   result["loss"] = ConvertLoss(loss, near_.units, scene_.units);
+  result["times"] = times;
   result["states"] = states;
   result["events"] = ToPython(events);
   result["steps_with_contact"] = py::array_t<int>(static_cast<py::ssize_t>(touched.size()), touched.data());

@@ -13,6 +13,8 @@ Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict o
 Many of them    Simulation (one scene, evaluated again and again), Batch (many points, on all cores)
 Optimisation    solve, solvers
 Audits          audit, contact_models, WrongGradient
+Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
+                Simulation.loss_and_gradient as it is, with jac=True
 Results         Result: the keys of the programs' JSON; save, load_result
 
 Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
@@ -23,12 +25,13 @@ held over each step. Numbers are those of the programs saltus_solve and saltus_a
 from ._results import Audit, Gradient, Result, Rollout, Run, WrongGradient, load_result
 from ._saltus import __version__
 from ._scene import Scene, SceneError, load_scene
-from ._simulate import Batch, Simulation, linearize, loss_and_gradient, rollout
+from ._simulate import Batch, EndState, Simulation, linearize, loss_and_gradient, rollout
 from ._solve import audit, contact_models, solve, solvers
 
 __all__ = [
     "Audit",
     "Batch",
+    "EndState",
     "Gradient",
     "Result",
     "Rollout",

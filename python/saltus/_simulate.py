@@ -25,11 +25,11 @@ class Simulation(_saltus.Simulation):
     ``loss(z=None)``
         The loss at z.
     ``loss_and_gradient(z=None, out=None)``
-        The loss and its gradient, in the shape of z: a new array, or `out`.
+        The loss and its gradient: a new array in the shape of z as given, or `out`.
     ``residuals(z=None)``
         What is squared and summed up in the loss but for the effort, (R,), and its Jacobian (R, num_variables).
     ``rollout(z=None, out=None)``
-        A dict with states (K + 1, B, 4 or more; in `out` if given), loss, events.
+        A dict with states (K + 1, B, 4 or more; in `out` if given), times (K + 1), loss, events.
     ``step(state, force=None)``
         The state (B, 4 or more) after one step, under forces (C, 2); None is the scene's.
     ``linearize(state, force=None)``
@@ -63,6 +63,25 @@ class Batch(_saltus.Batch):
         super().__init__(as_scene(scene), contact, precision=precision, threads=threads)
 
 
+class EndState(_saltus.EndState):
+    """The final state as a function of the initial state and the control, for automatic differentiation elsewhere.
+
+    ``EndState(scene, contact="event", *, precision="double")``; ``initial`` (B, 4) and ``control`` (K, C, 2) are the
+    scene's own.
+
+    ``end(initial, control)``
+        The final state (B, 4 or more): [p_x p_y v_x v_y ...] of each disc.
+    ``end.vjp(initial, control, cotangent)``
+        The gradients of sum(cotangent * end(initial, control)) by initial state and control, by one adjoint; the motion
+        is not simulated again if it is that of the last call. 0 for fixed discs.
+
+    Raises as Simulation. saltus.torch makes a function of torch of it.
+    """
+
+    def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
+        super().__init__(as_scene(scene), contact, precision=precision)
+
+
 def _start(scene: SceneLike, position: Any, velocity: Any, by_control: bool) -> _saltus.Scene:
     """The scene from another start; with `by_control` as if its control were what it optimizes."""
     read = as_scene(scene)
@@ -91,8 +110,7 @@ def rollout(
     given = _start(scene, position, velocity, control is not None)
     simulation = _saltus.Simulation(given, contact, precision=precision, memory_limit=memory_limit)
     found = simulation.rollout(control)
-    times = np.arange(simulation.num_steps + 1) * (given.duration / simulation.num_steps)
-    return Rollout({"scene": given.name, "contact": simulation.contact, "times": times, **found})
+    return Rollout({"scene": given.name, "contact": simulation.contact, **found})
 
 
 def loss_and_gradient(

@@ -1,0 +1,125 @@
+// The final state of a motion as a function of its initial state and control, and its derivative from the left (vjp):
+// what automatic differentiation of others is built of.
+
+#include "arrays.h"
+#include "computation.h"
+#include "convert.h"
+#include "physics/units.h"
+
+namespace saltus::python {
+namespace {
+
+class EndState {
+ public:
+  EndState(const Scene& scene, const Contact& contact, const std::string& precision)
+      : scene_(scene), near_(NearOrigin(scene)), contact_(contact.name()) {
+    CheckTakes(contact, near_);
+    simulator_ = MakeSimulator(contact, near_, ReadPrecision(precision));
+    simulator_->set_stop(user_.stop());
+  }
+
+  Shape InitialShape() const { return {scene_.num_bodies(), 4}; }
+  Shape ControlShape() const { return {simulator_->num_steps(), scene_.num_controlled(), 2}; }
+  Shape FinalShape() const { return {scene_.num_bodies(), simulator_->body_size()}; }
+  Array Initial() const { return ToArray(InitialState(scene_), InitialShape()); }
+  Array Control() const { return ToArray(InitialControl(scene_, simulator_->num_steps()), ControlShape()); }
+
+  Array Evaluate(const py::object& initial, const py::object& control) {
+    const Motion motion = Read(initial, control);
+    Array final(FinalShape());
+    std::string failure;
+    Computation computation;
+    computation.Run([&] {
+      const OneUser::Use use(&user_, &computation);
+      failure = Simulate(motion);
+      if (failure.empty()) Read(MutableView(final));
+    });
+    Check(computation, failure);
+    return final;
+  }
+
+  // The gradients of cotangent . (final state) by the initial state and by the control.
+  py::tuple PullBack(const py::object& initial, const py::object& control, const py::object& cotangent) {
+    const Motion motion = Read(initial, control);
+    const Array by_final = ReadArray(cotangent, "cotangent", FinalShape());
+    Array by_initial(InitialShape()), by_control(ControlShape());
+    std::string failure;
+    Computation computation;
+    computation.Run([&] {
+      const OneUser::Use use(&user_, &computation);
+      failure = Simulate(motion);
+      if (!failure.empty()) return;
+      SensitivityView out;
+      out.initial = MutableView(by_initial);
+      out.control = MutableView(by_control);
+      simulator_->AdjointInto(View(by_final), out);
+    });
+    Check(computation, failure);
+    return py::make_tuple(by_initial, by_control);
+  }
+
+ private:
+  struct Motion {
+    std::vector<double> initial, control;
+    bool operator==(const Motion&) const = default;
+  };
+
+  Motion Read(const py::object& initial, const py::object& control) const {
+    Motion motion{ToVector(ReadArray(initial, "initial", InitialShape())),
+                  ToVector(ReadArray(control, "control", ControlShape()))};
+    motion.initial = ConvertStates(std::move(motion.initial), scene_.units, near_.units);
+    return motion;
+  }
+
+  std::string Failure() const {
+    const std::string why = simulator_->WhyFailed();
+    return why.empty() ? "a state is not finite" : why;  // or it was stopped, which is said elsewhere
+  }
+
+  // Why there is no motion, or nothing. One that was simulated last is not simulated again.
+  std::string Simulate(const Motion& motion) {
+    if (last_ == motion) return "";
+    last_.reset();
+    if (!simulator_->Rollout(motion.initial, motion.control)) return Failure();
+    last_ = motion;
+    return "";
+  }
+
+  void Read(std::span<double> final) const {
+    simulator_->GetState(simulator_->num_steps(), final);
+    for (size_t i = 0; i < final.size(); i += simulator_->body_size()) {
+      const Vec2d position = ConvertPosition({final[i], final[i + 1]}, near_.units, scene_.units);
+      std::copy_n(position.data(), 2, final.data() + i);
+    }
+  }
+
+  static void Check(const Computation& computation, const std::string& failure) {
+    computation.Rethrow();
+    if (!failure.empty()) throw std::runtime_error("the rollout fails: " + failure);
+  }
+
+  Scene scene_, near_;
+  std::string contact_;
+  std::unique_ptr<Simulator> simulator_;
+  std::optional<Motion> last_;
+  OneUser user_;
+};
+
+}  // namespace
+
+void BindEndState(py::module_* module) {
+  py::class_<EndState>(*module, "EndState")
+      .def(py::init([](const Scene& scene, const py::object& contact, const std::string& precision) {
+             return std::make_unique<EndState>(scene, ReadContact(contact), precision);
+           }),
+           py::arg("scene"),
+           py::arg("contact") = "event",
+           py::kw_only(),
+           py::arg("precision") = "double")
+      .def_property_readonly("initial", &EndState::Initial)
+      .def_property_readonly("control", &EndState::Control)
+      .def("__call__", &EndState::Evaluate, py::arg("initial"), py::arg("control"))
+      .def("vjp", &EndState::PullBack, py::arg("initial"), py::arg("control"), py::arg("cotangent"));
+}
+
+}  // namespace saltus::python

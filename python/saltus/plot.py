@@ -1,0 +1,109 @@
+"""Figures with matplotlib, in the colours of the report: each function draws into `ax`, or into a new figure, and returns
+its axes."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping, Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from . import _saltus
+from ._results import Audit, Result, Rollout, Run
+from ._scene import SceneLike, as_scene
+
+
+def style(contact: str) -> dict[str, Any]:
+    """Colour, line and marker of a contact model, as keywords of matplotlib."""
+    return _saltus.style(contact)
+
+
+def _axes(ax: Any, x: str, y: str) -> Any:
+    if ax is None:
+        _, ax = plt.subplots(layout="constrained")
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def _draw_planes(ax: Any, planes: Sequence[Mapping[str, Any]]) -> None:
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    for plane in planes:
+        normal = np.asarray(plane["normal"], dtype=float)
+        point = np.asarray(plane["point"], dtype=float)
+        ax.axline(point, point + [normal[1], -normal[0]], color="black", linewidth=1)
+    ax.set_xlim(left, right)
+    ax.set_ylim(bottom, top)
+
+
+def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
+    """The paths of all discs, with the discs at start and end, and the planes."""
+    data = as_scene(scene).to_dict()
+    ax = _axes(ax, "x (m)", "y (m)")
+    for body, path in zip(data["bodies"], np.moveaxis(motion.positions, 1, 0)):
+        (line,) = ax.plot(*path.T, label=body["name"])
+        for place, opacity in ((path[0], 0.15), (path[-1], 0.45)):
+            ax.add_patch(plt.Circle(tuple(place), body["radius"], color=line.get_color(), alpha=opacity))
+    ax.autoscale_view()
+    ax.set_aspect("equal")
+    _draw_planes(ax, data.get("planes", []))
+    ax.legend(frameon=False)
+    return ax
+
+
+def controls(scene: SceneLike, run: Run, ax: Any = None) -> Any:
+    """The forces of a solution over time, held over each interval."""
+    read = as_scene(scene)
+    control = run.control
+    lengths = run.durations if "durations" in run else np.full(len(control), read.duration / len(control))
+    edges = np.concatenate([[0.0], np.cumsum(lengths)])
+    ax = _axes(ax, "time (s)", "force (N)")
+    for c, body in enumerate(read.controlled):
+        for j, component in enumerate("xy"):
+            ax.stairs(control[:, c, j], edges, baseline=None, label=f"{body} {component}", linewidth=1.5)
+    for event in run["events"]:
+        ax.axvline(event["time"], color="black", linewidth=0.8, linestyle="dotted")
+    ax.legend(frameon=False)
+    return ax
+
+
+def losses(runs: Run | Sequence[Run], ax: Any = None) -> Any:
+    """Learning curves: the loss at each iterate, in the style of the contact model."""
+    ax = _axes(ax, "iteration", "loss")
+    for run in [runs] if isinstance(runs, Run) else runs:
+        look = {**style(run["contact"]), "markevery": max(1, len(run["losses"]) // 8)}
+        ax.plot(run.losses, label=f"{run['contact']} {run['solver']}", **look)
+    ax.legend(frameon=False)
+    return ax
+
+
+_VERDICTS = {"right": "#116329", "consistent": "#116329", "wrong": "#a40e26", "wrong sign": "#a40e26"}
+
+
+def audit(report: Audit, ax: Any = None) -> Any:
+    """The relative error of every model's gradient, with the verdict."""
+    judged = [item for item in report["audits"] if item.get("relative_error") is not None]
+    ax = _axes(ax, "relative error of the gradient", "")
+    smallest = 1e-16  # a right gradient may have no error at all
+    for row, item in enumerate(judged):
+        look = style(item["contact"])
+        ax.plot([max(item["relative_error"], smallest)], [row], color=look["color"], marker=look["marker"] or "o",
+                fillstyle=look["fillstyle"], linestyle="none")
+        ax.annotate(item["verdict"], (1.02, row), xycoords=("axes fraction", "data"), va="center",
+                    color=_VERDICTS.get(item["verdict"], "#59636e"))
+    ax.set_xscale("log")
+    ax.set_yticks(range(len(judged)), [item["contact"] for item in judged])
+    ax.invert_yaxis()
+    ax.grid(axis="x", linewidth=0.4)
+    return ax
+
+
+def refinement(item: Result, ax: Any = None) -> Any:
+    """How the error of one model's gradient goes with the number of steps, for each quantity: `report.of(contact)`."""
+    ax = _axes(ax, "steps", "error of the gradient")
+    for quantity, line in zip(item["refinement"]["quantities"], ("solid", "dashed", "dotted", "dashdot")):
+        look = {**style(item["contact"]), "linestyle": line}
+        ax.loglog(quantity["steps"], quantity["error"], label=f"by {quantity['quantity']}: {quantity['verdict']}", **look)
+    ax.legend(frameon=False)
+    return ax

@@ -1,0 +1,87 @@
+"""Motions and losses as functions of torch, with exact derivatives.
+
+    >>> import torch, saltus.torch
+    >>> end = saltus.torch.EndState("problems/two_balls.yaml", "event")
+    >>> control = end.control.requires_grad_()
+    >>> end(end.initial, control)[1, :2].square().sum().backward()
+    >>> control.grad.shape
+    torch.Size([480, 1, 2])
+
+Everything is computed in double precision, on the CPU; float tensors are converted, and so are their gradients.
+Derivatives are of first order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from . import _simulate
+from ._scene import SceneLike
+
+
+def _numpy(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.detach().cpu().to(torch.float64).numpy()
+
+
+def _like(array: np.ndarray, tensor: torch.Tensor) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array)).to(dtype=tensor.dtype, device=tensor.device)
+
+
+class _EndState(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, initial: torch.Tensor, control: torch.Tensor, end: _simulate.EndState) -> torch.Tensor:
+        ctx.end = end
+        ctx.save_for_backward(initial, control)
+        return _like(end(_numpy(initial), _numpy(control)), initial)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
+        initial, control = ctx.saved_tensors
+        by_initial, by_control = ctx.end.vjp(_numpy(initial), _numpy(control), _numpy(cotangent))
+        return _like(by_initial, initial), _like(by_control, control), None
+
+
+class EndState:
+    """The final state of a scene under a contact model, as a function of torch.
+
+    ``EndState(scene, contact="event", *, precision="double")``; ``end(initial, control)`` takes tensors (B, 4) and
+    (K, C, 2) and returns one (B, 4 or more). ``initial`` and ``control`` are the scene's own, as new tensors.
+    """
+
+    def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
+        self._end = _simulate.EndState(scene, contact, precision=precision)
+
+    @property
+    def initial(self) -> torch.Tensor:
+        return torch.from_numpy(self._end.initial)
+
+    @property
+    def control(self) -> torch.Tensor:
+        return torch.from_numpy(self._end.control)
+
+    def __call__(self, initial: torch.Tensor, control: torch.Tensor) -> torch.Tensor:
+        return _EndState.apply(initial, control, self._end)
+
+
+class _Loss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, z: torch.Tensor, simulation: _simulate.Simulation) -> torch.Tensor:
+        loss, gradient = simulation.loss_and_gradient(_numpy(z))
+        ctx.save_for_backward(_like(gradient, z))
+        return z.new_tensor(loss)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
+        (gradient,) = ctx.saved_tensors
+        return cotangent * gradient, None
+
+
+def loss(simulation: _simulate.Simulation, z: torch.Tensor) -> torch.Tensor:
+    """The scene's loss at the decision variables z, in the shape of `simulation.shape` or flat."""
+    return _Loss.apply(z, simulation)
