@@ -67,9 +67,14 @@ std::string BiasedName(const Surrogate& surrogate) {
   return std::string(SurrogateToString(surrogate.kind)) + ", biased";
 }
 
+// Of a black box nothing is known.
+static bool IsBiased(const std::string& contact) {
+  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
+}
+
 std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate) {
   if (surrogate) return contact + " (" + BiasedName(*surrogate) + ")";
-  return contact + (HasBiasedDerivative(contact) ? " (biased)" : "");
+  return contact + (IsBiased(contact) ? " (biased)" : "");
 }
 
 std::string FileSuffix(const std::optional<Surrogate>& surrogate) {
@@ -89,7 +94,7 @@ void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item) {
 
 void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item) {
   AddSurrogate(surrogate, item);
-  if (HasBiasedDerivative(contact)) (*item)["biased"] = true;
+  if (IsBiased(contact)) (*item)["biased"] = true;
 }
 
 }  // namespace saltus
