@@ -330,6 +330,13 @@ ProgressMode ProgressFromFlags() {
 
 std::string OutputDirFromFlags() { return FLAGS_output_dir; }
 
+Precision PrecisionFromFlags() {
+  if (FLAGS_precision != "double" && FLAGS_precision != "float") {
+    throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
+  }
+  return FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
+}
+
 bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (FLAGS_contact == "list") {
     PrintModels();
@@ -348,10 +355,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
   if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());
-  if (FLAGS_precision != "double" && FLAGS_precision != "float") {
-    throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
-  }
-  request->precision = FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
+  request->precision = PrecisionFromFlags();
   request->scene = LoadScene(path);
   ApplyFlags(&request->scene);
 

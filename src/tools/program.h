@@ -72,6 +72,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request);
 int ThreadsFromFlags();
 ProgressMode ProgressFromFlags();
 std::string OutputDirFromFlags();
+Precision PrecisionFromFlags();
 
 // A file or folder that comes with saltus, such as "problems/two_balls.yaml": of the installation that the running
 // program belongs to, or else of the source tree.

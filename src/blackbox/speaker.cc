@@ -1,0 +1,171 @@
+#include "blackbox/speaker.h"
+
+#include <glog/logging.h>
+
+#include <cmath>
+#include <variant>
+
+#include "saltus/io/scene_file.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kNumbers = 4;  // of a disc
+
+double Number(const ProtocolJson& question, const char* key) {
+  const auto found = question.find(key);
+  if (found == question.end() || !found->is_number() || !(found->get<double>() > 0)) {
+    throw ProtocolError("expected a positive number as \"" + std::string(key) + "\"");
+  }
+  return found->get<double>();
+}
+
+const ProtocolJson& Require(const ProtocolJson& question, const char* key) {
+  const auto found = question.find(key);
+  if (found == question.end()) throw ProtocolError("expected \"" + std::string(key) + "\"");
+  return *found;
+}
+
+std::vector<double> Rows(const ProtocolJson& question, const char* key, int rows, std::size_t width) {
+  return NumbersFrom(Require(question, key), {static_cast<std::size_t>(rows), width}, "\"" + std::string(key) + "\"");
+}
+
+// Position and velocity of each disc, without what the model keeps of its rotation.
+std::vector<double> Plain(const std::vector<double>& state, int body_size) {
+  std::vector<double> plain;
+  for (std::size_t i = 0; i < state.size(); i += body_size) {
+    plain.insert(plain.end(), state.begin() + i, state.begin() + i + kNumbers);
+  }
+  return plain;
+}
+
+std::vector<double> StateAt(const Simulator& simulator, int k) {
+  std::vector<double> state(simulator.state_size());
+  simulator.GetState(k, state);
+  return Plain(state, simulator.body_size());
+}
+
+ProtocolJson Wrong(const std::string& why) { return {{"error", why}}; }
+
+}  // namespace
+
+Speaker::Speaker(const Contact& contact, Precision precision, const Offer& offer)
+    : contact_(contact),
+      precision_(precision),
+      offer_(offer),
+      grid_steps_(CHECK_NOTNULL(FindContactModel(contact))->grid_steps) {}
+
+std::string Speaker::AnswerTo(const std::string& line) {
+  const ProtocolJson request = ProtocolJson::parse(line, nullptr, /*allow_exceptions=*/false);
+  if (!request.is_object()) return Wrong("found " + Excerpt(line) + ", expected a JSON object").dump();
+  ProtocolJson answer = ProtocolJson::object();
+  if (request.contains("id")) answer["id"] = request["id"];
+  try {
+    if (request.contains("scene")) {
+      answer.update(Greet(request["scene"]));
+    } else if (!scene_) {
+      answer.update(Wrong("expected \"scene\" before anything else"));
+    } else if (request.contains("simulate")) {
+      answer.update(Simulate(request["simulate"], /*with_gradient=*/false));
+    } else if (offer_.gradient && request.contains("gradient")) {
+      answer.update(Simulate(request["gradient"], /*with_gradient=*/true));
+    } else if (offer_.step && request.contains("step")) {
+      answer.update(TakeStep(request["step"]));
+    } else {
+      answer.update(Wrong("found " + Excerpt(line) + ", expected \"simulate\" or what was offered"));
+    }
+  } catch (const ProtocolError& error) {
+    answer.update(Wrong(error.what()));
+  }
+  return answer.dump();
+}
+
+ProtocolJson Speaker::Greet(const ProtocolJson& scene) {
+  std::variant<Scene, SceneFileError> read = ParseScene(scene.dump(), "scene");
+  if (const auto* error = std::get_if<SceneFileError>(&read)) return Wrong(error->ToString());
+  scene_ = std::get<Scene>(std::move(read));
+  simulator_ = nullptr;
+  ProtocolJson greeting = {{"name", "saltus " + contact_.name()}, {"can", ProtocolJson::array()}};
+  if (offer_.gradient) greeting["can"].push_back("gradient");
+  if (offer_.step) greeting["can"].push_back("step");
+  if (offer_.states) greeting["can"].push_back("states");
+  if (grid_steps_ > 1) greeting["grid_steps"] = grid_steps_;
+  Scene asked = *scene_;
+  asked.steps = grid_steps_;  // each question has its own
+  if (const std::string why = WhyNotApplicable(contact_, asked); !why.empty()) greeting["not_applicable"] = why;
+  return greeting;
+}
+
+Simulator& Speaker::SimulatorOf(int steps, double duration) {
+  if (simulator_ != nullptr && simulated_ == std::pair(steps, duration)) return *simulator_;
+  Scene scene = *scene_;
+  scene.steps = steps;
+  scene.duration = duration;
+  if (const std::string why = WhyNotApplicable(contact_, scene); !why.empty()) throw ProtocolError(why);
+  simulator_ = MakeSimulator(contact_, scene, precision_);
+  simulated_ = {steps, duration};
+  return *simulator_;
+}
+
+std::vector<double> Speaker::OwnControl(const ProtocolJson& question, int steps) const {
+  const std::size_t width = 2 * scene_->num_controlled();
+  if (width == 0) return {};
+  const ProtocolJson& rows = Require(question, "control");
+  const bool one = rows.is_array() && rows.size() == 1;
+  const std::vector<double> given =
+      NumbersFrom(rows, {one ? std::size_t{1} : static_cast<std::size_t>(steps), width / 2, 2}, "\"control\"");
+  std::vector<double> own(steps / grid_steps_ * width, 0.0);
+  for (std::size_t i = 0; i < steps * width; ++i) {
+    own[i / width / grid_steps_ * width + i % width] += given[one ? i % width : i] / grid_steps_;
+  }
+  return own;
+}
+
+ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient) {
+  const double asked = Number(question, "steps");
+  if (asked != std::floor(asked) || asked > kMaxSteps) throw ProtocolError("expected a whole number of \"steps\"");
+  const int steps = static_cast<int>(asked);
+  Simulator& simulator = SimulatorOf(steps, Number(question, "duration"));
+  const std::vector<double> initial = Rows(question, "initial", simulator.num_bodies(), kNumbers);
+  const std::vector<double> control = OwnControl(question, steps);
+  if (!simulator.Rollout(initial, control)) throw ProtocolError(simulator.WhyFailed());
+  const int K = simulator.num_steps();
+  ProtocolJson answer = {{"final", RowsToJson(StateAt(simulator, K), kNumbers)}};
+  if (!with_gradient && offer_.states && question.value("states", true)) {
+    ProtocolJson states = ProtocolJson::array();
+    for (int k = 0; k <= K; ++k) states.push_back(RowsToJson(StateAt(simulator, k), kNumbers));
+    answer["states"] = std::move(states);
+  }
+  if (!with_gradient) return answer;
+
+  const std::vector<double> of_final = Rows(question, "of_final", simulator.num_bodies(), kNumbers);
+  std::vector<double> cotangent(simulator.state_size(), 0.0);
+  for (std::size_t i = 0; i < of_final.size(); ++i) {
+    cotangent[i / kNumbers * simulator.body_size() + i % kNumbers] = of_final[i];
+  }
+  Sensitivity gradient;
+  simulator.Adjoint(cotangent, /*with_parameters=*/false, &gradient);
+  std::vector<double> by_control;
+  const std::size_t width = 2 * scene_->num_controlled();
+  for (std::size_t i = 0; i < steps * width; ++i) {
+    by_control.push_back(gradient.control[i / width / grid_steps_ * width + i % width] / grid_steps_);
+  }
+  answer["initial"] = RowsToJson(gradient.initial, kNumbers);
+  answer["control"] = ControlRowsToJson(by_control, scene_->num_controlled());
+  return answer;
+}
+
+ProtocolJson Speaker::TakeStep(const ProtocolJson& question) {
+  const Simulator& simulator = SimulatorOf(grid_steps_, Number(question, "h"));
+  const std::vector<double> initial = Rows(question, "state", simulator.num_bodies(), kNumbers);
+  const std::vector<double> force = Rows(question, "force", simulator.num_bodies(), 2);
+  std::vector<double> state(simulator.state_size()), next(state.size());
+  simulator.ExpandInitial(initial, state);
+  simulator.Step(state, force, next);
+  for (const double value : next) {
+    if (!std::isfinite(value)) throw ProtocolError("the state after the step is not finite");
+  }
+  return {{"state", RowsToJson(Plain(next, simulator.body_size()), kNumbers)}};
+}
+
+}  // namespace saltus
