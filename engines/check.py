@@ -7,10 +7,7 @@ import argparse
 import csv
 import importlib.util
 import pathlib
-<<<<<<< HEAD
-=======
 import shutil
->>>>>>> engines
 import sys
 
 from client import DriverError, NotApplicable
@@ -33,11 +30,7 @@ def command_of(row, build):
     words = row["command"].split()
     package = row["package"].split()[1]
     if words[0] == "node":
-<<<<<<< HEAD
-        installed = (HERE / "node_modules" / package).is_dir()
-=======
         installed = shutil.which("node") and (HERE / "node_modules" / package).is_dir()
->>>>>>> engines
         return ["node", str(HERE / words[1]), *words[2:]] if installed else None
     if words[0] == "python3":
         installed = importlib.util.find_spec(PYTHON_MODULES[package])
@@ -94,11 +87,7 @@ def main():
     for row in rows:
         command = command_of(row, arguments.build)
         if command is None:
-<<<<<<< HEAD
-            print(f"{row['id']}: not there ({how_to_get(row)})")
-=======
             print(f"{row['id']}: not installed, or not built ({how_to_get(row)}; cmake -DSALTUS_BUILD_ENGINES=ON)")
->>>>>>> engines
             continue
         try:
             found = disagreements(row, command)

@@ -21,20 +21,11 @@ def exponent(value):
 
 def scan_panel(title, losses, known, curve, size=(240, 170)):
     exact = known["exact"]["scan"]
-<<<<<<< HEAD
-    centre, half = known["exact"]["loss"], 0.06
-    plot = Plot(*size, (-20, 20), (centre - half, centre + half), margins=(38, 8, 24, 22))
-    plot.axes([(x, f"{x:+d}" if x else "-2 m") for x in (-20, 0, 20)],
-              [(y, f"{y:.2f}") for y in (2.0, 2.05, 2.1)], title=html.escape(title))
-    at = [1000 * x for x in known["scan"]]  # mm
-    plot.line(list(zip(at, exact)), FAINT, 3)
-=======
     plot = Plot(*size, (-20, 20), (1.965, 2.125), margins=(36, 16, 24, 22))
     plot.axes([(x, f"{x:+d}" if x else "-2 m") for x in (-20, 0, 20)],
               [(y, f"{y:.2f}") for y in (2.0, 2.05, 2.1)], title=html.escape(title))
     at = [1000 * x for x in known["scan"]]  # mm
     plot.line(list(zip(at, exact)), "#9aa4af", 3.5)
->>>>>>> engines
     plot.line(list(zip(at, losses)), curve, 1.3)
     return plot.svg()
 
@@ -73,11 +64,7 @@ def error_plot(curves, x_range, x_ticks, x_label):
 def error_by_step(rows, known):
     curves = [(row["engine"], colour_of(known["engines"][row["id"]]),
                list(zip(known["steps"], gradient_errors(known["engines"][row["id"]], known["exact"])))) for row in rows]
-<<<<<<< HEAD
-    return error_plot(curves, (100, 4000), [(steps, str(steps)) for steps in known["steps"]], "steps")
-=======
     return error_plot(curves, (110, known["steps"][-1]), [(steps, str(steps)) for steps in known["steps"]], "steps")
->>>>>>> engines
 
 
 def error_by_width(rows, known):
@@ -87,31 +74,18 @@ def error_by_width(rows, known):
         points = [(float(width), relative_error(gradient, known["exact"]["gradient"]))
                   for width, gradient in by_width.items()]
         curves.append((row["engine"], colour_of(known["engines"][row["id"]]), sorted(points)))
-<<<<<<< HEAD
-    return error_plot(curves, (1e-7, 0.04), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
-=======
     return error_plot(curves, (1e-7, 0.03), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
->>>>>>> engines
                       "width of the differences, m or m/s")
 
 
 def class_diagram(rows, known):
-<<<<<<< HEAD
-    plot = Plot(900, 430, (-0.35, 0.05), (-2.2, 1.4), margins=(60, 20, 16, 40))
-=======
     plot = Plot(900, 430, (-0.35, 0.08), (-2.2, 1.4), margins=(60, 20, 16, 40))
->>>>>>> engines
     plot.axes([(x / 100, f"{x / 100:.2f}") for x in range(-35, 6, 5)],
               [(y, str(y)) for y in (-2, -1, 0, 1)], "feed", "keep")
     for value, words in ((1, "impulse at a step boundary"), (0, "projection"),
                          (-1, "impact time resolved, or a resolved force")):
-<<<<<<< HEAD
-        plot.text(plot.box[2] - 6, plot.at(0, value)[1] - 6, words, "end", 11, INK)
-    plot.text(plot.at(-0.2, 1.3)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
-=======
         plot.text(plot.at(-0.006, 0)[0], plot.at(0, value)[1] - 6, words, "end", 11, INK)
     plot.text(plot.at(-0.2, 0)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
->>>>>>> engines
     for row in rows:
         study = known["engines"][row["id"]]
         for steps, radius in (("240", 3), ("2400", 5.5)):
@@ -119,15 +93,12 @@ def class_diagram(rows, known):
             if isinstance(impact, dict):
                 title = f'{row["engine"]}, {steps} steps: keep {impact["keep"]:.3f}, feed {impact["feed"]:.3f}'
                 plot.mark(impact["feed"], impact["keep"], colour_of(study), radius, html.escape(title))
-<<<<<<< HEAD
-=======
         fine = study["impact"]["2400"]
         if isinstance(fine, dict) and min(abs(fine["keep"] - named) for named in (1, 0, -1)) > 0.08:
             x, y = plot.at(fine["feed"], fine["keep"])
             side = -1 if fine["feed"] < -0.21 else 1
             plot.text(x + 8 * side, y + 4, html.escape(row["engine"]), "end" if side < 0 else "start", 9.5,
                       colour_of(study))
->>>>>>> engines
     return plot.svg()
 
 

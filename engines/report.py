@@ -33,10 +33,7 @@ th { background: var(--raised); }
 .bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
 .warning { background: var(--warning-paper); color: var(--warning); }
 .faint { color: var(--faint); }
-<<<<<<< HEAD
-=======
 td:nth-child(9) { min-width: 11rem; }
->>>>>>> engines
 .panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(14rem, 1fr)); gap: .5rem; }
 .panels svg, figure svg { width: 100%; height: auto; }
 figure { margin: 1rem 0; max-width: 60rem; }
@@ -54,15 +51,9 @@ def row_of(row, study, exact):
     name += (", float32" if row["precision"] == "float32" else "") + "</span></td>"
     get = f'<code>{html.escape(how_to_get(row))}</code>'
     if study is None:
-<<<<<<< HEAD
-        return f'<tr>{name}<td colspan="10" class="faint">not installed: {get}</td></tr>'
-    if "failed" in study:
-        return f'<tr>{name}<td colspan="10" class="warning">{html.escape(study["failed"])}</td></tr>'
-=======
         return f'<tr>{name}<td colspan="12" class="faint">not measured; to be had by {get}</td></tr>'
     if "failed" in study:
         return f'<tr>{name}<td colspan="12" class="warning">{html.escape(study["failed"])}</td></tr>'
->>>>>>> engines
     verdict = of_gradient(study, exact, row["precision"] == "float32")
     motion = of_motion(study, exact)
     loss, gradient = study["by_step"]["480"]
@@ -76,13 +67,8 @@ def row_of(row, study, exact):
              f'<td class="{SHADES[verdict]}">{verdict}</td>',
              f"<td>{of_contact(study)}</td>"]
     both = [study["impact"]["240"], study["impact"]["2400"]]
-<<<<<<< HEAD
-    cells.append("<td>" + "<br>".join("; ".join(f"{key} {value:.3f}" for key, value in impact.items())
-                                      if isinstance(impact, dict) else html.escape(impact) for impact in both) + "</td>")
-=======
     cells += ['<td class="number">' + "<br>".join(f"{impact[key]:.3f}" if isinstance(impact, dict) else "?"
                                                   for impact in both) + "</td>" for key in ("e", "keep", "feed")]
->>>>>>> engines
     oblique = study["oblique"]
     cells.append(f'<td class="faint">{html.escape(oblique)}</td>' if isinstance(oblique, str) else
                  f'<td class="number">{oblique[0]:.2f}, {oblique[1]:.2f}</td>')
@@ -91,15 +77,9 @@ def row_of(row, study, exact):
 
 def table(rows, studies, exact, known_steps):
     heads = ["engine", "loss", "motion", "gradient", "error", f"error, {known_steps} steps", "error, width 0.01", "verdict",
-<<<<<<< HEAD
-             "class", "head-on impact, 240 and 2400 steps", "rebound 1.5, along 3.1"]
-    first = (f'<tr><td>exact</td><td class="number">{exact["loss"]:.4f}</td><td></td><td class="number">'
-             + "<br>".join(f"{x:.4f}" for x in exact["gradient"]) + '</td><td colspan="7"></td></tr>')
-=======
              "class", "e", "keep", "feed", "oblique impact"]
     first = (f'<tr><td>exact</td><td class="number">{exact["loss"]:.4f}</td><td></td><td class="number">'
              + "<br>".join(f"{x:.4f}" for x in exact["gradient"]) + '</td><td colspan="9"></td></tr>')
->>>>>>> engines
     return (f'<div class="scroll"><table><thead><tr>{"".join(f"<th>{head}</th>" for head in heads)}</tr></thead><tbody>'
             + first + "".join(row_of(row, studies.get(row["id"]), exact) for row in rows) + "</tbody></table></div>")
 
@@ -123,18 +103,6 @@ def page(known, rows):
 <title>Simulators, audited</title><style>{STYLE}</style></head><body><main>
 <h1>Simulators, audited</h1>
 <p>Task 3: one ball is pushed so that it strikes another towards the origin, without friction or loss; 480 steps. Each
-<<<<<<< HEAD
-engine runs as a black box: nothing is known of it but where the balls end. Sleep and damping are off, restitution is 1, all
-else is as shipped.</p>
-{summary(measured, studies, exact)}
-<h2>Verdicts</h2>
-<p>Gradient: of the loss by the start of both balls along x (striker, target) and their velocities along x, by central
-differences of width 1e-6, or 1e-4 where the engine computes in float32, whose noise hides smaller ones. Errors are those
-of the gradient, relative to the exact one. Verdict: by the errors at {", ".join(map(str, known["steps"]))} steps.
-Class: from a head-on impact at 3 m/s, seen from outside: <code>e</code> is the rebound, <code>keep</code> what is left of a
-displacement just after the impact (exact: -1), <code>feed</code> the share of the depth that a step gives back as velocity.
-Last column: a disc strikes a tilted plane at 3 m/s, with restitution 0.5 and friction 0.2; exact are 1.5 and 3.1 m/s.</p>
-=======
 engine runs as a black box: nothing is known of it but where the balls end. Sleep and damping are off, restitution is 1,
 all else is as shipped.</p>
 {summary(measured, studies, exact)}
@@ -146,7 +114,6 @@ Class: from a head-on impact at 3 m/s, seen from outside, at 240 and 2400 steps:
 <code>keep</code> what is left of a displacement just after the impact (exact: -1), <code>feed</code> the share of the depth
 that a step gives back as velocity. Last column: a disc strikes a tilted plane at 3 m/s, with restitution 0.5 and friction
 0.2; it should rebound at 1.5 m/s and go on along the plane at 3.1 m/s.</p>
->>>>>>> engines
 {table(rows, studies, exact, known["steps"][-1])}
 <h2>The loss, from one start to the next</h2>
 <p>Loss against the start of the striker, -2 +- 0.02 m; grey is exact. The gradient is the slope: where a curve is a

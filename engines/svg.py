@@ -56,11 +56,7 @@ class Plot:
         if y_label:
             self.parts.append(f'<text transform="translate(12 {number((top + bottom) / 2)}) rotate(-90)" '
                               f'text-anchor="middle" font-size="11" fill="{FAINT}">{y_label}</text>')
-<<<<<<< HEAD
-        self.text(left, top - 8, title, "start", 12, INK, 600)
-=======
         self.text(4, top - 9, title, "start", 12, INK, 600)
->>>>>>> engines
 
     def line(self, points, colour=INK, width=1.5, dash="", title=""):
         placed = " ".join(f"{number(x)},{number(y)}" for x, y in (self.at(*point) for point in points))

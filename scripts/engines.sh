@@ -1,10 +1,6 @@
 #!/usr/bin/env bash
 # usage: scripts/engines.sh [output folder] [--no-install] [id of data/engines.csv...]
-<<<<<<< HEAD
-# Audits simulators that others wrote: installs what is missing (Debian packages, and npm's where node is there), builds
-=======
 # Audits simulators that others wrote: installs what is missing (Debian's packages and npm's, 0.5 GB in all), builds
->>>>>>> engines
 # the drivers, compares each with data/engines.csv and writes engines.html. The folder is report/ unless given. An engine
 # that cannot be had is a row that says how to get it.
 set -euo pipefail
@@ -28,18 +24,6 @@ mkdir -p "$output"
 if ((install)); then
   scripts/install_packages.sh python3
   # Each by itself: that one is not to be had is no reason to do without the others.
-<<<<<<< HEAD
-  mapfile -t packages < <(cut -d, -f1-4 data/engines.csv | grep -oE '\bapt [a-z0-9-]+' | cut -d' ' -f2 | sort -u)
-  for package in "${packages[@]}"; do
-    scripts/install_packages.sh "$package" || echo "engines: going on without $package" >&2
-  done
-  if command -v npm >/dev/null; then
-    npm install --prefix engines --no-audit --no-fund --no-package-lock --ignore-scripts ||
-      echo "engines: going on without npm's" >&2
-  else
-    echo "engines: no npm, going on without its engines" >&2
-  fi
-=======
   mapfile -t packages < <(grep -oE ',apt [a-z0-9-]+' data/engines.csv | cut -d' ' -f2 | sort -u)
   for package in "${packages[@]}"; do
     scripts/install_packages.sh "$package" || echo "engines: going on without $package" >&2
@@ -47,7 +31,6 @@ if ((install)); then
   command -v npm >/dev/null || scripts/install_packages.sh nodejs npm || true
   npm install --prefix engines --no-audit --no-fund --no-package-lock --ignore-scripts ||
     echo "engines: going on without npm's" >&2
->>>>>>> engines
 fi
 cmake -S engines -B build/engines -G Ninja -DCMAKE_BUILD_TYPE=Release
 cmake --build build/engines -j "$(nproc)" -- -k 0 || echo "engines: going on without those that do not build" >&2

@@ -7,14 +7,11 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 jobs=$(nproc)
 # With three simulators of others, to audit: 0.9 MB of packages.
 scripts/install_packages.sh libbox2d-dev libchipmunk-dev libode-dev python3
-<<<<<<< HEAD
-=======
 # And one of npm's, where there is npm: 10 MB.
 if command -v npm >/dev/null && [[ ! -d engines/node_modules/planck ]]; then
   npm install --prefix engines --omit=optional --no-audit --no-fund --no-package-lock --ignore-scripts ||
     echo "test: going on without planck" >&2
 fi
->>>>>>> engines
 cmake --preset ci
 cmake --build --preset ci -j "$jobs"
 ctest --preset ci --output-on-failure --no-tests=error -j "$jobs"

@@ -57,7 +57,9 @@ class Scene(_saltus.Scene):
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of the scene file, defaults written out. ``Scene(scene.to_dict()) == scene``."""
-        return self._to_dict()
+        if not hasattr(self, "_json"):
+            self._json = json.dumps(self._to_dict())
+        return json.loads(self._json)
 
     def to_yaml(self) -> str:
         """The text of a scene file."""

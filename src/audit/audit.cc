@@ -148,6 +148,9 @@ std::string CauseOf(const ModelAudit& audit) {
   if (audit.attribution && !audit.attribution->sequence.empty()) return audit.attribution->sequence;
   if (audit.attribution && !audit.attribution->ok()) return audit.attribution->reason;
   if (audit.attribution) return "no single contact is wrong";
+  if (audit.black_box && recognition && recognition->contact_class != ContactClass::kUnclear) {
+    return recognition->words + (audit.widths ? "; " + audit.widths->Summary() : "");
+  }
   if (audit.widths) return audit.widths->Summary();
   if (!audit.refinement) return "";
   return audit.refinement->ok() ? "the error falls, but not yet below one percent" : audit.refinement->reason;
@@ -218,7 +221,9 @@ std::string ModelAudit::Why() const {
   if (verdict == Verdict::kNotApplicable) return not_comparable;
   if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
   const std::string cause = CauseOf(*this);
-  if (!own || own->agreement != Agreement::kDiffers || IsNotMeantAsDerivative(gradient.contact)) return cause;
+  if (!own || own->agreement != Agreement::kDiffers || (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
+    return cause;
+  }
   return (cause.empty() ? "" : cause + "; ") + "agrees with no differences of its own loss";
 }
 

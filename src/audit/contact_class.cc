@@ -54,16 +54,12 @@ double MedianOf(const std::vector<T>& all, int first, size_t count, const Value&
 // p of value ~ h^p, by least squares over the last `count`.
 template <typename T, typename Value>
 double OrderOf(const std::vector<T>& all, size_t count, const Value& value) {
-  double n = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
+  std::vector<double> lengths, values;
   for (size_t i = all.size() - std::min(all.size(), count); i < all.size(); ++i) {
-    const double x = std::log(all[i].h), y = std::log(std::max(value(all[i]), 1e-300));
-    n += 1;
-    sx += x;
-    sy += y;
-    sxx += x * x;
-    sxy += x * y;
+    lengths.push_back(all[i].h);
+    values.push_back(std::max(value(all[i]), 1e-300));
   }
-  return (n * sxy - sx * sy) / (n * sxx - sx * sx);
+  return PowerOf(lengths, values);
 }
 
 std::string Format(const char* format, double a, double b = 0, double c = 0) {
@@ -74,13 +70,14 @@ std::string Format(const char* format, double a, double b = 0, double c = 0) {
 
 class Recogniser {
  public:
-  Recogniser(const Contact& contact, const Scene& scene, const StopRequest& stop)
-      : contact_(contact), scene_(scene), stop_(stop) {}
+  Recogniser(const ContactBench& bench, double h, std::vector<double> before, double restitution)
+      : bench_(bench), h_(h), before_(std::move(before)) {
+    out_.restitution = restitution;
+  }
 
   ContactRecognition Run();
 
  private:
-  ContactRunner RunnerAt(int i) const { return {contact_, scene_, *encounter_, LengthOf(i), stop_}; }
   double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
   bool RunContacts();
   double FinestConcentration() const {
@@ -94,21 +91,19 @@ class Recogniser {
     out_.words = std::move(words);
   }
 
-  Contact contact_;
-  const Scene& scene_;
-  const StopRequest& stop_;
-  double h_ = 0;
-  std::optional<Encounter> encounter_;
+  const ContactBench& bench_;
+  double h_;
+  std::vector<double> before_;
   std::vector<Length> lengths_;  // from the model's own on
   ContactRecognition out_;
 };
 
 // Until it is clear whether the contact is an impulse. False if it did not happen at some length.
 bool Recogniser::RunContacts() {
-  std::vector<double> from = encounter_->before;
+  std::vector<double> from = before_;
   int steps = 0;
   for (int i = 0; i <= kMostHalvings * kPerHalving && steps < kMostSteps; ++i) {
-    const ContactRun run = RunnerAt(i).Run(from, /*onset_only=*/false);
+    const ContactRun run = bench_.Run(LengthOf(i), from, /*onset_only=*/false);
     if (!run.begins) return false;
     lengths_.push_back({LengthOf(i), run});
     from = run.before;
@@ -135,7 +130,7 @@ void Recogniser::JudgeForce() {
   const double halvings = std::log2(kOnsetSteps / std::max(1, onsets.back().run.touched));
   const int last = static_cast<int>(onsets.size() + kPerHalving * std::max(2.0, halvings));
   for (int i = static_cast<int>(onsets.size()); i <= last; ++i) {
-    const ContactRun run = RunnerAt(i).Run(onsets.back().run.before, /*onset_only=*/true);
+    const ContactRun run = bench_.Run(LengthOf(i), onsets.back().run.before, /*onset_only=*/true);
     if (!run.begins) break;
     onsets.push_back({LengthOf(i), run});
   }
@@ -157,7 +152,7 @@ void Recogniser::JudgeImpulse() {
   };
   std::vector<Entry> entries;
   for (size_t i = lengths_.size() - std::min(lengths_.size(), kFinest); i < lengths_.size(); ++i) {
-    const NormalMap map = RunnerAt(static_cast<int>(i)).Linearize(lengths_[i].run.before_largest);
+    const NormalMap map = bench_.Linearize(lengths_[i].h, lengths_[i].run.before_largest);
     entries.push_back({lengths_[i].h, map.position_from_position, lengths_[i].h * map.velocity_from_position});
   }
   double position = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.position; });
@@ -189,16 +184,6 @@ void Recogniser::JudgeImpulse() {
 }
 
 ContactRecognition Recogniser::Run() {
-  out_.restitution = scene_.contact.restitution;
-  encounter_ = FindEncounter(contact_, scene_, stop_);
-  if (!encounter_) {
-    out_.words = "no two bodies meet by themselves";
-    return out_;
-  }
-  out_.step = encounter_->step;
-  out_.a = scene_.bodies[encounter_->pair.a].name;
-  out_.b = encounter_->pair.plane ? WallNamesOf(scene_)[encounter_->pair.b] : scene_.bodies[encounter_->pair.b].name;
-  h_ = scene_.duration / (scene_.steps / CHECK_NOTNULL(FindContactModel(contact_))->grid_steps);
   if (!RunContacts()) {
     out_.words = "the contact does not happen at every length of step";
     return out_;
@@ -223,7 +208,32 @@ ContactRecognition Recogniser::Run() {
   return out_;
 }
 
+// The contact of a model's own rollout.
+class ModelBench final : public ContactBench {
+ public:
+  ModelBench(const Contact& contact, const Scene& scene, const Encounter& encounter, const StopRequest& stop)
+      : contact_(contact), scene_(scene), encounter_(encounter), stop_(stop) {}
+
+  ContactRun Run(double h, std::span<const double> from, bool onset_only) const override {
+    return ContactRunner(contact_, scene_, encounter_, h, stop_).Run(from, onset_only);
+  }
+  NormalMap Linearize(double h, std::span<const double> before_largest) const override {
+    return ContactRunner(contact_, scene_, encounter_, h, stop_).Linearize(before_largest);
+  }
+
+ private:
+  Contact contact_;
+  const Scene& scene_;
+  const Encounter& encounter_;
+  const StopRequest& stop_;
+};
+
 }  // namespace
+
+ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
+                                    double restitution) {
+  return Recogniser(bench, h, std::move(before), restitution).Run();
+}
 
 const char* ContactClassToString(ContactClass contact_class) {
   switch (contact_class) {
@@ -281,7 +291,20 @@ ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, 
   refused.words = WhyNotApplicable(contact, scene);
   if (!refused.words.empty()) return refused;
   const Scene natural = InNaturalUnits(scene);
-  return Recogniser(contact, natural, stop).Run();
+  const std::optional<Encounter> encounter = FindEncounter(contact, natural, stop);
+  if (!encounter) {
+    refused.restitution = natural.contact.restitution;
+    refused.words = "no two bodies meet by themselves";
+    return refused;
+  }
+  const double h = natural.duration / (natural.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps);
+  ContactRecognition found = RecogniseOnBench(
+      ModelBench(contact, natural, *encounter, stop), h, encounter->before, natural.contact.restitution);
+  const Candidate& pair = encounter->pair;
+  found.step = encounter->step;
+  found.a = natural.bodies[pair.a].name;
+  found.b = pair.plane ? WallNamesOf(natural)[pair.b] : natural.bodies[pair.b].name;
+  return found;
 }
 
 }  // namespace saltus

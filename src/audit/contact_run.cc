@@ -28,7 +28,7 @@ constexpr int kRestAtLeast = 4, kRestTimes = 4;
 constexpr int kMostSteps = 4096;
 // Steps of the closing speed within which nothing else may be: with several contacts at once, none shows its law.
 constexpr double kApart = 16;
-constexpr int kLead = 2;  // steps before a contact from which it is run again
+constexpr int kLead = RunRecorder::kLead;
 // A closing speed that acceleration makes in this many steps is that of a contact at rest.
 constexpr double kRestingSteps = 4;
 
@@ -179,47 +179,55 @@ ContactRunner::ContactRunner(const Contact& contact, const Scene& scene, const E
   simulator_->set_stop(stop);
 }
 
+void RunRecorder::Add(double change, double speed, bool touched, std::span<const double> before) {
+  ++run_.steps;
+  if (touched && std::abs(change) > kRounding) {
+    ++run_.touched;
+    if (run_.touched == 2) run_.first_full = std::abs(change);
+    if (!run_.begins) run_.before.assign(before.begin(), before.end());
+    run_.begins = true;
+    sum_ += std::abs(change);
+    if (std::abs(change) > largest_) {
+      largest_ = std::abs(change);
+      run_.before_largest.assign(before.begin(), before.end());
+    }
+  }
+  if (std::abs(change) > kFelt || felt_ > 0) ++felt_;
+  at_rest_ = std::abs(speed) < kAtRest ? at_rest_ + 1 : 0;
+  const bool parts = run_.begins && speed > 0 && std::abs(change) < kOver * largest_;
+  const bool rests = felt_ > 0 && at_rest_ >= kRestAtLeast + kRestTimes * (felt_ - at_rest_);
+  run_.ends = parts || rests || (onset_only_ && run_.touched >= 2);
+  if (run_.ends) run_.rebound = parts ? speed : 0.0;
+}
+
+const ContactRun& RunRecorder::Finish() {
+  run_.concentration = sum_ > 0 ? largest_ / sum_ : 0.0;
+  return run_;
+}
+
 ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) const {
-  ContactRun run;
+  RunRecorder recorder(onset_only);
   std::deque<std::vector<double>> past;  // at most kLead + 1 states, the last one current
   past.emplace_back(from.begin(), from.end());
   std::vector<double> next(from.size());
   std::vector<Touch> touches;
-  double closing = 0, largest = 0, sum = 0;
-  int felt = 0, at_rest = 0;
-  for (; run.steps < kMostSteps && !run.ends; ++run.steps) {
+  double closing = 0;
+  for (int step = 0; step < kMostSteps && !recorder.ended(); ++step) {
     if (simulator_->stopped()) return {};
     const std::vector<double>& x = past.back();
     touches.clear();
     simulator_->Step(x, encounter_.force, next, &touches);
-    if (!run.begins) closing = -motion_.Speed(x);
+    if (!recorder.begun()) closing = -motion_.Speed(x);
     const double change = motion_.Change(x, next) / closing;
     const double speed = motion_.Speed(next) / closing;
     if (!std::isfinite(change) || !(closing > 0)) return {};
     const bool touched = std::any_of(
         touches.begin(), touches.end(), [&](const Touch& touch) { return touch.candidate == encounter_.pair; });
-    if (touched && std::abs(change) > kRounding) {
-      ++run.touched;
-      if (run.touched == 2) run.first_full = std::abs(change);
-      if (!run.begins) run.before = past.front();
-      run.begins = true;
-      sum += std::abs(change);
-      if (std::abs(change) > largest) {
-        largest = std::abs(change);
-        run.before_largest = past.front();
-      }
-    }
-    if (std::abs(change) > kFelt || felt > 0) ++felt;
-    at_rest = std::abs(speed) < kAtRest ? at_rest + 1 : 0;
-    const bool parts = run.begins && speed > 0 && std::abs(change) < kOver * largest;
-    const bool rests = felt > 0 && at_rest >= kRestAtLeast + kRestTimes * (felt - at_rest);
-    run.ends = parts || rests || (onset_only && run.touched >= 2);
-    if (run.ends) run.rebound = parts ? speed : 0.0;
+    recorder.Add(change, speed, touched, past.front());
     past.push_back(next);
     if (past.size() > kLead + 1) past.pop_front();
   }
-  run.concentration = sum > 0 ? largest / sum : 0.0;
-  return run;
+  return recorder.Finish();
 }
 
 NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const {

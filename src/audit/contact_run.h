@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "saltus/audit/contact_class.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -65,6 +66,41 @@ struct ContactRun {
 struct NormalMap {
   double position_from_position = 0, velocity_from_position = 0;  // 1, 1/s
 };
+
+// Puts the steps of a contact together. All speeds and changes are relative to the closing speed.
+class RunRecorder {
+ public:
+  explicit RunRecorder(bool onset_only) : onset_only_(onset_only) {}
+  // A step that changed the speed of separation to `speed`. `touched`: whether the pair may be in contact. `before` is
+  // the state kLead steps before it.
+  void Add(double change, double speed, bool touched, std::span<const double> before);
+  bool ended() const { return run_.ends; }
+  bool begun() const { return run_.begins; }
+  const ContactRun& Finish();
+
+  static constexpr int kLead = 2;  // steps before a contact from which it is run again
+
+ private:
+  bool onset_only_;
+  ContactRun run_;
+  double largest_ = 0, sum_ = 0;
+  int felt_ = 0, at_rest_ = 0;
+};
+
+// One contact, to be run at any length of step.
+class ContactBench {
+ public:
+  virtual ~ContactBench() = default;
+  // From a state before the contact until it is over; if `onset_only`, just its first two steps. What a state is, only
+  // the bench knows.
+  virtual ContactRun Run(double h, std::span<const double> from, bool onset_only) const = 0;
+  // Over the step that follows `before_largest` by two, with free flight undone.
+  virtual NormalMap Linearize(double h, std::span<const double> before_largest) const = 0;
+};
+
+// How a contact is made, from runs with steps of length `h` and finer ones, the first of them from the state `before`.
+ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
+                                    double restitution);
 
 // Steps of length `h` of a model, around one encounter.
 class ContactRunner {

@@ -15,14 +15,13 @@
 namespace saltus {
 namespace {
 
-// Errors below this are rounding: they need not fall.
-constexpr double kRounding = 1e-9;
 // Entries smaller than this, relative to the largest of their quantity, may have any sign.
 constexpr double kNegligible = 1e-3;
 
-std::vector<Quantity> QuantitiesOf(const Scene& scene) {
+std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   std::vector<Quantity> quantities = {Quantity::kPosition, Quantity::kVelocity};
   if (scene.num_controlled() > 0) quantities.push_back(Quantity::kControl);
+  if (!parameters) return quantities;
   quantities.push_back(Quantity::kRestitution);
   // At zero the loss has only a right derivative with respect to friction.
   if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
@@ -70,25 +69,21 @@ std::vector<std::string> OneSidedNames(const Scene& scene, const ModelGradient& 
   return names;
 }
 
-// The control is compared over at most eight parts of the horizon, each of several steps.
-int NumIntervals(const Scene& scene) {
+// The control is compared over a few parts of the horizon, each of several steps.
+int NumIntervals(const Scene& scene, int most) {
   int intervals = 1;
-  while (intervals < 8 && scene.steps >= 32 * intervals) intervals *= 2;
+  while (2 * intervals <= most && scene.steps >= 32 * intervals) intervals *= 2;
   return intervals;
 }
 
 // -d log(error) / d log(steps) over the levels from `first` on, by least squares.
-double FitOrder(const std::vector<RefinementLevel>& levels, size_t first) {
-  double sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
-  const double n = static_cast<double>(levels.size() - first);
+double FitOrder(const std::vector<RefinementLevel>& levels, size_t first, double rounding) {
+  std::vector<double> steps, errors;
   for (size_t i = first; i < levels.size(); ++i) {
-    const double x = std::log(levels[i].steps), y = std::log(std::max(levels[i].error, kRounding));
-    sum_x += x;
-    sum_y += y;
-    sum_xx += x * x;
-    sum_xy += x * y;
+    steps.push_back(levels[i].steps);
+    errors.push_back(std::max(levels[i].error, rounding));
   }
-  return -(n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x);
+  return -PowerOf(steps, errors);
 }
 
 // Entries that contradict the exact ones in sign; neither side may be negligible.
@@ -118,10 +113,11 @@ void Judge(const RefinementOptions& options, QuantityStudy* study) {
   const std::vector<RefinementLevel>& levels = study->levels;
   double largest = 0;
   for (const RefinementLevel& level : levels) largest = std::max(largest, level.largest);
-  study->order = largest > kRounding ? FitOrder(levels, levels.size() - kTail) : 0;
+  const auto order_from = [&](size_t first) { return FitOrder(levels, first, options.rounding); };
+  study->order = largest > options.rounding ? order_from(levels.size() - kTail) : 0;
   if (largest <= options.tolerance) {
     study->verdict = Verdict::kRight;
-  } else if (std::min(study->order, FitOrder(levels, 0)) >= options.smallest_order) {
+  } else if (std::min(study->order, order_from(0)) >= options.smallest_order) {
     study->verdict = Verdict::kConsistent;
   } else {
     study->verdict = study->wrong_signs.empty() ? Verdict::kWrong : Verdict::kWrongSign;
@@ -197,7 +193,7 @@ class Study {
   Study(const Contact& contact, const Scene& scene, const RefinementOptions& options, const StopRequest& stop,
         RefinementStudy* out)
       : contact_(contact), scene_(scene), options_(options), stop_(stop), out_(*out) {
-    out_.intervals = NumIntervals(scene);
+    out_.intervals = NumIntervals(scene, options.most_intervals);
     unit_ = out_.intervals * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
     Scene coarse = scene;
     coarse.steps = out_.intervals;
@@ -211,7 +207,7 @@ class Study {
       out_.verdict = Verdict::kAmbiguous;
       return;
     }
-    for (Quantity quantity : QuantitiesOf(scene)) {
+    for (Quantity quantity : QuantitiesOf(scene, options.parameters)) {
       QuantityStudy& added = out_.quantities.emplace_back();
       added.quantity = quantity;
       added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
+#include <span>
 #include <vector>
 
 namespace saltus {
@@ -11,6 +13,20 @@ inline double Median(std::vector<double> values) {
   const auto middle = values.begin() + values.size() / 2;
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// p of y ~ x^p, by least squares of the logarithms.
+inline double PowerOf(std::span<const double> x, std::span<const double> y) {
+  double sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
+  const double n = static_cast<double>(x.size());
+  for (size_t i = 0; i < x.size(); ++i) {
+    const double log_x = std::log(x[i]), log_y = std::log(y[i]);
+    sum_x += log_x;
+    sum_y += log_y;
+    sum_xx += log_x * log_x;
+    sum_xy += log_x * log_y;
+  }
+  return (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x);
 }
 
 }  // namespace saltus

@@ -135,7 +135,7 @@ std::string HelloLine(const Scene& scene) {
   return hello.dump();
 }
 
-std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id) {
+std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id, const BlackBoxTraits& traits) {
   std::string text = "{\"id\": " + std::to_string(id) + ", \"" + KindName(question.kind) + "\": {";
   if (question.kind == Question::Kind::kStep) {
     text += "\"h\": ";
@@ -155,6 +155,8 @@ std::string QuestionLine(const Scene& scene, const Question& question, std::int6
   if (question.kind == Question::Kind::kGradient) {
     text += ", \"of_final\": ";
     AppendRows(question.of_final, 4, &text);
+  } else if (traits.states) {
+    text += question.states ? ", \"states\": true" : ", \"states\": false";
   }
   return text + "}}";
 }
@@ -216,7 +218,7 @@ Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& q
   if (question.kind == Question::Kind::kGradient) {
     answer.initial = Member(json, "initial", {discs, 4});
     if (pushed > 0) answer.control = Member(json, "control", {steps, pushed, 2});
-  } else if (traits.states) {
+  } else if (traits.states && question.states) {
     answer.states = Member(json, "states", {steps / traits.grid_steps + 1, discs, 4});
   }
   return answer;

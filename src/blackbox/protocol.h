@@ -4,7 +4,8 @@
 //   <- {"name": "mine 1.0", "can": ["gradient"]}      optional: "gradient", "step", "states"; "not_applicable": "why";
 //                                                     "grid_steps": n, if numbers of steps must be multiples of it
 //   -> {"id": 1, "simulate": {"steps": 480, "duration": 1, "initial": [[px,py,vx,vy],...], "control": [[[fx,fy],...]]}}
-//   <- {"id": 1, "final": [[px,py,vx,vy],...]}        with "states": also the states after 0, 1, ... of its own steps
+//   <- {"id": 1, "final": [[px,py,vx,vy],...]}        if it gives states, and "states": true is among what is asked:
+//                                                     also "states", those after 0, 1, ... of its own steps
 //   -> {"id": 2, "gradient": {the same, "of_final": [[...],...]}}
 //   <- {"id": 2, "final": ..., "initial": [[...],...], "control": [[[...],...],...]}
 //   -> {"id": 3, "step": {"h": 0.002, "state": [[...],...], "force": [[fx,fy],...]}}       a force for each disc
@@ -32,7 +33,9 @@ struct ProtocolError : std::runtime_error {
 
 // Lines, without their ends.
 std::string HelloLine(const Scene& scene);
-std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id);
+// `traits`: of who is asked.
+std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id,
+                         const BlackBoxTraits& traits = {});
 
 // Throw ProtocolError.
 BlackBoxTraits ReadHello(const std::string& line);

@@ -131,7 +131,7 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   if (!simulator.Rollout(initial, control)) throw ProtocolError(simulator.WhyFailed());
   const int K = simulator.num_steps();
   ProtocolJson answer = {{"final", RowsToJson(StateAt(simulator, K), kNumbers)}};
-  if (!with_gradient && offer_.states) {
+  if (!with_gradient && offer_.states && question.value("states", true)) {
     ProtocolJson states = ProtocolJson::array();
     for (int k = 0; k <= K; ++k) states.push_back(RowsToJson(StateAt(simulator, k), kNumbers));
     answer["states"] = std::move(states);

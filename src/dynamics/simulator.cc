@@ -110,7 +110,8 @@ std::string Simulator::WhyFailed() const {
       failure.body = static_cast<int>(wrong - x.begin()) / body_size();
     }
   }
-  std::string why = "step " + std::to_string(failure.step) + " of " + std::string(traits().name) + ": ";
+  const std::string where = failure.step < 0 ? "" : "step " + std::to_string(failure.step) + " of ";
+  std::string why = where + std::string(traits().name) + ": ";
   why += failure.what;
   if (failure.body >= 0) why += " (" + scene_.bodies[failure.body].name + ")";
   return why;

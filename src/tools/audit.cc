@@ -88,9 +88,32 @@ std::string WhyNotJudged(const OneSided& entry) {
   return "the exact one does not exist";
 }
 
+// One after the other, each with copies on all threads.
+void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>& simulators,
+                     const AuditOptions& options, Progress* progress, AuditReport* report) {
+  std::vector<std::string> names;
+  for (const SimulatorCommand& simulator : simulators) names.push_back(simulator.name);
+  const auto audits = ComputeAll<ModelAudit>(
+      names,
+      1,
+      progress,
+      [request, simulators, reference = report->reference, options](int i, const SayNote&, const auto&) {
+        return AuditBlackBox(OpenSimulator(simulators[i], request.threads), request.scene, reference, options);
+      });
+  for (std::size_t i = 0; i < audits.results.size(); ++i) {
+    if (!audits.started[i]) continue;
+    report->models.push_back(audits.results[i].value_or(WithoutGradient(names[i], kStopped)));
+  }
+}
+
+// What is said of black boxes below the tables.
+std::vector<std::string> RemarksOn(const ModelAudit& audit) {
+  return audit.black_box ? audit.black_box->remarks : std::vector<std::string>{};
+}
+
 }  // namespace
 
-AuditReport RunAudit(const Request& request, bool needs_reference) {
+AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
   AuditOptions options;
   options.width_sweep = FLAGS_width_sweep;
   options.surrogate = request.options.surrogate;
@@ -99,7 +122,8 @@ AuditReport RunAudit(const Request& request, bool needs_reference) {
   }
   if (request.contacts.size() == 1) options.threads = request.threads;
   options.stop = AskedToStop;
-  Progress progress(request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size());
+  Progress progress(
+      request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size() + simulators.size());
   AuditReport report;
   report.reference = FindReference(request, &progress);
   if (needs_reference && !report.reference && !InterruptGuard::Interrupted()) {
@@ -120,6 +144,7 @@ AuditReport RunAudit(const Request& request, bool needs_reference) {
     if (!audits.started[i]) continue;
     report.models.push_back(audits.results[i].value_or(WithoutGradient(request.contacts[i], kStopped)));
   }
+  AuditSimulators(request, simulators, options, &progress, &report);
   return report;
 }
 
@@ -129,6 +154,14 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   const auto print = [&](const std::string& caption, const Table& table) {
     std::cout << Paragraph(name + ": " + caption, layout.width) << "\n" << table.ToText(layout) << "\n";
   };
+  for (const ModelAudit& audit : report.models) {
+    const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) && audit.own &&
+                          audit.own->agreement == Agreement::kAgrees;
+    if (!deceives) continue;
+    std::cout << Paragraph("The gradient of " + audit.gradient.contact + " AGREES WITH DIFFERENCES, AND IS WRONG.",
+                           layout.width)
+              << "\n";
+  }
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
   Table gradients = GradientTable(request, report);
   // A row an entry, whose exact value is beside it wherever it goes on.
@@ -139,6 +172,8 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   print("verdicts", VerdictTable(report));
   const Table plateaus = PlateauTable(report);
   if (!plateaus.rows().empty()) print("differences of the loss", plateaus);
+  const Table boxes = BlackBoxTable(report);
+  if (!boxes.rows().empty()) print("black boxes, from a head-on impact", boxes);
   std::string remarks;
   const auto remark = [&](const std::string& of, const std::string& text) {
     remarks += Paragraph(of + ": " + text, layout.width);
@@ -150,6 +185,7 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   }
   for (const ModelAudit& audit : report.models) {
     const std::string& contact = audit.gradient.contact;
+    for (const std::string& finding : RemarksOn(audit)) remark(contact, finding);
     if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
     if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; there is no more than its gradient");
     if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
@@ -157,13 +193,14 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
 }
 
-int AuditExitCode(const Request& request, const AuditReport& report) {
-  bool failed = report.models.size() < request.contacts.size();
+int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {
+  const std::size_t asked = request.contacts.size() + simulators;
+  bool failed = report.models.size() < asked;
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
     if (audit.gradient.ok()) continue;
-    const bool not_applicable = IsNotApplicable(audit.gradient, request.scene);
-    if (not_applicable && request.contacts.size() == 1) {
+    const bool not_applicable = IsNotApplicable(audit, request.scene);
+    if (not_applicable && asked == 1) {
       std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
       return kWrongInput;
     }
@@ -173,12 +210,19 @@ int AuditExitCode(const Request& request, const AuditReport& report) {
 }
 
 int AuditMain(int argc, char** argv) {
-  return RunMain(argc, argv, FindProgram("saltus_audit"), [] {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  return RunMain(argc, argv, FindProgram("saltus_audit"), [&arguments] {
     Request request;
     if (!ReadRequest({}, &request)) return kDone;
+    const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+    // By themselves, unless contact models are asked for too.
+    if (!simulators.empty() && !IsGiven("contact")) request.contacts.clear();
+    if (!simulators.empty() && request.options.surrogate) {
+      throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");
+    }
     const std::optional<GivenGradient> gradient = ReadGiven(request);
     const InterruptGuard guard;
-    const AuditReport report = RunAudit(request, gradient.has_value());
+    const AuditReport report = RunAudit(request, gradient.has_value(), simulators);
     const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
     const auto print = [&] {
       if (request.json) {
@@ -195,7 +239,7 @@ int AuditMain(int argc, char** argv) {
       }
     };
     WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
-    return AuditExitCode(request, report);
+    return AuditExitCode(request, report, simulators.size());
   });
 }
 

@@ -80,13 +80,39 @@ Json WidthsToJson(const WidthSweepStudy& study) {
   return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
 }
 
+void AddBlackBox(const BlackBoxFindings& found, Json* item) {
+  Json& to = *item;
+  to["black_box"] = true;
+  if (!found.says.empty()) to["says"] = found.says;
+  if (found.precision_found > 0) to["precision_found"] = found.precision_found;
+  if (found.precision_found > 0) to["own_gradient"] = found.own_gradient;
+  if (found.motion != BlackBoxFindings::Motion::kUnknown) to["motion"] = MotionToString(found.motion);
+  const auto add = [](const BlackBoxFindings::HeadOn& impact, Json* measured) {
+    (*measured)["e"] = NumberToJson(impact.e);
+    (*measured)["keep"] = NumberToJson(impact.keep);
+    (*measured)["feed"] = NumberToJson(impact.feed);
+  };
+  if (found.head_on) add(*found.head_on, item);
+  if (found.finer) add(*found.finer, &to["finer"]);
+  if (!found.levels.empty()) {
+    std::vector<double> steps, errors;
+    for (const RefinementLevel& level : found.levels) {
+      steps.push_back(level.steps);
+      errors.push_back(level.error);
+    }
+    to["loss_error"] = {{"steps", NumbersToJson(steps)}, {"error", NumbersToJson(errors)}};
+  }
+  if (!found.remarks.empty()) to["findings"] = found.remarks;
+}
+
 Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
+  if (audit.black_box) AddBlackBox(*audit.black_box, &item);
   AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
-    item["termination"] = audit.interrupted                        ? "interrupted"
-                          : IsNotApplicable(audit.gradient, scene) ? "not_applicable"
-                                                                   : "failed";
+    item["termination"] = audit.interrupted               ? "interrupted"
+                          : IsNotApplicable(audit, scene) ? "not_applicable"
+                                                          : "failed";
     item["reason"] = audit.gradient.reason;
     return item;
   }
@@ -135,6 +161,10 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
 }
 
 }  // namespace
+
+bool IsNotApplicable(const ModelAudit& audit, const Scene& scene) {
+  return audit.black_box ? audit.black_box->refused : IsNotApplicable(audit.gradient, scene);
+}
 
 bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
   if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;

@@ -281,6 +281,36 @@ Table ClassTable(const AuditReport& report) {
   return table;
 }
 
+Table BlackBoxTable(const AuditReport& report) {
+  Table table({{"simulator"},
+               {"says"},
+               {"bits"},
+               {"motion"},
+               {"e", 3},
+               {"keep", 3},
+               {"feed", 3},
+               {"e, finer", 3},
+               {"keep, finer", 3},
+               {"feed, finer", 3},
+               {"gradient"}});
+  const auto add = [](const std::optional<BlackBoxFindings::HeadOn>& impact, std::vector<Cell>* row) {
+    for (const auto member :
+         {&BlackBoxFindings::HeadOn::e, &BlackBoxFindings::HeadOn::keep, &BlackBoxFindings::HeadOn::feed}) {
+      row->push_back(impact ? Cell((*impact).*member) : Cell());
+    }
+  };
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.black_box || !audit.gradient.ok()) continue;
+    const BlackBoxFindings& found = *audit.black_box;
+    std::vector<Cell> row = {audit.gradient.contact, found.says, found.precision_found, MotionToString(found.motion)};
+    add(found.head_on, &row);
+    add(found.finer, &row);
+    row.emplace_back(found.own_gradient ? "its own" : "differences");
+    table.AddRow(std::move(row));
+  }
+  return table;
+}
+
 Table PlateauTable(const AuditReport& report) {
   Table table(
       {{"contact"}, {"entry"}, {"gradient", 5}, {"narrow differences", 5}, {"wide differences", 5}, {"finding"}});

@@ -32,6 +32,9 @@ Table ContactTable(const AuditReport& report);
 // How every model makes contact, and the numbers that tell.
 Table ClassTable(const AuditReport& report);
 
+// What final states tell of black boxes, one row each.
+Table BlackBoxTable(const AuditReport& report);
+
 // Plateaus of the width sweep, one row an entry and model.
 Table PlateauTable(const AuditReport& report);
 

@@ -18,6 +18,7 @@ constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
 const FlagGroup kScene = {"Scene (in place of what the file says)",
                           {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
 const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
+const FlagGroup kSimulators = {"Simulators of others", {"simulate=COMMAND", "simulate_seconds=S"}};
 const FlagGroup kSolvers = {
     "Solvers",
     {"solver=LIST", "iterations=N", "learning_rate=X", "rate_per_time", "sequence=LIST", "memory_limit=MIB"}};
@@ -68,8 +69,8 @@ std::vector<Program> MakePrograms() {
        {kScene, kModels, kSolvers, {"Audit", {"width_sweep"}}, kSurrogate, kOutput}},
       {"saltus_audit",
        "Gradients of contact models: which are right, which are wrong, where and why",
-       {"--scene=FILE [--contact=LIST] [--given=FILE] [--json]"},
-       {kScene, kModels, {"Audit", {"given=FILE", "width_sweep"}}, kSurrogate, kOutput}},
+       {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
+       {kScene, kModels, {"Audit", {"given=FILE", "width_sweep"}}, kSimulators, kSurrogate, kOutput}},
       {"saltus_solve",
        "Optimises a scene with the chosen contact models and solvers",
        {"--scene=FILE [--contact=LIST] [--solver=LIST] [--json]"},

@@ -3,6 +3,14 @@
 #include "tools/surrogate_flags.h"
 
 namespace saltus {
+namespace {
+
+// Of a black box nothing is known.
+bool IsBiased(const std::string& contact) {
+  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
+}
+
+}  // namespace
 
 std::string BiasedName(const Surrogate& surrogate) {
   return std::string(SurrogateToString(surrogate.kind)) + ", biased";
@@ -10,7 +18,7 @@ std::string BiasedName(const Surrogate& surrogate) {
 
 std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate) {
   if (surrogate) return contact + " (" + BiasedName(*surrogate) + ")";
-  return contact + (HasBiasedDerivative(contact) ? " (biased)" : "");
+  return contact + (IsBiased(contact) ? " (biased)" : "");
 }
 
 std::string FileSuffix(const std::optional<Surrogate>& surrogate) {
@@ -30,7 +38,7 @@ void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item) {
 
 void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item) {
   AddSurrogate(surrogate, item);
-  if (HasBiasedDerivative(contact)) (*item)["biased"] = true;
+  if (IsBiased(contact)) (*item)["biased"] = true;
 }
 
 }  // namespace saltus

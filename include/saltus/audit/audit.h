@@ -66,6 +66,29 @@ struct AuditOptions {
   StopRequest stop = nullptr;
 };
 
+// Of a simulator that is asked from outside (black_box.h), what its final states tell beside its gradient.
+struct BlackBoxFindings {
+  enum class Motion { kUnknown, kExact, kConverges, kDoesNotConverge };
+  // A head-on impact of the scene's first pair, without forces and friction: medians over where in a step it falls.
+  struct HeadOn {
+    int steps = 0;
+    double e = 0;     // speed of separation over closing speed
+    double keep = 0;  // of a displacement before the impact, what is left just after it
+    double feed = 0;  // change of the speed of separation, times the step, by that displacement
+  };
+
+  std::string says;         // what it calls itself
+  bool refused = false;     // it cannot take the scene, and says so
+  int precision_found = 0;  // bits
+  double noise = 0;         // relative, of its answers
+  bool own_gradient = false;
+  Motion motion = Motion::kUnknown;     // whether its loss converges to the exact one
+  std::vector<RefinementLevel> levels;  // of the error of its loss, relative to the scene's
+  std::optional<HeadOn> head_on, finer;
+  std::vector<std::string> remarks;  // in sentences, the loudest first
+};
+const char* MotionToString(BlackBoxFindings::Motion motion);  // "converges", "does not converge", "exact", "unknown"
+
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
@@ -82,6 +105,7 @@ struct ModelAudit {
   bool interrupted = false;                       // before all that was asked for was found; the verdict may be missing
   std::vector<Tie> ambiguous;                     // those of the reference
   std::optional<LossSpread> spread;               // likewise
+  std::optional<BlackBoxFindings> black_box;      // of a black box
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;

@@ -1,5 +1,7 @@
 // A simulator that others wrote, asked for final states and, where it has more, for more.
 //
+// Everything that takes a contact model takes one, by ContactOf(): rollouts are questions to it, gradients are its own
+// or else differences of its final states, of a width that its precision allows. AuditBlackBox says what that is worth.
 // Shapes are those of dynamics/simulator.h, with four numbers for a disc.
 #pragma once
 
@@ -8,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -25,12 +28,13 @@ struct Question {
   std::vector<double> initial;   // B x 4
   std::vector<double> control;   // steps x C x 2; of kStep, B x 2
   std::vector<double> of_final;  // kGradient: B x 4
+  bool states = false;           // kSimulate: those in between, too, of simulators that give them
 };
 
 struct Answer {
   std::string error;            // why there is none
   std::vector<double> final;    // B x 4
-  std::vector<double> states;   // (steps / grid_steps + 1) x B x 4, of simulators that give them
+  std::vector<double> states;   // (steps / grid_steps + 1) x B x 4, if asked for
   std::vector<double> initial;  // kGradient: B x 4
   std::vector<double> control;  // kGradient: steps x C x 2
 };
@@ -56,5 +60,25 @@ class BlackBox {
   virtual std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
                                   const StopRequest& stop) = 0;
 };
+
+// How questions are turned into derivatives.
+struct AskingOptions {
+  double noise = 0;          // relative, of the answers: widths of differences grow with it; 0 is that of double
+  bool differences = false;  // of final states, even if the simulator gives a gradient
+  int segments = 2;          // equal parts of the horizon in which differences change the control
+  bool touches = false;      // find out what touches in a rollout, where the simulator gives steps
+};
+
+// The black box as a contact model of its name, which has no colon, for scenes that it takes like `traits` says.
+Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, const AskingOptions& options = {});
+
+// The same with widths that suit the noise of its answers, which is measured.
+Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop = nullptr);
+
+// What is found of one: as AuditModel(), with differences of final states in place of a gradient that the simulator
+// does not give. The class is that of a head-on impact of the first pair that collides in exact dynamics. If it fails,
+// that is the reason of the gradient.
+ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scene,
+                         const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
 }  // namespace saltus

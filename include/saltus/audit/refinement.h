@@ -67,6 +67,9 @@ struct RefinementOptions {
   int samples = 9;              // step counts per level
   double tolerance = 1e-6;      // relative error of a right gradient
   double smallest_order = 0.5;  // of a consistent one
+  double rounding = 1e-9;       // errors below this need not fall
+  int most_intervals = 8;       // parts of the horizon over which the control is compared
+  bool parameters = true;       // whether derivatives by parameters of the scene are studied too
   // Of one level, in steps times discs, or 24 times what touches in the steps if that is more, as in a model that
   // lets everything touch always. Levels finer than the fourth are left out above it.
   double budget = 1.5e6;

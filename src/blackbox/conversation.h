@@ -1,0 +1,62 @@
+// One copy of a command: lines that it is sent, and lines that come back.
+#pragma once
+
+#include <poll.h>
+
+#include <chrono>
+#include <deque>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "blackbox/child_process.h"
+
+namespace saltus {
+
+// What a copy is waited for: one line in return for one that was sent.
+struct Expected {
+  int index = -1;        // of the question; -1: the greeting
+  std::string what;      // for messages: "request 7 (simulate of 480 steps)"
+  std::size_t most = 0;  // characters of the answer
+};
+
+// Never blocks. After a failure nothing more is sent or read.
+class Conversation {
+ public:
+  using Clock = std::chrono::steady_clock;
+  using OnLine = std::function<void(const Expected& expected, const std::string& line)>;
+
+  Conversation(const std::string& command, std::function<void(const std::string&)> on_error_line);
+
+  void Send(std::string line, Expected expected);
+  // Writes what can be.
+  void Write();
+  // Writes and reads what can be, and calls on_line for each line that has come back. What on_line throws is a failure
+  // (ProtocolError).
+  void Exchange(const OnLine& on_line);
+  // Fails if nothing has come back for so long.
+  void CheckTime(double seconds);
+
+  const std::string& failure() const { return failure_; }
+  const std::deque<Expected>& expected() const { return expected_; }
+  bool has_unwritten() const { return written_ < unwritten_.size(); }
+  // What to wait for.
+  void AddTo(std::vector<pollfd>* waited) const;
+
+ private:
+  void Fail(const std::string& why);
+  void Read(const OnLine& on_line);
+  void TakeLines(const OnLine& on_line);
+  void ReadErrors();
+
+  std::string failure_;
+  ChildProcess process_;
+  std::function<void(const std::string&)> on_error_line_;
+  std::string unwritten_, unread_, unread_errors_;
+  std::size_t written_ = 0;
+  bool errors_open_ = true;
+  std::deque<Expected> expected_;
+  Clock::time_point last_ = Clock::now();  // when something was asked of an idle copy, or came back
+};
+
+}  // namespace saltus

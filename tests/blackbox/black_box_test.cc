@@ -1,0 +1,338 @@
+// Simulators that are commands: what is found of them, and what is said when they fail.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <fstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "blackbox/command_box.h"
+#include "blackbox/protocol.h"
+#include "blackbox/speaker.h"
+#include "saltus/io/scene_file.h"
+#include "tools/run_command.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using Json = ProtocolJson;
+
+Scene Problem(const std::string& name) {
+  return std::get<Scene>(LoadSceneFile(SALTUS_SOURCE_DIR "/problems/" + name + ".yaml"));
+}
+
+std::string OfProblem(const std::string& name) { return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml "; }
+
+std::string WrittenTo(const std::string& name, const std::string& text) {
+  std::string path = testing::TempDir() + "/" + name;
+  std::ofstream(path) << text;
+  return path;
+}
+
+std::vector<Question> Questions(const Scene& scene, int count) {
+  std::vector<Question> questions;
+  for (int i = 1; i <= count; ++i) {
+    questions.push_back({Question::Kind::kSimulate, i, 0.01 * i, InitialState(scene), InitialControl(scene, i), {}});
+  }
+  return questions;
+}
+
+// A model of the library, asked line by line in this process.
+class Spoken final : public BlackBox {
+ public:
+  Spoken(const std::string& contact, const Offer& offer) : name_(contact), offer_(offer) {}
+
+  const std::string& name() const override { return name_; }
+  BlackBoxTraits Describe(const Scene& scene) override {
+    const std::string hello = HelloLine(scene);
+    if (hello != hello_) {
+      speaker_ = std::make_unique<Speaker>(name_, Precision::kDouble, offer_);
+      traits_ = ReadHello(speaker_->AnswerTo(hello_ = hello));
+    }
+    return traits_;
+  }
+  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest&) override {
+    Describe(scene);
+    std::vector<Answer> answers;
+    for (const Question& question : questions) {
+      answers.push_back(
+          ReadAnswer(speaker_->AnswerTo(QuestionLine(scene, question, 1, traits_)), scene, question, 1, traits_));
+    }
+    return answers;
+  }
+
+ private:
+  std::string name_, hello_;
+  Offer offer_;
+  std::unique_ptr<Speaker> speaker_;
+  BlackBoxTraits traits_;
+};
+
+ModelAudit AuditFromOutside(const std::string& contact, const Scene& scene, const Offer& offer) {
+  AuditOptions options;
+  options.attribution = false;
+  return AuditBlackBox(std::make_shared<Spoken>(contact, offer), scene, ExactGradientOf(scene), options);
+}
+
+// One model of each class, and those whose linearization is not that of their steps or whose steps are long.
+TEST(BlackBox, ModelsHaveTheSameVerdictAndClassFromOutside) {
+  for (const std::string problem : {"bounce_once", "ground_wall", "two_balls"}) {
+    const Scene scene = Problem(problem);
+    AuditOptions options;
+    options.attribution = false;
+    for (const std::string contact :
+         {"lcp", "direct", "toi_velocity", "pbd_brax", "lcp_pgs", "compliant_warp", "event"}) {
+      const ModelAudit inside = AuditModel(contact, scene, Precision::kDouble, ExactGradientOf(scene), options);
+      const ModelAudit outside = AuditFromOutside(contact, scene, {.states = false});
+      ASSERT_TRUE(outside.gradient.ok()) << contact << ": " << outside.gradient.reason;
+      EXPECT_EQ(VerdictToString(outside.verdict), std::string(VerdictToString(inside.verdict)))
+          << problem << " " << contact;
+      EXPECT_EQ(ContactClassToString(outside.recognition->contact_class),
+                std::string(ContactClassToString(inside.recognition->contact_class)))
+          << problem << " " << contact << ": " << outside.recognition->words;
+    }
+  }
+}
+
+// The values of engines with an impulse at a step boundary: whatever the engine, (0, -0.72, -0.22, -0.50) of
+// (-0.40, -0.32, -0.50, -0.22), by differences of final states alone.
+TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
+  const ModelAudit audit = AuditFromOutside("direct", Problem("two_balls"), {false, false, false});
+  ASSERT_TRUE(audit.gradient.ok()) << audit.gradient.reason;
+  const double expected[] = {0, 0, -0.22, -0.22, -0.72, -0.72, -0.50, -0.50};
+  for (int i = 0; i < 8; ++i) EXPECT_NEAR(audit.gradient.gradient.initial[i], expected[i], 0.01) << i;
+  EXPECT_EQ(audit.recognition->contact_class, ContactClass::kImpulseAtStepBoundary);
+  const BlackBoxFindings& found = *audit.black_box;
+  EXPECT_EQ(found.precision_found, 53);
+  EXPECT_EQ(found.motion, BlackBoxFindings::Motion::kConverges);
+  EXPECT_NEAR(found.head_on->e, 1, 1e-9);
+  EXPECT_NEAR(found.head_on->keep, 1, 1e-6);
+  EXPECT_NEAR(found.head_on->feed, 0, 1e-6);
+  EXPECT_TRUE(IsWrong(audit.verdict));
+}
+
+// An impact whose time is resolved: differences of its final states are the exact gradient.
+TEST(BlackBox, FinalStatesTellAResolvedImpact) {
+  const ModelAudit audit = AuditFromOutside("event", Problem("two_balls"), {false, false, false});
+  EXPECT_EQ(audit.verdict, Verdict::kRight);
+  EXPECT_EQ(audit.recognition->contact_class, ContactClass::kImpactTimeResolved);
+  EXPECT_EQ(audit.black_box->motion, BlackBoxFindings::Motion::kExact);
+  EXPECT_NEAR(audit.black_box->head_on->keep, -1, 1e-6);
+  EXPECT_LT(audit.error->relative, 1e-6);
+}
+
+// A command that flies freely, until it has been asked so often.
+const char kFaulty[] = R"(
+import json, os, sys, time
+fault, count, held = sys.argv[1], 0, []
+def say(answer): print(json.dumps(answer), flush=True)
+for line in sys.stdin:
+    q = json.loads(line)
+    if 'saltus' in q:
+        say({'name': 'faulty'})
+        continue
+    count += 1
+    s = q['simulate']
+    T = s['duration']
+    answer = {'id': q['id'], 'final': [[x + T * u, y + T * v, u, v] for x, y, u, v in s['initial']]}
+    if count == 3:
+        if fault == 'dies': sys.exit(3)
+        if fault == 'killed': os.kill(os.getpid(), 9)
+        if fault == 'cut':
+            sys.stdout.write('{"id": 3, "fin')
+            sys.stdout.flush()
+            sys.exit(0)
+        if fault == 'rubbish': print('rubbish ' * 10, flush=True)
+        if fault == 'flood':
+            sys.stdout.write('x' * 10_000_000)
+            sys.stdout.flush()
+            time.sleep(1000)
+        if fault == 'nan': answer['final'][0][0] = float('nan')
+        if fault == 'null': answer['final'][0][0] = None
+        if fault == 'size': answer['final'].pop()
+        if fault == 'other': answer['id'] = 77
+        if fault == 'none': del answer['final']
+        if fault == 'twice': say(answer)
+        if fault == 'order':
+            held = [answer]
+            continue
+    say(answer)
+    for late in held: say(late)
+    held = []
+)";
+
+TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
+  const std::string script = WrittenTo("faulty.py", kFaulty);
+  const struct {
+    std::string fault, why;
+  } cases[] = {{"dies", "ended with exit code 3"},
+               {"killed", "killed by signal 9"},
+               {"cut", "in the middle of the line '{\"id\": 3, \"fin'"},
+               {"rubbish", "found 'rubbish rubbish"},
+               {"flood", "begins with 'xxxx"},
+               {"nan", "not finite"},
+               {"null", "found 'null' among them"},
+               {"size", "found a list of 1 in place of a list of 2"},
+               {"other", "found id '77', expected \"id\": 3"},
+               {"none", "expected \"final\" in it"},
+               {"order", "found id '4', expected \"id\": 3"}};
+  const Scene scene = Problem("two_balls");
+  for (const auto& [fault, why] : cases) {
+    CommandBox box({"faulty", "exec python3 " + script + " " + fault, 1, 60});
+    const std::vector<Answer> answers = box.Ask(scene, Questions(scene, 8), nullptr);
+    EXPECT_TRUE(answers[1].error.empty()) << answers[1].error;
+    EXPECT_NEAR(answers[1].final[0], -2, 1e-12);
+    EXPECT_THAT(answers[2].error, HasSubstr(why)) << fault;
+    EXPECT_THAT(answers[2].error, HasSubstr("faulty.py " + fault)) << fault;
+    EXPECT_THAT(answers[2].error, HasSubstr("request 3 (simulate of 3 steps)")) << fault;
+    EXPECT_EQ(answers[7].error, answers[2].error) << fault;
+    EXPECT_EQ(box.Describe(scene).error, answers[2].error) << fault;
+  }
+}
+
+TEST(BlackBox, AnAnswerThatNobodyAskedForIsAFault) {
+  const Scene scene = Problem("two_balls");
+  CommandBox box({"faulty", "exec python3 " + WrittenTo("twice.py", kFaulty) + " twice", 1, 60});
+  EXPECT_THAT(box.Ask(scene, Questions(scene, 8), nullptr)[3].error, HasSubstr("found id '3', expected \"id\": 4"));
+}
+
+TEST(BlackBox, SilenceIsAnErrorAfterTheTimeAllowed) {
+  const Scene scene = Problem("two_balls");
+  const struct {
+    std::string command, why;
+  } cases[] = {
+      {"sleep 1000", "the greeting: silent for 2 s"},
+      {"read a; echo '{}'; sleep 1000", "request 1 (simulate of 1 steps): silent for 2 s"},
+      {"read a; echo '{}'; printf '{\"id\": 1, \"fin'; sleep 1000", "silent for 2 s after '{\"id\": 1, \"fin'"}};
+  for (const auto& [command, why] : cases) {
+    CommandBox box({"silent", command, 1, 2});
+    EXPECT_THAT(box.Ask(scene, Questions(scene, 1), nullptr)[0].error, HasSubstr(why)) << command;
+  }
+}
+
+TEST(BlackBox, AGreetingThatIsNoneIsAnError) {
+  const Scene scene = Problem("two_balls");
+  const struct {
+    std::string command, why;
+  } cases[] = {{"no_such_command_here", "ended with exit code 127"},
+               {"true", "the greeting: ended with exit code 0"},
+               {"echo hello", "found 'hello', expected an object"},
+               {"echo '{\"can\": [\"fly\"]}'", "found '\"fly\"' in \"can\""},
+               {"echo '{\"can\": [\"step\"], \"grid_steps\": 0}'", "expected a whole number in 1..1000"}};
+  for (const auto& [command, why] : cases) {
+    CommandBox box({"wrong", command, 1, 60});
+    EXPECT_THAT(box.Describe(scene).error, HasSubstr(why)) << command;
+  }
+}
+
+// Whether a process has gone, with nothing left of it, within a time that is long for any machine.
+bool HasGone(pid_t pid) {
+  for (int i = 0; i < 6000; ++i) {
+    if (kill(pid, 0) < 0 && errno == ESRCH) return true;
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  return false;
+}
+
+std::vector<pid_t> ProcessesIn(const std::string& file) {
+  std::ifstream in(file);
+  std::vector<pid_t> found;
+  for (pid_t pid = 0; in >> pid;) found.push_back(pid);
+  return found;
+}
+
+TEST(BlackBox, NothingIsLeftOfACommand) {
+  const Scene scene = Problem("two_balls");
+  const std::string file = testing::TempDir() + "/processes";
+  {
+    CommandBox box({"lasting", "sleep 1000 & echo $$ $! >" + file + "; read a; echo '{}'; read a; wait", 1, 60});
+    EXPECT_EQ(box.Describe(scene).error, "");
+  }
+  const std::vector<pid_t> processes = ProcessesIn(file);
+  ASSERT_EQ(processes.size(), 2u);
+  for (const pid_t process : processes) EXPECT_TRUE(HasGone(process));
+}
+
+TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
+  for (const std::string signal_name : {"INT", "KILL"}) {
+    const std::string file = testing::TempDir() + "/children_" + signal_name;
+    std::remove(file.c_str());
+    const std::string box = WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\necho '{}'\nread a\nsleep 1000\n");
+    const Outcome outcome =
+        RunCommand("env --default-signal=INT " SALTUS_BINARY_DIR "/bin/saltus_audit" + OfProblem("two_balls") +
+                   "--progress=none --simulate='sh " + box + "' & " + "p=$!; while [ ! -s " + file +
+                   " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo $?");
+    EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "1" : "137")) << outcome.errors;
+    ASSERT_FALSE(ProcessesIn(file).empty());
+    for (const pid_t process : ProcessesIn(file)) EXPECT_TRUE(HasGone(process)) << signal_name;
+  }
+}
+
+// The simulator that the README shows: symplectic Euler, and the impulse of two equal discs when they overlap.
+std::string TenLines() {
+  std::ifstream file(SALTUS_SOURCE_DIR "/README.md");
+  const std::string readme((std::istreambuf_iterator<char>(file)), {});
+  const std::string fence = "```", language = fence + "python\n";
+  const std::size_t begin =
+      readme.find(language, readme.find("### Auditing a simulator of your own")) + language.size();
+  return readme.substr(begin, readme.find(fence, begin) - begin);
+}
+
+TEST(BlackBox, TenLinesOfPythonAreAudited) {
+  const std::string script = WrittenTo("ten_lines.py", TenLines());
+  const Outcome outcome = RunProgram("saltus_audit" + OfProblem("two_balls") +
+                                     "--steps=60 --progress=none --json --simulate='ten=" + "python3 " + script +
+                                     "' --simulate=gone=no_such_command_here");
+  EXPECT_EQ(outcome.exit_code, 1) << outcome.errors;  // for the one that is gone
+  const Json audits = Json::parse(outcome.output)["audits"];
+  ASSERT_EQ(audits.size(), 2u);
+  const Json& ten = audits[0];
+  EXPECT_EQ(ten["contact"], "ten");
+  EXPECT_EQ(ten["black_box"], true);
+  EXPECT_EQ(ten["class"], "impulse at a step boundary");
+  EXPECT_EQ(ten["motion"], "converges");
+  EXPECT_EQ(ten["precision_found"], 53);
+  EXPECT_NEAR(ten["e"].get<double>(), 1, 1e-9);
+  EXPECT_NEAR(ten["keep"].get<double>(), 1, 1e-6);
+  EXPECT_NEAR(ten["feed"].get<double>(), 0, 1e-6);
+  EXPECT_THAT(ten["verdict"].get<std::string>(), HasSubstr("wrong"));
+  EXPECT_EQ(audits[1]["termination"], "failed");
+  EXPECT_THAT(audits[1]["reason"].get<std::string>(), HasSubstr("exit code 127"));
+}
+
+TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
+  const std::string simulate = SALTUS_BINARY_DIR "/bin/saltus_simulate --contact=direct";
+  const Outcome outcome =
+      RunProgram("saltus_audit" + OfProblem("two_balls") + "--progress=none --json --simulate='" + simulate + "'");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const Json audit = Json::parse(outcome.output)["audits"][0];
+  EXPECT_EQ(audit["contact"], "saltus_simulate");
+  EXPECT_EQ(audit["agrees_with_differences"], true);
+  EXPECT_EQ(audit["first_wrong_step"], 331);
+  EXPECT_THAT(audit["findings"][0].get<std::string>(), HasSubstr("agrees with differences, and is wrong"));
+}
+
+TEST(BlackBox, RefusesWrongFlags) {
+  const struct {
+    std::string flags, why;
+  } cases[] = {{"--simulate=a=x --simulate=a=y", "two of the name 'a'"},
+               {"--simulate=a=", "expected [NAME=]COMMAND"},
+               {"--simulate=@no_such_file", "no_such_file"},
+               {"--simulate=true --surrogate=smoothed_zeroth", "has no surrogate gradients"},
+               {"--simulate=true --simulate_seconds=0", "--simulate_seconds must be positive"}};
+  for (const auto& [flags, why] : cases) {
+    const Outcome outcome = RunProgram("saltus_audit" + OfProblem("two_balls") + flags);
+    EXPECT_EQ(outcome.exit_code, 2) << flags;
+    EXPECT_THAT(outcome.errors, HasSubstr(why)) << flags;
+  }
+}
+
+}  // namespace
+}  // namespace saltus
