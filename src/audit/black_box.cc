@@ -75,7 +75,7 @@ double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
 int BitsOf(double noise) {
   const int bits = static_cast<int>(std::lround(-std::log2(noise)));
   for (const int format : {kDoubleBits, kFloatBits}) {
-    if (bits > format - kBitsLost - 1 && bits <= format) return format;
+    if (bits >= format - kBitsLost && bits <= format + 1) return format;
   }
   return bits;
 }

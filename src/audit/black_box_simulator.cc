@@ -12,7 +12,7 @@ namespace {
 constexpr double kRounding = std::numeric_limits<double>::epsilon();
 // Widths of differences, in what a disc moves in a step: narrow, so that impacts stay in their steps, and so much above
 // the noise as the budget of error says.
-constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300;
+constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300, kMuchNoise = 1e-11;
 
 using Kind = Question::Kind;
 
@@ -167,10 +167,12 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
   const double speed =
       std::max({LargestSpeed(states_.front()), LargestSpeed(states_.back()), kNarrow * radius / step()});
   const double width = Width(speed, extent);
+  // What changes a velocity is felt in every step, and lost there if it is rounding.
+  const double driven = options_.noise > kMuchNoise ? kWidest * speed * step() : width;
   std::vector<Variable> variables;
   for (int i = 0; i < kNumbers * num_bodies(); ++i) {
     if (!scene_.bodies[i / kNumbers].fixed) {
-      variables.push_back({i, false, 0, 0, i % kNumbers < 2 ? width : width / T});
+      variables.push_back({i, false, 0, 0, i % kNumbers < 2 ? width : driven / T});
     }
   }
   const int steps = num_steps_ * model_.grid_steps, segments = std::min(options_.segments, num_steps_);
@@ -178,7 +180,7 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
     for (int i = 0; i < 2 * num_controlled(); ++i) {
       const double mass = scene_.bodies[scene_.control.bodies[i / 2]].mass;
       const auto at = [&](std::int64_t segment) { return static_cast<int>(segment * steps / segments); };
-      variables.push_back({i, true, at(s), at(s + 1), segments * 2 * mass * width / (T * T)});
+      variables.push_back({i, true, at(s), at(s + 1), segments * 2 * mass * driven / (T * T)});
     }
   }
   return variables;
