@@ -57,6 +57,7 @@ struct EventDriven {
                                           .sequential = true,
                                           .relative = true};
   static constexpr int kRotation = 0;
+  static constexpr int kTapedFrom = 5;  // discs
   template <typename T>
   using State = BodyState<T, kRotation>;
 

@@ -3,7 +3,10 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <vector>
+
+#include "contact/contact_system.h"
 
 namespace saltus {
 namespace {
@@ -13,11 +16,12 @@ constexpr int kFirstSweeps = 32;   // before the first direct solution
 constexpr int kLongSweeps = 1024;  // before all guesses are tried
 constexpr int kMostGuesses = 4096;
 constexpr int kMostPivots = 1000;
+constexpr int kFirstPivots = 12;  // of many contacts, before the first sweep
+constexpr int kBlockPatience = 3;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
 constexpr double kExact = 1e-12;      // likewise, of a direct solution
 constexpr double kNearly = 1e-9;      // likewise, where contacts that depend on each other do not quite agree
 constexpr double kWedged = 1e9;       // likewise
-constexpr double kRank = 1e-10;
 
 Vec2d RelativeAcceleration(const PressingContact& c, std::span<const Vec2d> acceleration) {
   if (c.b < 0) return acceleration[c.a];
@@ -62,7 +66,7 @@ void Accelerate(std::span<const double> inverse_mass, std::span<const PressingCo
 // An acceleration that must vanish, and the force that makes it do so.
 struct ForceRow {
   int contact;
-  Vec2d measured, push;
+  ContactRow row;
   double turning;
 };
 
@@ -86,27 +90,72 @@ Guess NextGuess(double friction, const PressingContact& c, Guess guess) {
 
 // A contact that cannot do what was guessed, and what it would rather do.
 struct WrongGuess {
-  int contact = -1;  // -1: the contacts together cannot do what was guessed
-  Guess better = Guess::kOpen;
+  int contact;
+  Guess better;
+};
+
+// What contact c would rather do than was guessed, if so; `relative` is its acceleration under the guessed forces.
+std::optional<Guess> BetterGuess(double friction, double allowed, const PressingContact& c, const Vec2d& relative) {
+  const double bound = friction * c.normal_force, slack = allowed * c.mass;
+  const double apart = Dot(c.normal, relative) + c.turning, along = Dot(Perpendicular(c.normal), relative);
+  if (c.normal_force < 0) return Guess::kOpen;
+  if (apart < -allowed) {
+    return c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
+  }
+  if (c.sliding != 0 || c.normal_force == 0) return std::nullopt;
+  if (std::abs(c.tangential_force) > bound + slack) return c.tangential_force < 0 ? Guess::kLeft : Guess::kRight;
+  if (along * c.tangential_force > allowed * bound) return Guess::kStick;
+  return std::nullopt;
+}
+
+// Solves systems of the same rows: small ones densely, large ones sparsely.
+class RowSolver {
+ public:
+  RowSolver(std::span<const ForceRow> rows, std::span<const double> inverse_mass) {
+    std::vector<ContactRow> sides;
+    for (const ForceRow& row : rows) sides.push_back(row.row);
+    const int n = static_cast<int>(sides.size());
+    if (n > kMostDenseRows) {
+      system_.emplace(sides, inverse_mass);
+      return;
+    }
+    Eigen::MatrixXd matrix(n, n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) matrix(i, j) = Coupling(sides[i], sides[j], inverse_mass);
+    }
+    decomposition_.setThreshold(kDependentRows);
+    decomposition_.compute(matrix);
+  }
+  Eigen::VectorXd Solve(Eigen::VectorXd right) const {
+    if (!system_) return decomposition_.solve(right);
+    system_->Solve({right.data(), static_cast<std::size_t>(right.size())});
+    return right;
+  }
+
+ private:
+  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition_;
+  std::optional<ContactSystem> system_;
 };
 
 // The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
-// that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, is the first contact that is.
+// that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, gets the contacts that are, none
+// if they cannot do together what was guessed.
 bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass, std::span<const Vec2d> given,
                    std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts,
-                   WrongGuess* wrong = nullptr) {
+                   std::vector<WrongGuess>* wrong = nullptr) {
+  if (wrong != nullptr) wrong->clear();
   std::vector<ForceRow> rows;
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
     const PressingContact& c = contacts[k];
     const Vec2d tangent = Perpendicular(c.normal);
     if (guesses[k] == Guess::kOpen) continue;
     if (guesses[k] == Guess::kStick) {
-      rows.push_back({k, c.normal, c.normal, c.turning});
-      rows.push_back({k, tangent, tangent, 0});
+      rows.push_back({k, {c.a, c.b, c.normal, c.normal}, c.turning});
+      rows.push_back({k, {c.a, c.b, tangent, tangent}, 0});
       continue;
     }
     const double share = guesses[k] == Guess::kLeft ? -friction : friction;
-    rows.push_back({k, c.normal, c.normal + share * tangent, c.turning});
+    rows.push_back({k, {c.a, c.b, c.normal, c.normal + share * tangent}, c.turning});
   }
   const int n = static_cast<int>(rows.size());
   std::vector<PressingContact> solved(contacts.begin(), contacts.end());
@@ -116,31 +165,20 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
     Accelerate(inverse_mass, solved, under);
   };
   const auto missing = [&](const ForceRow& row) {
-    return Dot(row.measured, RelativeAcceleration(contacts[row.contact], under)) + row.turning;
+    return Dot(row.row.measured, RelativeAcceleration(contacts[row.contact], under)) + row.turning;
   };
   if (n > 0) {
-    Eigen::MatrixXd matrix(n, n);
-    for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) {
-        const PressingContact &p = contacts[rows[i].contact], &q = contacts[rows[j].contact];
-        const auto meet = [&](int body, int other) { return body >= 0 && body == other ? inverse_mass[body] : 0.0; };
-        const double mobility = meet(p.a, q.a) + meet(p.b, q.b) - meet(p.a, q.b) - meet(p.b, q.a);
-        matrix(i, j) = mobility * Dot(rows[i].measured, rows[j].push);
-      }
-    }
-    Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition;
-    decomposition.setThreshold(kRank);
-    decomposition.compute(matrix);
+    const RowSolver solver(rows, inverse_mass);
     // The second time for what rounding leaves of the first.
     for (int pass = 0; pass < 2; ++pass) {
       accelerate();
       Eigen::VectorXd right(n);
       for (int i = 0; i < n; ++i) right[i] = -missing(rows[i]);
-      const Eigen::VectorXd change = decomposition.solve(right);
+      const Eigen::VectorXd change = solver.Solve(right);
       for (int i = 0; i < n; ++i) {
         PressingContact& c = solved[rows[i].contact];
-        c.normal_force += change[i] * Dot(c.normal, rows[i].push);
-        c.tangential_force += change[i] * Dot(Perpendicular(c.normal), rows[i].push);
+        c.normal_force += change[i] * Dot(c.normal, rows[i].row.push);
+        c.tangential_force += change[i] * Dot(Perpendicular(c.normal), rows[i].row.push);
       }
     }
   }
@@ -148,50 +186,46 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
   for (const ForceRow& row : rows) {
     if (!(std::abs(missing(row)) <= allowed)) return false;
   }
+  bool right = true;
   for (int k = 0; k < static_cast<int>(solved.size()); ++k) {
-    const PressingContact& c = solved[k];
-    const auto reject = [&](Guess better) {
-      if (wrong != nullptr) *wrong = {k, better};
-      return false;
-    };
-    const Vec2d b = RelativeAcceleration(c, under);
-    const double bound = friction * c.normal_force, slack = allowed * c.mass;
-    const double apart = Dot(c.normal, b) + c.turning, along = Dot(Perpendicular(c.normal), b);
-    if (c.normal_force < 0) return reject(Guess::kOpen);
-    if (apart < -allowed) {
-      return reject(c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick);
-    }
-    if (c.sliding != 0 || c.normal_force == 0) continue;
-    if (std::abs(c.tangential_force) > bound + slack) {
-      return reject(c.tangential_force < 0 ? Guess::kLeft : Guess::kRight);
-    }
-    if (along * c.tangential_force > allowed * bound) return reject(Guess::kStick);
+    const std::optional<Guess> better =
+        BetterGuess(friction, allowed, solved[k], RelativeAcceleration(solved[k], under));
+    if (!better) continue;
+    right = false;
+    if (wrong == nullptr) break;
+    wrong->push_back({k, *better});
   }
+  if (!right) return false;
   std::copy(solved.begin(), solved.end(), contacts.begin());
   std::copy(under.begin(), under.end(), acceleration.begin());
   return true;
 }
 
-// Mends the first wrong guess, again and again (Murty's principal pivoting, which arrives where matrices are positive
-// definite). False if that does not end in time.
-bool SolveByPivoting(double friction, double allowed, std::span<const double> inverse_mass,
-                     std::span<const Vec2d> given, std::vector<Guess> guesses, std::span<Vec2d> acceleration,
-                     std::span<PressingContact> contacts) {
+// Mends wrong guesses, again and again. First all at once, as long as they become fewer (block principal pivoting,
+// Judice and Pires 1994); then the first, which arrives where matrices are positive definite (Murty 1974). False if
+// that does not end in `most_pivots`.
+bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span<const double> inverse_mass,
+                     std::span<const Vec2d> given, std::vector<Guess> guesses, bool in_blocks,
+                     std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
   std::vector<PressingContact> start(contacts.begin(), contacts.end());
-  for (int pivot = 0; pivot < kMostPivots; ++pivot) {
+  std::vector<WrongGuess> wrong;
+  std::size_t fewest = contacts.size() + 1;
+  for (int pivot = 0, patience = kBlockPatience; pivot < most_pivots; ++pivot) {
     for (std::size_t k = 0; k < start.size(); ++k) {
       PressingContact& c = start[k];
       if (guesses[k] == Guess::kOpen) c.normal_force = c.tangential_force = 0;
       if (guesses[k] == Guess::kLeft) c.tangential_force = -friction * c.normal_force;
       if (guesses[k] == Guess::kRight) c.tangential_force = friction * c.normal_force;
     }
-    WrongGuess wrong;
     if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, acceleration, start, &wrong)) {
       std::copy(start.begin(), start.end(), contacts.begin());
       return true;
     }
-    if (wrong.contact < 0) return false;
-    guesses[wrong.contact] = wrong.better;
+    if (wrong.empty()) return false;
+    patience = wrong.size() < fewest ? kBlockPatience : patience - 1;
+    fewest = std::min(fewest, wrong.size());
+    if (!in_blocks || patience < 0) wrong.resize(1);
+    for (const WrongGuess& one : wrong) guesses[one.contact] = one.better;
   }
   return false;
 }
@@ -235,6 +269,18 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
     if (!std::isfinite(given_here) || !std::isfinite(c.turning)) return Pressing::kUnsolved;
     scale = std::max({scale, given_here, c.turning});
   }
+  // Sweeps carry a force from one contact to the next: what many contacts do is guessed first, that all press.
+  const bool many = contacts.size() > kMostDenseRows;
+  if (many) {
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+      const PressingContact& c = contacts[k];
+      guesses[k] = c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
+    }
+    if (SolveByPivoting(
+            friction, kExact * scale, kFirstPivots, inverse_mass, given, guesses, many, acceleration, contacts)) {
+      return Pressing::kSolved;
+    }
+  }
   int direct = kFirstSweeps;
   for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {
     double change = 0;
@@ -251,7 +297,7 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
     const bool few = NumGuesses(friction, contacts) <= kMostGuesses;
     for (const double exact : {kExact, kNearly}) {
       const double allowed = exact * scale;
-      if (SolveByPivoting(friction, allowed, inverse_mass, given, guesses, acceleration, contacts) ||
+      if (SolveByPivoting(friction, allowed, kMostPivots, inverse_mass, given, guesses, many, acceleration, contacts) ||
           (few && TryAllGuesses(friction, allowed, inverse_mass, given, acceleration, contacts))) {
         return Pressing::kSolved;
       }
@@ -272,19 +318,6 @@ double DriftOfBounces(double tangential, double pressing, double friction, doubl
   double drift = 0.5 * r + 2 * (r + speed) * e * e / (1 - e * e);
   if (speed > 0) drift += 0.5 * speed * speed / (friction - r);
   return std::copysign(2 * drift, tangential);
-}
-
-void PseudoInvert(int n, std::span<double> matrix) {
-  if (n == 1) {
-    if (matrix[0] != 0) matrix[0] = 1 / matrix[0];
-    return;
-  }
-  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  Eigen::Map<Matrix> map(matrix.data(), n, n);
-  Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;
-  decomposition.setThreshold(kRank);
-  decomposition.compute(map);
-  map = decomposition.pseudoInverse();
 }
 
 }  // namespace saltus

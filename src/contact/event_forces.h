@@ -47,8 +47,4 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
 // flies, m/s^2; |tangential| < friction * pressing. Infinite for restitution 1: it does not come to rest.
 double DriftOfBounces(double tangential, double pressing, double friction, double restitution);
 
-// Pseudo-inverse of a small square matrix, for equations of which some may follow from others. `matrix`: n x n, row by
-// row; overwritten.
-void PseudoInvert(int n, std::span<double> matrix);
-
 }  // namespace saltus

@@ -46,11 +46,17 @@ class EventMotion {
   };
 
   EventMotion(const StepInput<T>& in, std::span<const State> x)
-      : in_(in), start_(x), discs_(in.scratch), pairs_(in.candidates.size(), in.scratch) {
+      : in_(in),
+        start_(x),
+        discs_(in.scratch),
+        pairs_(in.candidates.size(), in.scratch),
+        pairs_of_(in.scratch),
+        first_pair_of_(in.scratch) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
       discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
     }
+    if (num_pairs() > kFewPairs) ListPairs();
   }
 
   bool Moves(int i) const { return !in_.bodies[i].fixed; }
@@ -65,15 +71,51 @@ class EventMotion {
     const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
     return has(c.a) || (!c.plane && has(c.b));
   }
+  // Calls visit(q) for the pairs of disc i, in ascending order.
+  template <typename Visit>
+  void ForEachPairOf(int i, const Visit& visit) const {
+    if (num_pairs() <= kFewPairs) {
+      for (int q = 0; q < num_pairs(); ++q) {
+        const Candidate& c = CandidateOf(q);
+        if (c.a == i || (!c.plane && c.b == i)) visit(q);
+      }
+      return;
+    }
+    for (int k = first_pair_of_[i]; k < first_pair_of_[i + 1]; ++k) visit(pairs_of_[k]);
+  }
+  // Likewise for those that share a disc that moves with c.
+  template <typename Visit>
+  void ForEachPairBeside(const Candidate& c, const Visit& visit) const {
+    if (num_pairs() <= kFewPairs) {
+      for (int q = 0; q < num_pairs(); ++q) {
+        if (ShareDisc(c, CandidateOf(q))) visit(q);
+      }
+      return;
+    }
+    int at[2] = {0, 0}, end[2] = {0, 0};
+    const auto list = [&](int side, int i) {
+      if (!Moves(i)) return;
+      at[side] = first_pair_of_[i];
+      end[side] = first_pair_of_[i + 1];
+    };
+    list(0, c.a);
+    if (!c.plane) list(1, c.b);
+    while (at[0] < end[0] || at[1] < end[1]) {
+      const int a = at[0] < end[0] ? pairs_of_[at[0]] : num_pairs(),
+                b = at[1] < end[1] ? pairs_of_[at[1]] : num_pairs();
+      at[0] += a <= b;
+      at[1] += b <= a;
+      visit(std::min(a, b));
+    }
+  }
   // Whether the discs of pair q touch nothing else.
   bool TouchesAlone(int q, double time) const {
     const Candidate& c = CandidateOf(q);
-    for (int other = 0; other < num_pairs(); ++other) {
-      const Candidate& d = CandidateOf(other);
-      if (other == q || !ShareDisc(c, d)) continue;
-      if (ApproachAt(d, time).gap <= kContactGap) return false;
-    }
-    return true;
+    bool alone = true;
+    ForEachPairBeside(c, [&](int other) {
+      alone = alone && (other == q || !(ApproachAt(CandidateOf(other), time).gap <= kContactGap));
+    });
+    return alone;
   }
 
   Vec2<T> RelativeVelocityAt(const Candidate& c, const T& time) const {
@@ -191,6 +233,28 @@ class EventMotion {
   std::span<const State> start_;
   std::pmr::vector<EventDisc<T>> discs_;
   std::pmr::vector<Pair> pairs_;
+
+ private:
+  // Lists of so few would cost more than looking at them all.
+  static constexpr int kFewPairs = 16;
+
+  void ListPairs() {
+    first_pair_of_.assign(discs_.size() + 1, 0);
+    const auto for_each_side = [&](const auto& visit) {
+      for (int q = 0; q < num_pairs(); ++q) {
+        const Candidate& c = CandidateOf(q);
+        visit(c.a, q);
+        if (!c.plane) visit(c.b, q);
+      }
+    };
+    for_each_side([&](int i, int) { ++first_pair_of_[i + 1]; });
+    for (std::size_t i = 0; i < discs_.size(); ++i) first_pair_of_[i + 1] += first_pair_of_[i];
+    pairs_of_.resize(first_pair_of_.back());
+    std::pmr::vector<int> next(first_pair_of_.begin(), first_pair_of_.end(), in_.scratch);
+    for_each_side([&](int i, int q) { pairs_of_[next[i]++] = q; });
+  }
+
+  std::pmr::vector<int> pairs_of_, first_pair_of_;  // by disc, where there are many
 };
 
 }  // namespace saltus::internal

@@ -13,6 +13,7 @@
 
 #include "contact/event_disc.h"
 #include "contact/event_forces.h"
+#include "contact/event_rows.h"
 
 namespace saltus::internal {
 
@@ -33,43 +34,39 @@ class PressedGroup {
   explicit PressedGroup(const StepInput<T>& in)
       : in_(in),
         contacts_(in.scratch),
-        rows_(in.scratch),
-        matrix_(in.scratch),
+        rows_(in),
         forces_(in.scratch),
         acceleration_(in.scratch),
-        inverse_mass_(in.scratch) {}
+        has_disc_(in.scratch),
+        has_pair_(in.scratch) {}
 
   // The discs of the step, which the functions below read and change. They must stay where they are.
   void SetDiscs(std::span<EventDisc<T>> discs) { discs_ = discs; }
   // To be called before anything else.
   void Clear() {
+    for (const Contact& contact : contacts_) Mark(contact.pair, 0);
     contacts_.clear();
+    rows_.Clear();
     wedged_ = false;
-    if (acceleration_.size() == discs_.size()) return;
     acceleration_.resize(discs_.size());
-    inverse_mass_.resize(discs_.size());
-    for (std::size_t i = 0; i < discs_.size(); ++i) inverse_mass_[i] = Value(in_.bodies[i].inverse_mass);
+    has_disc_.resize(discs_.size());
+    has_pair_.resize(in_.candidates.size());
   }
 
   std::span<const Contact> contacts() const { return contacts_; }
-  bool Contains(int pair) const {
-    return std::any_of(contacts_.begin(), contacts_.end(), [&](const Contact& one) { return one.pair == pair; });
-  }
+  bool Contains(int pair) const { return has_pair_[pair]; }
+  bool HasDisc(int i) const { return has_disc_[i]; }
   // Precondition: its discs have been moved to the instant of the group.
   void Add(int pair, bool drifts) {
     const Candidate& c = in_.candidates[pair];
     if (!HasDisc(c.a)) Reset(c.a);
     if (!c.plane && !HasDisc(c.b)) Reset(c.b);
     contacts_.push_back({.pair = pair, .drifts = drifts});
+    Mark(pair, 1);
   }
   void AddClosed(int pair, ContactMode mode, bool drifts) {
     contacts_.push_back({.pair = pair, .mode = mode, .closed = true, .drifts = drifts});
-  }
-  bool HasDisc(int i) const {
-    return std::any_of(contacts_.begin(), contacts_.end(), [&](const Contact& contact) {
-      const Candidate& c = in_.candidates[contact.pair];
-      return !in_.bodies[i].fixed && (c.a == i || (!c.plane && c.b == i));
-    });
+    Mark(pair, 1);
   }
 
   // The forces on values, and which contacts they close. False if they were not found.
@@ -100,21 +97,21 @@ class PressedGroup {
   // that lack of impulse over time, along the force; as that turns, the velocity changes by -P times its rate.
   void ProjectPositions() {
     const auto move = [&](int i, const Vec2<T>& change) { discs_[i].p += change; };
-    rows_.clear();
+    rows_.Clear();
     for (const Contact& contact : contacts_) AddOverlap(contact);
-    SolveRows();
-    ForEachPush(move);
+    rows_.Solve();
+    rows_.ForEachPush(move);
     AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
     KeepValues();
-    SolveRows();
-    ForEachPush(move);
+    rows_.Solve();
+    rows_.ForEachPush(move);
     if constexpr (kDerivatives) {
       AddRowsOfClosed([&](const Contact& contact) { AddGap(contact); });
       KeepDerivatives();
-      SolveRows();
-      ForEachPush(move);
+      rows_.Solve();
+      rows_.ForEachPush(move);
       for (Row& row : rows_) row.push = row.turning;
-      ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v -= change; });
+      rows_.ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v -= change; });
     }
   }
   void ProjectVelocities() {
@@ -127,8 +124,8 @@ class PressedGroup {
       KeepValues();
       bool negligible = true;
       for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
-      SolveRows();
-      ForEachPush(push);
+      rows_.Solve();
+      rows_.ForEachPush(push);
       if (StopClosing()) {
         pass = 0;
       } else if (negligible) {
@@ -140,8 +137,8 @@ class PressedGroup {
     if constexpr (kDerivatives) {
       AddVelocityRows();
       KeepDerivatives();
-      SolveRows();
-      ForEachPush(push);
+      rows_.Solve();
+      rows_.ForEachPush(push);
     }
   }
 
@@ -158,13 +155,13 @@ class PressedGroup {
     }
     // The forces found on values, then what is missing.
     const auto push = [&](int i, const Vec2<T>& change) { discs_[i].a += change; };
-    ForEachPush(push);
+    rows_.ForEachPush(push);
     for (Row& row : rows_) {
       row.violation += Dot(row.direction, discs_[row.a].a);
       if (row.b >= 0) row.violation -= Dot(row.direction, discs_[row.b].a);
     }
-    SolveRows();
-    ForEachPush(push);
+    rows_.Solve();
+    rows_.ForEachPush(push);
   }
 
   // Opens the closed contacts that would have to pull under these accelerations: they part within the arc. True if
@@ -201,20 +198,12 @@ class PressedGroup {
   }
 
  private:
-  // One scalar condition across a contact, and the force that keeps it.
-  struct Row {
-    int a, b;           // b = -1: a plane
-    Vec2<T> direction;  // what is measured
-    Vec2<T> push;       // along which the force acts
-    T violation;
-    T force;
-    Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
-  };
+  using Row = typename ForceRows<T>::Row;
   static constexpr bool kDerivatives = !std::is_same_v<T, double>;
 
   template <typename Add>
   void AddRowsOfClosed(const Add& add) {
-    rows_.clear();
+    rows_.Clear();
     for (const Contact& contact : contacts_) {
       if (contact.closed) add(contact);
     }
@@ -233,6 +222,12 @@ class PressedGroup {
   static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
   Separation<T> SeparationOf(const Candidate& c) const {
     return SeparationAt(in_, c, [&](int i) { return discs_[i].p; });
+  }
+  void Mark(int pair, char in_group) {
+    const Candidate& c = in_.candidates[pair];
+    has_pair_[pair] = in_group;
+    if (!in_.bodies[c.a].fixed) has_disc_[c.a] = in_group;
+    if (!c.plane && !in_.bodies[c.b].fixed) has_disc_[c.b] = in_group;
   }
   void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
 
@@ -265,7 +260,7 @@ class PressedGroup {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
-    return SolvePressingForces(Value(in_.contact.friction), inverse_mass_, acceleration_, forces_);
+    return SolvePressingForces(Value(in_.contact.friction), rows_.inverse_mass(), acceleration_, forces_);
   }
 
   void Measure(Contact* contact) const {
@@ -315,7 +310,7 @@ class PressedGroup {
       const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), at.distance);
       row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
     }
-    rows_.push_back(row);
+    rows_.Add(row);
   }
   // How far a contact that sticks moves along its tangent when its gap is opened, as a multiple of that: while it falls
   // and bounces, nothing holds it against what would make it slide. For a contact by itself; of several that stick
@@ -336,7 +331,7 @@ class PressedGroup {
     const double gap = Value(at.distance) - in_.ContactDistance(c);
     if (!MayMove(gap, contact) || std::abs(gap) <= kRoundingGap || (!contact.closed && gap > -0.1 * kContactGap))
       return;
-    rows_.push_back({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
+    rows_.Add({c.a, c.plane ? -1 : c.b, at.normal, at.normal, T(gap), T(0.0)});
   }
 
   T NormalVelocity(const Contact& contact) const {
@@ -354,7 +349,7 @@ class PressedGroup {
     return any;
   }
   void AddVelocityRows() {
-    rows_.clear();
+    rows_.Clear();
     for (const Contact& contact : contacts_) {
       if (contact.closed || contact.stopped) AddVelocityRows(contact);
     }
@@ -366,9 +361,9 @@ class PressedGroup {
     const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
     Vec2<T> push = normal;
     if (contact.rests) push += Scale(TangentialShare(contact), tangent);
-    rows_.push_back({c.a, b, normal, push, Dot(normal, w), T(0.0)});
+    rows_.Add({c.a, b, normal, push, Dot(normal, w), T(0.0)});
     if (contact.stopped || (contact.mode != ContactMode::kStick && !wedged_)) return;
-    rows_.push_back({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
+    rows_.Add({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
   }
 
   void AddAccelerationRows(const Contact& contact, const T& arc) {
@@ -383,8 +378,8 @@ class PressedGroup {
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
     if (contact.mode == ContactMode::kStick) {
-      rows_.push_back({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
-      rows_.push_back({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force)});
+      rows_.Add({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
+      rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force)});
       return;
     }
     T turning(0.0);
@@ -398,52 +393,17 @@ class PressedGroup {
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);
-    rows_.push_back({c.a, b, at.normal, push, turning, T(f.normal_force)});
-  }
-
-  // The forces that undo the violations.
-  void SolveRows() {
-    const int n = static_cast<int>(rows_.size());
-    if (n == 0) return;
-    matrix_.resize(n * n);
-    for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(rows_[i], rows_[j]);
-    }
-    PseudoInvert(n, matrix_);
-    for (int i = 0; i < n; ++i) {
-      rows_[i].force = T(0.0);
-      for (int j = 0; j < n; ++j) rows_[i].force -= rows_[j].violation * matrix_[i * n + j];
-    }
-  }
-  // How much the force of row j changes what row i measures.
-  double Coupling(const Row& i, const Row& j) const {
-    double mobility = 0;
-    const auto meet = [&](int p, int q, double sign) {
-      if (p >= 0 && p == q) mobility += sign * inverse_mass_[p];
-    };
-    meet(i.a, j.a, 1);
-    meet(i.b, j.b, 1);
-    meet(i.a, j.b, -1);
-    meet(i.b, j.a, -1);
-    return mobility * Dot(ValueOf(i.direction), ValueOf(j.push));
-  }
-  template <typename Apply>
-  void ForEachPush(const Apply& apply) const {
-    for (const Row& row : rows_) {
-      apply(row.a, Scale(T(row.force * in_.bodies[row.a].inverse_mass), row.push));
-      if (row.b >= 0) apply(row.b, Scale(T(-row.force * in_.bodies[row.b].inverse_mass), row.push));
-    }
+    rows_.Add({c.a, b, at.normal, push, turning, T(f.normal_force)});
   }
 
   const StepInput<T>& in_;
   std::span<EventDisc<T>> discs_;
   bool wedged_ = false;  // sliding ends at once
   std::pmr::vector<Contact> contacts_;
-  std::pmr::vector<Row> rows_;
-  std::pmr::vector<double> matrix_;
+  ForceRows<T> rows_;
   std::pmr::vector<PressingContact> forces_;
-  std::pmr::vector<Vec2d> acceleration_;  // per disc, values
-  std::pmr::vector<double> inverse_mass_;
+  std::pmr::vector<Vec2d> acceleration_;        // per disc, values
+  std::pmr::vector<char> has_disc_, has_pair_;  // per disc that moves, per candidate: it is in the group
 };
 
 }  // namespace saltus::internal

@@ -68,10 +68,10 @@ class EventStep : private EventMotion<T> {
  private:
   using Group = PressedGroup<T>;
   using Discs = EventMotion<T>;
-  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ShareDisc,
-      Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity, Discs::LastSeparation,
-      Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep, Discs::Report,
-      Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing;
+  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ForEachPairOf,
+      Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
+      Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
+      Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -203,14 +203,14 @@ class EventStep : private EventMotion<T> {
     if (!Moves(i)) return;
     MoveTo(i, time);
     discs_[i].a = in_.Acceleration(i);
-    for (int q = 0; q < num_pairs(); ++q) {
+    ForEachPairOf(i, [&](int q) {
       const Candidate& c = CandidateOf(q);
-      if (!pairs_[q].held || (c.a != i && (c.plane || c.b != i))) continue;
+      if (!pairs_[q].held) return;
       pairs_[q].held = false;
       pairs_[q].released = order_;
       Release(c.a, time);
       if (!c.plane) Release(c.b, time);
-    }
+    });
   }
 
   // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
@@ -249,13 +249,12 @@ class EventStep : private EventMotion<T> {
     tied_.assign(1, q);
     for (std::size_t k = 0; k < tied_.size(); ++k) {
       const Candidate c = CandidateOf(tied_[k]);
-      for (int r = 0; r < num_pairs(); ++r) {
+      ForEachPairBeside(c, [&](int r) {
         const Candidate& d = CandidateOf(r);
-        if (!ShareDisc(c, d)) continue;
-        if (std::find(tied_.begin(), tied_.end(), r) != tied_.end()) continue;
+        if (std::find(tied_.begin(), tied_.end(), r) != tied_.end()) return;
         const double distance = in_.ContactDistance(d), size = distance + MotionAt(d.a, time).p.template lpNorm<1>();
         if (MeetsNow(ApproachAt(d, time), distance, size, in_.h)) tied_.push_back(r);
-      }
+      });
     }
     std::sort(tied_.begin(), tied_.end());
   }
@@ -433,9 +432,7 @@ class EventStep : private EventMotion<T> {
     MoveTo(c.a, time);
     if (!c.plane) MoveTo(c.b, time);
     group_.AddClosed(q, static_cast<ContactMode>(pairs_[q].reported_mode), pairs_[q].curved);
-    for (int other = 0; other < num_pairs(); ++other) {
-      if (ShareDisc(c, CandidateOf(other))) Gather(other, time);
-    }
+    ForEachPairBeside(c, [&](int other) { Gather(other, time); });
   }
 
   double limit_;                // s, events after it are left to the next step

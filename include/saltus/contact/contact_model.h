@@ -41,7 +41,7 @@ namespace saltus {
 //         - derivatives pass through the step: a value without them makes the gradient wrong, which the audit finds
 //           too.
 //       Iterations end, and a step that they do not bring to its result says so (StepInput::Fail).
-// and may have
+// and may have kTapedFrom (dynamics/island_derivative.h), and
 //   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
 //   template <typename Visit> void VisitOptions(const Visit& visit)

@@ -3,6 +3,9 @@
 // The model's own step is run with Jets, kJetWidth directions a pass: first position, velocity and force of each disc
 // in turn, then what else there is. Discs that touch nothing but each other are moved on alike by a common shift of
 // their positions, velocities or accelerations, as in free flight; that saves the pass of the last one.
+//
+// The transposed Jacobian of a crowd needs no pass a disc: models that say from how many discs on (kTapedFrom) are run
+// once, on a tape (physics/taped.h).
 #pragma once
 
 #include <Eigen/Core>
@@ -12,6 +15,7 @@
 
 #include "saltus/contact/contact_model.h"
 #include "saltus/dynamics/free_flight.h"
+#include "saltus/physics/taped.h"
 
 namespace saltus {
 
@@ -32,6 +36,9 @@ class IslandDerivative {
                       const FreeFlightJacobian<S>& free, bool with_parameters, std::span<const S> after,
                       std::span<S> before) {
     const int n = static_cast<int>(x.size());
+    if constexpr (requires { M::kTapedFrom; }) {
+      if (n >= M::kTapedFrom) return PullBackOnTape(model, in, x, after, before);
+    }
     int first = 0;
     if constexpr (requires { &M::Linearize; }) {
       first = NumColumns(n, false);
@@ -212,6 +219,57 @@ class IslandDerivative {
     ContactConstants<Jet>& c = jets_.contact;
     Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
     return column < 4 ? *contact[column] : bodies_[column - 4].mass;
+  }
+
+  // All columns at once: the step on a tape, and one sweep back.
+  void PullBackOnTape(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
+                      std::span<S> before) {
+    static_assert(std::is_same_v<S, double>, "tapes are in double");
+    const std::size_t n = x.size(), states = n * kSize;
+    Tape& tape = Tape::OfThread();
+    tape.Clear();
+    std::vector<BodyState<Taped, kRotation>> from(n), to(n);
+    std::vector<Vec2<Taped>> force(n);
+    std::vector<BodyConstants<Taped>> bodies(n);
+    std::vector<int> places;  // of the columns, in their order
+    const auto vary = [&](Taped& entry, S value) {
+      entry = Taped::Variable(value);
+      places.push_back(entry.place());
+    };
+    for (std::size_t i = 0; i < states; ++i) {
+      vary(reinterpret_cast<Taped*>(from.data())[i], reinterpret_cast<const S*>(x.data())[i]);
+    }
+    for (std::size_t i = 0; i < 2 * n; ++i) vary(force[i / 2][i % 2], in.force[i / 2][i % 2]);
+    ContactConstants<Taped> contact;
+    vary(contact.restitution, in.contact.restitution);
+    vary(contact.friction, in.contact.friction);
+    vary(contact.stiffness, in.contact.stiffness);
+    vary(contact.damping, in.contact.damping);
+    for (std::size_t i = 0; i < n; ++i) {
+      const BodyConstants<S>& body = in.bodies[i];
+      vary(bodies[i].mass, body.mass);
+      bodies[i].inverse_mass = body.fixed ? Taped(body.inverse_mass) : Divide(S(1), bodies[i].mass);
+      bodies[i].radius = body.radius;
+      bodies[i].fixed = body.fixed;
+    }
+    const StepInput<Taped> taped{.h = in.h,
+                                 .gravity = in.gravity,
+                                 .contact = contact,
+                                 .bodies = bodies,
+                                 .planes = in.planes,
+                                 .force = force,
+                                 .candidates = in.candidates,
+                                 .scratch = in.scratch,
+                                 .solved = in.solved};
+    if (in.solved != nullptr) in.solved->Rewind();
+    model.Step(taped, std::span<const BodyState<Taped, kRotation>>(from), std::span<BodyState<Taped, kRotation>>(to));
+    std::vector<std::pair<int, double>> cotangents;
+    for (std::size_t i = 0; i < states; ++i) {
+      cotangents.emplace_back(reinterpret_cast<const Taped*>(to.data())[i].place(), after[i]);
+    }
+    const std::span<const double> swept = tape.Sweep(cotangents);
+    for (std::size_t i = 0; i < before.size(); ++i) before[i] = swept[places[i]];
+    tape.Clear();
   }
 
   // The cotangents of states and forces as the model's source has them.

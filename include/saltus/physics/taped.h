@@ -1,0 +1,164 @@
+// A scalar that remembers how it was computed: derivatives of few results by many variables in one reverse sweep.
+//
+// A Taped has a value and, unless it is constant, a place on the tape of its thread, where every operation leaves its
+// partial derivatives (reverse accumulation, e.g. Griewank and Walther, Evaluating Derivatives, chapter 3). Linear
+// systems are one entry each: the sweep solves the transposed system once (implicit differentiation). It stands in
+// where Jets do, with their values bit by bit, and pays where variables are many.
+#pragma once
+
+#include <Eigen/Core>
+#include <cmath>
+#include <functional>
+#include <span>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "saltus/physics/scalar.h"
+
+namespace saltus {
+
+class Taped;
+
+class Tape {
+ public:
+  // Adds to the cotangents of the inputs what those of the outputs make of them.
+  using PullBack = std::function<void(std::span<const double> outputs, std::span<double> inputs)>;
+
+  // That of this thread, on which its operations are written.
+  static Tape& OfThread() {
+    static thread_local Tape tape;
+    return tape;
+  }
+
+  // Forgets everything; the memory stays.
+  void Clear() {
+    entries_.resize(1);
+    maps_.clear();
+  }
+  int Add(int a, double by_a, int b = 0, double by_b = 0) {
+    entries_.push_back({by_a, by_b, a, b});
+    return static_cast<int>(entries_.size()) - 1;
+  }
+  // `outputs` have their values and get their places: a linear map of the inputs, which is kept until Clear().
+  void AddMap(std::span<const Taped> inputs, std::span<Taped> outputs, PullBack pull_back);
+
+  // The cotangents of all places, from `cotangents` of some; place 0 is that of constants. Until the next call.
+  std::span<const double> Sweep(std::span<const std::pair<int, double>> cotangents);
+
+ private:
+  struct Entry {
+    double by_a = 0, by_b = 0;
+    int a = 0, b = 0;
+  };
+  struct Map {
+    int first;  // its outputs' first place
+    std::vector<int> inputs;
+    int num_outputs;
+    PullBack pull_back;
+  };
+  void SweepMap(const Map& map);
+
+  std::vector<Entry> entries_{1};
+  std::vector<Map> maps_;
+  std::vector<double> cotangents_, of_inputs_;
+};
+
+class Taped {
+ public:
+  Taped() = default;
+  explicit Taped(double value) : value_(value) {}
+  Taped(double value, int place) : value_(value), place_(place) {}
+  // A new variable on the tape.
+  static Taped Variable(double value) { return {value, Tape::OfThread().Add(0, 0)}; }
+
+  double value() const { return value_; }
+  int place() const { return place_; }  // 0: it is constant
+
+  // What a and b give, with these derivatives.
+  static Taped Of(double value, const Taped& a, double by_a) {
+    return {value, a.place_ == 0 ? 0 : Tape::OfThread().Add(a.place_, by_a)};
+  }
+  static Taped Of(double value, const Taped& a, double by_a, const Taped& b, double by_b) {
+    if (a.place_ == 0 && b.place_ == 0) return Taped(value);
+    return {value, Tape::OfThread().Add(a.place_, by_a, b.place_, by_b)};
+  }
+
+  friend Taped operator-(const Taped& a) { return Of(-a.value_, a, -1); }
+  friend Taped operator+(const Taped& a, const Taped& b) { return Of(a.value_ + b.value_, a, 1, b, 1); }
+  friend Taped operator+(const Taped& a, double b) { return {a.value_ + b, a.place_}; }
+  friend Taped operator+(double a, const Taped& b) { return {a + b.value_, b.place_}; }
+  friend Taped operator-(const Taped& a, const Taped& b) { return Of(a.value_ - b.value_, a, 1, b, -1); }
+  friend Taped operator-(const Taped& a, double b) { return {a.value_ - b, a.place_}; }
+  friend Taped operator-(double a, const Taped& b) { return Of(a - b.value_, b, -1); }
+  friend Taped operator*(const Taped& a, const Taped& b) { return Of(a.value_ * b.value_, a, b.value_, b, a.value_); }
+  friend Taped operator*(const Taped& a, double b) { return Of(a.value_ * b, a, b); }
+  friend Taped operator*(double a, const Taped& b) { return Of(a * b.value_, b, a); }
+  Taped& operator+=(const Taped& b) { return *this = *this + b; }
+  Taped& operator-=(const Taped& b) { return *this = *this - b; }
+  Taped& operator*=(const Taped& b) { return *this = *this * b; }
+  Taped& operator+=(double b) { return *this = *this + b; }
+  Taped& operator-=(double b) { return *this = *this - b; }
+  Taped& operator*=(double b) { return *this = *this * b; }
+
+  friend bool operator==(const Taped& a, const Taped& b) { return a.value_ == b.value_; }
+  friend auto operator<=>(const Taped& a, const Taped& b) { return a.value_ <=> b.value_; }
+
+ private:
+  double value_ = 0;
+  int place_ = 0;
+};
+
+namespace internal {
+template <>
+struct BaseScalar<Taped> {
+  using type = double;
+};
+}  // namespace internal
+
+inline double Value(const Taped& x) { return x.value(); }
+
+// As in smooth_math.h.
+inline Taped Divide(const Taped& a, const Taped& b) {
+  const double quotient = a.value() / b.value(), inverse = 1 / b.value();
+  return Taped::Of(quotient, a, inverse, b, -quotient * inverse);
+}
+inline Taped Divide(const Taped& a, double b) { return Taped::Of(a.value() / b, a, 1 / b); }
+inline Taped Divide(double a, const Taped& b) {
+  const double quotient = a / b.value();
+  return Taped::Of(quotient, b, -quotient / b.value());
+}
+inline Taped SafeSqrt(const Taped& x) {
+  if (x.value() == 0) return Taped(0.0);
+  const double root = std::sqrt(x.value());
+  return Taped::Of(root, x, 1 / (2 * root));
+}
+
+}  // namespace saltus
+
+namespace Eigen {
+template <>
+struct NumTraits<saltus::Taped> : NumTraits<double> {
+  using Real = saltus::Taped;
+  using NonInteger = saltus::Taped;
+  using Nested = saltus::Taped;
+  using Literal = saltus::Taped;
+  enum {
+    IsComplex = 0,
+    IsInteger = 0,
+    IsSigned = 1,
+    RequireInitialization = 1,
+    ReadCost = 1,
+    AddCost = 4,
+    MulCost = 4
+  };
+};
+template <typename Operation>
+struct ScalarBinaryOpTraits<saltus::Taped, double, Operation> {
+  using ReturnType = saltus::Taped;
+};
+template <typename Operation>
+struct ScalarBinaryOpTraits<double, saltus::Taped, Operation> {
+  using ReturnType = saltus::Taped;
+};
+}  // namespace Eigen

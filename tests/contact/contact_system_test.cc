@@ -1,0 +1,129 @@
+// Sparse systems of contact against the dense pseudo-inverse.
+#include "contact/contact_system.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+namespace saltus {
+namespace {
+
+// A pile in rows of equal discs on a ground: of some height, and as wide.
+struct Pile {
+  explicit Pile(int size) {
+    const auto disc = [&](int level, int i) { return level * size + i; };
+    std::mt19937 random(1);
+    std::uniform_real_distribution<double> uniform(0.5, 2);
+    for (int i = 0; i < size * size; ++i) inverse_mass.push_back(uniform(random));
+    inverse_mass[size + 1] = 0;  // this one is fixed
+    const auto add = [&](int a, int b, double angle) {
+      const Vec2d normal(std::cos(angle), std::sin(angle));
+      rows.push_back({a, b, normal, normal});
+    };
+    for (int level = 0; level < size; ++level) {
+      for (int i = 0; i < size; ++i) {
+        if (level == 0) add(disc(level, i), -1, M_PI / 2);
+        if (i + 1 < size) add(disc(level, i), disc(level, i + 1), M_PI);
+        if (level + 1 < size) add(disc(level, i), disc(level + 1, i), -M_PI / 3);
+        if (level + 1 < size && i + 1 < size) add(disc(level, i + 1), disc(level + 1, i), -2 * M_PI / 3);
+      }
+    }
+  }
+  int size() const { return static_cast<int>(rows.size()); }
+
+  std::vector<ContactRow> rows;
+  std::vector<double> inverse_mass;
+};
+
+std::vector<double> DensePseudoInverse(const Pile& pile) {
+  const int n = pile.size();
+  std::vector<double> matrix(n * n);
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < n; ++j) matrix[i * n + j] = Coupling(pile.rows[i], pile.rows[j], pile.inverse_mass);
+  }
+  PseudoInvert(n, matrix);
+  return matrix;
+}
+
+// What some motion of the discs is measured as, so that forces can undo it.
+std::vector<double> Measured(const Pile& pile, unsigned seed, bool along_push) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  std::vector<Vec2d> moved;
+  for (double inverse_mass : pile.inverse_mass) {
+    const Vec2d motion(normal(random), normal(random));
+    moved.push_back(inverse_mass > 0 ? motion : Vec2d(0, 0));
+  }
+  std::vector<double> measured;
+  for (const ContactRow& row : pile.rows) {
+    const Vec2d relative = row.b < 0 ? moved[row.a] : Vec2d(moved[row.a] - moved[row.b]);
+    measured.push_back(Dot(along_push ? row.push : row.measured, relative));
+  }
+  return measured;
+}
+
+void ExpectAsDense(const Pile& pile, const ContactSystem& system, double tolerance) {
+  const std::vector<double> inverse = DensePseudoInverse(pile);
+  const int n = pile.size();
+  for (const bool transposed : {false, true}) {
+    const std::vector<double> given = Measured(pile, 7, transposed);
+    std::vector<double> found = given;
+    EXPECT_TRUE(transposed ? system.SolveTransposed(found) : system.Solve(found)) << "sparsely";
+    double largest = 0;
+    for (int i = 0; i < n; ++i) {
+      double expected = 0;
+      for (int j = 0; j < n; ++j) expected += inverse[transposed ? j * n + i : i * n + j] * given[j];
+      largest = std::max(largest, std::abs(expected));
+      EXPECT_NEAR(found[i], expected, tolerance * std::max(1.0, largest)) << i << (transposed ? " transposed" : "");
+    }
+  }
+}
+
+TEST(ContactSystem, OfAPileWhoseContactsDependOnEachOther) {
+  const Pile pile(6);
+  ASSERT_GT(pile.size(), 2 * 36) << "more contacts than directions in which discs can move";
+  ExpectAsDense(pile, ContactSystem(pile.rows, pile.inverse_mass), 1e-6);
+}
+
+TEST(ContactSystem, OfAStack) {
+  Pile stack(1);
+  stack.rows.resize(1);
+  stack.inverse_mass.assign(60, 1.0);
+  for (int i = 0; i + 1 < 60; ++i) stack.rows.push_back({i, i + 1, {0, -1}, {0, -1}});
+  ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass), 1e-10);
+}
+
+TEST(ContactSystem, WithForcesThatDoNotActAlongWhatIsMeasured) {
+  Pile stack(1);
+  stack.rows.resize(1);
+  stack.inverse_mass.assign(40, 1.0);
+  for (int i = 0; i + 1 < 40; ++i) {
+    const double angle = -1 - 0.01 * i;
+    stack.rows.push_back({i, i + 1, {std::cos(angle), std::sin(angle)}, {0, 0}});
+  }
+  for (std::size_t i = 0; i < stack.rows.size(); ++i) {
+    ContactRow& row = stack.rows[i];
+    row.push = row.measured + (i % 3 == 0 ? 0.3 : -0.2) * Perpendicular(row.measured);
+  }
+  ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass), 1e-10);
+}
+
+TEST(ContactSystem, BorrowsAFactorizationOfNearlyTheSame) {
+  Pile stack(1);
+  stack.rows.resize(1);
+  stack.inverse_mass.assign(40, 1.0);
+  for (int i = 0; i + 1 < 40; ++i) stack.rows.push_back({i, i + 1, {0, -1}, {0, -1}});
+  const ContactSystem first(stack.rows, stack.inverse_mass);
+  ExpectAsDense(stack, first, 1e-10);
+  for (ContactRow& row : stack.rows) {
+    row.measured = row.push = Vec2d(row.measured + 3e-7 * Perpendicular(row.measured)).normalized();
+  }
+  ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass, &first), 1e-10);
+  // Others have one of their own.
+  for (std::size_t i = 0; i < stack.rows.size(); i += 2) stack.rows[i].measured = stack.rows[i].push = {0.6, -0.8};
+  ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass, &first), 1e-10);
+}
+
+}  // namespace
+}  // namespace saltus

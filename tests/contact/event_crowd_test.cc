@@ -1,0 +1,169 @@
+// Many discs in lasting contact: stacks, piles, rows and cradles, by exact references, differences and Jets.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "contact/event_run.h"
+
+namespace saltus {
+namespace {
+
+using testing::EventRun;
+
+constexpr double kRadius = 0.1;
+
+Scene Empty(double friction, double duration, int steps) {
+  Scene scene;
+  scene.duration = duration;
+  scene.steps = steps;
+  scene.gravity = {0, -9.8};
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.contact.restitution = 0.5;
+  scene.contact.friction = friction;
+  return scene;
+}
+
+void AddDisc(const Vec2d& position, double mass, Scene* scene) {
+  const std::string name = "disc" + std::to_string(scene->bodies.size());
+  scene->bodies.push_back({.name = name, .radius = kRadius, .mass = mass, .position = position});
+}
+
+Scene Stack(int discs, double friction, double duration, int steps) {
+  Scene scene = Empty(friction, duration, steps);
+  for (int i = 0; i < discs; ++i) AddDisc({0, kRadius * (2 * i + 1)}, 1 + 0.1 * (i % 3), &scene);
+  return scene;
+}
+
+// Rows of discs in the gaps of those below, between walls.
+Scene Pile(int levels, double friction, double duration, int steps) {
+  Scene scene = Empty(friction, duration, steps);
+  for (int level = 0; level < levels; ++level) {
+    for (int i = 0; i < levels - level; ++i) {
+      const Vec2d position(kRadius * (2 * i + level), kRadius * (1 + std::sqrt(3.0) * level));
+      AddDisc(position, 1 + 0.1 * (i % 3), &scene);
+    }
+  }
+  scene.planes.push_back({"left", {-kRadius, 0}, {1, 0}});
+  scene.planes.push_back({"right", {kRadius * (2 * levels - 1), 0}, {-1, 0}});
+  return scene;
+}
+
+std::vector<double> Cotangent(std::size_t size) {
+  std::vector<double> cotangent(size);
+  for (std::size_t i = 0; i < size; ++i) cotangent[i] = std::sin(1.0 + 2.0 * static_cast<double>(i));
+  return cotangent;
+}
+
+// What the reverse sweep (on a tape) makes of a cotangent in one step, and the Jacobian that Jets give.
+void ExpectTapeAsJets(const Scene& scene, double tolerance) {
+  Scene one = scene;
+  one.duration /= one.steps;
+  one.steps = 1;
+  one.control.bodies.clear();
+  for (int i = 0; i < one.num_bodies(); ++i) one.control.bodies.push_back(i);
+  one.control.initial.assign(one.num_bodies(), Vec2d(0.1, -0.2));
+  EventRun run(one);
+  const int n = one.num_bodies();
+  ASSERT_GE(n, EventDriven::kTapedFrom);
+  const std::vector<double> cotangent = Cotangent(4 * n);
+  Sensitivity gradient;
+  run.simulator.Adjoint(cotangent, true, &gradient);
+  StepLinearization step;
+  run.simulator.Linearize(run.State(0), run.control, /*with_parameters=*/true, &step);
+  ASSERT_EQ(step.islands.size(), 1u) << "this compares what all discs have in common";
+  const StepLinearization::Island& island = step.islands[0];
+  ASSERT_EQ(static_cast<int>(island.bodies.size()), n);
+  const Eigen::Map<const Eigen::VectorXd> after(cotangent.data(), 4 * n);
+  const Eigen::VectorXd state = island.A.transpose() * after, force = island.B.transpose() * after;
+  const Eigen::VectorXd parameters = island.P.transpose() * after;
+  const double size = std::max({1.0, state.lpNorm<Eigen::Infinity>(), parameters.lpNorm<Eigen::Infinity>()});
+  for (int i = 0; i < 4 * n; ++i) EXPECT_NEAR(gradient.initial[i], state[i], tolerance * size) << i;
+  for (int i = 0; i < 2 * n; ++i) EXPECT_NEAR(gradient.control[i], force[i], tolerance * size) << i;
+  EXPECT_NEAR(gradient.parameters.restitution, parameters[0], tolerance * size);
+  EXPECT_NEAR(gradient.parameters.friction, parameters[1], tolerance * size);
+  for (int i = 0; i < n; ++i) EXPECT_NEAR(gradient.parameters.mass[i], parameters[4 + i], tolerance * size) << i;
+}
+
+TEST(EventCrowd, AStackStays) {
+  for (const double friction : {0.0, 0.5}) {
+    EventRun run(Stack(80, friction, 0.5, 50));
+    const std::vector<double> start = run.State(0), end = run.End();
+    for (std::size_t i = 0; i < end.size(); ++i) EXPECT_NEAR(end[i], start[i], 1e-12) << i;
+    EXPECT_EQ(run.simulator.touches().size(), 50u * 80u);
+  }
+}
+
+// Its contacts depend on each other: which of them press is not unique, how the discs move is.
+TEST(EventCrowd, APileStays) {
+  for (const double friction : {0.0, 0.5}) {
+    EventRun run(Pile(8, friction, 0.2, 20));
+    const std::vector<double> start = run.State(0), end = run.End();
+    for (std::size_t i = 0; i < end.size(); ++i) EXPECT_NEAR(end[i], start[i], 1e-11) << i;
+  }
+}
+
+// A frictionless stack, pushed sideways at its top, buckles: all its contacts last, and turn.
+TEST(EventCrowd, TheGradientOfAStackEqualsDifferences) {
+  Scene scene = Stack(30, 0, 0.1, 10);
+  scene.control = {{29}, {Vec2d(0.5, -1)}};
+  EventRun run(scene);
+  const std::vector<double> cotangent = Cotangent(4 * 30);
+  Sensitivity gradient;
+  run.simulator.Adjoint(cotangent, true, &gradient);
+  Vec2d derivative(0, 0);
+  for (std::size_t k = 0; k < gradient.control.size(); k += 2) {
+    derivative += Vec2d(gradient.control[k], gradient.control[k + 1]);
+  }
+  const auto along = [&](const Vec2d& force) {
+    scene.control.initial = {force};
+    const std::vector<double> end = EventRun(scene).End();
+    double sum = 0;
+    for (std::size_t i = 0; i < end.size(); ++i) sum += cotangent[i] * end[i];
+    return sum;
+  };
+  const double by = 1e-4;
+  for (int j = 0; j < 2; ++j) {
+    Vec2d step(0, 0);
+    step[j] = by;
+    const double difference = (along(Vec2d(0.5, -1) + step) - along(Vec2d(0.5, -1) - step)) / (2 * by);
+    EXPECT_NEAR(derivative[j], difference, 1e-6 * derivative.norm()) << j;
+  }
+}
+
+TEST(EventCrowd, ATapeGivesWhatJetsGive) {
+  ExpectTapeAsJets(Stack(6, 0, 0.01, 1), 1e-11);
+  ExpectTapeAsJets(Stack(40, 0, 0.01, 1), 1e-9);
+  ExpectTapeAsJets(Stack(40, 0.5, 0.01, 1), 1e-9);
+  Scene sliding = Stack(40, 0.2, 0.01, 1);
+  for (Body& body : sliding.bodies) body.velocity = {1, 0};
+  ExpectTapeAsJets(sliding, 1e-9);
+  Scene rolling = Stack(20, 0, 0.001, 1);  // without friction all roll off each other
+  for (int i = 0; i < 20; ++i) rolling.bodies[i].velocity = {0.05 * std::sin(i), 0};
+  ExpectTapeAsJets(rolling, 1e-9);
+  ExpectTapeAsJets(Pile(6, 0, 0.01, 1), 1e-8);
+  ExpectTapeAsJets(Pile(6, 0.5, 0.01, 1), 1e-8);
+}
+
+// A row of discs that touch, struck at one end: the last leaves, at its speed, and all others stay.
+TEST(EventCrowd, ACradleOfFifty) {
+  const int n = 50;
+  Scene scene = Empty(0, 1, 20);
+  scene.gravity = {0, 0};
+  scene.planes.clear();
+  scene.contact.restitution = 1;
+  for (int i = 0; i < n; ++i) AddDisc({2 * kRadius * i, 0}, 2, &scene);
+  scene.bodies[0].position[0] = -0.63;
+  scene.bodies[0].velocity[0] = 1.7;
+  EventRun run(scene);
+  const std::vector<double> end = run.End();
+  const double gap = 0.63, last = 2 * kRadius * (n - 1);
+  for (int i = 0; i + 1 < n; ++i) EXPECT_NEAR(end[4 * i], 2 * kRadius * i, 1e-12) << i;
+  EXPECT_NEAR(end[4 * (n - 1)], last + 1.7 - gap, 1e-12);
+  EXPECT_NEAR(end[4 * (n - 1) + 2], 1.7, 1e-12);
+  const Sensitivity gradient = run.GradientOf(4 * (n - 1));
+  EXPECT_NEAR(gradient.initial[0], 1, 1e-11);
+  EXPECT_NEAR(gradient.initial[2], 1, 1e-11) << "the duration";
+}
+
+}  // namespace
+}  // namespace saltus
