@@ -29,6 +29,7 @@ struct CompliantWarp {
                                           .compared = true,
                                           .relative = true};
   static constexpr int kRotation = 0;
+  static constexpr int kTapedFrom = 12;  // discs
   template <typename T>
   using State = BodyState<T, kRotation>;
 

@@ -4,6 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
+#include "audit/pulled_costate.h"
+#include "audit/step_map.h"
+#include "saltus/dynamics/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -130,6 +135,55 @@ TEST(Attribution, SeveralDiscsAndFixedOnes) {
     EXPECT_GE(attribution.contacts.size(), 2u) << contact;
     for (const ContactError& error : attribution.contacts) EXPECT_TRUE(std::isfinite(error.error)) << contact;
     EXPECT_EQ(attribution.first_wrong < 0, std::string(contact) == "event") << contact;
+  }
+}
+
+// Discs that touch nothing make a scene a crowd, and change nothing of what is found.
+TEST(Attribution, OfAPairInACrowdIsThatOfThePair) {
+  const Scene pair = ProblemScene("two_balls");
+  Scene crowd = pair;
+  for (int i = 0; i < 20; ++i) {
+    crowd.bodies.push_back({.name = "far" + std::to_string(i), .radius = 0.2, .mass = 1, .position = {5.0 + i, 5}});
+  }
+  for (const char* contact : {"direct", "direct_toi", "compliant_warp"}) {
+    const Attribution expected = AttributeError(contact, pair), found = AttributeError(contact, crowd);
+    ASSERT_EQ(found.contacts.size(), expected.contacts.size()) << contact;
+    const ContactError &right = FirstWrong(expected), &own = FirstWrong(found);
+    EXPECT_EQ(own.first_step, right.first_step) << contact;
+    EXPECT_EQ(own.block, right.block) << contact;
+    EXPECT_EQ(own.why, right.why) << contact;
+    EXPECT_NEAR(own.error, right.error, 1e-9 * right.error) << contact;
+  }
+}
+
+// A row of discs that overlap, pushed together: what is pulled back is the transposed linearization times the costate.
+TEST(Attribution, ACostateIsPulledBackAsByTheMatrix) {
+  Scene scene;
+  scene.duration = 0.05;
+  scene.steps = 25;
+  scene.contact.stiffness = 1e4;
+  std::vector<int> bodies;
+  for (int i = 0; i < 18; ++i) {
+    const Vec2d position(0.199 * i, 0.01 * std::sin(i));
+    scene.bodies.push_back(
+        {.name = "disc" + std::to_string(i), .radius = 0.1, .mass = 1 + 0.1 * i, .position = position});
+    bodies.push_back(i);
+  }
+  scene.control = {{0}, {Vec2d(5, 1)}};
+  Eigen::VectorXd lambda(4 * bodies.size());
+  for (int i = 0; i < lambda.size(); ++i) lambda[i] = std::sin(1.0 + i);
+  for (const char* contact : {"compliant_warp", "direct"}) {
+    const std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
+    const std::vector<double> begin = InitialState(scene);
+    const std::vector<double> control = InitialControl(scene, scene.steps);
+    const auto force = [&](int k, std::span<double> f) { simulator->ExpandForce(control, k, f); };
+    const Eigen::MatrixXd A = ComposeSteps(*simulator, begin, force, scene.steps, bodies).A;
+    const PulledCostate pulled = PullBackCostate(simulator.get(), begin, bodies, lambda);
+    Eigen::VectorXd positions = lambda, velocities = lambda;
+    for (int i = 0; i < lambda.size(); ++i) (i % 4 < 2 ? velocities : positions)[i] = 0;
+    EXPECT_LT((pulled.by_positions - A.transpose() * positions).norm(), 1e-9 * pulled.by_positions.norm()) << contact;
+    EXPECT_LT((pulled.by_velocities - A.transpose() * velocities).norm(), 1e-9 * pulled.by_velocities.norm())
+        << contact;
   }
 }
 

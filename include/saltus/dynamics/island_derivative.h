@@ -36,7 +36,7 @@ class IslandDerivative {
                       const FreeFlightJacobian<S>& free, bool with_parameters, std::span<const S> after,
                       std::span<S> before) {
     const int n = static_cast<int>(x.size());
-    if constexpr (requires { M::kTapedFrom; }) {
+    if constexpr (requires { M::kTapedFrom; } && std::is_same_v<S, double>) {
       if (n >= M::kTapedFrom) return PullBackOnTape(model, in, x, after, before);
     }
     int first = 0;
@@ -224,7 +224,6 @@ class IslandDerivative {
   // All columns at once: the step on a tape, and one sweep back.
   void PullBackOnTape(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
                       std::span<S> before) {
-    static_assert(std::is_same_v<S, double>, "tapes are in double");
     const std::size_t n = x.size(), states = n * kSize;
     Tape& tape = Tape::OfThread();
     tape.Clear();

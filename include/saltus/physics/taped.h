@@ -103,6 +103,7 @@ class Taped {
 
   friend bool operator==(const Taped& a, const Taped& b) { return a.value_ == b.value_; }
   friend auto operator<=>(const Taped& a, const Taped& b) { return a.value_ <=> b.value_; }
+  friend auto operator<=>(const Taped& a, double b) { return a.value_ <=> b; }
 
  private:
   double value_ = 0;
