@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <random>
 
 #include "contact/event_run.h"
 
@@ -142,6 +143,42 @@ TEST(EventCrowd, ATapeGivesWhatJetsGive) {
   ExpectTapeAsJets(rolling, 1e-9);
   ExpectTapeAsJets(Pile(6, 0, 0.01, 1), 1e-8);
   ExpectTapeAsJets(Pile(6, 0.5, 0.01, 1), 1e-8);
+}
+
+// Discs of many sizes dropped into a box come to rest: nothing overlaps and no energy is gained on the way.
+TEST(EventCrowd, ABagSettles) {
+  const int n = 40, width = 6, steps = 300;
+  Scene scene = Empty(0.3, 3, steps);
+  scene.contact.restitution = 0.3;
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  for (int i = 0; i < n; ++i) {
+    const double radius = kRadius * (1 + 0.1 * uniform(random));
+    const double x = 0.15 + 0.25 * (i % width) + 0.01 * uniform(random);
+    AddDisc({x, 0.15 + 0.25 * (i / width) + 0.01 * uniform(random)}, 1, &scene);
+    scene.bodies.back().radius = radius;
+  }
+  scene.planes.push_back({"left", {0, 0}, {1, 0}});
+  scene.planes.push_back({"right", {0.25 * width + 0.05, 0}, {-1, 0}});
+  EventRun run(scene);
+  double before = HUGE_VAL, kinetic = 0;
+  for (int k = 0; k <= steps; ++k) {
+    const std::vector<double> x = run.State(k);
+    double energy = kinetic = 0;
+    for (int i = 0; i < n; ++i) {
+      const Vec2d p(x[4 * i], x[4 * i + 1]), v(x[4 * i + 2], x[4 * i + 3]);
+      kinetic += 0.5 * v.squaredNorm();
+      energy += 9.8 * p[1];
+      ASSERT_GT(p[1] - scene.bodies[i].radius, -1e-9);
+      for (int j = 0; j < i; ++j) {
+        const double touch = scene.bodies[i].radius + scene.bodies[j].radius;
+        ASSERT_GT((p - Vec2d(x[4 * j], x[4 * j + 1])).norm() - touch, -1e-9) << i << " and " << j << " in step " << k;
+      }
+    }
+    EXPECT_LE(energy + kinetic, before + 1e-9) << "step " << k;
+    before = energy + kinetic;
+  }
+  EXPECT_LT(kinetic, 1e-20);
 }
 
 // A row of discs that touch, struck at one end: the last leaves, at its speed, and all others stay.
