@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <tuple>
 
 namespace saltus {
 namespace {
@@ -42,7 +43,8 @@ BroadPhase::BroadPhase(std::vector<WallPart> walls, std::vector<Disc> discs, con
       now_(discs_.size()),
       speed_(discs_.size()),
       reach_(discs_.size()),
-      margin_(discs_.size()) {
+      margin_(discs_.size()),
+      around_(discs_.size()) {
   smallest_radius_ = kInfinity;
   for (const Disc& disc : discs_) {
     largest_radius_ = std::max(largest_radius_, disc.radius);
@@ -76,7 +78,7 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
   for (size_t before = 0;; before = candidates->size()) {
     SetReaches();
     if (!ListStands()) {
-      if (num_discs() <= options_.all_pairs && parts_.num_parts() <= options_.all_pairs) {
+      if (num_discs() <= options_.all_pairs) {
         ListAllPairs();
       } else {
         ListNearPairs();
@@ -115,7 +117,7 @@ void BroadPhase::ListAllPairs() {
     }
   }
   for (int i = 0; i < num_discs(); ++i) {
-    for (int p = 0; !discs_[i].fixed && p < static_cast<int>(walls_.size()); ++p) list_.push_back({i, p, true});
+    for (int p = 0; !discs_[i].fixed && p < num_planes(); ++p) list_.push_back({i, p, true});
   }
   skin_ = kInfinity;
   listed_ = true;
@@ -164,25 +166,42 @@ void BroadPhase::ListNearPairs() {
 }
 
 void BroadPhase::ListNearWalls(double near_gap) {
-  const int num_planes = static_cast<int>(walls_.size()) - parts_.num_parts();
   for (int i = 0; i < num_discs(); ++i) {
-    if (discs_[i].fixed) continue;
-    const double near = discs_[i].radius + near_gap;
-    for (int p = 0; p < num_planes; ++p) {
+    for (int p = 0; !discs_[i].fixed && p < num_planes(); ++p) {
       const double gap = Dot(walls_[p].wall.normal, there_[i]) - walls_[p].wall.offset - discs_[i].radius;
       if (gap <= near_gap || walls_[p].table) list_.push_back({i, p, true});
-    }
-    parts_.FindNear(there_[i], near, &near_parts_);
-    for (int p : near_parts_) {
-      if (walls_[p].LeastDistance(there_[i]) <= near) list_.push_back({i, p, true});
     }
   }
 }
 
-bool BroadPhase::MayTouchPart(int i, int p) const {
+void BroadPhase::ListNearParts(int i) {
+  Around& around = around_[i];
+  const double touching = discs_[i].radius + options_.push_gap + reach_[i];
+  if (LeastUnlistedDistance(i) > touching) return;
+  const double skin = std::max(4 * reach_[i], discs_[i].radius);
+  around.near = parts_.num_parts() <= options_.all_pairs ? kInfinity : touching + skin;
+  around.listed_at = now_[i].p;
+  parts_.FindNear(now_[i].p, around.near, &around.parts);
+  around.least = -kInfinity;  // not looked at yet
+}
+
+void BroadPhase::CollectParts(int i, std::vector<Candidate>* candidates) {
+  ListNearParts(i);
+  const double touching = discs_[i].radius + options_.push_gap + reach_[i];
+  if (LeastPartDistance(i) > touching) return;
+  Around& around = around_[i];
+  around.at = now_[i].p;
+  around.least = LeastUnlistedDistance(i);
+  for (int p : around.parts) {
+    const double distance = walls_[p].LeastDistance(now_[i].p);
+    around.least = std::min(around.least, distance);
+    if (distance < touching && MayCount(i, p)) candidates->push_back({i, p, true});
+  }
+}
+
+bool BroadPhase::MayCount(int i, int p) const {
   const WallPart& part = walls_[p];
   const Vec2d& x = now_[i].p;
-  if (part.LeastDistance(x) >= discs_[i].radius + options_.push_gap + reach_[i]) return false;
   const bool in_front = Separate<double>(x, part.wall).distance >= 0;
   if (!options_.all_parts) return in_front && part.extent.Covers(x);
   // From behind it is reached around an end only.
@@ -212,12 +231,10 @@ void BroadPhase::SortIntoGrid(double cell) {
   bucket_start_.back() = n;
 }
 
-void BroadPhase::Collect(std::vector<Candidate>* candidates) const {
+void BroadPhase::Collect(std::vector<Candidate>* candidates) {
   candidates->clear();
   for (const Candidate& c : list_) {
-    if (c.plane && !walls_[c.b].extent.endless) {
-      if (MayTouchPart(c.a, c.b)) candidates->push_back(c);
-    } else if (c.plane) {
+    if (c.plane) {
       const Wall<double>& plane = walls_[c.b].wall;
       const double gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
       const bool near = gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(plane.offset);
@@ -228,6 +245,13 @@ void BroadPhase::Collect(std::vector<Candidate>* candidates) const {
       if (Dot(d, d) < near * near) candidates->push_back(c);
     }
   }
+  if (parts_.num_parts() == 0) return;
+  for (int i = 0; i < num_discs(); ++i) {
+    if (!discs_[i].fixed) CollectParts(i, candidates);
+  }
+  const auto walls = std::ranges::find_if(*candidates, [](const Candidate& pair) { return pair.plane; });
+  const auto before = [](const Candidate& l, const Candidate& r) { return std::tie(l.a, l.b) < std::tie(r.a, r.b); };
+  if (num_planes() > 0) std::sort(walls, candidates->end(), before);
 }
 
 int BroadPhase::Root(int i) {
@@ -257,38 +281,53 @@ void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
   }
 }
 
-double BroadPhase::TimeToMeet(const Candidate& c) const {
+double BroadPhase::Drift(int i) const {
   // After n steps and the prediction of the next, a disc is off p + t v by at most a (t^2 + t dt) / 2, where `a` counts
   // what each step's rounding adds to position and velocity.
   const double dt = options_.dt;
-  const auto drift = [&](int i) {
-    const double size = std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]);
-    return discs_[i].fixed ? 0.0 : acceleration_[i] + 4 * options_.rounding * (size / dt + speed_[i]) / dt;
-  };
+  const double size = std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]);
+  return discs_[i].fixed ? 0.0 : acceleration_[i] + 4 * options_.rounding * (size / dt + speed_[i]) / dt;
+}
+
+double BroadPhase::TimeToMeet(const Candidate& c) const {
+  const double dt = options_.dt;
   double gap, closing, acceleration;
   if (c.plane && !walls_[c.b].extent.endless) {
     gap = walls_[c.b].LeastDistance(now_[c.a].p) - discs_[c.a].radius - margin_[c.a];
     closing = walls_[c.b].Closing(now_[c.a].p, now_[c.a].v);
-    acceleration = drift(c.a);
+    acceleration = Drift(c.a);
   } else if (c.plane) {
     const Wall<double>& plane = walls_[c.b].wall;
     gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
     gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
     closing = -Dot(plane.normal, now_[c.a].v);
-    acceleration = drift(c.a);
+    acceleration = Drift(c.a);
   } else {
     const Vec2d d = now_[c.a].p - now_[c.b].p;
     const double distance = std::sqrt(Dot(d, d));
     gap = distance - discs_[c.a].radius - discs_[c.b].radius - margin_[c.a] - margin_[c.b];
     closing = -Dot(d, Vec2d(now_[c.a].v - now_[c.b].v)) / distance;
-    acceleration = drift(c.a) + drift(c.b);
+    acceleration = Drift(c.a) + Drift(c.b);
   }
   return TimeToCover(gap - options_.push_gap, closing + 0.5 * acceleration * dt, 0.5 * acceleration);
+}
+
+double BroadPhase::TimeToMeetParts(int i, double enough) const {
+  if (discs_[i].fixed) return enough;
+  const double drift = Drift(i), touching = discs_[i].radius + margin_[i] + options_.push_gap;
+  const auto time_to = [&](double distance) {
+    return TimeToCover(distance - touching, speed_[i] + 0.5 * drift * options_.dt, 0.5 * drift);
+  };
+  if (time_to(LeastPartDistance(i)) >= enough) return enough;
+  double least = std::min(enough, time_to(LeastUnlistedDistance(i)));
+  for (int p : around_[i].parts) least = std::min(least, TimeToMeet({i, p, true}));
+  return least;
 }
 
 int BroadPhase::QuietSteps() const {
   double quiet = kInfinity;
   for (const Candidate& c : list_) quiet = std::min(quiet, TimeToMeet(c));
+  for (int i = 0; i < num_discs() && parts_.num_parts() > 0; ++i) quiet = TimeToMeetParts(i, quiet);
   if (skin_ < kInfinity) {
     for (int i = 0; i < num_discs(); ++i) {
       const double left = 0.5 * skin_ - (now_[i].p - there_[i]).norm() - margin_[i];

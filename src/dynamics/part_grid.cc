@@ -52,7 +52,7 @@ PartGrid::Cells PartGrid::CellsOf(const Box& box) const {
 
 void PartGrid::FindNear(const Vec2d& x, double distance, std::vector<int>* near) {
   near->clear();
-  if (num_parts_ == 0) return;
+  if (num_parts_ == 0 || !x.allFinite()) return;
   ++search_;
   const Vec2d half(distance, distance);
   const Cells cells = CellsOf({x - half, x + half});

@@ -47,7 +47,7 @@ TEST(BroadPhase, NearPairsAreAllPairs) {
       const double scale = discs.back().fixed ? 0 : i == 7 ? 30 : 1;
       x.insert(x.end(), {2 * uniform(engine), 2 * uniform(engine), scale * uniform(engine), scale * uniform(engine)});
     }
-    const std::vector<HalfPlane<double>> planes = {{Vec2d(0.6, 0.8), -1.5}, {Vec2d(-1, 0), -1.9}};
+    const std::vector<WallPart> planes = {{.wall = {Vec2d(0.6, 0.8), -1.5}}, {.wall = {Vec2d(-1, 0), -1.9}}};
     BroadPhase::Options options{.dt = 1e-3, .chains = chains, .push_gap = chains ? 0.0 : 0.01, .rounding = 1e-16};
     BroadPhase near(planes, discs, options);
     options.all_pairs = kDiscs;

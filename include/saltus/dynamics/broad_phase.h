@@ -11,9 +11,9 @@
 // all pairs whose gap is at most `skin` more than that. It stands as long as no disc can have moved by more than half
 // of that.
 //
-// Of the parts of edges (walls.h), near pairs come from a grid of their own (part_grid.h). A part is a candidate for a
-// disc where it counts at the start of the step, on the disc's side; or, for models that look ahead (all_parts),
-// wherever it may do so before the end.
+// Of the parts of edges (walls.h), near pairs come from a grid of their own (part_grid.h). They are looked at again
+// when the disc can have come near the nearest of them. A part is a candidate for a disc where it counts at the start
+// of the step, on the disc's side; or, for models that look ahead (all_parts), wherever it may do so before the end.
 #pragma once
 
 #include <cstdint>
@@ -59,6 +59,7 @@ class BroadPhase {
     Vec2d p, v;
   };
 
+  int num_planes() const { return static_cast<int>(walls_.size()) - parts_.num_parts(); }
   int num_discs() const { return static_cast<int>(discs_.size()); }
   int FindInMotion(std::vector<Candidate>* candidates);
   // reach_ from the speeds, with a margin for rounding.
@@ -68,15 +69,25 @@ class BroadPhase {
   void ListNearPairs();
   void SortIntoGrid(double cell);
   void ListNearWalls(double near_gap);
-  void Collect(std::vector<Candidate>* candidates) const;
-  // Whether disc i may touch part p of an edge within the step.
-  bool MayTouchPart(int i, int p) const;
+  // Lists the parts of edges near disc i, unless the list stands.
+  void ListNearParts(int i);
+  void Collect(std::vector<Candidate>* candidates);
+  void CollectParts(int i, std::vector<Candidate>* candidates);
+  // Whether part p of an edge may count for disc i within the step.
+  bool MayCount(int i, int p) const;
   // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
   void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
   int Root(int i);
   // For how many steps nothing meets, if nothing can in this one.
   int QuietSteps() const;
   double TimeToMeet(const Candidate& pair) const;
+  // Of disc i and the parts of edges near it, or `enough` if it is no less.
+  double TimeToMeetParts(int i, double enough) const;
+  // A bound on the acceleration of disc i, what rounding adds included, m/s^2.
+  double Drift(int i) const;
+  // A bound on the distance of disc i to any part of an edge, and to those that are not listed for it, m.
+  double LeastPartDistance(int i) const { return around_[i].least - (now_[i].p - around_[i].at).norm(); }
+  double LeastUnlistedDistance(int i) const { return around_[i].near - (now_[i].p - around_[i].listed_at).norm(); }
 
   std::vector<WallPart> walls_;
   PartGrid parts_;
@@ -88,13 +99,20 @@ class BroadPhase {
   std::vector<double> speed_, reach_, margin_;  // m/s, m, m, bounds for this step
 
   std::vector<Candidate> list_;  // near pairs, discs by index pairs, then discs against planes
+  // The parts of edges near a disc.
+  struct Around {
+    std::vector<int> parts;
+    Vec2d listed_at = Vec2d::Zero();  // where it was when they were listed, ...
+    double near = -1;                 // m, ... all that were so near
+    Vec2d at = Vec2d::Zero();         // where it was when they were last looked at, ...
+    double least = 0;                 // m, ... and a bound on the distance to any part then
+  };
+  std::vector<Around> around_;
   bool listed_ = false;
   double skin_ = 0;             // m; infinite if the list has all pairs
   std::vector<Vec2d> there_;    // positions when it was made
   double largest_radius_ = 0;   // m
   double smallest_radius_ = 0;  // m
-
-  std::vector<int> near_parts_;
 
   std::vector<int> parent_, group_size_;
   std::vector<double> energy_;

@@ -18,7 +18,8 @@ class PartGrid {
 
   int num_parts() const { return num_parts_; }
 
-  // Overwrites `near`, rising, with the parts whose bounding boxes are no further than `distance` from that of x, m.
+  // Overwrites `near`, rising, with the parts whose bounding boxes are no further than `distance` from that of x, m;
+  // none if x is not finite.
   void FindNear(const Vec2d& x, double distance, std::vector<int>* near);
 
  private:
