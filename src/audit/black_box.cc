@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "audit/black_box_head_on.h"
+#include "audit/black_box_simulator.h"
 #include "audit/own_differences.h"
 #include "audit/statistics.h"
 #include "saltus/control/objective.h"

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "saltus/control/contact_sequence.h"
+
 namespace saltus {
 namespace {
 

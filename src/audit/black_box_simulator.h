@@ -84,4 +84,7 @@ class BlackBoxSimulator final : public Simulator {
   mutable std::optional<StepLinearization::FreeFlight> free_;
 };
 
+// What the box says of a scene, and that scenes of more than discs and planes are not for it.
+BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene);
+
 }  // namespace saltus
