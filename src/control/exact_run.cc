@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "contact/event_ties.h"
+#include "limited_run.h"
 #include "physics/units.h"
 #include "running_loss.h"
 #include "saltus/control/contact_sequence.h"
@@ -26,14 +27,29 @@ const ModelTraits* ExactModel() {
   return nullptr;
 }
 
+struct How {
+  std::string model;
+  int tie_order = 0;
+  std::optional<int> most_impacts;
+};
+
 // Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the
 // state at the end.
-bool RunEqualIntervals(std::string_view model, const Scene& scene, const std::vector<double>& control, int first,
-                       double start, int tie_order, std::vector<double>* x, ExactRun* run) {
-  const std::unique_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
-  simulator->set_tie_order(tie_order);
+bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<double>& control, int first, double start,
+                       std::vector<double>* x, ExactRun* run) {
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(how.model, scene, Precision::kDouble);
+  simulator->set_tie_order(how.tie_order);
+  const auto has_too_many = [&how, run, of = simulator.get()] {
+    return how.most_impacts && run->contacts.size() + of->touches().size() > static_cast<size_t>(*how.most_impacts);
+  };
+  simulator->set_stop(has_too_many);
   CHECK_EQ(simulator->state_size(), static_cast<int>(x->size()));
-  if (!simulator->Rollout(*x, control)) {
+  const bool ran = simulator->Rollout(*x, control);
+  if (has_too_many()) {
+    run->reason = "discs meet more than " + std::to_string(*how.most_impacts) + " times";
+    return false;
+  }
+  if (!ran) {
     run->reason = "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
@@ -110,8 +126,8 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
 }
 
 // `scene` in the order of ties that is asked for. Precondition: the model can take the scene.
-ExactRun SimulateInOrder(const std::string& model, const Scene& whole, const std::vector<double>& initial,
-                         const std::vector<double>& control, const std::vector<double>& durations, int tie_order) {
+ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<double>& initial,
+                         const std::vector<double>& control, const std::vector<double>& durations) {
   ExactRun run;
   run.end = initial;
   Scene scene = whole;
@@ -120,7 +136,7 @@ ExactRun SimulateInOrder(const std::string& model, const Scene& whole, const std
   scene.objective.via.clear();
   scene.objective.duration.reset();
   if (durations.empty()) {
-    if (!RunEqualIntervals(model, scene, control, 0, 0, tie_order, &run.end, &run)) return run;
+    if (!RunEqualIntervals(how, scene, control, 0, 0, &run.end, &run)) return run;
   } else {
     const size_t width = 2 * scene.num_controlled();
     double start = 0;
@@ -131,7 +147,7 @@ ExactRun SimulateInOrder(const std::string& model, const Scene& whole, const std
       scene.duration = scene.steps * durations[begin];
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
       const int first = static_cast<int>(begin);
-      if (!RunEqualIntervals(model, scene, rows, first, start, tie_order, &run.end, &run)) return run;
+      if (!RunEqualIntervals(how, scene, rows, first, start, &run.end, &run)) return run;
       start += scene.duration;
     }
   }
@@ -168,13 +184,19 @@ class SameEnd {
 
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations) {
+  return SimulateUpTo(std::nullopt, scene, initial, control, durations);
+}
+
+ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const std::vector<double>& initial,
+                      const std::vector<double>& control, const std::vector<double>& durations) {
   if (!scene.units.natural) {  // once for all parts
     const Scene natural = InNaturalUnits(scene);
     const UnitFactors to(scene.units, natural.units);
-    ExactRun run = SimulateExactly(natural,
-                                   ConvertStates(initial, scene.units, natural.units),
-                                   Multiplied(control, to.force),
-                                   Multiplied(durations, to.time));
+    ExactRun run = SimulateUpTo(most_impacts,
+                                natural,
+                                ConvertStates(initial, scene.units, natural.units),
+                                Multiplied(control, to.force),
+                                Multiplied(durations, to.time));
     if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
     run.end = ConvertStates(std::move(run.end), natural.units, scene.units);
     for (Event& event : run.events) event.time /= to.time;
@@ -200,16 +222,16 @@ ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial,
   if (!control.empty()) part.steps = static_cast<int>(control.size() / (2 * scene.num_controlled()));
   if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
-  const std::string model(exact->name);
-  ExactRun run = SimulateInOrder(model, part, initial, control, durations, 0);
+  How how{std::string(exact->name), 0, most_impacts};
+  ExactRun run = SimulateInOrder(how, part, initial, control, durations);
   if (!run.ok || run.ambiguous.empty()) return run;
   int orders = 0;
   for (const Tie& tie : run.ambiguous) orders = std::max(orders, NumTieOrders(tie.num_contacts));
   const SameEnd same(scene, initial, run);
   bool decides = false;
   run.spread = {run.loss, run.loss};
-  for (int order = 1; order <= orders; ++order) {
-    const ExactRun other = SimulateInOrder(model, part, initial, control, durations, order);
+  for (how.tie_order = 1; how.tie_order <= orders; ++how.tie_order) {
+    const ExactRun other = SimulateInOrder(how, part, initial, control, durations);
     if (!other.ok) continue;
     decides = decides || !same(other);
     run.spread->lowest = std::min(run.spread->lowest, other.loss);

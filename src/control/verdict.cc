@@ -59,6 +59,8 @@ const char* VerdictToString(Certificate::Verdict verdict) {
       return "ambiguous";
     case Certificate::Verdict::kNotApplicable:
       return "not_applicable";
+    case Certificate::Verdict::kGlobal:
+      return "global";
   }
   return "";
 }
@@ -89,6 +91,8 @@ std::string VerdictInWords(const Certificate& certificate) {
       return "ambiguous";
     case Certificate::Verdict::kNotApplicable:
       return "";
+    case Certificate::Verdict::kGlobal:
+      return "global minimum";
   }
   return "";
 }

@@ -4,31 +4,12 @@
 
 #include <cmath>
 #include <numbers>
-#include <random>
 #include <string>
+
+#include "physics/random.h"
 
 namespace saltus {
 namespace {
-
-// The distributions of the standard library differ from one library to another.
-class Random {
- public:
-  explicit Random(std::uint64_t seed) : engine_(seed) {}
-
-  // Uniform in [-1, 1).
-  double Symmetric() { return 2 * Unit() - 1; }
-  // Two independent normal numbers (Box and Muller 1958).
-  Vec2d Normal() {
-    const double length = std::sqrt(-2 * std::log(1 - Unit()));
-    const double angle = 2 * std::numbers::pi * Unit();
-    return {length * std::cos(angle), length * std::sin(angle)};
-  }
-
- private:
-  double Unit() { return static_cast<double>(engine_() >> 11) * 0x1p-53; }
-
-  std::mt19937_64 engine_;
-};
 
 void ExpectInRange(bool in_range) { CHECK(in_range) << "an option of the scene is out of range"; }
 

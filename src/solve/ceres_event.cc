@@ -42,8 +42,12 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_event", request, options);
   if (auto refused = run.WhyNot(SequenceFor(options, run.guess()))) return *refused;
-  return SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryByArcs(&run, plan, start, may_go_on);
+  return MendByArcs(&run);
+}
+
+SolveReport MendByArcs(PhaseRun* run) {
+  return SolveMending(run, [run](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+    return TryByArcs(run, plan, start, may_go_on);
   });
 }
 

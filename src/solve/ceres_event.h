@@ -13,6 +13,7 @@
 // iterations.
 #pragma once
 
+#include "phase_run.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {
@@ -21,5 +22,8 @@ namespace saltus {
 // and in exact dynamics the control has the impacts of the sequence and no others. Precondition: WhyNotEventPhases is
 // empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
+
+// The same from the motion of `run`.
+SolveReport MendByArcs(PhaseRun* run);
 
 }  // namespace saltus

@@ -1,17 +1,23 @@
 // Finds the collision sequence: solves along one after another, and keeps every optimum that really happens.
 //
-// It starts with the sequence of the initial guess. Each solve along a sequence (as ceres_event) is re-simulated
-// exactly. If impacts have appeared or vanished, what really happened is transcribed anew and solved next. Then the
-// neighbours of what really happened are queued: an impact inserted, removed or replaced by one of another pair, each
-// started from the motion at hand. The queue is worked off best first, by the exact loss of the motion that a neighbour
-// comes from; a sequence is tried from kStarts motions at most.
+// It starts from the initial guess, whatever that does, and from SearchOptions::starts motions of its own
+// (search_starts.h). ceres_lm goes down from all of them and gd from the guess; where they end, solves along the
+// sequence found there (as ceres_event) go on. Each solve is re-simulated exactly. If impacts have appeared or
+// vanished, what really happened is transcribed anew and solved next. Then the neighbours of what really happened are
+// queued: an impact inserted, removed or replaced by one of another pair, each started from the motion at hand. The
+// queue is worked off best first, by the exact loss of the motion that a neighbour comes from. A saddle is left, both
+// ways, and what is found beside it solved next. Where a motion that is no optimum is the best, its sequence is mended
+// (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the final time.
 //
-// Bound: nothing is queued with more than kMostImpacts impacts, and the search stops at the first queued loss above
-// kBound times the best. Stopping rule: that, or an empty queue, or `iterations` solves.
+// Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
+// kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
+// loss along it (loss_bound.h) is above that.
+// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better,
+// SearchOptions, an interrupt, neighbours left out of very many (search_solve.h). Motions with more than
+// kMostImpactsOfMotion impacts are cut, and not gone on from.
 //
-// An optimum that is a saddle is left, both ways, and what is found beside it solved next. If a motion met on the way,
-// such as one that only touches, is better than every optimum, it is the result, without having converged: the result
-// is never worse than the guess.
+// Solves are shared out among threads in batches of one size and looked at in order, so that the answer is the same for
+// any number of threads, as long as no limit of time ends it.
 //
 // With SolverOptions::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once
@@ -20,8 +26,8 @@
 
 namespace saltus {
 
-// Losses are the best exact loss after each solve. Converged: the search has ended by its own rule, and found an
-// optimum. Precondition: WhyNotEventPhases is empty.
+// Losses are the best exact loss after each solve. Never worse than the guess, ceres_lm or gd from it, but for 1e-6 of
+// the loss. Converged: the best motion is an optimum. Precondition: WhyNotEventPhases is empty.
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

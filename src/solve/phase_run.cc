@@ -1,20 +1,30 @@
 #include "phase_run.h"
 
+#include <utility>
+
 namespace saltus {
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
+    : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms)) {}
+
+PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start)
     : start_(std::chrono::steady_clock::now()),
       scene_(request.scene),
       terms_(request.terms),
       options_(options),
-      guess_(GuessTrial(request.scene, request.terms)) {
+      guess_(std::move(start)) {
   report_.contact = request.contact.name();
   report_.solver = solver;
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }
 
-std::optional<SolveReport> PhaseRun::WhyNotStart() {
+std::optional<SolveReport> PhaseRun::WhyNoMotion() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
+  return std::nullopt;
+}
+
+std::optional<SolveReport> PhaseRun::WhyNotStart() {
+  if (auto refused = WhyNoMotion()) return refused;
   if (!guess_.exact.only_impacts) {
     return Refuse(Termination::kNotApplicable,
                   "from the initial guess discs rest on or graze each other or a plane; it knows impacts only");

@@ -14,12 +14,16 @@ class PhaseRun {
  public:
   // The clock of the report starts here.
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+  // From a motion in place of the initial guess.
+  PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start);
 
   const Scene& scene() const { return scene_; }
   const SolverOptions& options() const { return options_; }
   const std::vector<OwnTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
-  // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses an empty sequence.
+  // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses what does not only have
+  // impacts, the third an empty sequence too.
+  std::optional<SolveReport> WhyNoMotion();
   std::optional<SolveReport> WhyNotStart();
   std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "control/limited_run.h"
 #include "hmp_roots.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/registry.h"
@@ -121,7 +122,8 @@ Scene BeginningAs(const Trial& trial, Scene scene) {
 }
 
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
-  trial->exact = SimulateExactly(scene, InitialOf(scene, *trial), trial->control, trial->durations);
+  trial->exact =
+      SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
   trial->own = {};
   if (terms.empty() || !trial->exact.ok) return;
   trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
@@ -204,7 +206,7 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
       for (size_t i = 0; i < moved.control.size(); ++i) {
         moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
       }
-      moved.exact = SimulateExactly(scene, InitialState(scene), moved.control, moved.durations);
+      Simulate(scene, {}, &moved);
       if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
       better.push_back(std::move(moved));
     }
@@ -308,7 +310,7 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
     intervals = std::move(better);
   }
   solution.valid = true;
-  solution.trial.exact = SimulateExactly(scene, InitialState(scene), solution.trial.control, solution.trial.durations);
+  Simulate(scene, {}, &solution.trial);
   solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
   return solution;
 }

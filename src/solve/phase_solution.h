@@ -36,7 +36,11 @@ std::vector<double> InitialOf(const Scene& scene, const Trial& trial);
 // The scene that begins as the trial does.
 Scene BeginningAs(const Trial& trial, Scene scene);
 
-// Runs trial->control.
+// More impacts than this are no motion to go on from: their phases would be shorter than any step, and to align two
+// such sequences takes the product of their lengths.
+inline constexpr int kMostImpactsOfMotion = 1000;
+
+// Runs trial->control, up to so many impacts.
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
 // The scene's initial guess.
 Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {});

@@ -26,7 +26,11 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
       options_(options),
       shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
   shooting_.set_memory_limit(options.memory_limit);
-  shooting_.set_stop(options.stop);
+  shooting_.set_stop([this] {
+    const auto& most = options_.most_impacts;
+    if (most && shooting_.simulator().touches().size() > static_cast<size_t>(*most)) return true;
+    return options_.stop && options_.stop();
+  });
   report_.contact = request.contact.name();
   report_.solver = solver;
   report_.surrogate = options.surrogate;

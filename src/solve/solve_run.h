@@ -17,6 +17,7 @@ class SolveRun {
  public:
   // The clock of the report starts here. Preconditions as those of MakeSimulator.
   SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+  SolveRun(const SolveRun&) = delete;  // its simulator asks it when to stop
 
   SingleShooting& shooting() { return shooting_; }
   const SolverOptions& options() const { return options_; }

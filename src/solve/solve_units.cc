@@ -56,6 +56,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   report.control = Multiplied(std::move(report.control), to_si.force);
   report.durations = Multiplied(std::move(report.durations), to_si.time);
   if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
+  if (report.searched) convert_loss(&report.searched->lower_bound);
   for (LocalOptimum& optimum : report.optima) {
     convert_loss(&optimum.loss);
     optimum.times = Multiplied(std::move(optimum.times), to_si.time);

@@ -51,6 +51,7 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
     return "rate_per_time: expected a scene in which a control is optimized";
   }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
+  if (std::string wrong = WhyNotValid(options.search_options); !wrong.empty()) return wrong;
   if (!options.sequence) return "";
   const ContactSequence pairs = AllPairs(scene);
   for (const Candidate& pair : *options.sequence) {
@@ -101,6 +102,13 @@ void Confirm(const SolveRequest& request, SolveReport* report) {
 }
 
 }  // namespace
+
+std::string WhyNotValid(const SearchOptions& options) {
+  if (!(options.seconds >= 0) || std::isinf(options.seconds)) return "search_seconds: expected a number >= 0";
+  if (options.memory == 0) return "search_memory: expected more than nothing";
+  if (options.starts < 0) return "search_starts: found " + std::to_string(options.starts) + ", expected 0 or more";
+  return "";
+}
 
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off

@@ -35,6 +35,16 @@ constexpr NumberOption kNumbers[] = {
     {"effort", kReal, [](double value, Request* r) { r->scene.objective.effort = value; }},
     {"learning_rate", kReal, [](double value, Request* r) { r->options.learning_rate = value; }},
     {"iterations", kInteger, [](double value, Request* r) { r->options.iterations = static_cast<int>(value); }},
+    {"search_seconds", kReal, [](double value, Request* r) { r->options.search_options.seconds = value; }},
+    {"search_memory",
+     kInteger,
+     [](double value, Request* r) { r->options.search_options.memory = static_cast<size_t>(value) << 20; }},
+    {"search_starts",
+     kInteger,
+     [](double value, Request* r) { r->options.search_options.starts = static_cast<int>(value); }},
+    {"search_seed",
+     kInteger,
+     [](double value, Request* r) { r->options.search_options.seed = static_cast<uint64_t>(value); }},
     {"surrogate_sigma", kReal, [](double value, Request* r) { SurrogateOf(r).sigma = value; }},
     {"surrogate_samples", kInteger, [](double value, Request* r) { SurrogateOf(r).samples = static_cast<int>(value); }},
     {"surrogate_seed", kInteger, [](double value, Request* r) { SurrogateOf(r).seed = static_cast<int>(value); }},
@@ -157,6 +167,7 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
     SetBodyField(*found, ToNumber(value), &request->scene);
   }
   if (request->options.iterations < 0) throw InputError("iterations must not be negative");
+  if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError(why);
   if (!(request->options.learning_rate > 0)) throw InputError("learning_rate must be positive");
   if (!request->options.surrogate) return;
   if (const std::string why = WhyNotValid(*request->options.surrogate); !why.empty()) {

@@ -141,6 +141,12 @@ std::string SweepStudy::Description() const {
                       {"learning_rate", request_.options.learning_rate},
                       {"sequence", SequenceText(request_)},
                       {"sweep", std::move(blocks)}};
+  const SearchOptions& search = request_.options.search_options;
+  const SearchOptions usual;
+  if (search.seconds != usual.seconds) description["search_seconds"] = search.seconds;
+  if (search.memory != usual.memory) description["search_memory"] = search.memory >> 20;
+  if (search.starts != usual.starts) description["search_starts"] = search.starts;
+  if (search.seed != usual.seed) description["search_seed"] = search.seed;
   if (request_.options.rate_per_time) description["rate_per_time"] = true;
   AddSurrogate(request_.options.surrogate, &description);
   return description.dump();

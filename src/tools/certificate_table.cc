@@ -35,6 +35,7 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
     case kStationaryOnGrid:
       return certificate.gradient;
     case kStationary:
+    case kGlobal:
     case kNotStationary:
       return std::max({certificate.stationarity,
                        certificate.costate_jump,
@@ -54,6 +55,8 @@ std::string MeaningOf(const Certificate& certificate) {
     case kAmbiguous:
     case kNotApplicable:
       return certificate.reason;
+    case kGlobal:
+      return "a lower bound proves that no control on as many intervals has a lower loss";
     case kStationary:
     case kStationaryOnGrid:
       break;

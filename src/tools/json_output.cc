@@ -127,6 +127,13 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
   return list;
 }
 
+Json SearchedToJson(const Searched& searched) {
+  return {{"sequences", searched.sequences},
+          {"starts", searched.starts},
+          {"complete", searched.complete},
+          {"lower_bound", NumberToJson(searched.lower_bound)}};
+}
+
 Json NumbersToJson(const std::vector<double>& values) {
   Json list = Json::array();
   for (double value : values) list.push_back(NumberToJson(value));

@@ -29,6 +29,7 @@ Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 Json CertificateToJson(const Scene& scene, const Certificate& certificate);
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
+Json SearchedToJson(const Searched& searched);
 
 // A finite number, or null.
 Json NumberToJson(double value);

@@ -4,11 +4,15 @@
 
 #include <iostream>
 
+#include "physics/control_problems.h"
 #include "physics/scene_generators.h"
 #include "saltus/io/scene_file.h"
 #include "tools/program.h"
 
-DEFINE_string(kind, "gas", "gas (in a box with four walls) or break (a cue ball and a triangle of discs)");
+DEFINE_string(
+    kind, "gas",
+    "gas (in a box with four walls), break (a cue ball and a triangle of discs) or control (a control problem "
+    "of one of ten kinds, the seed modulo 10)");
 DEFINE_int32(discs, 100, "how many, the cue ball included");
 DEFINE_int64(seed, 1, "the same seed gives the same scene");
 DECLARE_double(restitution);
@@ -30,10 +34,20 @@ Options ReadOptions(int fewest) {
   return options;
 }
 
+Scene GenerateControlProblem() {
+  if (FLAGS_seed < 0) throw InputError("--seed must not be negative");
+  if (IsGiven("discs")) throw InputError("--discs: a control problem has those of its kind");
+  Scene scene = ControlProblem(FLAGS_seed);
+  if (IsGiven("steps")) scene.steps = FLAGS_steps;
+  if (IsGiven("restitution")) scene.contact.restitution = FLAGS_restitution;
+  return scene;
+}
+
 Scene Generate() {
   if (FLAGS_kind == "gas") return GasInABox(ReadOptions<GasOptions>(1), FLAGS_seed);
   if (FLAGS_kind == "break") return BilliardBreak(ReadOptions<BreakOptions>(2), FLAGS_seed);
-  throw InputError("--kind=" + FLAGS_kind + "; expected gas or break");
+  if (FLAGS_kind == "control") return GenerateControlProblem();
+  throw InputError("--kind=" + FLAGS_kind + "; expected gas, break or control");
 }
 
 }  // namespace

@@ -44,6 +44,10 @@ DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
               "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
               "striker-target,target-ceiling");
+DEFINE_double(search_seconds, 10, "of mode_search at most, s; 0 is any time. What it ends depends on the machine");
+DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
+DEFINE_int32(search_starts, 8, "from which mode_search begins, at random, beside the initial guess");
+DEFINE_uint64(search_seed, 1, "of these starts");
 DEFINE_int32(threads, 0, "0 is one per core");
 DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");
 DEFINE_string(output_dir, "", "where result files are written");
@@ -222,6 +226,15 @@ void ApplyFlags(Scene* scene) {
   }
 }
 
+SearchOptions SearchFromFlags() {
+  const SearchOptions options{.seconds = FLAGS_search_seconds,
+                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                              .starts = FLAGS_search_starts,
+                              .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
+  return options;
+}
+
 std::atomic<bool> end_without_waiting{false};
 
 // A program started with a standard stream closed would get its number for the first file it opens, and print into it.
@@ -379,6 +392,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (FLAGS_rate_per_time && request->scene.optimize != Optimize::kControl) {
     throw InputError("--rate_per_time: the scene does not optimize a control");
   }
+  request->options.search_options = SearchFromFlags();
   request->options.surrogate = SurrogateFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
   request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;

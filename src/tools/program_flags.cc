@@ -19,9 +19,17 @@ const FlagGroup kScene = {"Scene (in place of what the file says)",
                           {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
 const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
 const FlagGroup kSimulators = {"Simulators of others", {"simulate=COMMAND", "simulate_seconds=S"}};
-const FlagGroup kSolvers = {
-    "Solvers",
-    {"solver=LIST", "iterations=N", "learning_rate=X", "rate_per_time", "sequence=LIST", "memory_limit=MIB"}};
+const FlagGroup kSolvers = {"Solvers",
+                            {"solver=LIST",
+                             "iterations=N",
+                             "learning_rate=X",
+                             "rate_per_time",
+                             "sequence=LIST",
+                             "memory_limit=MIB",
+                             "search_seconds=S",
+                             "search_memory=MIB",
+                             "search_starts=N",
+                             "search_seed=N"}};
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
     {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
@@ -90,7 +98,7 @@ std::vector<Program> MakePrograms() {
        "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
        "--shard=1/N ... --shard=N/N on each and then --merge."},
       {"saltus_scene",
-       "Writes a scene of many discs to standard output, for --scene of the other programs",
+       "Writes a scene of many discs, or a control problem, to standard output, for --scene of the other programs",
        {"[--kind=NAME] [--discs=N] [--seed=N]"},
        {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
       {"saltus_simulate",

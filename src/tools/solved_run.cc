@@ -66,6 +66,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
         }
       }
       if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
+      if (report.searched) item["searched"] = SearchedToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
     }

@@ -1,5 +1,5 @@
-// Generated control problems through impacts, 2 to 4 discs with walls, gravity, friction and bounds, solved by
-// ceres_phases and compared with what knows nothing of it:
+// Control problems of ten kinds (control_problems.h), with bounds and without, solved by ceres_phases and compared with
+// what knows nothing of it:
 //
 //   without bounds   ceres_event, by closed arcs: where both converge along the same impacts, their losses are the same
 //   with bounds      the best of random starts of Levenberg-Marquardt on the shooting problem, bounds as penalties
@@ -15,16 +15,15 @@
 #include <optional>
 
 #include "contact/random_scene.h"
+#include "physics/control_problems.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/io/scene_file.h"
 #include "saltus/solve/solver.h"
 
 DEFINE_int32(problems, 100, "how many");
 DEFINE_int32(seed, 1, "of the first; the next has the next");
 DEFINE_int32(starts, 20, "random starts of the penalised solver");
-DEFINE_bool(print, false, "the scenes as YAML instead");
 
 namespace saltus {
 namespace {
@@ -33,61 +32,13 @@ using testing::RandomScenes;
 
 constexpr int kSteps = 60;
 
-// A disc that is pushed at another, which has a target; perhaps more discs, walls, gravity and friction.
-std::optional<Scene> Draw(RandomScenes* random, int seed) {
-  Scene scene;
-  scene.name = "problem_" + std::to_string(seed);
-  scene.duration = random->Uniform(0.8, 1.5);
+// Nothing if the guess has no impact, or rests or grazes somewhere: there is no sequence to begin with.
+std::optional<Scene> Problem(int seed) {
+  Scene scene = ControlProblem(seed);
   scene.steps = kSteps;
-  scene.contact.restitution = random->Uniform(0.4, 1);
-  if (random->Chance(0.5)) scene.contact.friction = random->Uniform(0, 0.8);
-  if (random->Chance(0.5)) scene.gravity = random->Uniform(0.2, 1.5) * random->Direction();
-  const Vec2d aim = random->Direction(), side(-aim[1], aim[0]);
-  const double way = random->Uniform(0.6, 1.2);
-  const auto add = [&](const Vec2d& position) {
-    scene.bodies.push_back({.name = "disc" + std::to_string(scene.num_bodies()),
-                            .radius = random->Uniform(0.08, 0.18),
-                            .mass = random->Uniform(0.5, 2),
-                            .position = position});
-  };
-  add({0, 0});
-  add(way * aim + random->Uniform(-0.08, 0.08) * side);
-  const int discs = random->Integer(2, 4);
-  while (scene.num_bodies() < discs) {
-    add(random->Uniform(0.2, 2) * way * aim + random->Uniform(0.25, 0.7) * random->Sign() * side);
-    if (random->Chance(0.3)) scene.bodies.back().fixed = true;
-  }
-  const int walls = random->Integer(0, 2);
-  for (int i = 0; i < walls; ++i) {
-    const Vec2d out = i == 0 ? Vec2d(aim + random->Uniform(-0.7, 0.7) * side) : Vec2d(random->Sign() * side);
-    scene.planes.push_back(
-        {"wall" + std::to_string(i), random->Uniform(1, 1.6) * way * aim + random->Uniform(0.5, 0.9) * out, -1 * out});
-  }
-  scene.control.bodies = {0};
-  const double push = 2.2 * way * scene.bodies[0].mass / std::pow(random->Uniform(0.5, 0.8) * scene.duration, 2);
-  scene.control.initial = {Vec2d(push * aim + random->Uniform(-0.1, 0.1) * push * side)};
-  scene.control.initial[0] -= scene.bodies[0].mass * scene.gravity;
-  scene.objective.terminal = {
-      {.body = 1, .target = Vec2d((way + random->Uniform(0.1, 0.7)) * aim + random->Uniform(-0.3, 0.3) * side)}};
-  if (random->Chance(0.3)) {
-    scene.objective.terminal.push_back({.body = 0,
-                                        .quantity = TerminalTerm::Quantity::kVelocity,
-                                        .target = {0, 0},
-                                        .weight = random->Uniform(0.01, 0.1)});
-  }
-  scene.objective.effort = random->Uniform(0.002, 0.05);
-  scene.optimize = Optimize::kControl;
-  if (Validate(scene)) return std::nullopt;
   const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, kSteps));
   if (!run.ok || !run.only_impacts || run.contacts.empty() || !run.ambiguous.empty()) return std::nullopt;
   return scene;
-}
-
-Scene Problem(int seed) {
-  RandomScenes random(seed);
-  while (true) {
-    if (auto scene = Draw(&random, seed)) return *scene;
-  }
 }
 
 // ------------------------------------------------------------------------------------------------- penalised shooting
@@ -168,11 +119,12 @@ ExactRun PenalisedFrom(const Scene& bounded, RandomScenes* random) {
 class Campaign {
  public:
   void Run(int seed) {
-    const Scene scene = Problem(seed);
-    std::printf("%3d %d discs", seed, scene.num_bodies());
-    const SolveReport phases = WithoutBounds(scene);
+    const std::optional<Scene> scene = Problem(seed);
+    if (!scene) return Count("left out: the guess has no impacts, or other contacts");
+    std::printf("%-16s", scene->name.c_str());
+    const SolveReport phases = WithoutBounds(*scene);
     RandomScenes random(~static_cast<unsigned>(seed));
-    WithBounds(scene, phases, &random);
+    WithBounds(*scene, phases, &random);
     std::printf("\n");
   }
 
@@ -282,12 +234,8 @@ int main(int argc, char** argv) {
   gflags::ParseCommandLineFlags(&argc, &argv, true);
   saltus::Campaign campaign;
   for (int seed = FLAGS_seed; seed < FLAGS_seed + FLAGS_problems; ++seed) {
-    if (FLAGS_print) {
-      std::printf("%s\n", saltus::WriteScene(saltus::Problem(seed)).c_str());
-    } else {
-      campaign.Run(seed);
-    }
+    campaign.Run(seed);
   }
-  if (!FLAGS_print) campaign.Print();
+  campaign.Print();
   return campaign.failed() ? 1 : 0;
 }

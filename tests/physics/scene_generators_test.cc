@@ -4,6 +4,10 @@
 
 #include <cmath>
 #include <numbers>
+#include <set>
+
+#include "physics/control_problems.h"
+#include "saltus/io/scene_file.h"
 
 namespace saltus {
 namespace {
@@ -52,6 +56,57 @@ TEST(SceneGenerators, TheCueBallHitsTheRack) {
   const Scene rack = BilliardBreak({.discs = 16}, 1);
   EXPECT_LT(rack.bodies[0].position[0] + 2 * rack.bodies[0].radius, rack.bodies[1].position[0]);
   EXPECT_GT(rack.bodies[0].velocity[0], 0);
+}
+
+TEST(ControlProblems, AreValidAndOfTenKinds) {
+  std::set<std::string> kinds, texts;
+  for (int seed = 0; seed < 200; ++seed) {
+    const Scene scene = ControlProblem(seed);
+    const std::optional<SceneError> error = Validate(scene);
+    EXPECT_FALSE(error) << seed << ": " << error->ToString();
+    EXPECT_EQ(scene.steps, 120);
+    EXPECT_EQ(scene.optimize, Optimize::kControl);
+    EXPECT_GT(scene.objective.effort, 0);
+    EXPECT_EQ(scene.name, std::string(kControlKinds[seed % 10]) + "_" + std::to_string(seed));
+    kinds.insert(scene.name.substr(0, scene.name.rfind('_')));
+    texts.insert(WriteScene(scene));
+    EXPECT_EQ(ControlProblem(seed), scene);
+  }
+  EXPECT_EQ(kinds.size(), 10u);
+  EXPECT_EQ(texts.size(), 200u);
+}
+
+TEST(ControlProblems, HaveWhatTheirKindSays) {
+  for (int seed = 0; seed < 50; seed += 10) {
+    EXPECT_EQ(ControlProblem(seed).num_bodies(), 2);
+    EXPECT_GT(ControlProblem(seed + 1).gravity.norm(), 0);
+    EXPECT_EQ(ControlProblem(seed + 2).planes.size(), 1u);
+    EXPECT_EQ(ControlProblem(seed + 3).planes.size(), 4u);
+    EXPECT_GE(ControlProblem(seed + 4).num_bodies(), 3);
+    EXPECT_EQ(ControlProblem(seed + 5).objective.terminal.back().body, 2);
+    EXPECT_EQ(ControlProblem(seed + 6).num_controlled(), 2);
+    EXPECT_EQ(ControlProblem(seed + 7).objective.terminal.back().quantity, TerminalTerm::Quantity::kVelocity);
+    EXPECT_GT(ControlProblem(seed + 8).contact.friction, 0);
+    EXPECT_TRUE(ControlProblem(seed + 9).bodies.back().fixed);
+  }
+}
+
+// Every number has at most four digits after the point, whatever a machine makes of sums and products.
+TEST(ControlProblems, NumbersAreRounded) {
+  for (int seed = 0; seed < 100; ++seed) {
+    const Scene scene = ControlProblem(seed);
+    for (const Body& body : scene.bodies) {
+      for (const double x : {body.position[0], body.position[1], body.velocity[0], body.velocity[1], body.radius}) {
+        EXPECT_EQ(std::round(x * 1e4) / 1e4, x) << scene.name;
+      }
+    }
+  }
+}
+
+// As above, of the first number drawn: the duration, 0.8 + 0.8 of a number in [0, 1).
+TEST(ControlProblems, AreTheSameEverywhere) {
+  const double unit = static_cast<double>(14514284786278117030u >> 11) * 0x1p-53;
+  EXPECT_EQ(ControlProblem(5489).duration, std::round((0.8 + 0.8 * unit) * 1e4) / 1e4);
 }
 
 }  // namespace

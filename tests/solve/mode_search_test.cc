@@ -3,9 +3,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
+#include "box_scene.h"
+#include "control/limited_run.h"
+#include "physics/control_problems.h"
 #include "saltus/control/exact_run.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
+#include "searched_scenes.h"
+#include "solve/loss_bound.h"
+#include "solve/search_starts.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -97,6 +106,178 @@ TEST(ModeSearch, StopsAfterSoManySolves) {
   const SolveReport report = Solve("mode_search", {ProblemScene("multiple_collisions"), "event"}, {.iterations = 5});
   EXPECT_EQ(report.termination, Termination::kIterationLimit);
   EXPECT_EQ(report.iterations, 5);
+}
+
+// Limits in counts, so that no test depends on how fast the machine is.
+SolverOptions Counted(int iterations = 1000, int starts = 8) {
+  SolverOptions options;
+  options.iterations = iterations;
+  options.search_options.seconds = 0;
+  options.search_options.starts = starts;
+  return options;
+}
+
+double ExactLoss(const Scene& scene, const SolveReport& report) {
+  return SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
+}
+
+// Its best motion is an optimum that other solvers miss, or reach and cannot tell.
+struct Hard {
+  const char* name;
+  Scene scene;
+  double loss;     // at most
+  int iterations;  // enough
+};
+void PrintTo(const Hard& hard, std::ostream* out) { *out << hard.name; }
+
+class HardScenes : public testing::TestWithParam<Hard> {};
+
+TEST_P(HardScenes, AreSolved) {
+  const Scene& scene = GetParam().scene;
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(GetParam().iterations));
+  EXPECT_LE(ExactLoss(scene, report), GetParam().loss) << report.reason;
+  EXPECT_NEAR(ExactLoss(scene, report), report.final_loss, 1e-9 * report.final_loss);
+  ASSERT_TRUE(report.searched);
+  EXPECT_LE(report.searched->lower_bound, report.final_loss);
+  EXPECT_EQ(report.searched->starts, 9);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, HardScenes,
+                         testing::Values(Hard{"strikes_at_the_end", VelocityAtTheEnd(), 0.104, 30},
+                                         Hard{"touches_on_the_way", Gap(), 0.014982, 40},
+                                         Hard{"many_impacts", Bowling(), 1.014, 20},
+                                         Hard{"ten_bounces", BallInBox(1, 500), 1.1965e-4, 20}),
+                         [](const auto& test) { return test.param.name; });
+
+// A strike at the final time is an optimum with a kink: it is told as such.
+TEST(ModeSearch, ConvergesWhereTheLossHasAKink) {
+  const SolveReport report = Solve("mode_search", {VelocityAtTheEnd(), "event"}, Counted(400));
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_THAT(report.certificate->reason, HasSubstr("at the final time"));
+}
+
+// A ball that crosses its box six thousand times.
+TEST(ModeSearch, AnEndlessSeriesOfImpactsIsCut) {
+  Scene scene = BallInBox(0.5, 250);
+  const std::vector<double> control(2 * 250, 0.0);
+  const ExactRun few = SimulateUpTo(1000, scene, InitialState(scene), control);
+  EXPECT_TRUE(few.ok) << few.reason;
+  EXPECT_EQ(few.loss, SimulateExactly(scene, InitialState(scene), control).loss);
+  scene.bodies[0].velocity[0] = 1e4;
+  const ExactRun cut = SimulateUpTo(1000, scene, InitialState(scene), control);
+  EXPECT_FALSE(cut.ok);
+  EXPECT_EQ(cut.reason, "discs meet more than 1000 times");
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(5));
+  EXPECT_THAT(report.reason, HasSubstr("more than 1000 times"));
+}
+
+TEST(ModeSearch, TheNumberOfThreadsChangesNoBit) {
+  const Scene scene = ProblemScene("multiple_collisions");
+  SolverOptions options = Counted(60);
+  const SolveReport one = Solve("mode_search", {scene, "event"}, options);
+  options.threads = 3;
+  const SolveReport three = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_EQ(one.losses, three.losses);
+  EXPECT_EQ(one.control, three.control);
+  EXPECT_EQ(one.searched->sequences, three.searched->sequences);
+  ASSERT_EQ(one.optima.size(), three.optima.size());
+  for (size_t i = 0; i < one.optima.size(); ++i) EXPECT_EQ(one.optima[i].times, three.optima[i].times);
+}
+
+// The target lies on the ground, and so does the striker: neither has an impact, both touch all the time.
+TEST(ModeSearch, StartsFromAGuessThatRests) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  scene.gravity = {0, -1};
+  scene.bodies[0].position = {-2, 0.2};
+  scene.bodies[1].position = {-1, 0.2};
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.control.initial = {{0, 0}};
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(100));
+  EXPECT_NE(report.termination, Termination::kNotApplicable) << report.reason;
+  EXPECT_NE(report.termination, Termination::kFailed) << report.reason;
+  EXPECT_LT(ExactLoss(scene, report), 0.999 * report.initial_loss);
+}
+
+TEST(ModeSearch, IsNeverWorseThanPlainSolvers) {
+  for (int seed = 0; seed < 10; ++seed) {
+    Scene scene = ControlProblem(seed);
+    scene.steps = 30;
+    const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(40, 1));
+    EXPECT_LE(report.final_loss, (1 + 1e-6) * report.initial_loss) << scene.name;
+    for (const char* solver : {"ceres_lm", "gd"}) {
+      SolverOptions options = Counted(40, 1);
+      const SolveReport plain = Solve(solver, {scene, "event"}, options);
+      const double best = plain.best ? std::min(plain.final_loss, plain.best->loss) : plain.final_loss;
+      EXPECT_LE(report.final_loss, (1 + 1e-6) * best) << scene.name << " " << solver;
+    }
+  }
+}
+
+TEST(ModeSearch, KeepsToItsLimits) {
+  const Scene scene = ProblemScene("multiple_collisions");
+  SolverOptions options = Counted();
+  options.search_options.memory = 10000;
+  const SolveReport small = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_THAT(small.reason, HasSubstr("the limit of memory"));
+  EXPECT_FALSE(small.searched->complete);
+  EXPECT_LE(small.final_loss, small.initial_loss);
+  options = Counted();
+  options.search_options.seconds = 1e-9;
+  const SolveReport short_one = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_THAT(short_one.reason, HasSubstr("the limit of time"));
+  EXPECT_EQ(short_one.final_loss, short_one.initial_loss);
+  options.search_options.starts = -1;
+  EXPECT_THAT(Solve("mode_search", {scene, "event"}, options).reason, HasSubstr("search_starts"));
+}
+
+// Nothing is worth a touch: the free flight is the global optimum, in closed form. With K = effort m^2 / (T^3/4 + V)
+// and V = T^3/12 (1 - 1/N^2), a way d costs weight d^2 K / (K + weight).
+TEST(LossBound, ProvesTheGlobalOptimumWhereNoTouchIsWorthIt) {
+  Scene scene = ProblemScene("two_balls");
+  scene.bodies[1].position = {50, 50};
+  scene.objective.terminal = {{.body = 0, .target = {-1.5, -1}, .weight = 2}};
+  scene.control.initial = {{0.1, 0}};
+  const double t = scene.duration, n = scene.steps, m = scene.bodies[0].mass;
+  const double spread = t * t * t / 12 * (1 - 1 / (n * n));
+  const double k = scene.objective.effort * m * m / (t * t * t / 4 + spread);
+  const double exact = 2 * (0.5 * 0.5 + 1 * 1) * k / (k + 2);
+  EXPECT_NEAR(LossBound(scene).lowest(), exact, 1e-8 * exact);
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted());
+  EXPECT_NEAR(report.final_loss, exact, 1e-9 * exact);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kGlobal);
+}
+
+// No control does better, whatever it meets.
+TEST(LossBound, IsBelowEveryLoss) {
+  for (int seed = 0; seed < 20; ++seed) {
+    Scene scene = ControlProblem(seed);
+    scene.steps = 24;
+    const double bound = LossBound(scene).lowest();
+    EXPECT_GE(bound, 0);
+    for (int start = 0; start < 6; ++start) {
+      scene.control.initial = SearchStart(scene, 7, start);
+      const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 15});
+      if (!report.losses.empty()) {
+        EXPECT_GE(report.final_loss, bound) << scene.name << " " << start;
+      }
+    }
+  }
+}
+
+// The effort that brings a disc at rest to a touch at the final time is 3 effort m^2 d^2 / T^3, if that is all there
+// is.
+TEST(LossBound, OfAFirstTouchIsTheEffortToGetThere) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.terminal = {{.body = 0, .target = scene.bodies[0].position, .weight = 1e-9}};
+  const double d = (scene.bodies[0].position - scene.bodies[1].position).norm() - 0.4;
+  const double exact = 3 * scene.objective.effort * d * d / std::pow(scene.duration, 3);
+  const double bound = LossBound(scene).Along({{0, 1, false}});
+  EXPECT_LE(bound, exact);
+  EXPECT_GE(bound, 0.998 * exact);
+  EXPECT_LT(LossBound(scene).Along({}), 1e-8);
 }
 
 TEST(ContactSequence, ReadsPairsInAnyOrder) {

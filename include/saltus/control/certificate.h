@@ -81,6 +81,7 @@ struct Certificate {
     kNotStationary,
     kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply
     kNotApplicable,
+    kGlobal,  // all conditions hold, and a lower bound proves that no other control is better
   };
   Verdict verdict = Verdict::kNotApplicable;
   // Which condition fails worst, that it is no minimum though all hold, or why there is nothing to certify.
@@ -101,7 +102,9 @@ struct Certificate {
 
   // Where the verdict is stationary or stationary on the grid; not with so many impacts that it would take long.
   std::optional<Curvature> curvature;
-  bool IsStationary() const { return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid; }
+  bool IsStationary() const {
+    return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
+  }
   bool IsSaddle() const { return curvature && curvature->kind == Curvature::Kind::kSaddle; }
 
   // With an impact on a node of a fixed grid: largest component of the gradients of the loss by the control as if all
@@ -114,8 +117,8 @@ struct Certificate {
   int sequences_searched = 0;
 };
 
-// "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable"; "local", "best_of_searched";
-// "minimum", "saddle", "flat".
+// "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable", "global"; "local",
+// "best_of_searched"; "minimum", "saddle", "flat".
 const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 const char* CurvatureToString(Curvature::Kind kind);

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
@@ -31,6 +32,16 @@ struct SolveRequest {
   std::vector<OwnTerm> terms = {};
 };
 
+// What a search over collision sequences may use, and where it begins. What runs out first ends it.
+struct SearchOptions {
+  double seconds = 10;  // 0: no limit. Where this ends a search, its answer depends on the machine
+  std::size_t memory = std::size_t{200} << 20;  // bytes, of what it keeps
+  int starts = 8;                               // at random, beside the initial guess
+  std::uint64_t seed = 1;                       // of these
+};
+// Which of them is impossible, and what was expected; empty if none.
+std::string WhyNotValid(const SearchOptions& options);
+
 struct SolverOptions {
   int iterations = 1000;        // at most
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
@@ -44,12 +55,16 @@ struct SolverOptions {
   // mode_search leave it for others, and with none given those that mend it.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
+  SearchOptions search_options = {};  // of mode_search
 
-  // What stands in for the gradient, of the solvers that take such a thing; samples are evaluated on `threads` threads.
+  // What stands in for the gradient, of the solvers that take such a thing; samples are evaluated on `threads` threads,
+  // as are the solves of a search. Results are the same for any number.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;
 
   std::size_t memory_limit = std::size_t{1} << 30;  // bytes, as Simulator::set_memory_limit
+  // Of one motion, for solvers by shooting: one that has more interrupts them.
+  std::optional<int> most_impacts = std::nullopt;
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
   // the solver stops with kInterrupted and reports what it has.
@@ -65,6 +80,14 @@ struct LocalOptimum {
   ContactSequence sequence;
   double loss = 0;
   std::vector<double> times;  // of the impacts, s
+};
+
+// What a search over collision sequences has tried and proved.
+struct Searched {
+  int sequences = 0;       // along which it solved
+  int starts = 0;          // motions of its own from which it began, the initial guess included
+  bool complete = false;   // it has ended by its own rule: no limit has kept it from anything
+  double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts
 };
 
 // The iterate of least loss, of a solver that returns another.
@@ -105,6 +128,7 @@ struct SolveReport {
   std::vector<double> durations;           // of the K control intervals, s; none if they are equal
   std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
+  std::optional<Searched> searched;        // of mode_search
 };
 
 struct SolverEntry {

@@ -1,0 +1,16 @@
+// Jobs shared out among threads.
+#pragma once
+
+#include <functional>
+
+namespace saltus {
+
+// `threads`, or one per core for 0.
+int NumThreads(int threads);
+
+// Calls job(thread, i) for i = 0 .. count - 1, each once, on up to `threads` threads, and returns when all are done. No
+// two jobs that run at the same time have the same `thread`, a number below `threads`. Results must not share a place.
+// Precondition: threads > 0.
+void ParallelFor(int threads, int count, const std::function<void(int thread, int i)>& job);
+
+}  // namespace saltus

@@ -1,0 +1,187 @@
+#include "search_solve.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "ceres_event.h"
+#include "ceres_lm.h"
+#include "gradient_descent.h"
+#include "phase_attempt.h"
+#include "physics/units.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kIterationsAlong = 80;  // of Ceres, along one sequence
+constexpr int kIterationsMending = 1000;
+constexpr int kIterationsShooting = 30;  // from starts of the search's own
+constexpr double kLossChange = 0.02;     // relative, in the last steps of a solve
+constexpr size_t kMostNeighbours = 200;
+
+void Certify(const Scene& scene, SearchFinding* finding) {
+  if (!finding->certificate) finding->certificate = CertifyTrial(scene, finding->trial);
+  if (!finding->certificate->IsSaddle()) return;
+  finding->aside = LeaveSaddle(scene, finding->trial, *finding->certificate->curvature);
+  finding->optimal = finding->aside.empty();
+}
+
+SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& options, const SearchTask& task) {
+  PhaseMinimumOptions phase_options;
+  phase_options.iterations = kIterationsAlong;
+  phase_options.callback = [&](double) { return !options.stop || !options.stop(); };
+  PhaseSolution solution = SolveAlong(scene, task.sequence, task.guess, phase_options, kLossChange);
+  SearchFinding finding;
+  finding.jacobians = solution.minimum.jacobians;
+  if (!solution.valid || !solution.trial.exact.ok) return finding;
+  finding.optimal = solution.optimal();
+  if (!finding.optimal) finding.remark = WhyNotOptimal(scene, solution);
+  finding.trial = std::move(solution.trial);
+  if (finding.optimal) Certify(scene, &finding);
+  return finding;
+}
+
+SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
+  const Scene& scene = run->scene();
+  SolveReport report = by_steps != nullptr ? SolveMending(run, *by_steps) : MendByArcs(run);
+  SearchFinding finding;
+  finding.jacobians = report.evaluations;
+  finding.trial.control = std::move(report.control);
+  finding.trial.durations = std::move(report.durations);
+  Simulate(scene, {}, &finding.trial);
+  finding.remark = std::move(report.reason);
+  finding.certificate = std::move(report.certificate);
+  finding.optimal = report.termination == Termination::kConverged &&
+                    !(finding.certificate && finding.certificate->verdict == Certificate::Verdict::kNotStationary);
+  if (finding.optimal) Certify(scene, &finding);
+  return finding;
+}
+
+// By arcs, which are cheap; where they find no optimum, by the transcription with a cost for every step.
+SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, const Trial& from) {
+  SolverOptions own;
+  own.iterations = kIterationsMending;
+  own.stop = options.stop;
+  PhaseRun arcs("mode_search", request, own, from);
+  SearchFinding finding = MendBy(nullptr, &arcs);
+  if (finding.optimal || !finding.trial.exact.ok || !finding.trial.exact.only_impacts) return finding;
+  PhaseRun steps("mode_search", request, own, finding.trial.exact.loss < from.exact.loss ? finding.trial : from);
+  const TryPlan by_steps = [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+    return TryByTranscription(&steps, plan, start, may_go_on);
+  };
+  SearchFinding last = MendBy(&by_steps, &steps);
+  last.jacobians += finding.jacobians;
+  return last.trial.exact.ok ? last : finding;
+}
+
+// Solvers that know nothing of sequences: where they end, others go on.
+SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const SearchTask& task) {
+  Scene& scene = request.scene;
+  const bool given = scene.control.initial == task.forces;
+  scene.control.initial = task.forces;
+  SolverOptions own;
+  own.stop = options.stop;
+  own.memory_limit = options.memory_limit;
+  own.most_impacts = kMostImpactsOfMotion;
+  SolveReport report;
+  if (task.kind == SearchTask::Kind::kShoot) {
+    own.iterations = given ? options.iterations : kIterationsShooting;
+    report = SolveByCeresLm(request, own);
+  } else {
+    const UnitFactors to(Units{}, scene.units);  // the rate is N^2 per unit of the loss
+    own.learning_rate = options.learning_rate * to.force * to.force / to.loss;
+    own.rate_per_time = options.rate_per_time;
+    if (own.rate_per_time) own.learning_rate *= to.time;
+    own.iterations = options.iterations;
+    report = SolveByGradientDescent(request, own);
+  }
+  if (report.best && !report.best->control.empty()) report.control = std::move(report.best->control);
+  SearchFinding finding;
+  finding.jacobians = report.evaluations;
+  finding.remark = "no sequence tried has its optimum there";
+  if (report.control.empty()) return finding;
+  finding.trial.control = std::move(report.control);
+  finding.trial.durations.assign(scene.steps, scene.dt());
+  Simulate(scene, {}, &finding.trial);
+  return finding;
+}
+
+SearchFinding Solve(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
+  switch (task.kind) {
+    case SearchTask::Kind::kAlong:
+      return SolveAlongSequence(request.scene, options, task);
+    case SearchTask::Kind::kMend:
+      return Mend(request, options, *task.from);
+    case SearchTask::Kind::kShoot:
+    case SearchTask::Kind::kDescend:
+      return Shoot(request, options, task);
+  }
+  return {};
+}
+
+// The gap at a new impact, by how far from a touch its pair would be.
+double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x) {
+  const double radius = scene.bodies[c.a].radius;
+  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - radius;
+  return (x.p[c.a] - x.p[c.b]).norm() - radius - scene.bodies[c.b].radius;
+}
+
+}  // namespace
+
+std::size_t SearchTask::bytes() const {
+  std::size_t bytes = sizeof *this + sequence.size() * sizeof(Candidate) + forces.size() * sizeof(Vec2d);
+  for (const EventPhases::State& x : guess.before) {
+    bytes += sizeof x + sizeof(double) + 2 * x.p.size() * sizeof(Vec2d);
+  }
+  if (from) bytes += (from->control.size() + from->durations.size()) * sizeof(double);
+  return bytes;
+}
+
+std::vector<SearchNeighbour> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {
+  const ContactSequence& sequence = trial.exact.contacts;
+  const ContactSequence pairs = AllPairs(scene);
+  const Flight flight = FlightOf(scene, trial);
+  std::vector<std::pair<double, SearchNeighbour>> found;
+  const auto add = [&](ContactSequence neighbour, std::optional<size_t> is_new) {
+    PhaseGuess guess = GuessFrom(scene, flight, neighbour);
+    const double gap = is_new ? GapAt(scene, neighbour[*is_new], guess.before[*is_new]) : 0;
+    found.push_back({std::max(0.0, gap), {std::move(neighbour), std::move(guess)}});
+  };
+  for (size_t i = 0; i < sequence.size(); ++i) {
+    ContactSequence neighbour = sequence;
+    neighbour.erase(neighbour.begin() + i);
+    add(std::move(neighbour), std::nullopt);
+  }
+  for (const bool replaces : {false, true}) {
+    for (size_t i = 0; i + replaces <= sequence.size(); ++i) {
+      for (const Candidate& pair : pairs) {
+        if (replaces && pair == sequence[i]) continue;
+        ContactSequence neighbour = sequence;
+        if (replaces) {
+          neighbour[i] = pair;
+        } else {
+          neighbour.insert(neighbour.begin() + i, pair);
+        }
+        add(std::move(neighbour), i);
+      }
+    }
+  }
+  *left_out = found.size() > kMostNeighbours;
+  if (*left_out) {
+    std::stable_sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+    found.resize(kMostNeighbours);
+  }
+  std::vector<SearchNeighbour> neighbours;
+  for (auto& [gap, neighbour] : found) neighbours.push_back(std::move(neighbour));
+  return neighbours;
+}
+
+SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task,
+                        const WantsNeighbours& wants_neighbours) {
+  SearchFinding finding = Solve(request, options, task);
+  if (finding.trial.exact.ok && finding.trial.exact.only_impacts && wants_neighbours(finding.trial)) {
+    finding.neighbours = NeighboursOf(request.scene, finding.trial, &finding.neighbours_left_out);
+  }
+  return finding;
+}
+
+}  // namespace saltus

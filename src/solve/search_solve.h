@@ -1,0 +1,59 @@
+// What a search over collision sequences does many times: a solve from somewhere, and a look at what is next to the
+// motion it finds. Each is a function of its task alone, so that several run at the same time.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "phase_solution.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+struct SearchTask {
+  enum class Kind {
+    kAlong,    // along `sequence` from `guess`
+    kMend,     // from the motion `from`, along the sequences that mending leads to (sequence_mending.h)
+    kShoot,    // by ceres_lm from constant `forces`
+    kDescend,  // by gd from there
+  };
+  Kind kind = Kind::kAlong;
+  ContactSequence sequence = {};
+  PhaseGuess guess = {};
+  std::shared_ptr<const Trial> from = nullptr;
+  std::vector<Vec2d> forces = {};
+
+  std::size_t bytes() const;  // about what it keeps
+};
+
+// A sequence that differs by one impact, and where to start along it.
+struct SearchNeighbour {
+  ContactSequence sequence;
+  PhaseGuess guess;
+};
+
+// What a solve has found.
+struct SearchFinding {
+  Trial trial;           // the motion, if trial.exact.ok
+  bool optimal = false;  // it is an optimum, and really happens
+  std::string remark;    // why it is none
+  std::optional<Certificate> certificate;
+  std::vector<Trial> aside;                 // of a saddle: better motions beside it
+  std::vector<SearchNeighbour> neighbours;  // if they were asked for
+  bool neighbours_left_out = false;         // there are more of them
+  int jacobians = 0;
+};
+
+// `wants_neighbours` is asked about a motion with impacts only.
+using WantsNeighbours = std::function<bool(const Trial&)>;
+SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task,
+                        const WantsNeighbours& wants_neighbours);
+
+// The sequences that differ from that of `trial` by one impact inserted, removed or replaced by one of another pair: at
+// most so many, first of all removals, then those whose new pair comes nearest to a touch. Precondition: impacts only.
+std::vector<SearchNeighbour> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out);
+
+}  // namespace saltus

@@ -1,0 +1,62 @@
+#include "search_starts.h"
+
+#include <algorithm>
+
+#include "physics/random.h"
+
+namespace saltus {
+namespace {
+
+// The box of all discs and the targets of positions.
+struct Box {
+  Vec2d low, high;
+  void Include(const Vec2d& p) {
+    low = low.cwiseMin(p);
+    high = high.cwiseMax(p);
+  }
+};
+
+Box BoxOf(const Scene& scene) {
+  Box box{scene.bodies[0].position, scene.bodies[0].position};
+  for (const Body& body : scene.bodies) box.Include(body.position);
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.quantity == TerminalTerm::Quantity::kPosition) box.Include(term.target);
+  }
+  return box;
+}
+
+Vec2d DriftOf(const Scene& scene, int body, double t) {
+  const Body& disc = scene.bodies[body];
+  if (disc.fixed) return disc.position;
+  return disc.position + t * disc.velocity + 0.5 * t * t * scene.gravity;
+}
+
+// A place on the way of another disc, off its middle by up to a contact distance; or anywhere.
+Vec2d Place(const Scene& scene, int pushed, double t, Random* random) {
+  const int other = random->Below(scene.num_bodies() + 1);
+  if (other < scene.num_bodies() && other != pushed) {
+    const double distance = scene.bodies[pushed].radius + scene.bodies[other].radius;
+    const double x = random->Symmetric(), y = random->Symmetric();
+    return DriftOf(scene, other, t) + distance * Vec2d(x, y);
+  }
+  const Box box = BoxOf(scene);
+  const double x = random->Uniform(-0.25, 1.25), y = random->Uniform(-0.25, 1.25);
+  return box.low + (box.high - box.low).cwiseProduct(Vec2d(x, y));
+}
+
+}  // namespace
+
+std::vector<Vec2d> SearchStart(const Scene& scene, std::uint64_t seed, int number) {
+  std::vector<Vec2d> forces(scene.control.bodies.size(), Vec2d::Zero());
+  if (number == 0) return forces;
+  Random random(seed * 1000003 + number);
+  for (size_t c = 0; c < forces.size(); ++c) {
+    const int body = scene.control.bodies[c];
+    const double t = random.Uniform(0.3, 1) * scene.duration;
+    const Vec2d place = Place(scene, body, t, &random);
+    forces[c] = 2 * scene.bodies[body].mass / (t * t) * (place - DriftOf(scene, body, t));
+  }
+  return forces;
+}
+
+}  // namespace saltus

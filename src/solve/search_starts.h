@@ -1,0 +1,16 @@
+// Where a search begins that does not rely on its initial guess: constant forces that send pushed discs somewhere.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+// One force per pushed disc, N. Number 0 is no force at all. The others send each disc, from where it drifts to, at
+// another disc, at a target or at a place drawn at random, to be there within the horizon. The same number and seed
+// give the same forces on every machine.
+std::vector<Vec2d> SearchStart(const Scene& scene, std::uint64_t seed, int number);
+
+}  // namespace saltus
