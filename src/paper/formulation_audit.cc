@@ -99,8 +99,10 @@ std::string Join(const std::vector<std::string>& words, const char* separator) {
 
 }  // namespace
 
-FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts)
-    : contacts_(std::move(contacts)) {
+FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
+                                   std::vector<SimulatorCommand> simulators)
+    : contacts_(std::move(contacts)), simulators_(std::move(simulators)) {
+  for (const SimulatorCommand& simulator : simulators_) contacts_.push_back(simulator.name);
   CHECK(std::find(contacts_.begin(), contacts_.end(), kUnit) != contacts_.end());
   for (Task& task : tasks) {
     Results& results = tasks_.emplace_back();
@@ -109,13 +111,21 @@ FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::str
   }
 }
 
-bool FormulationAudit::Run(int threads, ProgressMode mode) {
-  for (Results& results : tasks_) results.report.reference = ExactGradientOf(results.task.scene);
-  const int count = static_cast<int>(tasks_.size() * contacts_.size());
+ModelAudit FormulationAudit::Audit(size_t model, const Results& results) const {
+  const Scene& scene = results.task.scene;
+  const std::optional<ModelGradient>& reference = results.report.reference;
   AuditOptions options;
   options.refinement.samples = kSamples;
   options.attribution = false;
   options.stop = AskedToStop;
+  const size_t first = contacts_.size() - simulators_.size();
+  if (model < first) return AuditModel(contacts_[model], scene, Precision::kDouble, reference, options);
+  return AuditBlackBox(OpenSimulator(simulators_[model - first], /*copies=*/1), scene, reference, options);
+}
+
+bool FormulationAudit::Run(int threads, ProgressMode mode) {
+  for (Results& results : tasks_) results.report.reference = ExactGradientOf(results.task.scene);
+  const int count = static_cast<int>(tasks_.size() * contacts_.size());
   std::vector<std::string> names, costs;
   for (int i = 0; i < count; ++i) {
     names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[i / tasks_.size()]);
@@ -125,13 +135,15 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
   const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const size_t model = i / tasks_.size();
     Results& results = tasks_[i % tasks_.size()];
-    results.report.models[model] =
-        AuditModel(contacts_[model], results.task.scene, Precision::kDouble, results.report.reference, options);
+    results.report.models[model] = Audit(model, results);
   });
   if (!audited) return false;
   // On one thread, so that nothing else of this program disturbs.
   return RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
-    tasks_[i].costs = MeasureCosts(contacts_, tasks_[i].task.scene);
+    const std::vector<std::string> models(contacts_.begin(),
+                                          contacts_.end() - static_cast<std::ptrdiff_t>(simulators_.size()));
+    tasks_[i].costs = MeasureCosts(models, tasks_[i].task.scene);
+    tasks_[i].costs.resize(contacts_.size());
   });
 }
 
@@ -229,7 +241,7 @@ PaperFigure FormulationAudit::ToFigure() const {
     panel.y.min = kLeastErrorShown / 2;
     for (size_t model = 0; model < contacts_.size(); ++model) {
       const double error = ErrorByInitialState(results, model);
-      if (std::isnan(error)) continue;
+      if (std::isnan(error) || results.costs[model] <= 0) continue;
       Series series = Series::ForModel(contacts_[model], {results.costs[model]}, {std::max(error, kLeastErrorShown)});
       series.line = false;
       panel.series.push_back(std::move(series));

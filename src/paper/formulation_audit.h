@@ -8,6 +8,7 @@
 #include "paper/paper_figures.h"
 #include "paper/solver_comparison.h"
 #include "saltus/audit/audit.h"
+#include "tools/simulators.h"
 
 namespace saltus {
 
@@ -18,8 +19,10 @@ class FormulationAudit {
     Scene scene;
   };
 
-  // Precondition: `contacts` has `direct`, whose step is the unit of cost.
-  FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts);
+  // Precondition: `contacts` has `direct`, whose step is the unit of cost. Simulators are audited beside them; what
+  // their steps cost is not measured.
+  FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
+                   std::vector<SimulatorCommand> simulators = {});
 
   // False if interrupted.
   bool Run(int threads, ProgressMode progress);
@@ -41,8 +44,10 @@ class FormulationAudit {
   // "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
   std::string ClassesOf(size_t model) const;
   double CostOf(size_t model) const;
+  ModelAudit Audit(size_t model, const Results& results) const;
 
-  std::vector<std::string> contacts_;
+  std::vector<std::string> contacts_;  // those of simulators last
+  std::vector<SimulatorCommand> simulators_;
   std::vector<Results> tasks_;
 };
 

@@ -29,13 +29,14 @@ DEFINE_bool(every_solver, false, "every general solver, too, under the models th
 namespace saltus {
 namespace {
 
-FormulationAudit AuditFormulations(const Experiments& experiments) {
+FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<SimulatorCommand> simulators) {
   std::vector<std::string> contacts;
   for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
   return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
                            {"Task 2: ground and wall", experiments.scene("ground_wall")},
                            {"Task 3: two balls", experiments.scene("two_balls")}},
-                          std::move(contacts));
+                          std::move(contacts),
+                          std::move(simulators));
 }
 
 // False if interrupted.
@@ -64,8 +65,12 @@ std::string GivenOrShipped(const std::string& given, const std::string& folder) 
   return given.empty() ? ShippedFile(folder) : given;
 }
 
-int Reproduce() {
+int Reproduce(const std::vector<std::string>& arguments) {
   const auto start = std::chrono::steady_clock::now();
+  std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+  if (!simulators.empty() && !FLAGS_all_formulations) {
+    throw InputError("--simulate: simulators stand among all formulations; expected no --noall_formulations with it");
+  }
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
   std::vector<PublishedRow> rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
@@ -86,7 +91,7 @@ int Reproduce() {
   if (!strike.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   std::optional<FormulationAudit> formulations;
   if (FLAGS_all_formulations) {
-    formulations = AuditFormulations(experiments);
+    formulations = AuditFormulations(experiments, std::move(simulators));
     if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   }
   std::vector<PaperFigure> figures;
@@ -130,6 +135,9 @@ int Reproduce() {
 
 }  // namespace
 
-int ReproduceMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_reproduce"), Reproduce); }
+int ReproduceMain(int argc, char** argv) {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  return RunMain(argc, argv, FindProgram("saltus_reproduce"), [&arguments] { return Reproduce(arguments); });
+}
 
 }  // namespace saltus

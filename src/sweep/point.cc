@@ -8,6 +8,7 @@
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/audit.h"
+#include "tools/simulators.h"
 #include "tools/solve.h"
 
 namespace saltus {
@@ -43,7 +44,9 @@ PointResult SolvePoint(const Request& request, double seconds, PointResult resul
   SolverOptions options = request.options;
   if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
   SolvedRun run;
-  run.report = Solve(request.solvers[0], {request.scene, request.contacts[0], request.precision}, options);
+  run.report = Solve(request.solvers[0],
+                     {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
+                     options);
   const SolveReport& report = run.report;
   result.status = StatusOf(report.termination);
   const std::vector<double>& losses = report.losses;
@@ -84,17 +87,18 @@ std::vector<double> Pairs(const std::vector<double>& initial, size_t offset) {
 
 PointResult GradientPoint(const Request& request, PointResult result) {
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
-  const ModelGradient gradient =
-      surrogate ? ComputeSurrogate(request.contacts[0], request.scene, request.precision, *surrogate)
-                : ComputeGradient(request.contacts[0], request.scene, request.precision);
+  const Contact contact = ContactNamed(request.contacts[0], request.scene);
+  const ModelGradient gradient = surrogate ? ComputeSurrogate(contact, request.scene, request.precision, *surrogate)
+                                           : ComputeGradient(contact, request.scene, request.precision);
   if (!gradient.ok()) {
-    result.status = IsNotApplicable(gradient, request.scene) ? PointStatus::kNotApplicable : PointStatus::kFailed;
+    const bool failed = HasFailed(contact.name(), request.scene) || !IsNotApplicable(gradient, request.scene);
+    result.status = failed ? PointStatus::kFailed : PointStatus::kNotApplicable;
     result.row.resize(result.row.size() + (HasStandardError(surrogate) ? 6 : 5));
     Append({gradient.reason}, &result.row);
     return result;
   }
   SweepValue error;
-  std::string remark = WhyNotComparable(request.contacts[0], request.scene);
+  std::string remark = WhyNotComparable(contact, request.scene);
   if (const auto exact = remark.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
     if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
       remark = "ambiguous: " + ties;

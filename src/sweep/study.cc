@@ -11,6 +11,7 @@
 #include "sweep/options.h"
 #include "sweep/point.h"
 #include "tools/json_output.h"
+#include "tools/simulators.h"
 #include "tools/surrogate_flags.h"
 
 namespace saltus {
@@ -50,13 +51,18 @@ std::string ValueAt(const nlohmann::json& document, const std::string& pointer) 
   return document.contains(place) ? document[place].dump() : "nothing";
 }
 
+// Of a simulator nothing is known.
+bool IsBiasedContact(const std::string& contact) {
+  return FindSimulator(contact) == nullptr && HasBiasedDerivative(contact);
+}
+
 // Whether any contact model of the blocks has options that bias its derivative.
 bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
   return std::any_of(blocks.begin(), blocks.end(), [](const SweepBlock& block) {
     const auto contact = std::find(block.options.begin(), block.options.end(), "contact");
     if (contact == block.options.end()) return false;
     return std::any_of(block.rows.begin(), block.rows.end(), [&](const SweepRow& row) {
-      return HasBiasedDerivative(std::get<std::string>(row[contact - block.options.begin()]));
+      return IsBiasedContact(std::get<std::string>(row[contact - block.options.begin()]));
     });
   });
 }
@@ -97,7 +103,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
 
 bool SweepStudy::IsBiased(int64_t point) const {
   const size_t contact = std::find(options_.begin(), options_.end(), "contact") - options_.begin();
-  return request_.options.surrogate || HasBiasedDerivative(std::get<std::string>(Values(point)[contact]));
+  return request_.options.surrogate || IsBiasedContact(std::get<std::string>(Values(point)[contact]));
 }
 
 SweepRow SweepStudy::Values(int64_t point) const {
@@ -149,6 +155,11 @@ std::string SweepStudy::Description() const {
   if (search.seed != usual.seed) description["search_seed"] = search.seed;
   if (request_.options.rate_per_time) description["rate_per_time"] = true;
   AddSurrogate(request_.options.surrogate, &description);
+  for (const std::string& contact : request_.contacts) {
+    if (const SimulatorCommand* simulator = FindSimulator(contact)) {
+      description["simulators"][contact] = simulator->command;
+    }
+  }
   return description.dump();
 }
 

@@ -13,6 +13,7 @@
 #include "sweep/figures.h"
 #include "sweep/output.h"
 #include "sweep/run.h"
+#include "tools/simulators.h"
 
 DEFINE_string(
     sweep, "",
@@ -169,10 +170,18 @@ int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
   return Report(study, store, shard);
 }
 
-int RunRank(SweepCluster* cluster) {
+// Simulators by themselves, unless contact models are asked for too.
+void AddSimulators(const std::vector<std::string>& arguments, Request* request) {
+  const std::vector<std::string> names = KeepSimulators(ReadSimulators(arguments));
+  if (!names.empty() && !IsGiven("contact")) request->contacts.clear();
+  request->contacts.insert(request->contacts.end(), names.begin(), names.end());
+}
+
+int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   Request request;
   if (!ReadRequest({}, &request)) return kDone;
   CheckFlags();
+  AddSimulators(arguments, &request);
   const SweepStudy study(request, ParseSweep(FLAGS_sweep, request.scene));
   if (cluster == nullptr || cluster->rank() == 0) return RunSweep(study, cluster);
   LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
@@ -182,12 +191,13 @@ int RunRank(SweepCluster* cluster) {
 }  // namespace
 
 int SweepMain(int argc, char** argv) {
-  return RunMain(argc, argv, FindProgram("saltus_sweep"), [] {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  return RunMain(argc, argv, FindProgram("saltus_sweep"), [&arguments] {
     const InterruptGuard guard;
     const std::unique_ptr<SweepCluster> cluster = JoinCluster();
-    if (cluster == nullptr || cluster->rank() == 0) return RunRank(cluster.get());
+    if (cluster == nullptr || cluster->rank() == 0) return RunRank(arguments, cluster.get());
     try {
-      return RunRank(cluster.get());
+      return RunRank(arguments, cluster.get());
     } catch (const InputError& error) {
       cluster->Decline(error.what());
       return kWrongInput;

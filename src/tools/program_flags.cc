@@ -89,6 +89,7 @@ std::vector<Program> MakePrograms() {
        {{"Points", {"sweep=POINTS", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
         kScene,
         kModels,
+        kSimulators,
         kSolvers,
         kSurrogate,
         kOutput},
@@ -108,8 +109,9 @@ std::vector<Program> MakePrograms() {
        {kModels, {"Protocol", {"offer=LIST"}}}},
       {"saltus_reproduce",
        "Every table and figure of the paper, next to the published values",
-       {"[--output_dir=DIR]"},
+       {"[--output_dir=DIR] [--simulate=\"[NAME=]COMMAND\"]"},
        {{"What", {"[no]all_formulations", "every_solver"}},
+        kSimulators,
         {"Input", {"problems_dir=DIR", "data_dir=DIR"}},
         {"Output", {"output_dir=DIR", "progress=NAME", "threads=N"}}}}};
 }

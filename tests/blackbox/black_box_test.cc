@@ -319,6 +319,34 @@ TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
   EXPECT_THAT(audit["findings"][0].get<std::string>(), HasSubstr("agrees with differences, and is wrong"));
 }
 
+// In a sweep it is one more contact model; one that fails is a row with the reason.
+TEST(BlackBox, SweepsTakeSimulators) {
+  const std::string simulate = SALTUS_BINARY_DIR "/bin/saltus_simulate --offer=gradient --contact=direct_toi";
+  const Outcome outcome = RunProgram("saltus_sweep" + OfProblem("two_balls") +
+                                     "--solver=none --sweep=steps=60,120 --progress=none --contact=direct_toi "
+                                     "--simulate='outside=" +
+                                     simulate + "' --simulate=gone=no_such_command_here");
+  std::vector<std::string> rows;
+  std::stringstream text(outcome.output);
+  for (std::string line; std::getline(text, line);) rows.push_back(line);
+  ASSERT_EQ(rows.size(), 7u) << outcome.output << outcome.errors;  // with the header
+  // After steps and contact: loss, norms of the gradient, its error, and the reason.
+  const auto numbers = [](const std::string& row) {
+    std::vector<double> found;
+    std::stringstream cells(row);
+    int column = 0;
+    for (std::string cell; std::getline(cells, cell, ',') && column < 7; ++column) {
+      if (column >= 2) found.push_back(std::stod(cell));
+    }
+    return found;
+  };
+  for (int i : {1, 4}) {
+    EXPECT_THAT(rows[i + 1], HasSubstr("outside"));
+    EXPECT_THAT(numbers(rows[i + 1]), testing::Pointwise(testing::DoubleNear(1e-12), numbers(rows[i])));
+    EXPECT_THAT(rows[i + 2], HasSubstr("exit code 127"));
+  }
+}
+
 TEST(BlackBox, RefusesWrongFlags) {
   const struct {
     std::string flags, why;
