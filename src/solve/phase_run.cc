@@ -7,7 +7,7 @@ PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const S
       scene_(request.scene),
       terms_(request.terms),
       options_(options),
-      guess_(GuessTrial(request.scene, request.terms)) {
+      guess_(GuessTrial(request.scene, request.terms, options.guess)) {
   report_.contact = request.contact.name();
   report_.solver = solver;
   if (guess_.exact.ok) Record(guess_.exact.loss);

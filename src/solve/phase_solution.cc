@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "control_guess.h"
 #include "hmp_roots.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
@@ -105,8 +106,12 @@ void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* tria
   trial->exact.loss += trial->own.cost;
 }
 
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms) {
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms, const std::optional<ControlGuess>& given) {
   Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
+  if (given) {
+    trial.control = given->control;
+    trial.durations = LengthsOf(*given, scene);
+  }
   Simulate(scene, terms, &trial);
   return trial;
 }

@@ -29,8 +29,9 @@ struct Trial {
 
 // Runs trial->control.
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
-// The scene's initial guess.
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {});
+// The control to start from: `given`, or else the scene's.
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {},
+                 const std::optional<ControlGuess>& given = std::nullopt);
 // Precondition: trial.exact.ok.
 Flight FlightOf(const Scene& scene, const Trial& trial);
 

@@ -9,6 +9,7 @@
 #include "ceres_lm.h"
 #include "ceres_phases.h"
 #include "ceres_shooting.h"
+#include "control_guess.h"
 #include "gradient_descent.h"
 #include "grid_solver.h"
 #include "hmp.h"
@@ -51,6 +52,10 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
     return "rate_per_time: expected a scene in which a control is optimized";
   }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
+  if (options.guess) {
+    if (scene.optimize != Optimize::kControl) return "guess: expected a scene in which a control is optimized";
+    if (std::string wrong = WhatIsWrongWith(*options.guess, scene); !wrong.empty()) return wrong;
+  }
   if (!options.sequence) return "";
   const ContactSequence pairs = AllPairs(scene);
   for (const Candidate& pair : *options.sequence) {
