@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "output/table.h"
 #include "tools/json_output.h"
 #include "tools/program.h"
 
@@ -15,14 +16,20 @@ struct SolvedRun {
   SolveReport report;
   ExactRun exact;
   std::optional<Certificate> certificate;
+  std::vector<double> final_state;  // B x 4, under its contact model; empty if that fails
+  bool simulated = false;           // nothing was solved, and the start has a finite loss
+
+  // Whether there is an initial state and a control to look at.
+  bool HasSolution() const { return simulated || !report.losses.empty(); }
 };
 
 // The report's reason, and what is ambiguous in its exact run.
 std::string RemarkOn(const SolvedRun& run);
 
-// Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
-// number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
-// Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.
+// Every contact model with every solver, contact models outermost, or without a solver the start under each; on all
+// threads, in the same order whatever their number. Solvers that know exact contact only run with the event-driven
+// model alone, if it is among those asked for. Interruption (SIGINT, under an InterruptGuard) leaves out the runs that
+// were not begun.
 struct SolvedRuns {
   std::vector<SolvedRun> runs;
   bool interrupted = false;  // some are missing, or were at work
@@ -33,10 +40,9 @@ SolvedRuns SolveAll(const Request& request);
 // Empty if it is one, and for what is not applicable.
 std::string WhyNoAnswer(const SolveReport& report);
 
+Table RunTable(const SolvedRuns& solved);
 Json SolveToJson(const Request& request, const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
-// Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
-void WriteSolutions(const Request& request, const SolvedRuns& solved);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
 
