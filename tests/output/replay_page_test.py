@@ -239,6 +239,23 @@ class Pages(unittest.TestCase):
                 if name != "failed":
                     self.assertEqual(self.js("return saltusReplays.length"), 1)
 
+    def test_reports_of_audits_and_sweeps(self):
+        scene = f"--scene={PROBLEMS}/two_balls.yaml"
+        for program, flags in (("saltus_audit", ["--contact=direct_toi,event"]),
+                               ("saltus_sweep", ["--contact=event", "--solver=none", "--sweep=steps=10,20,40"])):
+            with self.subTest(program):
+                folder = tempfile.mkdtemp(dir=self.folder)
+                done = run(program, scene, f"--output_dir={folder}", "--progress=plain", *flags)
+                page = os.path.join(folder, "report.html")
+                printed = done.stdout if program == "saltus_audit" else done.stderr
+                self.assertEqual(printed.splitlines()[-1], page)
+                self.assert_valid(page)
+                for width in (400, 1600):
+                    self.open(page, width)
+                    self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
+                self.assertEqual(self.js("return window.saltusReplays ? saltusReplays.length : 0"),
+                                 1 if program == "saltus_audit" else 0)
+
     def test_names_are_text(self):
         states = [[[0.1 * k, 0], [1, 0]] for k in range(11)]
         document = {
