@@ -4,7 +4,7 @@
 
 #include "output/npz.h"
 #include "saltus/io/scene_file.h"
-#include "tools/simulate.h"
+#include "tools/simulated_run.h"
 #include "tools/surrogate_flags.h"
 
 namespace saltus {

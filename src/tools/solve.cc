@@ -13,7 +13,7 @@
 #include "tools/certificate_table.h"
 #include "tools/parallel.h"
 #include "tools/report_parts.h"
-#include "tools/simulate.h"
+#include "tools/simulated_run.h"
 #include "tools/solution_files.h"
 #include "tools/solve_report.h"
 #include "tools/surrogate_flags.h"

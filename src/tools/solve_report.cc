@@ -9,7 +9,7 @@
 #include "tools/replay_scene.h"
 #include "tools/report_parts.h"
 #include "tools/scene_panel.h"
-#include "tools/simulate.h"
+#include "tools/simulated_run.h"
 #include "tools/solution_files.h"
 #include "tools/surrogate_flags.h"
 

@@ -1,4 +1,4 @@
-#include "tools/simulate.h"
+#include "tools/simulated_run.h"
 
 #include <chrono>
 #include <cmath>
