@@ -18,7 +18,9 @@ PulledCostate PullBackCostate(Simulator* simulator, std::span<const double> begi
     for (Eigen::Index i = 0; i < n; ++i) {
       for (int j = first; j < first + 2; ++j) cotangent[4 * bodies[i] + j] = lambda[4 * i + j];
     }
-    simulator->AdjointInto(cotangent, {.initial = initial});
+    SensitivityView by;
+    by.initial = initial;
+    simulator->AdjointInto(cotangent, by);
     for (Eigen::Index i = 0; i < n; ++i) {
       for (int j = 0; j < 4; ++j) pulled[4 * i + j] = initial[4 * bodies[i] + j];
     }

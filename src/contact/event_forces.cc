@@ -281,18 +281,6 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
       return Pressing::kSolved;
     }
   }
-  // Sweeps carry a force from one contact to the next: what many contacts do is guessed first, that all press.
-  const bool many = contacts.size() > kMostDenseRows;
-  if (many) {
-    for (std::size_t k = 0; k < contacts.size(); ++k) {
-      const PressingContact& c = contacts[k];
-      guesses[k] = c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
-    }
-    if (SolveByPivoting(
-            friction, kExact * scale, kFirstPivots, inverse_mass, given, guesses, many, acceleration, contacts)) {
-      return Pressing::kSolved;
-    }
-  }
   int direct = kFirstSweeps;
   for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {
     double change = 0;

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "io/file.h"
+#include "replay_page.h"
 #include "report_style.h"
 
 namespace saltus {
@@ -105,6 +106,13 @@ Status HtmlReport::AddFigure(const Figure& figure, std::string_view caption, boo
   return Status();
 }
 
+void HtmlReport::AddReplay(const Replay& replay, std::string_view caption) {
+  const std::string label = "Figure " + std::to_string(++figures_);
+  replays_ = true;
+  body_ += "<figure class=\"replay\" id=\"" + Slug(label) + "\">\n" + ReplayContent(replay) + "\n<figcaption><b>" +
+           label + ".</b> " + Inline(caption) + "</figcaption>\n</figure>\n";
+}
+
 void HtmlReport::AddFigureElement(const std::string& kind, int number, std::string_view caption,
                                   const std::string& content, bool folded) {
   const std::string label = kind + " " + std::to_string(number);
@@ -129,14 +137,17 @@ std::string HtmlReport::Render() const {
   html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
   html += "<meta name=\"color-scheme\" content=\"light dark\">\n";
   html += "<link rel=\"icon\" href=\"data:,\">\n";  // or browsers ask for /favicon.ico
-  html +=
-      "<title>" + EscapeHtml(title_) + "</title>\n<style>\n" + internal::ReportStyle() + "</style>\n</head>\n<body>\n";
+  html += "<title>" + EscapeHtml(title_) + "</title>\n<style>\n" + internal::ReportStyle() +
+          (replays_ ? std::string(internal::ReplayStyle()) : "") + "</style>\n</head>\n<body>\n";
   if (!contents.empty())
     html += "<nav aria-label=\"Contents\">\n<details open><summary>Contents</summary>\n<ol>\n" + contents +
             "</ol>\n</details>\n</nav>\n";
   html += "<main>\n<header>\n<h1>" + EscapeHtml(title_) + "</h1>\n";
   if (!subtitle_.empty()) html += "<p class=\"subtitle\">" + Inline(subtitle_) + "</p>\n";
-  return html + "</header>\n" + body_ + "</main>\n</body>\n</html>\n";
+  html += "</header>\n" + body_ + "</main>\n";
+  if (replays_)
+    html += "<script>\n'use strict';\n(() => {\n" + std::string(internal::ReplayScript()) + "})();\n</script>\n";
+  return html + "</body>\n</html>\n";
 }
 
 Status HtmlReport::Write(const std::string& path) const { return WriteFileAtomically(path, Render()); }

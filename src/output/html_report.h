@@ -1,4 +1,5 @@
-// A report as one HTML file that needs nothing else: style and figures inside, no scripts, no network.
+// A report as one HTML file that needs nothing else: style and figures inside, no network, and no script but that of
+// replays.
 #pragma once
 
 #include <string>
@@ -7,6 +8,7 @@
 
 #include "io/status.h"
 #include "output/figure.h"
+#include "output/replay.h"
 #include "output/table.h"
 
 namespace saltus {
@@ -47,6 +49,9 @@ class HtmlReport {
   // Draws the figure; an error if gnuplot is missing or fails, and the report is then as it was.
   Status AddFigure(const Figure& figure, std::string_view caption, bool folded = false);
 
+  // Numbered as a figure.
+  void AddReplay(const Replay& replay, std::string_view caption);
+
   // The whole document.
   std::string Render() const;
 
@@ -68,6 +73,7 @@ class HtmlReport {
   std::vector<Section> sections_;
   int tables_ = 0;
   int figures_ = 0;
+  bool replays_ = false;
   std::string body_;
 };
 

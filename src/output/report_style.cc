@@ -79,6 +79,12 @@ td.good { background: var(--good-paper); color: var(--good); }
 td.warning { background: var(--warning-paper); color: var(--warning); }
 td.bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
 td.muted { color: var(--faint); }
+@media (max-width: 48rem) {
+  table { font-size: .8rem; }
+  th { white-space: normal; }
+  th, td { padding: .3rem .4rem; }
+  td.long { min-width: 9rem; }
+}
 @media print {
   nav { display: none; }
   body { display: block; font-size: 11pt; }

@@ -5,6 +5,7 @@
 #include "exact/two_disc_optimum.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
+#include "tools/scene_panel.h"
 
 namespace saltus {
 namespace {
@@ -50,24 +51,6 @@ std::vector<Path> PathsOf(const Experiment& experiment, const std::vector<double
     }
   }
   return paths;
-}
-
-Panel ScenePanel(const Scene& scene, const std::string& title) {
-  Panel panel;
-  panel.title = title;
-  panel.x.label = "x (m)";
-  panel.y.label = "y (m)";
-  panel.equal_aspect = true;
-  for (const Body& body : scene.bodies) {
-    panel.circles.push_back({{body.position[0], body.position[1]}, body.radius, "#555555", 0.25});
-  }
-  for (const Plane& plane : scene.planes) {
-    panel.half_planes.push_back({{plane.point[0], plane.point[1]}, {plane.normal[0], plane.normal[1]}});
-  }
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (!term.component) panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
-  }
-  return panel;
 }
 
 void AddPaths(const std::vector<Path>& paths, const std::string& label, const std::string& colour, Dash dash,

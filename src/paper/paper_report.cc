@@ -4,6 +4,7 @@
 
 #include "exact/two_disc_optimum.h"
 #include "output/html_report.h"
+#include "paper/task_replays.h"
 
 namespace saltus {
 namespace {
@@ -20,6 +21,15 @@ void AddPublishedTable(const std::vector<PublishedRow>& rows, const std::string&
   for (const auto& [table, caption] : PublishedTables()) {
     if (table == name) report->AddTable(ToTable(rows, name), caption);
   }
+}
+
+void AddTask(const Experiments& experiments, const std::string& problem, HtmlReport* report) {
+  const bool optimised = experiments.scene(problem).optimize != Optimize::kNone;
+  report->AddReplay(TaskReplay(experiments, problem),
+                    optimised
+                        ? "The motions that gradient descent ends with, each as its contact model sees it. In exact "
+                          "dynamics the same control or velocity may lead elsewhere."
+                        : "The motion under each contact model.");
 }
 
 std::vector<Tile> Summary(const Experiments& experiments, const std::vector<PublishedRow>& rows, double seconds) {
@@ -48,7 +58,7 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
                       const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
-                      double seconds, const std::string& output_dir) {
+                      const std::optional<DescentAudit>& descents, double seconds, const std::string& output_dir) {
   HtmlReport report("Gradients through contact, reproduced",
                     "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have "
                     "Correct Gradients w.r.t. Position, Velocity and Control?”, every table and figure next to ours "
@@ -77,6 +87,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "exactly on a node of the time grid. Models that resolve the impact at the end of a step get the sign of the "
       "position's gradient wrong, however small the step.");
   AddPublishedTable(rows, "T1", &report);
+  AddTask(experiments, "bounce_once", &report);
 
   report.AddHeading(1, "Task 2: ground and wall");
   report.AddParagraph(
@@ -86,6 +97,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddFigure(figures, "ground_wall_learning", &report);
   AddPublishedTable(rows, "T4", &report);
   AddFigure(figures, "ground_wall_learning_mu", &report);
+  AddTask(experiments, "ground_wall", &report);
 
   report.AddHeading(1, "Task 3: two balls");
   report.AddParagraph(
@@ -96,6 +108,20 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddFigure(figures, "two_balls_learning", &report);
   AddPublishedTable(rows, "F5", &report);
   AddFigure(figures, "stiffness_learning", &report);
+  AddTask(experiments, "two_balls", &report);
+
+  if (descents) {
+    report.AddHeading(1, "Along the descent");
+    report.AddParagraph(
+        "How can optimisation succeed with wrong gradients, and where does it fail? A step against a gradient lowers "
+        "the "
+        "exact loss, if it is short, wherever the angle between this gradient and the exact one is less than 90 "
+        "degrees: "
+        "the gradient need not be right, it must point to the right side. Where a model's gradient turns further away, "
+        "its descent goes on lowering the loss that the model sees, while the exact loss may rise.");
+    report.AddList(descents->Findings());
+    AddFigure({descents->ToFigure()}, "descent_audit", &report);
+  }
 
   report.AddHeading(1, "Better solvers");
   report.AddParagraph(

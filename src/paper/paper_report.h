@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "paper/descent_audit.h"
 #include "paper/experiments.h"
 #include "paper/formulation_audit.h"
 #include "paper/paper_figures.h"
@@ -14,11 +15,11 @@
 
 namespace saltus {
 
-// Writes report.html into `output_dir`. Throws InputError if it cannot. `formulations` may be
-// left out; `seconds` is what the experiments took.
+// Writes report.html into `output_dir`. Throws OutputError if it cannot. `formulations` and
+// `descents` may be left out; `seconds` is what the experiments took.
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
                       const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
-                      double seconds, const std::string& output_dir);
+                      const std::optional<DescentAudit>& descents, double seconds, const std::string& output_dir);
 
 }  // namespace saltus

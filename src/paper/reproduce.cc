@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "output/interrupt.h"
+#include "paper/descent_audit.h"
 #include "paper/experiments.h"
 #include "paper/formulation_audit.h"
 #include "paper/notebook_files.h"
@@ -37,6 +38,14 @@ FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<S
                            {"Task 3: two balls", experiments.scene("two_balls")}},
                           std::move(contacts),
                           std::move(simulators));
+}
+
+DescentAudit AuditDescents(const Experiments& experiments, const SolverComparison& comparison) {
+  std::vector<std::string> contacts;
+  for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
+  return DescentAudit({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
+                      std::move(contacts),
+                      {comparison.slow().begin(), comparison.slow().end()});
 }
 
 // False if interrupted.
@@ -94,6 +103,11 @@ int Reproduce(const std::vector<std::string>& arguments) {
     formulations = AuditFormulations(experiments, std::move(simulators));
     if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   }
+  std::optional<DescentAudit> descents;
+  if (FLAGS_all_formulations) {
+    descents = AuditDescents(experiments, comparison);
+    if (!descents->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  }
   std::vector<PaperFigure> figures;
   const bool compared = RunStage("comparison with the published values", [&] {
     CompareWithPublished(experiments, &rows);
@@ -101,9 +115,13 @@ int Reproduce(const std::vector<std::string>& arguments) {
     figures = MakePaperFigures(experiments);
     if (formulations) figures.push_back(formulations->ToFigure());
   });
-  if (!compared || !WriteFigures({figures, comparison.Figures(), strike.Figures()}, output_dir)) return kAnswerFailed;
+  std::vector<PaperFigure> along;
+  if (descents) along.push_back(descents->ToFigure());
+  if (!compared || !WriteFigures({figures, along, comparison.Figures(), strike.Figures()}, output_dir))
+    return kAnswerFailed;
   const bool written = RunStage("report", [&] {
-    WritePaperReport(experiments, rows, figures, comparison, strike, formulations, experiment_seconds, output_dir);
+    WritePaperReport(
+        experiments, rows, figures, comparison, strike, formulations, descents, experiment_seconds, output_dir);
   });
   if (!written) return kAnswerFailed;
 

@@ -34,6 +34,9 @@ class SolverComparison {
   // False if interrupted.
   bool Run(int threads, ProgressMode progress);
 
+  // Contact models whose gradients take so long that gradient descent was left out.
+  const std::set<std::string>& slow() const { return slow_; }
+
   std::vector<CaptionedTable> Tables() const;
   std::vector<PaperFigure> Figures() const;
   // What the numbers say, one sentence or two each.

@@ -36,7 +36,7 @@ std::string DefectsOpen(double largest) {
 SolveReport SolveByCeresLagrangian(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_lagrangian", request, options);
   SingleShooting& shooting = run.shooting();
-  std::vector<double> z = shooting.initial_guess();
+  std::vector<double> z = run.initial_guess();
   const Gradient first = GradientAt(&shooting, z);
   if (!first.ok) return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   if (!run.Record(first.loss, z)) return run.Finish(z, Termination::kInterrupted);

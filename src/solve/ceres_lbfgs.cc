@@ -30,7 +30,7 @@ class Loss final : public ceres::FirstOrderFunction {
 
 SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_lbfgs", request, options);
-  std::vector<double> z = run.shooting().initial_guess();
+  std::vector<double> z = run.initial_guess();
   double guess_loss = 0;
   if (!run.shooting().Evaluate(z, &guess_loss, nullptr)) {
     return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");

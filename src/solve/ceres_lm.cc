@@ -192,7 +192,7 @@ ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num
 
 SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_lm", request, options);
-  std::vector<double> z = run.shooting().initial_guess();
+  std::vector<double> z = run.initial_guess();
   if (run.shooting().scene().optimize == Optimize::kControl) {
     const size_t forces = z.size() - run.shooting().has_duration();
     MoveWithinBounds(run.shooting().scene().control, std::span(z).first(forces));

@@ -47,7 +47,7 @@ End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::
 SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_shooting", request, options);
   SingleShooting& shooting = run.shooting();
-  std::vector<double> z = shooting.initial_guess();
+  std::vector<double> z = run.initial_guess();
   double loss = 0;
   if (!shooting.Evaluate(z, &loss, nullptr)) {
     return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");

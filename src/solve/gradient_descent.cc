@@ -112,7 +112,7 @@ SolveReport Descend(SolveRun* descent, const SolveRequest& request, const Solver
   SolveRun& run = *descent;
   std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
   const Step step(run.shooting(), options);
-  std::vector<double> z = run.shooting().initial_guess();
+  std::vector<double> z = run.initial_guess();
   step.MoveWithin(&z);
   std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
   for (int k = 0;; ++k) {

@@ -38,7 +38,7 @@ std::string WhyNotGridOptimum(const SolveRequest& request) {
 
 SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("grid_optimum", request, options);
-  std::vector<double> z = run.shooting().initial_guess();
+  std::vector<double> z = run.initial_guess();
   double loss = 0;
   if (!run.shooting().Evaluate(z, &loss, nullptr)) {
     return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
@@ -50,7 +50,7 @@ SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions&
     for (int j = 0; j < 2; ++j) z[2 * k + j] = optimum->control[k][j];
   }
   if (!run.shooting().Evaluate(z, &loss, nullptr) || !(std::abs(loss - optimum->loss) < 1e-9 * (1 + optimum->loss))) {
-    return run.Finish(run.shooting().initial_guess(), Termination::kFailed, "a rollout contradicts the closed form");
+    return run.Finish(run.initial_guess(), Termination::kFailed, "a rollout contradicts the closed form");
   }
   run.Record(loss, z);
   const bool stationary = optimum->theta >= 0 && optimum->theta <= 1 && optimum->residual < 1e-12;

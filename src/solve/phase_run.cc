@@ -5,7 +5,7 @@
 namespace saltus {
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
-    : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms)) {}
+    : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms, options.guess)) {}
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start)
     : start_(std::chrono::steady_clock::now()),

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "control/limited_run.h"
+#include "control_guess.h"
 #include "hmp_roots.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/registry.h"
@@ -130,8 +131,12 @@ void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* tria
   trial->exact.loss += trial->own.cost;
 }
 
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms) {
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms, const std::optional<ControlGuess>& given) {
   Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
+  if (given) {
+    trial.control = given->control;
+    trial.durations = LengthsOf(*given, scene);
+  }
   Simulate(scene, terms, &trial);
   return trial;
 }

@@ -42,8 +42,9 @@ inline constexpr int kMostImpactsOfMotion = 1000;
 
 // Runs trial->control, up to so many impacts.
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
-// The scene's initial guess.
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {});
+// The control to start from: `given`, or else the scene's.
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {},
+                 const std::optional<ControlGuess>& given = std::nullopt);
 // Precondition: trial.exact.ok.
 Flight FlightOf(const Scene& scene, const Trial& trial);
 

@@ -1,5 +1,8 @@
 #include "solve_run.h"
 
+#include <algorithm>
+
+#include "control_guess.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -19,6 +22,17 @@ SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request)
                         std::move(of_duration));
 }
 
+// The decision variables of a control that is given.
+std::vector<double> DecisionsOf(const ControlGuess& guess, const SingleShooting& shooting) {
+  const Scene& scene = shooting.scene();
+  std::vector<double> z = MeanOverSteps(guess, scene.num_controlled(), shooting.simulator().num_steps());
+  if (shooting.has_duration()) {
+    const FreeDuration& free = *scene.objective.duration;
+    z.push_back(std::clamp(DurationOf(guess, scene), free.min, free.max));
+  }
+  return z;
+}
+
 }  // namespace
 
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
@@ -31,6 +45,7 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
     if (most && shooting_.simulator().touches().size() > static_cast<size_t>(*most)) return true;
     return options_.stop && options_.stop();
   });
+  guess_ = options.guess ? DecisionsOf(*options.guess, shooting_) : shooting_.initial_guess();
   report_.contact = request.contact.name();
   report_.solver = solver;
   report_.surrogate = options.surrogate;

@@ -21,6 +21,8 @@ class SolveRun {
 
   SingleShooting& shooting() { return shooting_; }
   const SolverOptions& options() const { return options_; }
+  // The decision variables to start from.
+  const std::vector<double>& initial_guess() const { return guess_; }
   int num_recorded() const { return static_cast<int>(report_.losses.size()); }
 
   // Appends the loss of the next iterate z, the initial guess first. False if the callback wants to stop.
@@ -39,6 +41,7 @@ class SolveRun {
   SolveReport report_;
   int num_estimates_ = 0;
   SingleShooting shooting_;
+  std::vector<double> guess_;
 };
 
 // Which bounds on the control a solver keeps.

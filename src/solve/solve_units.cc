@@ -28,6 +28,11 @@ void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
 
 SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
   SolverOptions out = options;
+  if (options.guess) {
+    const UnitFactors from_si({}, scene.units);
+    out.guess->control = Multiplied(options.guess->control, from_si.force);
+    out.guess->durations = Multiplied(options.guess->durations, from_si.time);
+  }
   if (options.callback) {
     out.callback = [&options, units = scene.units](int iteration, double loss) {
       return options.callback(iteration, ConvertLoss(loss, units, {}));

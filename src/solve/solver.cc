@@ -9,6 +9,7 @@
 #include "ceres_lm.h"
 #include "ceres_phases.h"
 #include "ceres_shooting.h"
+#include "control_guess.h"
 #include "gradient_descent.h"
 #include "grid_solver.h"
 #include "hmp.h"
@@ -52,6 +53,10 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
   }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
   if (std::string wrong = WhyNotValid(options.search_options); !wrong.empty()) return wrong;
+  if (options.guess) {
+    if (scene.optimize != Optimize::kControl) return "guess: expected a scene in which a control is optimized";
+    if (std::string wrong = WhatIsWrongWith(*options.guess, scene); !wrong.empty()) return wrong;
+  }
   if (!options.sequence) return "";
   const ContactSequence pairs = AllPairs(scene);
   for (const Candidate& pair : *options.sequence) {

@@ -9,10 +9,12 @@
 #include <regex>
 
 #include "output/interrupt.h"
+#include "saltus/io/scene_file.h"
 #include "sweep/cluster.h"
 #include "sweep/figures.h"
 #include "sweep/output.h"
 #include "sweep/run.h"
+#include "tools/report_parts.h"
 #include "tools/simulators.h"
 
 DEFINE_string(
@@ -28,6 +30,8 @@ DECLARE_int32(threads);
 
 namespace saltus {
 namespace {
+
+constexpr size_t kMostRowsInReport = 500;
 
 Shard ReadShard(const std::string& text) {
   if (text.empty()) return {};
@@ -72,6 +76,10 @@ std::string ShardName(Shard shard) {
 // Results of a shard do not stand in the way of those of the whole.
 std::string BaseName(Shard shard) { return shard.count == 1 ? "sweep" : "sweep." + ShardName(shard); }
 
+std::string ReportPath(const SweepStudy& study, const std::string& base) {
+  return study.request().output_dir + "/" + (base == "sweep" ? "" : base + ".") + "report.html";
+}
+
 std::vector<std::string> ShardStores(const std::string& directory) {
   static const std::regex name("sweep\\.shard-[0-9]+-of-[0-9]+\\.sqlite");
   std::vector<std::string> paths;
@@ -95,6 +103,29 @@ void MergeShards(const SweepStudy& study, SweepStore* store) {
   }
 }
 
+// One page of what failed, the figures and the first rows. Figures are left out where gnuplot is missing.
+void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points,
+                 const std::vector<SweepFigure>& figures, const std::string& base) {
+  const Request& request = study.request();
+  HtmlReport report = StartReport(request.scene);
+  report.AddHeading(1, "Points");
+  report.AddPreformatted(Summary(study, points));
+  if (!figures.empty()) report.AddHeading(1, "Figures");
+  for (const SweepFigure& figure : figures) {
+    std::string caption = figure.name;
+    std::replace(caption.begin(), caption.end(), '_', ' ');
+    AddFigureOrReason(figure.figure, caption, &report);
+  }
+  report.AddHeading(1, "Rows");
+  const std::vector<StoredPoint> first(points.begin(), points.begin() + std::min(points.size(), kMostRowsInReport));
+  report.AddTable(SweepTable(study, first),
+                  first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
+                                               : "All rows, as in `" + base + ".csv`.");
+  report.AddHeading(1, "Scene");
+  report.AddPreformatted(WriteScene(request.scene));
+  OrOutputError(report.Write(ReportPath(study, base)));
+}
+
 void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points, const Table& table,
                 const std::string& base) {
   const std::string& directory = study.request().output_dir;
@@ -102,12 +133,14 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
   WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
   OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
   if (InterruptGuard::Interrupted()) return;  // figures take seconds
-  for (const SweepFigure& figure : MakeSweepFigures(study, points)) {
+  const std::vector<SweepFigure> figures = MakeSweepFigures(study, points);
+  for (const SweepFigure& figure : figures) {
     const std::string path = directory + "/" + base + "." + figure.name;
     const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
     // The results stand without figures: gnuplot may be missing.
     if (!status.ok()) std::cerr << "no figure " << path << ": " << status.message() << std::endl;
   }
+  WriteReport(study, points, figures, base);
 }
 
 void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
@@ -120,6 +153,9 @@ void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& point
                     std::cout << table.ToCsv() << std::flush;
                   }
                 });
+  // Standard output is data.
+  const bool silent = study.request().progress == ProgressMode::kNone || InterruptGuard::Interrupted();
+  if (!silent && !study.request().output_dir.empty()) std::cerr << ReportPath(study, base) << std::endl;
 }
 
 // Writes what there is and says how it went.

@@ -9,9 +9,11 @@
 #include "output/interrupt.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/audit_files.h"
+#include "tools/audit_report.h"
 #include "tools/audit_tables.h"
 #include "tools/given_gradient.h"
 #include "tools/parallel.h"
+#include "tools/report_parts.h"
 #include "tools/surrogate_flags.h"
 
 DEFINE_bool(width_sweep, false,
@@ -238,7 +240,12 @@ int AuditMain(int argc, char** argv) {
         }
       }
     };
-    WriteAndPrint([&] { WriteAuditFiles(request, report); }, print);
+    const auto write = [&] {
+      WriteAuditFiles(request, report);
+      WriteAuditReport(request, report);
+    };
+    WriteAndPrint(write, print);
+    PrintReportPath(request);
     return AuditExitCode(request, report, simulators.size());
   });
 }

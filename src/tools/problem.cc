@@ -6,10 +6,25 @@
 #include "output/interrupt.h"
 #include "tools/audit.h"
 #include "tools/audit_files.h"
+#include "tools/audit_report.h"
 #include "tools/launches.h"
+#include "tools/report_parts.h"
+#include "tools/solution_files.h"
 #include "tools/solve.h"
+#include "tools/solve_report.h"
 
 namespace saltus {
+namespace {
+
+void WriteReport(const Request& request, const AuditReport& audit, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  HtmlReport report = StartReport(request.scene);
+  AddAuditSections(request, audit, &report);
+  if (!solved.runs.empty()) AddSolveSections(request, solved, &report);
+  FinishReport(request, &report);
+}
+
+}  // namespace
 
 int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
   const std::string name = std::filesystem::path(defaults.scene).stem().string();
@@ -25,6 +40,7 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     const auto write = [&] {
       WriteAuditFiles(request, audit);
       WriteSolutions(request, solved);
+      WriteReport(request, audit, solved);
     };
     const auto print = [&] {
       if (request.json) {
@@ -41,6 +57,7 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
       }
     };
     WriteAndPrint(write, print);
+    PrintReportPath(request);
     return std::max(AuditExitCode(request, audit), SolveExitCode(solved));
   });
 }

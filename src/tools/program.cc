@@ -22,7 +22,9 @@
 #include "output/text_layout.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
+#include "solve/control_guess.h"
 #include "tools/program_flags.h"
+#include "tools/saved_solution.h"
 #include "tools/surrogate_flags.h"
 
 DEFINE_string(scene, "", "the scene, in YAML");
@@ -51,6 +53,9 @@ DEFINE_uint64(search_seed, 1, "of these starts");
 DEFINE_int32(threads, 0, "0 is one per core");
 DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");
 DEFINE_string(output_dir, "", "where result files are written");
+DEFINE_string(control, "", "JSON or NPZ with a control to start from, or with --solver=none to simulate");
+DEFINE_string(warm_start, "", "JSON or NPZ of a solution to start from: its control, velocities or positions");
+DEFINE_bool(states, false, "times and states of every solution in --json");
 DEFINE_bool(json, false, "one JSON document on standard output, instead of tables");
 DEFINE_string(progress, "auto", "on standard error: auto (a bar on a terminal, else lines), plain or none");
 DEFINE_bool(h, false, "as --help");
@@ -235,7 +240,35 @@ SearchOptions SearchFromFlags() {
   return options;
 }
 
+// --control and --warm_start.
+void ReadStart(Request* request) {
+  if (!FLAGS_control.empty() && !FLAGS_warm_start.empty()) {
+    throw InputError("--control and --warm_start both say where to start; expected one of them");
+  }
+  const bool warm = !FLAGS_warm_start.empty();
+  const std::string flag = warm ? "--warm_start" : "--control", path = warm ? FLAGS_warm_start : FLAGS_control;
+  if (path.empty()) return;
+  Scene* scene = &request->scene;
+  const SavedSolution solution = ReadSolution(flag, path, *scene);
+  if (warm) StartFrom(flag, solution, scene);
+  const bool needed = !warm || scene->optimize == Optimize::kControl;
+  if (solution.control.empty()) {
+    if (needed) throw InputError(flag + ": " + path + ": expected a control");
+    return;
+  }
+  ControlGuess guess{solution.control, solution.durations};
+  if (const std::string wrong = WhatIsWrongWith(guess, *scene); !wrong.empty()) {
+    throw InputError(flag + ": " + path + ": " + wrong);
+  }
+  if (scene->optimize == Optimize::kControl) request->options.guess = guess;
+  if (!request->solvers.empty() && scene->optimize != Optimize::kControl && !warm) {
+    throw InputError("--control: the scene optimizes no control; expected --solver=none with it");
+  }
+  request->start = std::move(guess);
+}
+
 std::atomic<bool> end_without_waiting{false};
+std::vector<std::string> files_given;
 
 // A program started with a standard stream closed would get its number for the first file it opens, and print into it.
 void OccupyStandardStreams() {
@@ -292,12 +325,18 @@ int RunMain(int argc, char** argv, const Program& program, const std::function<i
     }
     google::gflags_exitfunc = [](int) { std::exit(FinishOutput(kDone)); };
     gflags::HandleCommandLineHelpFlags();
-    if (argc > 1) throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
+    if (program.files) {
+      files_given.assign(argv + 1, argv + argc);
+    } else if (argc > 1) {
+      throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
+    }
     return body();
   });
   if (end_without_waiting) EndProgram(code);
   return FinishOutput(code);
 }
+
+const std::vector<std::string>& FilesGiven() { return files_given; }
 
 void EndWithoutWaiting() { end_without_waiting = true; }
 
@@ -367,10 +406,11 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
-  if (solver != "none") request->solvers = ReadNames("solver", solver, AllSolvers());
+  if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, AllSolvers());
   request->precision = PrecisionFromFlags();
   request->scene = LoadScene(path);
   ApplyFlags(&request->scene);
+  ReadStart(request);
 
   request->options.search = FLAGS_sequence == "auto";
   if (FLAGS_sequence != "auto" && FLAGS_sequence != "fixed") {
@@ -400,6 +440,8 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   request->output_dir = OutputDirFromFlags();
   if (!request->output_dir.empty()) MakeDirectory(request->output_dir);
   request->json = FLAGS_json;
+  request->states = FLAGS_states;
+  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; files have states anyway");
   request->progress = ProgressFromFlags();
   return true;
 }

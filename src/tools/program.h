@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -24,6 +25,9 @@ struct InputError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+// The name of no solver, --solver=none.
+inline constexpr char kNoSolver[] = "none";
+
 // Defaults that differ from program to program; flags given on the command line override them.
 struct ProgramDefaults {
   std::string scene;          // file; empty if --scene must be given
@@ -40,7 +44,9 @@ struct Request {
   Precision precision = Precision::kDouble;
   SolverOptions options;
   int threads = 1;
-  std::string output_dir;  // empty: write no files
+  std::optional<ControlGuess> start;  // the control that a flag gives, also where none is optimized
+  bool states = false;                // --states
+  std::string output_dir;             // empty: write no files
   bool json = false;
   ProgressMode progress = ProgressMode::kAuto;
 };
@@ -53,6 +59,9 @@ struct OutputError : std::runtime_error {
 // Parses flags, runs `body` and turns what it throws into exit codes. Flags that are not the program's are wrong input.
 // If standard output did not take all that was printed, that is an error too.
 int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body);
+
+// The arguments that are no flags, of a program that takes files.
+const std::vector<std::string>& FilesGiven();
 
 // Makes RunMain end the process without waiting for threads that are at work still.
 void EndWithoutWaiting();

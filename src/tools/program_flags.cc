@@ -30,6 +30,7 @@ const FlagGroup kSolvers = {"Solvers",
                              "search_memory=MIB",
                              "search_starts=N",
                              "search_seed=N"}};
+const FlagGroup kStart = {"Start (in place of the scene's)", {"control=FILE", "warm_start=FILE"}};
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
     {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
@@ -74,15 +75,22 @@ std::vector<Program> MakePrograms() {
       {kProblems,
        "Gradients of every contact model, and optimisation, of a problem of the papers",
        {"[--contact=LIST] [--solver=LIST|none] [--json]"},
-       {kScene, kModels, kSolvers, {"Audit", {"width_sweep"}}, kSurrogate, kOutput}},
+       {kScene, kModels, kSolvers, kStart, {"Audit", {"width_sweep"}}, kSurrogate, kOutput}},
       {"saltus_audit",
        "Gradients of contact models: which are right, which are wrong, where and why",
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
        {kScene, kModels, {"Audit", {"given=FILE", "width_sweep"}}, kSimulators, kSurrogate, kOutput}},
       {"saltus_solve",
        "Optimises a scene with the chosen contact models and solvers",
-       {"--scene=FILE [--contact=LIST] [--solver=LIST] [--json]"},
-       {kScene, kModels, kSolvers, kSurrogate, kOutput}},
+       {"--scene=FILE [--contact=LIST] [--solver=LIST|none] [--json]"},
+       {kScene, kModels, kSolvers, kStart, kSurrogate, {"States", {"states"}}, kOutput}},
+      {"saltus_replay",
+       "Writes a page that plays saved motions",
+       {"FILE... [--scene=FILE] [--output=FILE.html]"},
+       {{"Replay", {"scene=FILE", "output=FILE"}}},
+       "A FILE is an NPZ file or the JSON of saltus_solve --states, or has states of another simulator under the same "
+       "keys; several make one page of several motions. The README has the keys.",
+       true},
       {"saltus_sweep",
        "Many points of some options, one row each, as CSV on standard output",
        {"--scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},

@@ -19,6 +19,7 @@ struct Program {
   std::vector<std::string> usage;  // what may follow the name on the command line
   std::vector<FlagGroup> groups;
   std::string notes = "";  // paragraphs after the flags
+  bool files = false;      // takes arguments that are no flags
 };
 
 // Every program but those of the problems, which share one entry, "the problems' programs".

@@ -8,11 +8,14 @@
 #include <sstream>
 
 #include "output/interrupt.h"
-#include "output/npz.h"
 #include "output/table.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/certificate_table.h"
 #include "tools/parallel.h"
+#include "tools/report_parts.h"
+#include "tools/simulated_run.h"
+#include "tools/solution_files.h"
+#include "tools/solve_report.h"
 #include "tools/surrogate_flags.h"
 
 namespace saltus {
@@ -54,8 +57,7 @@ SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, T
 
 // A solver has converged on the loss under its contact model, which says little of the exact one.
 std::string TerminationInWords(const SolveReport& report) {
-  const bool elsewhere =
-      report.termination == Termination::kConverged && !FindContactModel(report.contact)->event_driven;
+  const bool elsewhere = IsConvergence(report) && !FindContactModel(report.contact)->event_driven;
   return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
 }
 
@@ -75,6 +77,10 @@ SolvedRuns SolveAll(const Request& request) {
       tasks.push_back({contact, solver});
       names.push_back(contact + " " + solver);
     }
+    if (request.solvers.empty()) {
+      tasks.push_back({contact, kNoSolver});
+      names.push_back(contact);
+    }
   }
   Progress progress(request.progress, stderr, "solve " + request.scene.name, static_cast<int64_t>(tasks.size()));
   const auto done = ComputeAll<SolvedRun>(
@@ -85,6 +91,7 @@ SolvedRuns SolveAll(const Request& request) {
         options.stop = AskedToStop;
         options.status = say;
         try {
+          if (solver == kNoSolver) return SimulateOnly(request, contact);
           return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
         } catch (const std::bad_alloc&) {
           return WithoutLosses(solver, contact, Termination::kFailed, "out of memory");
@@ -109,7 +116,7 @@ std::string WhyNoAnswer(const SolveReport& report) {
   return IsLess(report.initial_loss, report.final_loss) ? "ends worse than it began" : "";
 }
 
-void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
+Table RunTable(const SolvedRuns& solved) {
   Table table({{"contact"},
                {"solver"},
                {"initial loss", 10},
@@ -123,22 +130,27 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
               2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
-    const bool ran = !report.losses.empty();
+    const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
     const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
+    const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
     table.AddRow({LabelOf(report.contact, report.surrogate),
                   report.solver,
-                  of_run(report.initial_loss),
+                  of_solver(report.initial_loss),
                   of_run(report.final_loss),
                   run.exact.ok ? of_run(run.exact.loss) : Cell(),
-                  of_run(report.iterations),
-                  of_run(report.evaluations),
+                  of_solver(report.iterations),
+                  of_solver(report.evaluations),
                   of_run(report.seconds),
                   TerminationInWords(report),
                   ran ? Remark(run) : report.reason});
   }
+  return table;
+}
+
+void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
   const TextLayout layout = LayoutOfStandardOutput();
   const std::string& name = request.scene.name;
-  std::cout << name << ": " << request.scene.steps << " steps\n\n" << table.ToText(layout) << std::endl;
+  std::cout << name << ": " << request.scene.steps << " steps\n\n" << RunTable(solved).ToText(layout) << std::endl;
   const Table certificates = CertificateTable(solved);
   if (certificates.rows().empty()) return;
   char tolerance[16];
@@ -148,41 +160,6 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                          layout.width)
             << "\n"
             << certificates.ToText(layout) << std::endl;
-}
-
-void WriteSolutions(const Request& request, const SolvedRuns& solved) {
-  if (request.output_dir.empty()) return;
-  for (const SolvedRun& run : solved.runs) {
-    const SolveReport& report = run.report;
-    if (report.losses.empty()) continue;
-    const int64_t bodies = request.scene.num_bodies();
-    const int64_t controlled = request.scene.num_controlled();
-    NpzArrays arrays;
-    arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
-    arrays["initial_state"] = {{bodies, 4}, report.initial_state};
-    if (controlled > 0) {
-      const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
-      arrays["control"] = {{intervals, controlled, 2}, report.control};
-      if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
-    }
-    if (report.best && !report.best->initial_state.empty()) {
-      arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
-      arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
-      if (controlled > 0) {
-        const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
-        arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
-        if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
-      }
-    }
-    if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
-    if (!report.standard_error.empty()) {
-      arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
-    }
-    const std::string path = request.output_dir + "/" + request.scene.name + "_" + report.contact + "_" +
-                             report.solver + FileSuffix(report.surrogate) + ".npz";
-    const Status status = WriteNpz(path, arrays);
-    if (!status.ok()) throw OutputError(status.message());
-  }
 }
 
 std::string RemarkOn(const SolvedRun& run) {
@@ -219,7 +196,6 @@ int SolveMain(int argc, char** argv) {
   return RunMain(argc, argv, FindProgram("saltus_solve"), [] {
     Request request;
     if (!ReadRequest({}, &request)) return kDone;
-    if (request.solvers.empty()) throw InputError("--solver=none leaves nothing to do; expected at least one solver");
     const InterruptGuard guard;
     const SolvedRuns solved = SolveAll(request);
     const auto print = [&] {
@@ -229,7 +205,12 @@ int SolveMain(int argc, char** argv) {
         PrintSolveTable(request, solved);
       }
     };
-    WriteAndPrint([&] { WriteSolutions(request, solved); }, print);
+    const auto write = [&] {
+      WriteSolutions(request, solved);
+      WriteSolveReport(request, solved);
+    };
+    WriteAndPrint(write, print);
+    PrintReportPath(request);
     return SolveExitCode(solved);
   });
 }

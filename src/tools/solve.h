@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "output/table.h"
 #include "tools/program.h"
 #include "tools/solved_run.h"
 
@@ -11,7 +12,7 @@ namespace saltus {
 // The report's reason, and what is ambiguous in its exact run.
 std::string RemarkOn(const SolvedRun& run);
 
-// Every contact model with every solver, contact models outermost; on all threads, in the same order whatever their
+// Every contact model with every solver, contact models outermost, or without a solver the start under each; on all threads, in the same order whatever their
 // number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
 // Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.
 SolvedRuns SolveAll(const Request& request);
@@ -20,9 +21,8 @@ SolvedRuns SolveAll(const Request& request);
 // Empty if it is one, and for what is not applicable.
 std::string WhyNoAnswer(const SolveReport& report);
 
+Table RunTable(const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
-// Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
-void WriteSolutions(const Request& request, const SolvedRuns& solved);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
 

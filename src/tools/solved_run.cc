@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "tools/simulated_run.h"
+#include "tools/solution_files.h"
 #include "tools/surrogate_flags.h"
 
 namespace saltus {
@@ -19,12 +21,12 @@ SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Con
   const SolveReport& report = run.report;
   if (report.losses.empty()) return run;
   keep(run);
-  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-  run.certificate = report.certificate;
-  if (!run.certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
-    run.certificate = Certify(scene, report.initial_state, report.control, report.durations);
-  }
+  CheckRun(scene, contact, precision, &run);
   return run;
+}
+
+bool IsConvergence(const SolveReport& report) {
+  return report.termination == Termination::kConverged && report.solver != kNoSolver;
 }
 
 Json SolveToJson(const Request& request, const SolvedRuns& solved) {
@@ -33,6 +35,10 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     const SolveReport& report = run.report;
     Json item = {{"contact", report.contact}, {"solver", report.solver}};
     AddBias(report.contact, report.surrogate, &item);
+    if (run.simulated) {
+      item["loss"] = NumberToJson(report.final_loss);
+      if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
+    }
     if (!report.losses.empty()) {
       item["initial_loss"] = NumberToJson(report.initial_loss);
       item["final_loss"] = NumberToJson(report.final_loss);
@@ -48,9 +54,9 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       }
     }
     item["termination"] = TerminationToString(report.termination);
-    if (report.termination == Termination::kConverged) item["converged_under"] = report.contact;
+    if (IsConvergence(report)) item["converged_under"] = report.contact;
     if (!report.reason.empty()) item["reason"] = report.reason;
-    if (!report.losses.empty()) {
+    if (run.HasSolution()) {
       item["events"] = EventsToJson(run.exact.events);
       AddTies(run.exact.ambiguous, run.exact.spread, &item);
       item["velocity"] = VectorsToJson(report.initial_state, 2);
@@ -69,10 +75,15 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       if (report.searched) item["searched"] = SearchedToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
+      AddStates(request, run, &item);
     }
     list.push_back(std::move(item));
   }
   Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
+  if (request.states) {
+    document["bodies"] = DrawnBodiesToJson(request.scene);
+    document["planes"] = DrawnPlanesToJson(request.scene);
+  }
   if (solved.interrupted) document["interrupted"] = true;
   return document;
 }

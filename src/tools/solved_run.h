@@ -17,6 +17,11 @@ struct SolvedRun {
   SolveReport report;
   ExactRun exact;
   std::optional<Certificate> certificate;
+  std::vector<double> final_state;  // B x 4, under its contact model; empty if that fails
+  bool simulated = false;           // nothing was solved, and the start has a finite loss
+
+  // Whether there is an initial state and a control to look at.
+  bool HasSolution() const { return simulated || !report.losses.empty(); }
 };
 
 struct SolvedRuns {
@@ -26,6 +31,9 @@ struct SolvedRuns {
 // Solves, re-simulates and certifies. Calls `keep` with the run as it is before it is checked.
 SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,
                         const SolverOptions& options, const std::function<void(SolvedRun)>& keep);
+
+// Whether a solver has converged; what was only simulated has not.
+bool IsConvergence(const SolveReport& report);
 
 // The largest defect of the solution; 0 of solvers without defects.
 double LargestDefect(const SolveReport& report);

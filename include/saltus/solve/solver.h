@@ -42,6 +42,12 @@ struct SearchOptions {
 // Which of them is impossible, and what was expected; empty if none.
 std::string WhyNotValid(const SearchOptions& options);
 
+// A control to start from: K x C x 2 forces in N, for any K, on intervals that last `durations` (K numbers, s), or
+// equally long ones if there are none.
+struct ControlGuess {
+  std::vector<double> control, durations;
+};
+
 struct SolverOptions {
   int iterations = 1000;        // at most
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
@@ -56,6 +62,10 @@ struct SolverOptions {
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
   SearchOptions search_options = {};  // of mode_search
+
+  // Where a control is optimized: what to start from in the place of the scene's. Solvers on a grid of equal steps take
+  // its mean over each of them. The intervals fill the scene's duration; if that is free, theirs is the first.
+  std::optional<ControlGuess> guess = std::nullopt;
 
   // What stands in for the gradient, of the solvers that take such a thing; samples are evaluated on `threads` threads,
   // as are the solves of a search. Results are the same for any number.

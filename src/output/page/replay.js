@@ -1,0 +1,252 @@
+// A replay: its controls, keyboard and clock. One for each <figure class="replay">.
+const STILLS = 6, VALUES_OF_AT_MOST = 12;
+const OPTIONS = [
+  ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
+  ['impulses', 'impulses'], ['names', 'names'], ['apart', 'side by side'],
+];
+const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End';
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith('on')) made.addEventListener(key.slice(2), value);
+    else made.setAttribute(key, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+function number(value) {
+  return Number.isFinite(value) ? value.toPrecision(10).replace(/\.?0+(?=$|e)/, '') : '–';
+}
+
+class Replay {
+  constructor(figure) {
+    const data = JSON.parse(figure.querySelector('script[type="application/json"]').textContent);
+    Object.assign(this, {figure, discs: data.discs, walls: data.walls, targets: data.targets});
+    this.motions = data.motions.map((motion) => new Motion(motion, this.discs));
+    const most = (value) => Math.max(0, ...this.motions.map(value));
+    this.fastest = most((motion) => motion.fastest);
+    this.strongest = most((motion) => motion.strongest);
+    this.hardest = most((motion) => motion.hardest);
+    this.duration = most((motion) => motion.end);
+    this.memory = 0.04 * this.duration;
+    this.impacts = [...new Set(this.motions.flatMap(({touches}) => touches.map(({begin}) => begin)))].sort((a, b) => a - b);
+    this.options = {
+      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest > 0, touches: true, impulses: true,
+      names: true, apart: false,
+    };
+    this.time = 0;
+    this.playing = false;
+    this.build(data.summary);
+    this.view = new View(this.canvas, this);
+    this.updateValueRows();
+    new ResizeObserver(() => this.redraw()).observe(this.stage);
+    window.addEventListener('beforeprint', () => this.makeStills());
+    this.seek(0);
+  }
+
+  build(summary) {
+    this.canvas = element('canvas', {role: 'img', 'aria-label': summary, tabindex: 0});
+    this.slider = element('input', {
+      type: 'range', min: 0, max: this.duration, step: 'any', value: 0, 'aria-label': 'time',
+      oninput: () => this.seek(Number(this.slider.value)),
+    });
+    this.ticks = element('canvas', {class: 'ticks', 'aria-hidden': 'true'});
+    this.clock = element('output', {class: 'clock'});
+    const button = (label, words, act) => element('button', {type: 'button', title: words, 'aria-label': words, onclick: act}, label);
+    this.playButton = button('Play', 'play', () => this.toggle());
+    this.speed = element('select', {'aria-label': 'speed'});
+    for (let power = -6; power <= 3; ++power) {
+      const factor = 2 ** power;
+      this.speed.append(element('option', {value: factor}, `${power < 0 ? `1/${2 ** -power}` : factor} ×`));
+    }
+    // About six seconds from start to end.
+    this.speed.value = 2 ** Math.min(Math.max(Math.round(Math.log2(this.duration / 6 || 1)), -6), 3);
+    const buttons = element('div', {class: 'buttons'},
+      this.playButton, button('|◀', 'to the start', () => this.seek(0)),
+      button('−', 'one step back', () => this.step(-1)), button('+', 'one step on', () => this.step(1)),
+      button('◀ impact', 'previous impact', () => this.jump(-1)), button('impact ▶', 'next impact', () => this.jump(1)),
+      element('label', {}, 'speed ', this.speed), this.clock);
+    this.stage = element('div', {class: 'stage'}, this.canvas);
+    this.player = element('div', {class: 'player', title: KEYS, onkeydown: (event) => this.press(event)},
+      this.stage, buttons, element('div', {class: 'line'}, this.slider, this.ticks), this.buildLegend(), this.buildOptions());
+    this.values = element('tbody');
+    this.player.append(element('details', {class: 'values', ontoggle: () => this.updateValues()},
+      element('summary', {}, 'Positions and velocities at this time'),
+      element('div', {class: 'scroll', tabindex: 0}, element('table', {},
+        element('thead', {}, element('tr', {}, ...['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'].map(
+          (name) => element('th', {scope: 'col'}, name)))), this.values))));
+    this.stills = element('div', {class: 'stills'});
+    this.figure.querySelector('.replay-here').replaceWith(this.player, this.stills);
+  }
+
+  buildLegend() {
+    const legend = element('div', {class: 'legend', role: 'group', 'aria-label': 'motions'});
+    for (const motion of this.motions) {
+      const box = element('input', {type: 'checkbox', onchange: () => { motion.visible = box.checked; this.redraw(); }});
+      box.checked = motion.visible;
+      const dash = DASHES[motion.dash].join(' ');
+      const key = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+      for (const [name, value] of [['width', 30], ['height', 10], ['aria-hidden', 'true']]) key.setAttribute(name, value);
+      const line = document.createElementNS('http://www.w3.org/2000/svg', 'line');
+      for (const [name, value] of [['x1', 1], ['x2', 29], ['y1', 5], ['y2', 5], ['stroke', motion.colour],
+                                   ['stroke-width', 3], ['stroke-dasharray', dash]]) line.setAttribute(name, value);
+      key.append(line);
+      const remark = motion.remark ? element('span', {class: 'remark'}, ` (${motion.remark})`) : '';
+      legend.append(element('label', {}, box, key, ` ${motion.label}`, remark));
+    }
+    return legend;
+  }
+
+  buildOptions() {
+    const group = element('div', {class: 'options', role: 'group', 'aria-label': 'what is drawn'});
+    for (const [key, words] of OPTIONS) {
+      if (key === 'apart' && this.motions.length < 2) continue;
+      if (key === 'forces' && this.strongest === 0) continue;
+      const box = element('input', {type: 'checkbox', onchange: () => { this.options[key] = box.checked; this.redraw(); }});
+      box.checked = this.options[key];
+      group.append(element('label', {}, box, ` ${words}`));
+    }
+    return group;
+  }
+
+  seek(time) {
+    this.time = Math.min(Math.max(time, 0), this.duration);
+    this.slider.value = this.time;
+    this.slider.setAttribute('aria-valuetext', `${number(this.time)} s`);
+    this.clock.value = `${this.time.toFixed(4)} s`;
+    this.redraw();
+  }
+
+  redraw() {
+    if (!this.view) return;
+    this.view.resize(this.options);
+    this.view.draw(this.time, this.options);
+    this.drawTicks();
+    this.updateValues();
+  }
+
+  // A row of impacts for each motion, under the slider.
+  drawTicks() {
+    const width = this.ticks.clientWidth, rows = this.motions.length, height = 5 * rows + 2;
+    if (width === this.ticksWidth) return;
+    this.ticksWidth = width;
+    const ratio = window.devicePixelRatio || 1;
+    this.ticks.width = width * ratio;
+    this.ticks.height = height * ratio;
+    this.ticks.style.height = `${height}px`;
+    const context = this.ticks.getContext('2d');
+    context.scale(ratio, ratio);
+    this.motions.forEach((motion, row) => {
+      context.fillStyle = motion.colour;
+      for (const {begin, end} of motion.touches) {
+        const x = width * begin / this.duration;
+        context.fillRect(x - 1, 5 * row + 1, Math.max(2, width * (end - begin) / this.duration), 4);
+      }
+    });
+  }
+
+  updateValueRows() {
+    this.cells = [];
+    const discs = this.discs.slice(0, VALUES_OF_AT_MOST);
+    for (const motion of this.motions) {
+      discs.forEach((disc, i) => {
+        const cells = [0, 1, 2, 3].map(() => element('td', {class: 'number'}));
+        this.values.append(element('tr', {}, element('td', {}, motion.label), element('td', {}, disc.name), ...cells));
+        this.cells.push({motion, i, cells});
+      });
+    }
+    this.state = new Float64Array(4 * this.discs.length);
+  }
+
+  updateValues() {
+    if (!this.cells || !this.player.querySelector('.values').open) return;
+    let last = null;
+    for (const {motion, i, cells} of this.cells) {
+      if (motion !== last) motion.stateAt(this.time, this.state);
+      last = motion;
+      cells.forEach((cell, j) => { cell.textContent = number(this.state[4 * i + j]); });
+    }
+  }
+
+  toggle() {
+    if (!this.playing && this.time >= this.duration) this.seek(0);
+    this.playing = !this.playing;
+    this.playButton.textContent = this.playing ? 'Pause' : 'Play';
+    this.playButton.title = this.playing ? 'pause' : 'play';
+    this.playButton.setAttribute('aria-label', this.playButton.title);
+    this.frames = 0;
+    this.begun = this.last = performance.now();
+    if (this.playing) requestAnimationFrame((now) => this.advance(now));
+  }
+
+  advance(now) {
+    if (!this.playing) return;
+    const passed = Math.max(now - this.last, 0) / 1000;
+    this.last = now;
+    ++this.frames;
+    this.seek(this.time + Number(this.speed.value) * passed);
+    if (this.time >= this.duration) this.toggle();
+    else requestAnimationFrame((next) => this.advance(next));
+  }
+
+  pause() {
+    if (this.playing) this.toggle();
+  }
+
+  // 240 steps from start to end.
+  step(direction) {
+    this.pause();
+    this.seek(this.time + direction * this.duration / 240);
+  }
+
+  // To the next or previous impact, of whatever motion.
+  jump(direction) {
+    this.pause();
+    const margin = 1e-9 * this.duration;
+    const found = direction > 0 ? this.impacts.find((time) => time > this.time + margin)
+                                : this.impacts.filter((time) => time < this.time - margin).pop();
+    this.seek(found ?? (direction > 0 ? this.duration : 0));
+  }
+
+  press(event) {
+    if (event.altKey || event.ctrlKey || event.metaKey) return;
+    const onControl = ['SELECT', 'SUMMARY'].includes(event.target.tagName);
+    const acts = {
+      ' ': () => this.toggle(),
+      ArrowRight: () => (event.shiftKey ? this.jump(1) : this.step(1)),
+      ArrowLeft: () => (event.shiftKey ? this.jump(-1) : this.step(-1)),
+      Home: () => this.seek(0),
+      End: () => this.seek(this.duration),
+    };
+    const pressesItself = event.key === ' ' && ['BUTTON', 'INPUT'].includes(event.target.tagName) && event.target !== this.slider;
+    if (onControl || pressesItself || !acts[event.key]) return;
+    event.preventDefault();
+    acts[event.key]();
+  }
+
+  // Still frames for paper: equal parts of the time.
+  makeStills() {
+    this.stills.replaceChildren();
+    for (let i = 0; i < STILLS; ++i) {
+      const time = this.duration * i / (STILLS - 1), canvas = element('canvas');
+      const width = 360, height = Math.round(width * this.view.aspect);
+      canvas.width = 2 * width;
+      canvas.height = 2 * height;
+      const view = Object.assign(Object.create(View.prototype), this.view, {canvas});
+      view.draw(time, {...this.options, apart: false}, width, height);
+      this.stills.append(element('div', {}, element('img', {src: canvas.toDataURL(), alt: ''}), `${number(time)} s`));
+    }
+  }
+}
+
+window.saltusReplays = [];
+for (const figure of document.querySelectorAll('figure.replay')) {
+  try {
+    window.saltusReplays.push(new Replay(figure));
+  } catch (error) {
+    figure.querySelector('.replay-here, .player').replaceWith(element('p', {role: 'alert'}, `This replay cannot be shown: ${error.message}`));
+    throw error;
+  }
+}

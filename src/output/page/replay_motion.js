@@ -1,0 +1,100 @@
+// One motion of a replay: where its discs are at any time, what touches, which forces act.
+class Motion {
+  constructor(data, discs) {
+    this.label = data.label;
+    this.remark = data.remark;
+    this.colour = data.colour;
+    this.dash = data.dash;
+    this.arcs = data.arcs;
+    this.discs = discs;
+    this.times = doublesOf(data.times);
+    this.states = unpack(data.states, this.times.length, 4 * discs.length);
+    this.touches = data.touches.map(([a, b, wall, begin, end, x, y]) => ({a, b, wall, begin, end, impulse: [x, y]}));
+    this.pushed = data.pushed;
+    this.ends = doublesOf(data.ends);  // of the control's intervals, s
+    this.control = unpack(data.control, this.ends.length, 2 * data.pushed.length);
+    this.visible = data.shown !== false;
+    this.fastest = this.largestOf((i) => Math.hypot(this.states[i + 2], this.states[i + 3]), this.states.length, 4);
+    this.strongest = this.largestOf((i) => Math.hypot(this.control[i], this.control[i + 1]), this.control.length, 2);
+    this.hardest = Math.max(0, ...this.touches.slice(0, 10000).map(({impulse}) => Math.hypot(...impulse)));
+    this.longestTouch = this.touches.reduce((longest, {begin, end}) => Math.max(longest, end - begin), 0);
+  }
+
+  largestOf(value, length, step) {
+    let largest = 0;
+    for (let i = 0; i < length; i += step) largest = Math.max(largest, value(i));
+    return largest;
+  }
+
+  get end() { return this.times[this.times.length - 1]; }
+
+  // The last row that is not after `time`; of an instant that stands twice the second.
+  rowAt(time) {
+    let low = 0, high = this.times.length - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (this.times[middle] <= time) low = middle;
+      else high = middle - 1;
+    }
+    return low;
+  }
+
+  // p_x p_y v_x v_y of every disc, into `out`. Beyond the end, the last state.
+  stateAt(time, out) {
+    const row = this.rowAt(time), width = 4 * this.discs.length, from = row * width;
+    const step = row + 1 < this.times.length ? this.times[row + 1] - this.times[row] : 0;
+    const part = step > 0 ? Math.min(Math.max((time - this.times[row]) / step, 0), 1) : 0;
+    if (part === 0) {
+      out.set(this.states.subarray(from, from + width));
+      return out;
+    }
+    for (let i = 0; i < width; ++i) {
+      const x = this.states[from + i], y = this.states[from + width + i];
+      out[i] = x + part * (y - x);
+    }
+    if (this.arcs) this.bend(from, width, step, part, out);
+    return out;
+  }
+
+  // Positions on the cubic that positions and velocities at both ends determine: on a parabola, that parabola.
+  bend(from, width, step, part, out) {
+    const rest = 1 - part, s = this.states;
+    for (let i = 0; i < width; i += 4) {
+      for (let j = i; j < i + 2; ++j) {
+        const p = s[from + j], q = s[from + width + j], v = s[from + j + 2], w = s[from + width + j + 2];
+        const chord = q - p;
+        out[j] = p + part * chord + part * rest * (rest * (step * v - chord) - part * (step * w - chord));
+      }
+    }
+  }
+
+  // [disc, force x, force y] of every disc that is pushed.
+  forcesAt(time) {
+    if (this.ends.length === 0 || time > this.end) return [];
+    let low = 0, high = this.ends.length - 1;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.ends[middle] > time) high = middle;
+      else low = middle + 1;
+    }
+    const width = 2 * this.pushed.length;
+    return this.pushed.map((disc, c) => [disc, this.control[low * width + 2 * c], this.control[low * width + 2 * c + 1]]);
+  }
+
+  // What touches at `time`, or did up to `memory` seconds before, with its `age` from 0 (now) to 1.
+  touchesAt(time, memory) {
+    const found = [];
+    let low = 0, high = this.touches.length;
+    const earliest = time - memory - this.longestTouch;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.touches[middle].begin < earliest) low = middle + 1;
+      else high = middle;
+    }
+    for (let i = low; i < this.touches.length && this.touches[i].begin <= time; ++i) {
+      const age = (time - this.touches[i].end) / memory;
+      if (age <= 1) found.push({...this.touches[i], age: Math.max(age, 0)});
+    }
+    return found;
+  }
+}

@@ -1,0 +1,299 @@
+// Draws motions on a canvas, for white paper; on a dark screen the style sheet inverts it.
+const INK = '#24292f', FAINT = '#8b949e', GROUND = '#d8dee4', FORCE = '#0b6e4f', IMPULSE = '#b3261e';
+const DASHES = {solid: [], dashed: [6, 4], dotted: [2, 3], dashdotted: [7, 3, 2, 3]};
+const MANY_DISCS = 60;
+
+class View {
+  constructor(canvas, replay) {
+    this.canvas = canvas;
+    this.replay = replay;
+    this.bounds = this.boundsOf(replay);
+    this.extent = Math.hypot(this.bounds.right - this.bounds.left, this.bounds.top - this.bounds.bottom);
+    this.scratch = new Float64Array(4 * replay.discs.length);
+    this.pictures = new Map();
+  }
+
+  // All that discs, targets and the visible motions reach.
+  boundsOf({discs, motions, targets}) {
+    const box = {left: Infinity, right: -Infinity, bottom: Infinity, top: -Infinity};
+    const add = (x, y, r) => {
+      box.left = Math.min(box.left, x - r);
+      box.right = Math.max(box.right, x + r);
+      box.bottom = Math.min(box.bottom, y - r);
+      box.top = Math.max(box.top, y + r);
+    };
+    for (const {states} of motions) {
+      for (let i = 0, disc = 0; i < states.length; i += 4, disc = (disc + 1) % discs.length) {
+        if (Number.isFinite(states[i] + states[i + 1])) add(states[i], states[i + 1], discs[disc].radius);
+      }
+    }
+    for (const target of targets) add(target[0], target[1], 0);
+    if (!(box.right >= box.left)) return {left: -1, right: 1, bottom: -1, top: 1};
+    const margin = 0.06 * Math.max(box.right - box.left, box.top - box.bottom, 1e-300);
+    return {left: box.left - margin, right: box.right + margin, bottom: box.bottom - margin, top: box.top + margin};
+  }
+
+  get aspect() {
+    const ratio = (this.bounds.top - this.bounds.bottom) / (this.bounds.right - this.bounds.left);
+    return Math.min(Math.max(ratio, 0.3), 1.4);
+  }
+
+  // Motions that are drawn, in the cells they are drawn in.
+  cells(width, options) {
+    const shown = this.replay.motions.filter((motion) => motion.visible);
+    if (!options.apart || shown.length < 2) return [{motions: shown, columns: 1, rows: 1, column: 0, row: 0}];
+    const columns = Math.max(1, Math.min(shown.length, Math.floor(width / 240)));
+    const rows = Math.ceil(shown.length / columns);
+    return shown.map((motion, i) => ({motions: [motion], columns, rows, column: i % columns, row: Math.floor(i / columns)}));
+  }
+
+  // The canvas as high as its cells are, at most as the window.
+  resize(options) {
+    const width = this.canvas.clientWidth || 600, [cell] = this.cells(width, options);
+    const most = Math.max(220, 0.72 * window.innerHeight);
+    const height = Math.min(cell.rows * Math.max(160, this.aspect * width / cell.columns), cell.rows > 1 ? 2 * most : most);
+    const ratio = window.devicePixelRatio || 1;
+    this.canvas.style.height = `${height}px`;
+    if (this.canvas.width === Math.round(width * ratio) && this.canvas.height === Math.round(height * ratio)) return;
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+  }
+
+  draw(time, options, width = this.canvas.clientWidth, height = this.canvas.clientHeight) {
+    const context = this.canvas.getContext('2d');
+    const ratio = this.canvas.width / Math.max(width, 1);
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    for (const cell of this.cells(width, options)) this.drawCell(context, cell, time, options, width, height);
+  }
+
+  drawCell(context, cell, time, options, width, height) {
+    const w = width / cell.columns, h = height / cell.rows, x = cell.column * w, y = cell.row * h;
+    const {left, right, bottom, top} = this.bounds;
+    const scale = Math.min(w / (right - left), h / (top - bottom));
+    const origin = [x + w / 2 - scale * (left + right) / 2, y + h / 2 + scale * (bottom + top) / 2];
+    this.toX = (px) => origin[0] + scale * px;
+    this.toY = (py) => origin[1] - scale * py;
+    this.scale = scale;
+    context.save();
+    context.beginPath();
+    context.rect(x, y, w, h);
+    context.clip();
+    this.drawWalls(context, x, y, w, h);
+    this.drawTargets(context);
+    cell.motions.forEach((motion, i) => this.drawMotion(context, motion, time, options, i === 0));
+    context.restore();
+    if (cell.columns * cell.rows > 1) {
+      context.strokeStyle = GROUND;
+      context.strokeRect(x + 0.5, y + 0.5, w - 1, h - 1);
+      this.text(context, cell.motions[0].label, x + 8, y + 18, 'left');
+    }
+  }
+
+  text(context, words, x, y, align = 'center') {
+    context.font = '12px system-ui, sans-serif';
+    context.textAlign = align;
+    context.lineWidth = 3;
+    context.strokeStyle = '#ffffff';
+    context.strokeText(words, x, y);
+    context.fillStyle = INK;
+    context.fillText(words, x, y);
+  }
+
+  drawWalls(context, x, y, w, h) {
+    for (const wall of this.replay.walls) {
+      const far = 4 * (w + h) / this.scale, [nx, ny] = wall.normal;
+      const centre = this.nearestTo(wall);
+      const corner = (along, depth) => [centre[0] - ny * along - nx * depth, centre[1] + nx * along - ny * depth];
+      const corners = [corner(-far, 0), corner(far, 0), corner(far, far), corner(-far, far)];
+      context.beginPath();
+      corners.forEach(([px, py]) => context.lineTo(this.toX(px), this.toY(py)));
+      context.closePath();
+      context.fillStyle = GROUND;
+      context.fill();
+      context.beginPath();
+      context.moveTo(this.toX(corners[0][0]), this.toY(corners[0][1]));
+      context.lineTo(this.toX(corners[1][0]), this.toY(corners[1][1]));
+      context.strokeStyle = FAINT;
+      context.lineWidth = 1.5;
+      context.stroke();
+    }
+  }
+
+  // The point of a wall next to the middle of what is drawn.
+  nearestTo({point, normal}) {
+    const {left, right, bottom, top} = this.bounds;
+    const x = (left + right) / 2, y = (bottom + top) / 2;
+    const gap = (x - point[0]) * normal[0] + (y - point[1]) * normal[1];
+    return [x - gap * normal[0], y - gap * normal[1]];
+  }
+
+  drawTargets(context) {
+    context.strokeStyle = INK;
+    context.lineWidth = 1.5;
+    for (const [px, py] of this.replay.targets) {
+      const x = this.toX(px), y = this.toY(py);
+      context.beginPath();
+      context.moveTo(x - 6, y);
+      context.lineTo(x + 6, y);
+      context.moveTo(x, y - 6);
+      context.lineTo(x, y + 6);
+      context.stroke();
+    }
+  }
+
+  drawMotion(context, motion, time, options, first) {
+    const x = motion.stateAt(time, this.scratch);
+    if (options.trails) this.drawTrails(context, motion, time);
+    this.drawDiscs(context, motion, x, first);
+    if (options.touches) this.drawTouches(context, motion, x, time, options);
+    if (options.velocities) {
+      const unit = 0.14 * this.extent / (this.replay.fastest || 1);
+      this.replay.discs.forEach((disc, i) => {
+        if (!disc.fixed) this.arrow(context, x[4 * i], x[4 * i + 1], unit * x[4 * i + 2], unit * x[4 * i + 3], motion.colour);
+      });
+    }
+    if (options.forces) {
+      const unit = 0.14 * this.extent / (this.replay.strongest || 1);
+      for (const [i, fx, fy] of motion.forcesAt(time)) this.arrow(context, x[4 * i], x[4 * i + 1], unit * fx, unit * fy, FORCE);
+    }
+    if (options.names && first && this.replay.discs.length <= MANY_DISCS) {
+      this.replay.discs.forEach((disc, i) => {
+        this.text(context, disc.name, this.toX(x[4 * i]), this.toY(x[4 * i + 1]) - this.scale * disc.radius - 5);
+      });
+    }
+  }
+
+  // Many discs as copies of one picture for each radius: a path of a thousand circles is slow to fill.
+  drawManyDiscs(context, motion, x, first) {
+    const ratio = window.devicePixelRatio || 1;
+    this.replay.discs.forEach((disc, i) => {
+      const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
+      if (!Number.isFinite(px + py)) return;
+      const picture = this.pictureOf(Math.max(this.scale * disc.radius, 1), disc.fixed ? FAINT : motion.colour, first, ratio);
+      const size = picture.width / ratio;
+      context.drawImage(picture, px - size / 2, py - size / 2, size, size);
+    });
+  }
+
+  pictureOf(radius, colour, first, ratio) {
+    const key = `${radius.toFixed(1)} ${colour} ${first}`;
+    if (!this.pictures.has(key)) {
+      if (this.pictures.size > 500) this.pictures.clear();
+      const picture = document.createElement('canvas'), size = 2 * Math.ceil(ratio * (radius + 2));
+      picture.width = picture.height = size;
+      const context = picture.getContext('2d');
+      context.scale(ratio, ratio);
+      context.beginPath();
+      context.arc(size / ratio / 2, size / ratio / 2, radius, 0, 2 * Math.PI);
+      this.paint(context, colour, first, radius > 6 ? 2 : 1, []);
+      this.pictures.set(key, picture);
+    }
+    return this.pictures.get(key);
+  }
+
+  paint(context, colour, first, width, dash) {
+    context.globalAlpha = first ? 0.28 : 0.08;
+    context.fillStyle = colour;
+    context.fill();
+    context.globalAlpha = 1;
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.setLineDash(dash);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  // All discs of a motion as one path; those that are fixed grey. Ghosts are outlines.
+  drawDiscs(context, motion, x, first) {
+    const discs = this.replay.discs;
+    if (discs.length > MANY_DISCS) {
+      this.drawManyDiscs(context, motion, x, first);
+      return;
+    }
+    for (const fixed of [true, false]) {
+      context.beginPath();
+      discs.forEach((disc, i) => {
+        if (disc.fixed !== fixed || !Number.isFinite(x[4 * i])) return;
+        const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]), r = Math.max(this.scale * disc.radius, 1);
+        context.moveTo(px + r, py);
+        context.arc(px, py, r, 0, 2 * Math.PI);
+      });
+      this.paint(context, fixed ? FAINT : motion.colour, first, 2, DASHES[motion.dash]);
+    }
+  }
+
+  // Where discs have been; of many discs only lately.
+  drawTrails(context, motion, time) {
+    const discs = this.replay.discs, width = 4 * discs.length, last = motion.rowAt(time);
+    const begin = discs.length > MANY_DISCS ? Math.max(0, last - 24) : 0;
+    const every = Math.max(1, Math.ceil((last - begin) / 1000));
+    context.beginPath();
+    discs.forEach((disc, i) => {
+      if (disc.fixed) return;
+      for (let row = begin; row <= last; row += every) {
+        const px = this.toX(motion.states[row * width + 4 * i]), py = this.toY(motion.states[row * width + 4 * i + 1]);
+        if (row === begin) context.moveTo(px, py);
+        else context.lineTo(px, py);
+      }
+      context.lineTo(this.toX(this.scratch[4 * i]), this.toY(this.scratch[4 * i + 1]));
+    });
+    context.strokeStyle = motion.colour;
+    context.globalAlpha = 0.7;
+    context.lineWidth = 1.25;
+    context.setLineDash(discs.length > MANY_DISCS ? [] : DASHES[motion.dash]);
+    context.stroke();
+    context.setLineDash([]);
+    context.globalAlpha = 1;
+  }
+
+  // Where two touch. A ring that widens, no blinking; and the impulse on the first disc, or on the second if that one
+  // is fixed.
+  drawTouches(context, motion, x, time, options) {
+    const discs = this.replay.discs, unit = 0.14 * this.extent / (this.replay.hardest || 1);
+    for (const touch of motion.touchesAt(time, this.replay.memory)) {
+      const {a, b, wall} = touch, other = wall ? this.replay.walls[b] : discs[b];
+      const ax = x[4 * a], ay = x[4 * a + 1];
+      let px, py;
+      if (wall) {
+        px = ax - other.normal[0] * discs[a].radius;
+        py = ay - other.normal[1] * discs[a].radius;
+      } else {
+        const share = discs[a].radius / (discs[a].radius + other.radius);
+        px = ax + share * (x[4 * b] - ax);
+        py = ay + share * (x[4 * b + 1] - ay);
+      }
+      context.beginPath();
+      context.arc(this.toX(px), this.toY(py), 4 + 8 * touch.age, 0, 2 * Math.PI);
+      context.globalAlpha = 1 - 0.8 * touch.age;
+      context.strokeStyle = IMPULSE;
+      context.lineWidth = 2.5;
+      context.stroke();
+      if (options.impulses) {
+        const moved = discs[a].fixed && !wall, sign = moved ? -1 : 1, at = moved ? b : a;
+        this.arrow(context, x[4 * at], x[4 * at + 1], sign * unit * touch.impulse[0], sign * unit * touch.impulse[1], IMPULSE);
+      }
+      context.globalAlpha = 1;
+    }
+  }
+
+  arrow(context, px, py, dx, dy, colour) {
+    const x = this.toX(px), y = this.toY(py), tipX = this.toX(px + dx), tipY = this.toY(py + dy);
+    const length = Math.hypot(tipX - x, tipY - y);
+    if (!(length > 2)) return;
+    const head = Math.min(7, length / 2), ux = (tipX - x) / length, uy = (tipY - y) / length;
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(tipX - head * ux, tipY - head * uy);
+    context.strokeStyle = colour;
+    context.lineWidth = 2;
+    context.stroke();
+    context.beginPath();
+    context.moveTo(tipX, tipY);
+    context.lineTo(tipX - head * (ux + 0.5 * uy), tipY - head * (uy - 0.5 * ux));
+    context.lineTo(tipX - head * (ux - 0.5 * uy), tipY - head * (uy + 0.5 * ux));
+    context.closePath();
+    context.fillStyle = colour;
+    context.fill();
+  }
+}

@@ -1,0 +1,240 @@
+#include "output/replay.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "output/table.h"
+
+namespace saltus {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kPositionQuantum = 1e-7;  // of the drawing's size
+constexpr double kOtherQuantum = 1e-6;     // of the largest velocity or force
+constexpr size_t kMostTouches = 20000;     // of a motion; more are not seen
+constexpr size_t kMostNamed = 6;           // in words
+
+std::string Base64(const std::vector<uint8_t>& bytes) {
+  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  text.reserve((bytes.size() + 2) / 3 * 4);
+  for (size_t i = 0; i < bytes.size(); i += 3) {
+    const auto byte = [&](size_t j) { return i + j < bytes.size() ? uint32_t{bytes[i + j]} : 0u; };
+    const uint32_t word = byte(0) << 16 | byte(1) << 8 | byte(2);
+    for (int shift = 18; shift >= 0; shift -= 6) text += kDigits[word >> shift & 63];
+  }
+  const size_t missing = (3 - bytes.size() % 3) % 3;
+  text.replace(text.size() - missing, missing, missing, '=');
+  return text;
+}
+
+std::string Base64(const std::vector<double>& numbers) {
+  std::vector<uint8_t> bytes(numbers.size() * sizeof(double));
+  if (!bytes.empty()) std::memcpy(bytes.data(), numbers.data(), bytes.size());
+  return Base64(bytes);
+}
+
+// Whole numbers near to zero in few bytes: 0, -1, 1, -2, ... as 0, 1, 2, 3, ... with 7 bits in each byte.
+void AppendInteger(int64_t value, std::vector<uint8_t>* bytes) {
+  uint64_t code = value < 0 ? 2 * static_cast<uint64_t>(-(value + 1)) + 1 : 2 * static_cast<uint64_t>(value);
+  for (; code > 127; code >>= 7) bytes->push_back(static_cast<uint8_t>(128 | (code & 127)));
+  bytes->push_back(static_cast<uint8_t>(code));
+}
+
+// Numbers in rows of so many columns. Column j has the quantum j modulo their number.
+Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<double>& quanta) {
+  std::vector<uint8_t> bytes;
+  bytes.reserve(numbers.size());
+  for (size_t column = 0; column < columns; ++column) {
+    const double quantum = quanta[column % quanta.size()];
+    int64_t value = 0, slope = 0;
+    for (size_t i = column; i < numbers.size(); i += columns) {
+      // What is not finite has no place on paper; it stays where it was.
+      const double multiple = numbers[i] / quantum;
+      const int64_t next = std::abs(multiple) < 4e15 ? std::llround(multiple) : value;
+      AppendInteger(next - value - slope, &bytes);
+      slope = next - value;
+      value = next;
+    }
+  }
+  return {{"quanta", quanta}, {"data", Base64(bytes)}};
+}
+
+const char* DashName(Dash dash) {
+  switch (dash) {
+    case Dash::kSolid:
+      return "solid";
+    case Dash::kDashed:
+      return "dashed";
+    case Dash::kDotted:
+      return "dotted";
+    case Dash::kDashDotted:
+      return "dashdotted";
+  }
+  return "";
+}
+
+// The largest of |numbers[i]| over i = first, first + 1 modulo `period`; 1 if all are 0.
+double Largest(const std::vector<double>& numbers, size_t first, size_t period) {
+  double largest = 0;
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    if (i % period < first || i % period > first + 1 || !std::isfinite(numbers[i])) continue;
+    largest = std::max(largest, std::abs(numbers[i]));
+  }
+  return largest > 0 ? largest : 1;
+}
+
+// How far the positions of all motions reach, m.
+double SizeOf(const Replay& replay) {
+  double size = 0;
+  for (size_t j = 0; j < 2; ++j) {
+    double low = HUGE_VAL, high = -HUGE_VAL;
+    for (const ReplayMotion& motion : replay.motions) {
+      for (size_t i = j; i < motion.states.size(); i += 4) {
+        if (!std::isfinite(motion.states[i])) continue;
+        low = std::min(low, motion.states[i]);
+        high = std::max(high, motion.states[i]);
+      }
+    }
+    if (high >= low) size = std::max(size, high - low);
+  }
+  for (const ReplayDisc& disc : replay.discs) size = std::max(size, disc.radius);
+  return size > 0 ? size : 1;
+}
+
+double Rounded(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", std::isfinite(value) ? value : 0.0);
+  return std::strtod(text, nullptr);
+}
+
+Json TouchesToJson(const ReplayMotion& motion) {
+  Json list = Json::array();
+  for (const ReplayTouch& touch : motion.touches) {
+    if (list.size() == kMostTouches) break;
+    list.push_back({touch.a,
+                    touch.b,
+                    touch.wall ? 1 : 0,
+                    touch.begin,
+                    touch.end,
+                    Rounded(touch.impulse[0]),
+                    Rounded(touch.impulse[1])});
+  }
+  return list;
+}
+
+Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double speed) {
+  CHECK(!motion.times.empty());
+  CHECK_EQ(motion.states.size(), motion.times.size() * discs * 4);
+  CHECK_EQ(motion.control.size(), motion.ends.size() * motion.pushed.size() * 2);
+  const double position = kPositionQuantum * size, velocity = kOtherQuantum * speed;
+  const double force = kOtherQuantum * Largest(motion.control, 0, 2);
+  return {{"label", motion.label},
+          {"remark", motion.remark},
+          {"shown", motion.shown},
+          {"colour", motion.colour},
+          {"dash", DashName(motion.dash)},
+          {"arcs", motion.arcs},
+          {"times", Base64(motion.times)},
+          {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
+          {"touches", TouchesToJson(motion)},
+          {"pushed", motion.pushed},
+          {"ends", Base64(motion.ends)},
+          {"control", Pack(motion.control, 2 * motion.pushed.size(), {force})}};
+}
+
+// JSON that may stand in a script element: nothing in it can end that.
+std::string InScript(const Json& json) {
+  std::string text;
+  for (const char c : json.dump(-1, ' ', false, Json::error_handler_t::replace)) {
+    if (c == '<') {
+      text += "\\u003c";
+    } else {
+      text += c;
+    }
+  }
+  return text;
+}
+
+std::string Number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.4g", value);
+  return text;
+}
+
+std::string Count(size_t count, const std::string& noun) {
+  return std::to_string(count) + " " + noun + (count == 1 ? "" : "s");
+}
+
+// "striker meets target at 0.69 s, ..."
+std::string DescribeTouches(const Replay& replay, const ReplayMotion& motion) {
+  std::string text;
+  size_t named = 0;
+  for (const ReplayTouch& touch : motion.touches) {
+    if (named == kMostNamed) break;
+    text += named++ == 0 ? "" : ", ";
+    text += replay.discs[touch.a].name + " meets " +
+            (touch.wall ? replay.walls[touch.b].name : replay.discs[touch.b].name) + " at " + Number(touch.begin) +
+            " s";
+  }
+  if (named == 0) return "nothing touches";
+  return text +
+         (motion.touches.size() > named ? ", and " + std::to_string(motion.touches.size() - named) + " more" : "");
+}
+
+std::string DescribeEnd(const Replay& replay, const ReplayMotion& motion) {
+  std::string text;
+  const size_t width = 4 * replay.discs.size(), last = motion.states.size() - width;
+  size_t named = 0;
+  for (size_t i = 0; i < replay.discs.size() && named < kMostNamed; ++i) {
+    if (replay.discs[i].fixed) continue;
+    text += (named++ == 0 ? "" : ", ") + replay.discs[i].name + " at (" + Number(motion.states[last + 4 * i]) + ", " +
+            Number(motion.states[last + 4 * i + 1]) + ") m";
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string DescribeReplay(const Replay& replay) {
+  std::string text =
+      Count(replay.discs.size(), "disc") + (replay.walls.empty() ? "" : " and " + Count(replay.walls.size(), "wall"));
+  for (const ReplayMotion& motion : replay.motions) {
+    text += ". " + motion.label + ", " + Number(motion.times.back()) + " s: " + DescribeTouches(replay, motion);
+    const std::string end = DescribeEnd(replay, motion);
+    if (!end.empty()) text += "; at the end " + end;
+  }
+  return text + ".";
+}
+
+std::string ReplayContent(const Replay& replay) {
+  CHECK(!replay.discs.empty() && !replay.motions.empty());
+  Json data = {{"summary", DescribeReplay(replay)},
+               {"discs", Json::array()},
+               {"walls", Json::array()},
+               {"targets", replay.targets},
+               {"motions", Json::array()}};
+  for (const ReplayDisc& disc : replay.discs) {
+    data["discs"].push_back({{"name", disc.name}, {"radius", disc.radius}, {"fixed", disc.fixed}});
+  }
+  for (const ReplayWall& wall : replay.walls) {
+    data["walls"].push_back({{"name", wall.name}, {"point", wall.point}, {"normal", wall.normal}});
+  }
+  const double size = SizeOf(replay);
+  double speed = 0;
+  for (const ReplayMotion& motion : replay.motions) speed = std::max(speed, Largest(motion.states, 2, 4));
+  for (const ReplayMotion& motion : replay.motions) {
+    data["motions"].push_back(MotionToJson(motion, replay.discs.size(), size, speed));
+  }
+  return "<script type=\"application/json\">" + InScript(data) + "</script>\n<div class=\"replay-here\"><p>" +
+         EscapeHtml(DescribeReplay(replay)) + "</p></div>";
+}
+
+}  // namespace saltus

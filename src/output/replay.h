@@ -1,0 +1,65 @@
+// Motions of discs that a reader plays in a web page: what is drawn, and the element that carries it.
+//
+// The data stand in the page as JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
+// velocities and forces 1e-6 of the largest); each column is written as its second differences, which free flight makes
+// 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where discs fly, at most 4 or
+// so where they do not. Times are written in full.
+#pragma once
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include "output/palette.h"
+
+namespace saltus {
+
+struct ReplayDisc {
+  std::string name;
+  double radius = 0;  // m
+  bool fixed = false;
+};
+
+// A half-plane: discs stay on the side that the normal, of length 1, points to.
+struct ReplayWall {
+  std::string name;
+  std::array<double, 2> point = {0, 0}, normal = {0, 1};
+};
+
+// Disc a and disc b, or wall b, touch; equal times are an impact.
+struct ReplayTouch {
+  int a = 0, b = 0;
+  bool wall = false;
+  double begin = 0, end = 0;               // s
+  std::array<double, 2> impulse = {0, 0};  // N s, on disc a, or of the one on disc b the opposite if a is fixed
+};
+
+struct ReplayMotion {
+  std::string label, remark;  // the remark may be empty
+  bool shown = true;          // at first; the reader may change it
+  std::string colour = "#000000";
+  Dash dash = Dash::kSolid;
+  std::vector<double> times;   // s, never falling; at least one
+  std::vector<double> states;  // times.size() x discs x 4: p_x p_y v_x v_y
+  bool arcs = false;           // positions in between are cubics by velocities, not straight lines
+  std::vector<ReplayTouch> touches;
+  std::vector<int> pushed;      // discs with a force on them
+  std::vector<double> control;  // K x pushed x 2, N
+  std::vector<double> ends;     // of the K intervals, s
+};
+
+struct Replay {
+  std::vector<ReplayDisc> discs;
+  std::vector<ReplayWall> walls;
+  std::vector<std::array<double, 2>> targets;
+  std::vector<ReplayMotion> motions;
+};
+
+// What it shows, in a sentence or some: for those who do not see it, and where no script runs.
+std::string DescribeReplay(const Replay& replay);
+
+// The inside of <figure class="replay">: the data, and the place where the script (replay_page.h) puts the player.
+// Preconditions: at least one disc and one motion, sizes as stated.
+std::string ReplayContent(const Replay& replay);
+
+}  // namespace saltus

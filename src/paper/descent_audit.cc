@@ -1,0 +1,161 @@
+#include "paper/descent_audit.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+#include "output/table.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "tools/parallel.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kIterations = 1000;  // as in the paper
+constexpr double kMostOfIt = 0.95;
+constexpr double kAhead = 90;  // degrees: beyond, the step climbs the exact loss
+
+// 0, 1, 2, 3, 5, 8, ...: as many in every power of ten.
+std::vector<int> LookedAt(int last) {
+  std::vector<int> at;
+  for (double k = 0; k < last; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
+  at.push_back(last);
+  return at;
+}
+
+double AngleBetween(const std::vector<double>& a, const std::vector<double>& b) {
+  double dot = 0, aa = 0, bb = 0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    dot += a[i] * b[i];
+    aa += a[i] * a[i];
+    bb += b[i] * b[i];
+  }
+  const double cosine = dot / std::sqrt(aa * bb);  // not a number where a gradient vanishes
+  return std::acos(std::clamp(cosine, -1.0, 1.0)) * 180 / std::numbers::pi;
+}
+
+// Of exact dynamics with the control intervals of the contact model.
+SingleShooting ExactShooting(const Scene& scene, int num_steps) {
+  Scene exact = scene;
+  exact.steps = num_steps;
+  const std::vector<ModelTraits>& models = AllContactModels();
+  const auto model = std::find_if(models.begin(), models.end(), [](const ModelTraits& m) { return m.event_driven; });
+  return SingleShooting(MakeSimulator(model->name, exact, Precision::kDouble));
+}
+
+std::string JoinNames(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "`" : ", `") + name + "`";
+  return text.empty() ? "none" : text;
+}
+
+}  // namespace
+
+DescentAudit::DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
+                           const std::vector<std::string>& slow)
+    : tasks_(std::move(tasks)) {
+  for (size_t task = 0; task < tasks_.size(); ++task) {
+    for (const std::string& contact : contacts) {
+      if (std::find(slow.begin(), slow.end(), contact) != slow.end()) continue;
+      if (WhyNotApplicable(contact, tasks_[task].scene).empty()) descents_.push_back({task, contact, {}, {}, {}, {}});
+    }
+  }
+  left_out_ = slow;
+}
+
+void DescentAudit::Follow(Descent* descent) const {
+  const Scene& scene = tasks_[descent->task].scene;
+  SingleShooting own(MakeSimulator(descent->contact, scene, Precision::kDouble));
+  SingleShooting exact = ExactShooting(scene, own.simulator().num_steps());
+  own.set_stop(AskedToStop);
+  const double rate = DefaultLearningRate(scene);
+  std::vector<double> z = own.initial_guess(), gradient(z.size()), exact_gradient(z.size());
+  const std::vector<int> looked_at = LookedAt(kIterations);
+  auto next = looked_at.begin();
+  for (int k = 0; k <= kIterations; ++k) {
+    double loss = 0, exact_loss = 0;
+    if (!own.Evaluate(z, &loss, gradient.data())) return;
+    if (k == *next) {
+      ++next;
+      if (!exact.Evaluate(z, &exact_loss, exact_gradient.data())) return;
+      descent->iterations.push_back(k + 1);  // on a logarithmic axis
+      descent->angles.push_back(AngleBetween(gradient, exact_gradient));
+      descent->losses.push_back(loss);
+      descent->exact_losses.push_back(exact_loss);
+    }
+    for (size_t i = 0; i < z.size(); ++i) z[i] -= rate * gradient[i];
+  }
+}
+
+bool DescentAudit::Run(int threads, ProgressMode mode) {
+  std::vector<std::string> names;
+  for (const Descent& descent : descents_) names.push_back(tasks_[descent.task].scene.name + " " + descent.contact);
+  Progress progress(mode, stderr, "descent beside the exact gradient", descents_.size());
+  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) { Follow(&descents_[i]); });
+}
+
+PaperFigure DescentAudit::ToFigure() const {
+  Figure figure;
+  for (size_t number = 0; number < tasks_.size(); ++number) {
+    const Task& task = tasks_[number];
+    Panel angle, loss, own;
+    angle.title = task.title + ": angle to the exact gradient";
+    angle.y = {.label = "angle (degrees)", .min = 0.0, .max = 180.0};
+    angle.reference_lines.push_back({.value = kAhead, .label = "beyond, a step climbs"});
+    loss.title = task.title + ": exact loss";
+    loss.y.label = "exact loss";
+    own.title = task.title + ": loss under the model";
+    own.y.label = "loss under the model";
+    loss.y.log = own.y.log = true;
+    for (Panel* panel : {&angle, &loss, &own}) {
+      panel->x.label = "iteration, from 1";
+      panel->x.log = true;
+    }
+    for (const Descent& descent : descents_) {
+      if (descent.task != number) continue;
+      angle.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.angles));
+      loss.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.exact_losses));
+      own.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.losses));
+    }
+    figure.panels.insert(figure.panels.end(), {angle, loss, own});
+  }
+  figure.columns = 3;
+  figure.width = 1500;
+  figure.legend = Legend::kBelow;
+  return {
+      "descent_audit",
+      "Gradient descent as in the paper: the angle between each model's gradient and the exact gradient of the exact "
+      "loss at the same iterate, the exact loss there, and the loss that the model sees.",
+      figure};
+}
+
+std::vector<std::string> DescentAudit::Findings() const {
+  std::vector<std::string> findings;
+  for (size_t number = 0; number < tasks_.size(); ++number) {
+    double least = std::numeric_limits<double>::infinity();
+    for (const Descent& descent : descents_) {
+      if (descent.task != number) continue;
+      for (const double loss : descent.exact_losses) least = std::min(least, loss);
+    }
+    std::vector<std::string> right, wrong_side, succeed, fail;
+    for (const Descent& descent : descents_) {
+      if (descent.task != number || descent.angles.empty()) continue;
+      (descent.angles.front() < kAhead ? right : wrong_side).push_back(descent.contact);
+      const double first = descent.exact_losses.front(), last = descent.exact_losses.back();
+      const bool gained = first - last >= kMostOfIt * (first - least);
+      (gained ? succeed : fail).push_back(descent.contact);
+    }
+    findings.push_back(tasks_[number].title + ": at the start the gradient points to the right side, less than " +
+                       Cell(kAhead).Display(2) + " degrees from the exact one, under " + JoinNames(right) +
+                       "; and to the wrong side under " + JoinNames(wrong_side) + ".");
+    findings.push_back(tasks_[number].title + ": after the last iteration the exact loss has come down by at least " +
+                       Cell(100 * kMostOfIt).Display(3) + " % of what any descent gains under " + JoinNames(succeed) +
+                       "; and by less under " + JoinNames(fail) + ".");
+  }
+  if (!left_out_.empty()) findings.push_back("Left out, as their gradients take long: " + JoinNames(left_out_) + ".");
+  return findings;
+}
+
+}  // namespace saltus

@@ -1,0 +1,44 @@
+// Along gradient descent under each contact model: how far its gradient points away from the exact one, and what the
+// descent makes of the exact loss. How optimisation can succeed with wrong gradients, and where it fails.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "paper/paper_figures.h"
+#include "tools/program.h"
+
+namespace saltus {
+
+class DescentAudit {
+ public:
+  struct Task {
+    std::string title;
+    Scene scene;
+  };
+
+  // Contact models that cannot take a scene are left out there; so are those of `slow`.
+  DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts, const std::vector<std::string>& slow);
+
+  // False if interrupted.
+  bool Run(int threads, ProgressMode progress);
+
+  PaperFigure ToFigure() const;
+  // What the numbers say, a sentence or two each.
+  std::vector<std::string> Findings() const;
+
+ private:
+  // One descent, looked at at some of its iterates.
+  struct Descent {
+    size_t task = 0;
+    std::string contact;
+    std::vector<double> iterations, angles, exact_losses, losses;  // angles in degrees
+  };
+  void Follow(Descent* descent) const;
+
+  std::vector<Task> tasks_;
+  std::vector<std::string> left_out_;
+  std::vector<Descent> descents_;
+};
+
+}  // namespace saltus

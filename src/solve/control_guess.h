@@ -1,0 +1,22 @@
+// A control that is given to start from, on the time grid of a solver.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// What is wrong with its sizes and numbers for the scene; empty if nothing is.
+std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene);
+
+// The lengths of its intervals, and their sum.
+std::vector<double> LengthsOf(const ControlGuess& guess, const Scene& scene);
+double DurationOf(const ControlGuess& guess, const Scene& scene);
+
+// Its mean over each of `steps` equal parts of its duration, steps x controlled x 2 forces: the same impulse in each.
+// Forces that are constant over a part are kept bit by bit.
+std::vector<double> MeanOverSteps(const ControlGuess& guess, int controlled, int steps);
+
+}  // namespace saltus

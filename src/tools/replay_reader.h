@@ -1,0 +1,33 @@
+// One file of saved motions.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "output/replay.h"
+
+namespace saltus {
+
+// Motions as read. Colours and dashes are not set.
+struct ReplayFile {
+  Replay drawn;
+  std::vector<std::string> models;  // of each motion, the contact model that it is of; may be empty
+};
+
+// Reads NPZ or JSON:
+//
+//   bodies   [{ "name", "radius", "fixed" }]          fixed is false unless given
+//   planes   [{ "name", "point", "normal" }]          default none
+//   times    n numbers that do not fall, s
+//   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; what follows is
+//            not looked at
+//   touches  [{ "a", "b", "begin", "end", "impulse" }], default none; end (begin) and impulse ([0, 0]) may be missing
+//
+// and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
+// such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
+// them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B). Throws InputError with the key.
+// `drawn` stands in for what the file says of bodies.
+ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn);
+
+}  // namespace saltus

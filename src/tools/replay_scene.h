@@ -1,0 +1,24 @@
+// Scenes and their motions as replays.
+#pragma once
+
+#include <string>
+
+#include "output/replay.h"
+#include "tools/motion.h"
+
+namespace saltus {
+
+// So many states fit into a page: about 3 MB.
+inline constexpr std::size_t kMostReplayNumbers = std::size_t{1} << 21;
+
+// The discs, walls and targets of a scene, without motions.
+Replay ReplayOf(const Scene& scene);
+
+// How many nodes each of `motions` motions may have in a page.
+MotionOptions ReplayOptions(const Scene& scene, std::size_t motions);
+
+// `input` is what the motion was simulated from: its control is drawn too. Precondition: the motion has states.
+ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const MotionInput& input,
+                            const std::string& label, std::string_view style_of_model);
+
+}  // namespace saltus

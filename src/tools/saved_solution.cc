@@ -1,0 +1,176 @@
+#include "tools/saved_solution.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "io/file.h"
+#include "output/npz.h"
+#include "saltus/dynamics/simulator.h"
+#include "tools/json_output.h"
+#include "tools/program.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kSameStart = 1e-6;  // relative: a start that was rounded to float
+
+class Reader {
+ public:
+  Reader(std::string flag, std::string path, const Scene& scene)
+      : flag_(std::move(flag)), path_(std::move(path)), scene_(scene) {}
+
+  SavedSolution Read() {
+    const StatusOr<std::string> bytes = ReadFile(path_);
+    if (!bytes.ok()) throw InputError(flag_ + ": " + bytes.status().message());
+    if (bytes->starts_with("PK")) {
+      ReadArrays();
+    } else {
+      ReadJson(*bytes);
+    }
+    CheckFinite();
+    return std::move(solution_);
+  }
+
+ private:
+  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
+    throw InputError(flag_ + ": " + path_ + ": " + key + ": expected " + expected);
+  }
+
+  // The numbers of [[x, y], ...], `rows` of them; a null is a number that was not finite.
+  std::vector<double> Vectors(const Json& list, const std::string& key, size_t rows) const {
+    if (!list.is_array() || list.size() != rows) Fail(key, "a list of " + std::to_string(rows) + " times [x, y]");
+    std::vector<double> numbers;
+    for (size_t i = 0; i < rows; ++i) {
+      const Json& item = list[i];
+      const bool is_vector = item.is_array() && item.size() == 2 && item[0].is_number() && item[1].is_number();
+      if (!is_vector) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers");
+      numbers.insert(numbers.end(), {item[0].get<double>(), item[1].get<double>()});
+    }
+    return numbers;
+  }
+
+  void ReadJson(const std::string& text) {
+    Json document;
+    try {
+      document = Json::parse(text);
+    } catch (const Json::exception& error) {
+      throw InputError(flag_ + ": " + path_ + ": neither NPZ nor JSON: " + error.what());
+    }
+    if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
+    if (document.is_object() && document.contains("runs")) {
+      const Json runs = document["runs"];
+      if (!runs.is_array() || runs.size() != 1) {
+        Fail("runs", "one run, found " + std::to_string(runs.size()) + "; take one of them as a file of its own");
+      }
+      document = runs[0];
+    }
+    if (!document.is_object()) Fail("the document", "an object");
+    ReadRun(document);
+  }
+
+  void ReadRun(const Json& run) {
+    if (const auto control = run.find("control"); control != run.end()) {
+      if (!control->is_array()) Fail("control", "a list of intervals");
+      for (size_t k = 0; k < control->size(); ++k) {
+        const std::vector<double> row =
+            Vectors((*control)[k], "control[" + std::to_string(k) + "]", scene_.num_controlled());
+        solution_.control.insert(solution_.control.end(), row.begin(), row.end());
+      }
+    }
+    if (const auto durations = run.find("durations"); durations != run.end()) {
+      if (!durations->is_array()) Fail("durations", "a list of numbers");
+      for (const Json& value : *durations) {
+        if (!value.is_number()) Fail("durations", "a list of numbers");
+        solution_.durations.push_back(value.get<double>());
+      }
+      CheckDurations();
+    }
+    for (const auto& [key, offset] : {std::pair("position", 0), std::pair("velocity", 2)}) {
+      const auto found = run.find(key);
+      if (found == run.end()) continue;
+      const std::vector<double> numbers = Vectors(*found, key, scene_.num_bodies());
+      if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
+      for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[i / 2 * 4 + offset + i % 2] = numbers[i];
+    }
+  }
+
+  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
+    if (const auto* doubles = std::get_if<std::vector<double>>(&array.data)) return *doubles;
+    if (const auto* floats = std::get_if<std::vector<float>>(&array.data)) return {floats->begin(), floats->end()};
+    if (const auto* whole = std::get_if<std::vector<int64_t>>(&array.data)) return {whole->begin(), whole->end()};
+    Fail(key, "numbers");
+  }
+
+  void ReadArrays() {
+    const StatusOr<NpzArrays> arrays = ReadNpz(path_);
+    if (!arrays.ok()) throw InputError(flag_ + ": " + arrays.status().message());
+    const int64_t bodies = scene_.num_bodies(), controlled = scene_.num_controlled();
+    if (const auto control = arrays->find("control"); control != arrays->end()) {
+      std::vector<int64_t> shape = control->second.shape;
+      if (shape.size() == 2 && controlled == 1) shape.insert(shape.begin() + 1, 1);
+      if (shape.size() != 3 || shape[1] != controlled || shape[2] != 2) {
+        Fail("control", "a shape of (K, " + std::to_string(controlled) + ", 2)");
+      }
+      solution_.control = Numbers(control->second, "control");
+    }
+    if (const auto durations = arrays->find("durations"); durations != arrays->end()) {
+      solution_.durations = Numbers(durations->second, "durations");
+      CheckDurations();
+    }
+    if (const auto initial = arrays->find("initial_state"); initial != arrays->end()) {
+      if (initial->second.shape != std::vector<int64_t>{bodies, 4}) {
+        Fail("initial_state", "a shape of (" + std::to_string(bodies) + ", 4)");
+      }
+      solution_.initial_state = Numbers(initial->second, "initial_state");
+    }
+  }
+
+  void CheckDurations() const {
+    const size_t width = 2 * scene_.control.bodies.size();
+    if (solution_.durations.size() * width == solution_.control.size()) return;
+    Fail(
+        "durations",
+        "one number per interval of the control, " + std::to_string(width == 0 ? 0 : solution_.control.size() / width));
+  }
+
+  void CheckFinite() const {
+    const auto check = [&](const std::vector<double>& numbers, const char* key) {
+      const auto bad = [](double value) { return !std::isfinite(value); };
+      if (std::any_of(numbers.begin(), numbers.end(), bad)) Fail(key, "finite numbers");
+    };
+    check(solution_.control, "control");
+    check(solution_.durations, "durations");
+    check(solution_.initial_state, "initial state");
+  }
+
+  std::string flag_, path_;
+  const Scene& scene_;
+  SavedSolution solution_;
+};
+
+}  // namespace
+
+SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene) {
+  return Reader(flag, path, scene).Read();
+}
+
+void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene) {
+  if (solution.initial_state.empty()) return;
+  for (int i = 0; i < scene->num_bodies(); ++i) {
+    Body& body = scene->bodies[i];
+    const bool is_free = std::find(scene->free.begin(), scene->free.end(), i) != scene->free.end();
+    const double* x = &solution.initial_state[4 * i];
+    const auto take = [&](const Vec2d& given, const char* what, bool may_differ, Vec2d* own) {
+      if (may_differ) {
+        *own = given;
+      } else if ((given - *own).norm() > kSameStart * (1 + own->norm())) {
+        throw InputError(flag + ": the " + what + " of " + body.name +
+                         " is not the scene's, and not free: a solution of another scene");
+      }
+    };
+    take(Vec2d(x[0], x[1]), "position", is_free && scene->optimize == Optimize::kPosition, &body.position);
+    take(Vec2d(x[2], x[3]), "velocity", is_free && scene->optimize == Optimize::kVelocity, &body.velocity);
+  }
+}
+
+}  // namespace saltus

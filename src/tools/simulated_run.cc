@@ -1,0 +1,112 @@
+#include "tools/simulated_run.h"
+
+#include <chrono>
+#include <cmath>
+
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "solve/control_guess.h"
+
+namespace saltus {
+namespace {
+
+// The loss under a model that steps in time; nothing if it is not finite, with the reason.
+std::optional<double> LossUnderModel(const Scene& given, const Contact& contact, Precision precision,
+                                     const SolveReport& report, std::string* reason) {
+  Scene scene = given;
+  scene.free.clear();
+  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
+  double price_of_time = 0;
+  if (scene.objective.duration) {
+    scene.duration = DurationOf({report.control, report.durations}, scene);
+    price_of_time = scene.objective.duration->weight * scene.duration;
+    scene.objective.duration.reset();
+  }
+  SingleShooting shooting(MakeSimulator(contact, scene, precision));
+  std::vector<double> z;
+  if (scene.num_controlled() > 0) {
+    z = MeanOverSteps({report.control, report.durations}, scene.num_controlled(), shooting.simulator().num_steps());
+  }
+  double loss = 0;
+  if (shooting.Evaluate(z, &loss, nullptr)) return loss + price_of_time;
+  *reason = shooting.WhyFailed();
+  return std::nullopt;
+}
+
+std::vector<double> LastState(const Motion& motion, size_t numbers) {
+  if (!motion.failure.empty() || motion.states.size() < numbers) return {};
+  return {motion.states.end() - static_cast<std::ptrdiff_t>(numbers), motion.states.end()};
+}
+
+bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
+
+}  // namespace
+
+void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
+  const SolveReport& report = run->report;
+  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  run->certificate = report.certificate;
+  if (!run->certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
+    run->certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  }
+  if (IsExact(contact)) {
+    if (run->exact.ok) run->final_state = run->exact.end;
+    return;
+  }
+  MotionOptions ends;
+  ends.precision = precision;
+  ends.most_nodes = 2;
+  const MotionInput input{report.initial_state, report.control, report.durations};
+  run->final_state = LastState(SimulateMotion(scene, contact, input, ends), 4 * scene.bodies.size());
+}
+
+SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
+  const Scene& scene = request.scene;
+  SolvedRun run;
+  SolveReport& report = run.report;
+  report.solver = kNoSolver;
+  report.contact = contact;
+  report.reason = WhyNotApplicable(contact, scene);
+  report.termination = report.reason.empty() ? Termination::kFailed : Termination::kNotApplicable;
+  if (!report.reason.empty()) return run;
+  const auto start = std::chrono::steady_clock::now();
+  report.initial_state = InitialState(scene);
+  report.control = InitialControl(scene, scene.steps);
+  if (request.start) {
+    report.control = request.start->control;
+    report.durations = request.start->durations;
+  }
+  CheckRun(scene, contact, request.precision, &run);
+  std::optional<double> loss;
+  if (IsExact(contact)) {
+    if (run.exact.ok) loss = run.exact.loss;
+    report.reason = run.exact.reason;
+  } else {
+    loss = LossUnderModel(scene, contact, request.precision, report, &report.reason);
+  }
+  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  run.simulated = loss && std::isfinite(*loss);
+  if (!run.simulated) return run;
+  report.initial_loss = report.final_loss = *loss;
+  report.termination = Termination::kConverged;
+  return run;
+}
+
+Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options) {
+  const MotionInput input{report.initial_state, report.control, report.durations};
+  MotionOptions own = options;
+  own.precision = request.precision;
+  return exact ? SimulateExactMotion(request.scene, input, own)
+               : SimulateMotion(request.scene, report.contact, input, own);
+}
+
+std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {
+  std::vector<double> nodes = {0};
+  for (const double length : report.durations) nodes.push_back(nodes.back() + length);
+  if (!report.durations.empty()) return nodes;
+  const int steps = scene.steps / FindContactModel(report.contact)->grid_steps;
+  for (int k = 1; k <= steps; ++k) nodes.push_back(k * (scene.duration / steps));
+  return nodes;
+}
+
+}  // namespace saltus

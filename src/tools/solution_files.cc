@@ -1,0 +1,175 @@
+#include "tools/solution_files.h"
+
+#include <iostream>
+
+#include "output/npz.h"
+#include "saltus/io/scene_file.h"
+#include "saltus/physics/walls.h"
+#include "tools/simulated_run.h"
+#include "tools/surrogate_flags.h"
+
+namespace saltus {
+namespace {
+
+constexpr size_t kState = 4;  // p_x p_y v_x v_y
+
+Json StateToJson(const double* x, size_t bodies) {
+  Json state = Json::array();
+  for (size_t i = 0; i < bodies; ++i, x += kState) {
+    Json body = Json::array();
+    for (size_t j = 0; j < kState; ++j) body.push_back(NumberToJson(x[j]));
+    state.push_back(std::move(body));
+  }
+  return state;
+}
+
+Json StatesToJson(const Motion& motion, size_t bodies) {
+  Json states = Json::array();
+  for (size_t k = 0; k < motion.times.size(); ++k) {
+    states.push_back(StateToJson(&motion.states[k * bodies * kState], bodies));
+  }
+  return states;
+}
+
+// Of the run's own model at the nodes of its control, and of exact dynamics.
+struct Motions {
+  Motion own, exact;
+};
+
+Motions MotionsOf(const Request& request, const SolvedRun& run) {
+  MotionOptions options;
+  options.most_bytes = request.options.memory_limit;
+  Motions motions{MotionOf(request, run.report, false, options), MotionOf(request, run.report, true, options)};
+  if (motions.own.failure.empty()) motions.own = AtNodes(motions.own, NodesOf(request.scene, run.report));
+  for (const auto& [name, motion] : {std::pair("", &motions.own), std::pair("exact ", &motions.exact)}) {
+    if (motion->failure.empty()) continue;
+    std::cerr << "no " << name << "states of " << run.report.contact << " " << run.report.solver << ": "
+              << motion->failure << std::endl;
+  }
+  return motions;
+}
+
+// Who touched: [a, b, whether b is a plane], when, and the impulse on a.
+void AddTouches(const Motion& motion, const std::string& prefix, NpzArrays* arrays) {
+  const int64_t rows = static_cast<int64_t>(motion.touches.size());
+  std::vector<int64_t> pairs;
+  std::vector<double> times, impulses;
+  for (const TouchSpan& touch : motion.touches) {
+    pairs.insert(pairs.end(), {touch.contact.a, touch.contact.b, touch.contact.plane});
+    times.insert(times.end(), {touch.begin, touch.end});
+    impulses.insert(impulses.end(), {touch.impulse[0], touch.impulse[1]});
+  }
+  (*arrays)[prefix + "touch_pairs"] = {{rows, 3}, pairs};
+  (*arrays)[prefix + "touch_times"] = {{rows, 2}, times};
+  (*arrays)[prefix + "touch_impulses"] = {{rows, 2}, impulses};
+}
+
+Json TouchesToJson(const Motion& motion, const Scene& scene) {
+  const std::vector<std::string> walls = WallNamesOf(scene);
+  Json touches = Json::array();
+  for (const TouchSpan& touch : motion.touches) {
+    const Candidate& c = touch.contact;
+    touches.push_back({{"a", scene.bodies[c.a].name},
+                       {"b", c.plane ? walls[c.b] : scene.bodies[c.b].name},
+                       {"begin", NumberToJson(touch.begin)},
+                       {"end", NumberToJson(touch.end)},
+                       {"impulse", {NumberToJson(touch.impulse[0]), NumberToJson(touch.impulse[1])}}});
+  }
+  return touches;
+}
+
+void AddMotion(const Motion& motion, const std::string& prefix, int64_t bodies, NpzArrays* arrays) {
+  if (!motion.failure.empty()) return;
+  AddTouches(motion, prefix, arrays);
+  const int64_t rows = static_cast<int64_t>(motion.times.size());
+  (*arrays)[prefix + "times"] = {{rows}, motion.times};
+  (*arrays)[prefix + "states"] = {{rows, bodies, static_cast<int64_t>(kState)}, motion.states};
+}
+
+NpyArray ScalarText(const std::string& text) { return {{}, std::vector<std::string>{text}}; }
+
+NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
+  const SolveReport& report = run.report;
+  const int64_t bodies = request.scene.num_bodies();
+  const int64_t controlled = request.scene.num_controlled();
+  NpzArrays arrays;
+  if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
+  arrays["initial_state"] = {{bodies, 4}, report.initial_state};
+  if (controlled > 0) {
+    const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
+    arrays["control"] = {{intervals, controlled, 2}, report.control};
+    if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
+  }
+  if (report.best && !report.best->initial_state.empty()) {
+    arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
+    arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
+    if (controlled > 0) {
+      const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
+      arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+      if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
+    }
+  }
+  if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
+  if (!report.standard_error.empty()) {
+    arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+  }
+  const Motions motions = MotionsOf(request, run);
+  AddMotion(motions.own, "", bodies, &arrays);
+  AddMotion(motions.exact, "exact_", bodies, &arrays);
+  arrays["contact"] = ScalarText(report.contact);
+  arrays["solver"] = ScalarText(report.solver);
+  arrays["scene"] = ScalarText(WriteScene(request.scene));
+  return arrays;
+}
+
+}  // namespace
+
+void AddStates(const Request& request, const SolvedRun& run, Json* item) {
+  const size_t bodies = request.scene.bodies.size();
+  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state.data(), bodies);
+  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end.data(), bodies);
+  if (!request.states) return;
+  const Motions motions = MotionsOf(request, run);
+  const auto add = [&](const std::string& prefix, const Motion& motion) {
+    if (!motion.failure.empty()) return;
+    (*item)[prefix + "times"] = NumbersToJson(motion.times);
+    (*item)[prefix + "states"] = StatesToJson(motion, bodies);
+    (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
+  };
+  add("", motions.own);
+  add("exact_", motions.exact);
+}
+
+Json DrawnBodiesToJson(const Scene& scene) {
+  Json bodies = Json::array();
+  for (const Body& body : scene.bodies) {
+    bodies.push_back({{"name", body.name}, {"radius", NumberToJson(body.radius)}, {"fixed", body.fixed}});
+  }
+  return bodies;
+}
+
+Json DrawnPlanesToJson(const Scene& scene) {
+  Json planes = Json::array();
+  for (const Plane& plane : scene.planes) {
+    planes.push_back({{"name", plane.name},
+                      {"point", {NumberToJson(plane.point[0]), NumberToJson(plane.point[1])}},
+                      {"normal", {NumberToJson(plane.normal[0]), NumberToJson(plane.normal[1])}}});
+  }
+  return planes;
+}
+
+std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
+  return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
+}
+
+void WriteSolutions(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  for (const SolvedRun& run : solved.runs) {
+    if (!run.HasSolution()) continue;
+    const Status status =
+        WriteNpz(request.output_dir + "/" + SolutionFileName(request.scene, run.report), ArraysOf(request, run));
+    if (!status.ok()) throw OutputError(status.message());
+  }
+}
+
+}  // namespace saltus

@@ -1,0 +1,24 @@
+// Solutions with their states over time, as JSON and as NPZ files.
+#pragma once
+
+#include "tools/json_output.h"
+#include "tools/program.h"
+#include "tools/solve.h"
+
+namespace saltus {
+
+// Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
+// "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
+void AddStates(const Request& request, const SolvedRun& run, Json* item);
+
+// What is needed to draw states: names and radii of the discs, and the planes.
+Json DrawnBodiesToJson(const Scene& scene);
+Json DrawnPlanesToJson(const Scene& scene);
+
+// <scene>_<contact>_<solver>.npz
+std::string SolutionFileName(const Scene& scene, const SolveReport& report);
+
+// Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
+void WriteSolutions(const Request& request, const SolvedRuns& solved);
+
+}  // namespace saltus

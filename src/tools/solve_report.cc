@@ -1,0 +1,274 @@
+#include "tools/solve_report.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "saltus/dynamics/registry.h"
+#include "solve/control_guess.h"
+#include "tools/certificate_table.h"
+#include "tools/replay_scene.h"
+#include "tools/report_parts.h"
+#include "tools/scene_panel.h"
+#include "tools/simulated_run.h"
+#include "tools/solution_files.h"
+#include "tools/surrogate_flags.h"
+
+namespace saltus {
+namespace {
+
+constexpr size_t kMostMotions = 8;       // in a replay
+constexpr size_t kMostImpacts = 8;       // marked in a figure
+constexpr size_t kMostIntervals = 1000;  // of a control in a figure
+constexpr size_t kMostCurvePoints = 2000;
+
+std::string LabelOfRun(const SolveReport& report) {
+  return LabelOf(report.contact, report.surrogate) + (report.solver == kNoSolver ? "" : " " + report.solver);
+}
+
+// Colours tell contact models apart, dashes the solvers.
+struct RunStyle {
+  std::string colour;
+  Dash dash = Dash::kSolid;
+};
+RunStyle StyleOfRun(const Request& request, const SolveReport& report) {
+  const ModelStyle& style = StyleOf(report.contact);
+  if (request.solvers.size() < 2) return {std::string(style.colour), style.dash};
+  static constexpr Dash kDashes[] = {Dash::kSolid, Dash::kDashed, Dash::kDotted, Dash::kDashDotted};
+  const auto at = std::find(request.solvers.begin(), request.solvers.end(), report.solver);
+  return {std::string(style.colour), kDashes[(at - request.solvers.begin()) % 4]};
+}
+
+// Runs with a solution, by their exact loss: the best first; those without one last.
+std::vector<const SolvedRun*> RankedRuns(const SolvedRuns& solved) {
+  std::vector<const SolvedRun*> runs;
+  for (const SolvedRun& run : solved.runs) {
+    if (run.HasSolution()) runs.push_back(&run);
+  }
+  const auto loss = [](const SolvedRun* run) { return run->exact.ok ? run->exact.loss : HUGE_VAL; };
+  std::stable_sort(runs.begin(), runs.end(), [&](const SolvedRun* l, const SolvedRun* r) { return loss(l) < loss(r); });
+  return runs;
+}
+
+std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
+  const std::vector<const SolvedRun*> runs = RankedRuns(solved);
+  std::vector<Tile> tiles;
+  if (!runs.empty() && runs[0]->exact.ok) {
+    tiles.push_back({Cell(runs[0]->exact.loss).Display(10), "least exact loss, by " + LabelOfRun(runs[0]->report)});
+    if (runs[0]->certificate) {
+      const Certificate& certificate = *runs[0]->certificate;
+      const std::string words = VerdictInWords(certificate);
+      const bool good = certificate.IsStationary() && !certificate.IsSaddle();
+      tiles.push_back(
+          {words.empty() ? "not certified" : words, "what its certificate says", good ? Tone::kGood : Tone::kWarning});
+    }
+  }
+  const auto failed = std::count_if(
+      solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
+  tiles.push_back({std::to_string(solved.runs.size() - failed) + " of " + std::to_string(solved.runs.size()),
+                   request.solvers.empty() ? "simulations that ran" : "runs that are an answer",
+                   failed == 0 ? Tone::kGood : Tone::kWarning});
+  return tiles;
+}
+
+MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
+
+void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+  Replay replay = ReplayOf(request.scene);
+  const size_t shown = std::min(runs.size(), kMostMotions);
+  const MotionOptions options = ReplayOptions(request.scene, shown + 1);
+  for (size_t i = 0; i < shown; ++i) {
+    const SolveReport& run = runs[i]->report;
+    const bool is_exact = FindContactModel(run.contact)->event_driven;
+    for (const bool exact : {false, true}) {
+      if (exact && (is_exact || i > 0)) continue;  // the best also as it really is
+      const Motion motion = MotionOf(request, run, exact, options);
+      if (motion.times.empty()) continue;
+      const RunStyle style = StyleOfRun(request, run);
+      ReplayMotion drawn = ToReplayMotion(
+          request.scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+      drawn.colour = exact ? "#000000" : style.colour;
+      drawn.dash = exact ? Dash::kDashed : style.dash;
+      drawn.shown = i < 4;
+      replay.motions.push_back(std::move(drawn));
+    }
+  }
+  if (replay.motions.empty()) return;
+  report->AddHeading(1, "Replay");
+  report->AddReplay(replay,
+                    "The motions" + std::string(runs.size() > shown ? " of least exact loss" : "") +
+                        ". Space plays and pauses, arrows step, with shift from impact to impact. Forces are green, "
+                        "impulses red.");
+}
+
+// Each run under its own model, and dashed in black the best in exact dynamics.
+void AddTrajectories(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+  Panel panel = ScenePanel(request.scene, "");
+  const MotionOptions options = ReplayOptions(request.scene, kMostMotions);
+  for (size_t i = 0; i < std::min(runs.size(), kMostMotions); ++i) {
+    const RunStyle style = StyleOfRun(request, runs[i]->report);
+    AddPaths(request.scene,
+             MotionOf(request, runs[i]->report, false, options),
+             LabelOfRun(runs[i]->report),
+             style.colour,
+             style.dash,
+             &panel);
+  }
+  if (!runs.empty()) {
+    AddPaths(request.scene,
+             MotionOf(request, runs[0]->report, true, options),
+             "the best, in exact dynamics",
+             "#000000",
+             Dash::kDashed,
+             &panel);
+  }
+  Figure figure;
+  figure.panels = {panel};
+  figure.panel_height = 520;
+  AddFigureOrReason(figure, "The scene to scale, and trajectories. Filled dots are targets.", report);
+}
+
+// Forces are constant over intervals: two points each.
+Series StepsOf(const Scene& scene, const SolveReport& run, size_t column, const RunStyle& style) {
+  ControlGuess control{run.control, run.durations};
+  const size_t width = 2 * scene.control.bodies.size();
+  const double duration = DurationOf(control, scene);
+  if (control.control.size() / width > kMostIntervals) {
+    control.control = MeanOverSteps(control, scene.num_controlled(), kMostIntervals);
+    control.durations.assign(kMostIntervals, duration / kMostIntervals);
+  }
+  Series series{.label = LabelOfRun(run), .x = {}, .y = {}, .colour = style.colour, .dash = style.dash};
+  double time = 0;
+  const std::vector<double> lengths = LengthsOf(control, scene);
+  for (size_t k = 0; k < lengths.size(); ++k) {
+    for (const double end : {time, time + lengths[k]}) {
+      series.x.push_back(end);
+      series.y.push_back(control.control[k * width + column]);
+    }
+    time += lengths[k];
+  }
+  return series;
+}
+
+void AddControls(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+  const Scene& scene = request.scene;
+  if (scene.num_controlled() == 0 || runs.empty()) return;
+  Figure figure;
+  for (size_t c = 0; c < std::min<size_t>(scene.control.bodies.size(), 4); ++c) {
+    for (size_t j = 0; j < 2; ++j) {
+      Panel panel;
+      panel.title = scene.bodies[scene.control.bodies[c]].name;
+      panel.x.label = "time (s)";
+      panel.y.label = std::string(j == 0 ? "force x" : "force y") + " (N)";
+      for (size_t i = 0; i < std::min(runs.size(), kMostMotions); ++i) {
+        panel.series.push_back(StepsOf(scene, runs[i]->report, 2 * c + j, StyleOfRun(request, runs[i]->report)));
+      }
+      const std::vector<Event>& events = runs[0]->exact.events;
+      for (size_t e = 0; e < std::min(events.size(), kMostImpacts); ++e) {
+        panel.reference_lines.push_back({.value = events[e].time,
+                                         .label = events[e].a + " meets " + events[e].b,
+                                         .vertical = true,
+                                         .colour = "#6e7781",
+                                         .dash = Dash::kDotted});
+      }
+      figure.panels.push_back(std::move(panel));
+    }
+  }
+  figure.columns = 2;
+  figure.width = 1100;
+  figure.legend = Legend::kBelow;
+  report->AddHeading(1, "Controls");
+  AddFigureOrReason(
+      figure, "Forces over time. Dotted: impacts of the run of least exact loss, in exact dynamics.", report);
+}
+
+void AddLearningCurves(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+  Panel panel;
+  panel.x.label = "iteration";
+  panel.y.label = "loss under the contact model";
+  bool positive = true;
+  for (const SolvedRun* run : runs) {
+    const std::vector<double>& losses = run->report.losses;
+    if (losses.size() < 2) continue;
+    const RunStyle style = StyleOfRun(request, run->report);
+    Series series{.label = LabelOfRun(run->report), .x = {}, .y = {}, .colour = style.colour, .dash = style.dash};
+    const size_t stride = losses.size() / kMostCurvePoints + 1;
+    for (size_t k = 0; k < losses.size(); ++k) {
+      if (k % stride != 0 && k + 1 != losses.size()) continue;
+      series.x.push_back(static_cast<double>(k));
+      series.y.push_back(losses[k]);
+      positive = positive && losses[k] > 0;
+    }
+    panel.series.push_back(std::move(series));
+  }
+  if (panel.series.empty()) return;
+  panel.y.log = positive;
+  Figure figure;
+  figure.panels = {panel};
+  figure.width = 1000;
+  report->AddHeading(1, "Learning curves");
+  AddFigureOrReason(
+      figure, "The loss that each solver has minimised, which only under exact dynamics is the real one.", report);
+}
+
+// Of the impacts of a certified run: when, how fast, and what the conditions of the minimum principle give.
+void AddImpacts(const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+  if (runs.empty() || !runs[0]->certificate || runs[0]->certificate->impacts.empty()) return;
+  Table table({{"time (s)", 10},
+               {"disc"},
+               {"meets"},
+               {"speed (m/s)", 6},
+               {"multiplier", 6},
+               {"costate jump", 3},
+               {"on a node"}});
+  for (const ImpactCertificate& impact : runs[0]->certificate->impacts) {
+    table.AddRow(
+        {impact.time, impact.a, impact.b, impact.speed, impact.multiplier, impact.jump, impact.on_node ? "yes" : "no"});
+  }
+  report->AddTable(table,
+                   "Impacts of " + LabelOfRun(runs[0]->report) +
+                       ". The multiplier is the jump of the costate along the contact's gap; what is left of the "
+                       "jump condition is in the column beside it.");
+}
+
+}  // namespace
+
+void AddSolveSections(const Request& request, const SolvedRuns& solved, HtmlReport* report) {
+  const std::vector<const SolvedRun*> runs = RankedRuns(solved);
+  report->AddHeading(1, request.solvers.empty() ? "Simulations" : "Runs");
+  report->AddTiles(TilesOf(request, solved));
+  report->AddTable(
+      RunTable(solved),
+      "`final loss` is under the contact model, `exact loss` of the same solution under exact dynamics: the "
+      "only one that may be compared between models.");
+  const Table certificates = CertificateTable(solved);
+  if (!certificates.rows().empty()) {
+    report->AddTable(certificates,
+                     "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of "
+                     "the effort alone.");
+  }
+  AddImpacts(runs, report);
+  AddRunReplay(request, runs, report);
+  if (!runs.empty()) {
+    report->AddHeading(1, "Trajectories");
+    AddTrajectories(request, runs, report);
+  }
+  AddControls(request, runs, report);
+  AddLearningCurves(request, runs, report);
+  std::vector<Link> links;
+  for (const SolvedRun* run : runs) {
+    const std::string file = SolutionFileName(request.scene, run->report);
+    links.push_back({file, file});
+  }
+  if (links.empty()) return;
+  report->AddHeading(1, "Files");
+  report->AddLinks(links);
+}
+
+void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  HtmlReport report = StartReport(request.scene);
+  AddSolveSections(request, solved, &report);
+  FinishReport(request, &report);
+}
+
+}  // namespace saltus

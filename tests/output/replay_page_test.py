@@ -1,0 +1,316 @@
+#!/usr/bin/env python3
+# Drives replays and reports in headless Chromium. Skipped, with the reason, where Chromium or Selenium is missing.
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+
+SKIPPED = 77  # for ctest
+PROGRAMS = os.path.join(os.environ["SALTUS_BINARY_DIR"], "bin")
+PROBLEMS = os.path.join(os.environ["SALTUS_SOURCE_DIR"], "problems")
+STRANGE = "<b>\"it's\" & ü 日本</b></script>"
+
+BALL = """
+name: falls
+duration: 1
+steps: 7
+gravity: [0, -8]
+bodies:
+  - {name: ball, radius: 0.25, mass: 2, position: [0, 1.25], velocity: [3, 0]}
+planes:
+  - {name: ground, point: [0, 0], normal: [0, 1]}
+contact: {restitution: 0.5, friction: FRICTION}
+objective: {terminal: [{body: ball, quantity: position, target: [2, 1], weight: 1}]}
+optimize: velocity
+"""
+BOX = """
+name: box
+duration: 2
+steps: 100
+bodies:
+  - {name: left, radius: 0.1, mass: 1, position: [-0.5, 0.2], velocity: [2, 1.3]}
+  - {name: right, radius: 0.15, mass: 2, position: [0.5, -0.1], velocity: [-1, 0.7]}
+planes:
+  - {name: floor, point: [0, -1], normal: [0, 1]}
+  - {name: ceiling, point: [0, 1], normal: [0, -1]}
+  - {name: west, point: [-1, 0], normal: [1, 0]}
+  - {name: east, point: [1, 0], normal: [-1, 0]}
+contact: {restitution: 1, friction: 0}
+control: {bodies: [left, right], initial: [[0.5, 0.1], [-0.2, 0.3]]}
+objective: {terminal: [{body: left, quantity: position, target: [0, 0], weight: 1}], effort: 0.01}
+optimize: control
+"""
+FLEES = """
+name: flees
+duration: 1
+steps: 10
+bodies:
+  - {name: ball, radius: 0.1, mass: 1.0e-24, position: [0, 0]}
+control: {bodies: [ball], initial: [[1.0e+24, 0]]}
+objective: {terminal: [{body: ball, quantity: position, target: [1, 1], weight: 1.0e+24}], effort: 0.1}
+optimize: control
+"""
+
+
+def missing():
+    try:
+        import selenium  # noqa: F401
+    except ImportError:
+        return "Python has no module selenium (package python3-selenium)"
+    for program in ("chromium", "chromedriver"):
+        if not shutil.which(program):
+            return f"there is no {program}"
+    return ""
+
+
+def start_chromium():
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+    options = Options()
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.binary_location = shutil.which("chromium")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    return webdriver.Chrome(service=Service(shutil.which("chromedriver")), options=options)
+
+
+def run(program, *arguments):
+    done = subprocess.run([os.path.join(PROGRAMS, program), *arguments], capture_output=True, text=True)
+    if done.returncode not in (0, 1):
+        raise AssertionError(f"{program} {arguments}: {done.stderr}")
+    return done
+
+
+class Pages(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.mkdtemp()
+        cls.browser = start_chromium()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.browser.quit()
+        shutil.rmtree(cls.folder)
+
+    def write(self, name, text):
+        path = os.path.join(self.folder, name)
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text)
+        return path
+
+    def open(self, path, width=1000):
+        self.browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False})
+        self.browser.get("file://" + path)
+        self.assert_quiet()
+
+    def assert_quiet(self):
+        self.assertEqual(self.browser.get_log("browser"), [])
+
+    def js(self, code, *arguments):
+        return self.browser.execute_script(code, *arguments)
+
+    def assert_valid(self, path):
+        if not shutil.which("tidy"):
+            return
+        checked = subprocess.run(["tidy", "-quiet", "-errors", "-utf8", path], capture_output=True, text=True)
+        # This checker is older than divisions in lists of terms.
+        known = ("<dd>", "<dt>", "<dl>", "</dl>")
+        wrong = [line for line in checked.stderr.splitlines() if line and not any(k in line for k in known)]
+        self.assertEqual(wrong, [], path)
+
+    # What the table in the page shows: [x, y, v_x, v_y] by motion and disc.
+    def shown_values(self):
+        rows = self.js("""
+            document.querySelector('.values').open = true;
+            saltusReplays[0].redraw();
+            return [...document.querySelectorAll('.values tbody tr')].map(
+                (row) => [...row.children].map((cell) => cell.textContent));""")
+        return {(row[0], row[1]): [float(value) for value in row[2:]] for row in rows}
+
+    def solve(self, scene, *flags):
+        folder = tempfile.mkdtemp(dir=self.folder)
+        done = run("saltus_solve", f"--scene={scene}", f"--output_dir={folder}", "--progress=none", *flags)
+        return folder, done
+
+    # The ball falls 1 m in 1/2 s, and rises with half its speed.
+    def exact_ball(self, time):
+        if time < 0.5:
+            return [3 * time, 1.25 - 4 * time * time, 3, -8 * time]
+        since = time - 0.5
+        return [3 * time, 0.25 + 2 * since - 4 * since * since, 3, 2 - 8 * since]
+
+    def test_replay_shows_the_exact_states(self):
+        scene = self.write("ball.yaml", BALL.replace("FRICTION", "0"))
+        folder, done = self.solve(scene, "--contact=event,direct", "--solver=none")
+        self.assertEqual(done.stdout.splitlines()[-1], os.path.join(folder, "report.html"))
+        page = os.path.join(self.folder, "ball.html")
+        run("saltus_replay", os.path.join(folder, "falls_event_none.npz"), f"--output={page}")
+        self.open(page)
+        size = 3.0
+        button = {name: f"document.querySelector('button[aria-label=\"{name}\"]').click()" for name in
+                  ("next impact", "previous impact", "one step on", "play", "pause", "to the start")}
+        self.js(button["next impact"])
+        time = self.js("return saltusReplays[0].time")
+        self.assertAlmostEqual(time, 0.5, delta=1e-12)
+        for (motion, _), values in self.shown_values().items():
+            for shown, exact in zip(values[:2], self.exact_ball(0.5)):
+                self.assertAlmostEqual(shown, exact, delta=1e-6 * size, msg=motion)
+        # In between the nodes too, by the slider.
+        for time in (0.0, 0.123, 0.31, 0.499, 0.501, 0.77, 1.0):
+            self.js("""const slider = document.querySelector('.replay input[type=range]');
+                       slider.value = arguments[0]; slider.dispatchEvent(new Event('input'));""", time)
+            values = self.shown_values()[("event", "ball")]
+            for shown, exact in zip(values, self.exact_ball(time)):
+                self.assertAlmostEqual(shown, exact, delta=2e-6 * size, msg=f"at {time} s")
+        self.js(button["previous impact"])
+        self.assertAlmostEqual(self.js("return saltusReplays[0].time"), 0.5, delta=1e-12)
+        self.js(button["to the start"] + ";" + button["one step on"])
+        self.assertAlmostEqual(self.js("return saltusReplays[0].time"), 1 / 240, delta=1e-12)
+        self.assert_quiet()
+
+    def test_replay_plays_and_obeys_keys(self):
+        from selenium.webdriver.common.action_chains import ActionChains
+        from selenium.webdriver.common.keys import Keys
+        from selenium.webdriver.support.ui import WebDriverWait
+        scene = self.write("plays.yaml", BALL.replace("FRICTION", "0.2"))
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        self.js("document.querySelector('.replay canvas').focus()")
+        keys = lambda *pressed: ActionChains(self.browser).send_keys(*pressed).perform()  # noqa: E731
+        keys(" ")
+        WebDriverWait(self.browser, 60).until(lambda _: self.js("return saltusReplays[0].time") > 0.01)
+        keys(" ")
+        self.assertFalse(self.js("return saltusReplays[0].playing"))
+        time = self.js("return saltusReplays[0].time")
+        keys(Keys.ARROW_RIGHT)
+        self.assertAlmostEqual(self.js("return saltusReplays[0].time"), min(time + 1 / 240, 1), delta=1e-9)
+        keys(Keys.HOME)
+        self.assertEqual(self.js("return saltusReplays[0].time"), 0)
+        keys(Keys.END)
+        self.assertEqual(self.js("return saltusReplays[0].time"), 1)
+        self.assert_quiet()
+
+    # Something is drawn, it changes as time passes, and paper gets stills.
+    def test_canvas_is_drawn_and_printed(self):
+        scene = self.write("box.yaml", BOX)
+        folder, _ = self.solve(scene, "--contact=event,direct_toi", "--solver=gd", "--iterations=5")
+        self.open(os.path.join(folder, "report.html"))
+        picture = "saltusReplays[0].seek(arguments[0]); return document.querySelector('.replay canvas').toDataURL()"
+        pictures = {self.js(picture, time) for time in (0, 0.5, 1.0)}
+        self.assertEqual(len(pictures), 3)
+        self.js("saltusReplays[0].options.apart = true; saltusReplays[0].redraw()")
+        self.assertNotIn(self.js(picture, 1.0), pictures)
+        self.js("window.dispatchEvent(new Event('beforeprint'))")
+        self.assertEqual(self.js("return document.querySelectorAll('.stills img').length"), 6)
+        self.assert_quiet()
+
+    def test_reports_of_eight_scenes(self):
+        gas = run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout
+        rest = BALL.replace("FRICTION", "0.3").replace("restitution: 0.5", "restitution: 0").replace("[0, 1.25]", "[0, 0.25]")
+        scenes = {
+            "one_disc": (os.path.join(PROBLEMS, "bounce_once.yaml"), ["--contact=all", "--solver=none"]),
+            "two_pushed_and_four_planes": (self.write("box.yaml", BOX), ["--contact=event,lcp", "--iterations=20"]),
+            "a_hundred": (self.write("gas.yaml", gas), ["--contact=event,direct", "--solver=none"]),
+            "no_planes": (os.path.join(PROBLEMS, "two_balls.yaml"),
+                          ["--contact=event,convex", "--solver=gd,ceres_event", "--iterations=50"]),
+            "several_impacts": (os.path.join(PROBLEMS, "multiple_collisions.yaml"),
+                                ["--contact=event", "--iterations=20"]),
+            "friction": (self.write("friction.yaml", BALL.replace("FRICTION", "0.4")),
+                         ["--contact=event,qcqp", "--iterations=20"]),
+            "rest": (self.write("rest.yaml", rest), ["--contact=event,lcp", "--solver=none"]),
+            "failed": (self.write("flees.yaml", FLEES), ["--contact=event,direct", "--solver=gd"]),
+        }
+        for name, (scene, flags) in scenes.items():
+            with self.subTest(name):
+                folder, _ = self.solve(scene, *flags)
+                page = os.path.join(folder, "report.html")
+                self.assertLess(os.path.getsize(page), 6e6)
+                self.assert_valid(page)
+                for width in (400, 1000, 1600):
+                    self.open(page, width)
+                    self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width, width)
+                self.assertGreater(self.js("return document.querySelectorAll('table').length"), 0)
+                if name != "failed":
+                    self.assertEqual(self.js("return saltusReplays.length"), 1)
+
+    def test_reports_of_audits_and_sweeps(self):
+        scene = f"--scene={PROBLEMS}/two_balls.yaml"
+        for program, flags in (("saltus_audit", ["--contact=direct_toi,event"]),
+                               ("saltus_sweep", ["--contact=event", "--solver=none", "--sweep=steps=10,20,40"])):
+            with self.subTest(program):
+                folder = tempfile.mkdtemp(dir=self.folder)
+                done = run(program, scene, f"--output_dir={folder}", "--progress=plain", *flags)
+                page = os.path.join(folder, "report.html")
+                printed = done.stdout if program == "saltus_audit" else done.stderr
+                self.assertEqual(printed.splitlines()[-1], page)
+                self.assert_valid(page)
+                for width in (400, 1600):
+                    self.open(page, width)
+                    self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
+                self.assertEqual(self.js("return window.saltusReplays ? saltusReplays.length : 0"),
+                                 1 if program == "saltus_audit" else 0)
+
+    def test_names_are_text(self):
+        states = [[[0.1 * k, 0], [1, 0]] for k in range(11)]
+        document = {
+            "bodies": [{"name": STRANGE, "radius": 0.1}, {"name": "b", "radius": 0.2, "fixed": True}],
+            "planes": [{"name": STRANGE + "!", "point": [0, -0.1], "normal": [0, 2]}],
+            "name": STRANGE,
+            "times": [0.1 * k for k in range(11)],
+            "states": states,
+            "touches": [{"a": STRANGE, "b": STRANGE + "!", "begin": 0.5}],
+        }
+        page = os.path.join(self.folder, "names.html")
+        run("saltus_replay", self.write("names.json", json.dumps(document)), f"--output={page}")
+        self.assert_valid(page)
+        self.open(page)
+        values = self.shown_values()
+        self.assertIn((STRANGE, STRANGE), values)
+        self.assertAlmostEqual(values[(STRANGE, STRANGE)][2], 1, delta=1e-5)  # by differences
+        self.assertIn(STRANGE, self.js("return document.querySelector('.replay canvas').getAttribute('aria-label')"))
+        self.assertEqual(self.js("return document.querySelectorAll('.replay b').length"), 1)  # "Figure 1."
+
+    # A million numbers of discs that collide at random times stay under 4 MB; and what is read is what was written.
+    def test_data_are_compact_and_kept(self):
+        seed, discs, rows = 12345, 50, 5000
+
+        def random():
+            nonlocal seed
+            seed = (1103515245 * seed + 12345) % 2**31
+            return seed / 2**30 - 1
+
+        state = [[10 * random(), 10 * random(), random(), random()] for _ in range(discs)]
+        states = []
+        for _ in range(rows):
+            states.append([list(disc) for disc in state])
+            for disc in state:
+                if random() > 0.96:
+                    disc[2:] = [random(), random()]
+                disc[0] += 0.01 * disc[2]
+                disc[1] += 0.01 * disc[3]
+                disc[3] -= 1e-4
+        document = {"bodies": [{"name": f"d{i}", "radius": 0.5} for i in range(discs)],
+                    "times": [0.01 * k for k in range(rows)], "states": states}
+        page = os.path.join(self.folder, "million.html")
+        run("saltus_replay", self.write("million.json", json.dumps(document)), f"--output={page}")
+        self.assertLess(os.path.getsize(page), 4e6)
+        self.open(page)
+        kept = self.js("return [...saltusReplays[0].motions[0].states.slice(-4 * arguments[0])]", discs)
+        flat = [value for disc in states[-1] for value in disc]
+        size = max(flat) - min(flat)
+        for column, (found, expected) in enumerate(zip(kept, flat)):
+            self.assertAlmostEqual(found, expected, delta=1e-6 * (size if column % 4 < 2 else 1))
+
+
+if __name__ == "__main__":
+    reason = missing()
+    if reason:
+        print(f"skipped: {reason}")
+        sys.exit(SKIPPED)
+    unittest.main(verbosity=2)
