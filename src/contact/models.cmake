@@ -20,4 +20,8 @@ set(saltus_models
   "contact/qcqp.h Qcqp"
   "contact/smooth_compliant.h SmoothCompliant"
   "contact/ipc_barrier.h IpcBarrier"
-  "contact/xpbd.h Xpbd")
+  "contact/xpbd.h Xpbd"
+  "contact/position_qp.h PositionQp"
+  "contact/primal_descent.h PrimalDescent"
+  "contact/dual_descent.h DualDescent"
+  "contact/static_lcp.h StaticLcp")

@@ -97,6 +97,7 @@ StatusOr<CsvDocument> ParseCsv(std::string_view text) {
       document.header = std::move(*record);
     } else if (record->size() == document.header.size()) {
       document.rows.push_back(std::move(*record));
+      document.lines.push_back(reader.line());
     } else {
       return Status::Error("line " + std::to_string(reader.line()) + ": " + std::to_string(record->size()) +
                            " fields, the header has " + std::to_string(document.header.size()));

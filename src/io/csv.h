@@ -14,6 +14,7 @@ namespace saltus {
 struct CsvDocument {
   std::vector<std::string> header;
   std::vector<std::vector<std::string>> rows;
+  std::vector<int> lines;  // on which each row begins, from 1
 
   // Index of a column, if the header has it.
   std::optional<size_t> Find(std::string_view column) const;

@@ -32,6 +32,10 @@ const std::vector<ModelStyle>& ModelStyles() {
       {"smooth_compliant", "#8B3A94", Dash::kDotted, Marker::kTriangleDown},
       {"ipc_barrier", "#6D1E02", Dash::kDashDotted, Marker::kCross},
       {"xpbd", "#2DC08D", Dash::kDashDotted, Marker::kOpenCircle},
+      {"position_qp", "#4890FC", Dash::kDashed, Marker::kDiamond},
+      {"primal_descent", "#480C24", Dash::kSolid, Marker::kCross},
+      {"dual_descent", "#000030", Dash::kDotted, Marker::kCross},
+      {"static_lcp", "#30000C", Dash::kDashDotted, Marker::kOpenSquare},
   };
   return styles;
 }

@@ -106,6 +106,14 @@ std::vector<Program> MakePrograms() {
        "last one ended, however that was. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
        "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
        "--shard=1/N ... --shard=N/N on each and then --merge."},
+      {"saltus_identify",
+       "Parameters of a scene from recordings of its motion, with their confidence",
+       {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},
+       {{"Data", {"recording=LIST", "segment=S"}},
+        {"Fit", {"unknown=LIST", "known_start", "loss=NAME", "loss_scale=X", "starts=N"}},
+        kScene,
+        {"Contact models (default: event)", {"contact=LIST"}},
+        kOutput}},
       {"saltus_scene",
        "Writes a scene of many discs, or a control problem, to standard output, for --scene of the other programs",
        {"[--kind=NAME] [--discs=N] [--seed=N]"},

@@ -46,7 +46,11 @@ TEST(ContactClass, IsWhatTheFormulationSays) {
                                                        {"qcqp", kBoundary},
                                                        {"smooth_compliant", ContactClass::kContinuousForce},
                                                        {"ipc_barrier", ContactClass::kContinuousForce},
-                                                       {"xpbd", ContactClass::kProjection}};
+                                                       {"xpbd", ContactClass::kProjection},
+                                                       {"position_qp", ContactClass::kNoRestitution},
+                                                       {"primal_descent", ContactClass::kContinuousForce},
+                                                       {"dual_descent", ContactClass::kContinuousForce},
+                                                       {"static_lcp", ContactClass::kNoRestitution}};
   for (const auto& [contact, expected] : classes) {
     ASSERT_NE(FindContactModel(contact), nullptr) << contact;
     for (const Scene& scene : Tasks()) {
@@ -72,6 +76,7 @@ TEST(ContactClass, OptionsThatChangeTheLawChangeTheClass) {
   EXPECT_STREQ(class_of("soft_convex:dmin=1e-4:width=0.01"), "continuous force");
   EXPECT_STREQ(class_of("smooth_compliant:exponent=1"), "continuous force");
   EXPECT_STREQ(class_of("ipc_barrier:trapezoidal=1"), "continuous force");
+  EXPECT_STREQ(class_of("position_qp:restitution=1"), "projection");
 }
 
 // The same model under scenes that let its law jump or not: the class is a property of what happens.

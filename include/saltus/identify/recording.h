@@ -1,0 +1,57 @@
+// Recordings: where discs were at some times, as somebody measured it.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+// One disc at one time.
+struct Sample {
+  double time = 0;                               // s, in [0, duration] of the scene
+  int body = 0;                                  // index into Scene::bodies
+  Vec2d position = Vec2d::Zero();                // m
+  std::optional<Vec2d> velocity = std::nullopt;  // m/s, where it was measured too
+  double sigma = 0;                              // m, standard deviation of either coordinate; 0: not stated
+  double sigma_velocity = 0;                     // m/s, likewise
+  int line = 0;                                  // of the file, from 1; 0: of none
+
+  bool operator==(const Sample&) const = default;
+};
+
+// Samples of one run of a scene, by rising time. Its parameters are those of the other recordings, its initial state is
+// its own.
+struct Recording {
+  std::string name;
+  std::vector<Sample> samples;
+};
+
+// Why a text is no recording.
+struct RecordingError {
+  std::string file;
+  int line = 0;  // from 1; 0: of no line in particular
+  std::string message;
+
+  // One line: "ball.csv:12: body: found 'bal', expected one of ball, wall".
+  std::string ToString() const;
+};
+
+// A recording from CSV text. Columns, in any order: time, body, x, y; and if they are there sigma, vx, vy (both or
+// none) and sigma_v, whose fields may be empty. Rows need not be in order. Refused, with the line: numbers that are not
+// finite, times outside of the scene's, bodies that the scene has not or that are fixed, a body twice at one time,
+// sigma in some rows only, unknown columns. The scene must be valid.
+std::variant<Recording, RecordingError> ParseRecording(std::string_view text, const std::string& name,
+                                                       const Scene& scene);
+
+// The same of a file.
+std::variant<Recording, RecordingError> LoadRecording(const std::string& path, const Scene& scene);
+
+// What is wrong with samples, wherever they come from: the same rules. Sorts them by time, then by body.
+std::optional<RecordingError> CheckRecording(const Scene& scene, Recording* recording);
+
+}  // namespace saltus

@@ -1,0 +1,247 @@
+#include "identify/fit.h"
+
+#include <ceres/ceres.h>
+#include <tbb/parallel_for.h>
+
+#include <memory>
+
+#include "identify/unknowns.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kFarthest = 7;  // that a bounded unknown may go from its start, in its coordinate: 1000 times as much
+constexpr int kDenseColumns = 300;  // up to which covariances are computed from a dense Jacobian
+
+std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
+  switch (loss) {
+    case RobustLoss::kHuber:
+      return std::make_unique<ceres::HuberLoss>(scale);
+    case RobustLoss::kCauchy:
+      return std::make_unique<ceres::CauchyLoss>(scale);
+    case RobustLoss::kNone:
+      break;
+  }
+  return std::make_unique<ceres::TrivialLoss>();
+}
+
+// The motion of all segments at a point, for all costs at once.
+class Motions final : public ceres::EvaluationCallback {
+ public:
+  Motions(const FitProblem& problem, FitPoint* point) : problem_(problem), point_(*point), start_(point->coordinates) {}
+
+  void PrepareForEvaluation(bool with_jacobians, bool is_new) override {
+    if (!is_new && (has_jacobians_ || !with_jacobians) && !motion_.empty()) return;
+    Compute(with_jacobians);
+  }
+
+  void Compute(bool with_jacobians) {
+    ++evaluations_;
+    has_jacobians_ = with_jacobians;
+    motion_.assign(point_.segments.size(), {});
+    for (MotionAtSamples& motion : motion_) motion.reason = "a parameter runs away from its start";
+    if (!IsNearStart()) return;
+    const Scene scene = problem_.SceneAt(point_.coordinates);
+    const auto move = [&](std::size_t i) {
+      const Segment& segment = point_.segments[i];
+      motion_[i] = MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment), with_jacobians);
+    };
+    if (problem_.options->threads == 1 || motion_.size() == 1) {
+      for (std::size_t i = 0; i < motion_.size(); ++i) move(i);
+    } else {
+      tbb::parallel_for(std::size_t{0}, motion_.size(), move);
+    }
+  }
+
+  const std::vector<MotionAtSamples>& motion() const { return motion_; }
+  int evaluations() const { return evaluations_; }
+
+ private:
+  // Else a parameter of which the data say nothing yet may go anywhere.
+  bool IsNearStart() const {
+    for (std::size_t u = 0; u < start_.size(); ++u) {
+      if (HasBounds(problem_.unknowns[u]) && !(std::abs(point_.coordinates[u] - start_[u]) < kFarthest)) return false;
+    }
+    return true;
+  }
+
+  const FitProblem& problem_;
+  const FitPoint& point_;
+  const std::vector<double> start_;
+  std::vector<MotionAtSamples> motion_;
+  bool has_jacobians_ = false;
+  int evaluations_ = 0;
+};
+
+// One sample. Blocks: each unknown, then those of the segment's free discs.
+class SampleCost final : public ceres::CostFunction {
+ public:
+  SampleCost(const FitProblem& problem, const Motions& motions, const Segment& segment, int s, int i)
+      : problem_(problem), motions_(motions), segment_(segment), s_(s), i_(i) {
+    set_num_residuals(problem.SampleAt(segment, i).velocity ? 4 : 2);
+    for (std::size_t u = 0; u < problem.unknowns.size(); ++u) mutable_parameter_block_sizes()->push_back(1);
+    for (std::size_t b = 0; b < problem.free_bodies.size(); ++b) mutable_parameter_block_sizes()->push_back(4);
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    const MotionAtSamples& motion = motions_.motion()[s_];
+    if (!motion.ok) return false;
+    const Sample& sample = problem_.SampleAt(segment_, i_);
+    const Eigen::VectorXd residual = ResidualOf(problem_, sample, motion.state[i_]);
+    std::copy(residual.begin(), residual.end(), residuals);
+    if (jacobians == nullptr) return true;
+    const Eigen::VectorXd weights = WeightsOf(problem_, sample);
+    const int num_unknowns = static_cast<int>(problem_.unknowns.size());
+    for (std::size_t block = 0; block < parameter_block_sizes().size(); ++block) {
+      if (jacobians[block] == nullptr) continue;
+      const int b = static_cast<int>(block);
+      const bool shared = b < num_unknowns;
+      const int width = shared ? 1 : 4, column = shared ? b : num_unknowns + 4 * (b - num_unknowns);
+      const double slope = shared ? SlopeAt(problem_.unknowns[b], parameters[b][0]) : 1;
+      for (int row = 0; row < num_residuals(); ++row) {
+        for (int j = 0; j < width; ++j) {
+          jacobians[block][row * width + j] = slope * weights[row] * motion.derivative[i_](row, column + j);
+        }
+      }
+    }
+    return true;
+  }
+
+ private:
+  const FitProblem& problem_;
+  const Motions& motions_;
+  const Segment& segment_;
+  const int s_, i_;
+};
+
+class StopCallback final : public ceres::IterationCallback {
+ public:
+  explicit StopCallback(const StopRequest& stop) : stop_(stop) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
+    return stop_ && stop_() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const StopRequest& stop_;
+};
+
+ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments) {
+  ceres::Solver::Options options;
+  options.max_num_iterations = problem.options->max_iterations;
+  options.function_tolerance = 1e-12;
+  options.parameter_tolerance = 1e-10;
+  options.gradient_tolerance = 1e-14;
+  options.logging_type = ceres::SILENT;
+  options.linear_solver_type = num_segments == 1 ? ceres::DENSE_QR : ceres::SPARSE_NORMAL_CHOLESKY;
+  return options;
+}
+
+// Covariance of the unknowns' values; empty if the Jacobian has not the rank.
+std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const FitPoint& point,
+                                              const std::vector<bool>& held, ceres::Problem* ceres_problem) {
+  ceres::Covariance::Options options;
+  options.apply_loss_function = false;
+  const bool dense = ceres_problem->NumParameters() <= kDenseColumns;
+  options.algorithm_type = dense ? ceres::DENSE_SVD : ceres::SPARSE_QR;
+  if (dense) options.null_space_rank = -1;
+  ceres::Covariance covariance(options);
+  std::vector<std::pair<const double*, const double*>> pairs;
+  const std::size_t count = problem.unknowns.size();
+  const auto is_held = [&](std::size_t i) { return !held.empty() && held[i]; };
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t j = i; j < count; ++j) {
+      if (!is_held(i) && !is_held(j)) pairs.emplace_back(&point.coordinates[i], &point.coordinates[j]);
+    }
+  }
+  if (pairs.empty() || !covariance.Compute(pairs, ceres_problem)) return {};
+  std::vector<std::vector<double>> out(count, std::vector<double>(count, 0.0));
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t j = i; j < count; ++j) {
+      if (is_held(i) || is_held(j)) continue;
+      double entry = 0;
+      covariance.GetCovarianceBlock(&point.coordinates[i], &point.coordinates[j], &entry);
+      out[i][j] = out[j][i] = entry * SlopeAt(problem.unknowns[i], point.coordinates[i]) *
+                              SlopeAt(problem.unknowns[j], point.coordinates[j]);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+Scene FitProblem::SceneAt(const std::vector<double>& coordinates) const {
+  Scene at = scene;
+  for (std::size_t u = 0; u < unknowns.size(); ++u)
+    SetValue(unknowns[u], FromCoordinate(unknowns[u], coordinates[u]), &at);
+  return at;
+}
+
+Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample) {
+  Eigen::VectorXd weights(sample.velocity ? 4 : 2);
+  weights.head(2).setConstant(1 / (sample.sigma > 0 ? sample.sigma : problem.sigma));
+  if (sample.velocity) {
+    weights.tail(2).setConstant(1 / (sample.sigma_velocity > 0 ? sample.sigma_velocity : problem.sigma_velocity));
+  }
+  return weights;
+}
+
+Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state) {
+  Eigen::VectorXd residual = WeightsOf(problem, sample);
+  residual.head(2).array() *= (state.head<2>() - sample.position).array();
+  if (sample.velocity) residual.tail(2).array() *= (state.tail<2>() - *sample.velocity).array();
+  return residual;
+}
+
+LossAt EvaluateLoss(RobustLoss loss, double scale, double squared) {
+  LossAt at;
+  MakeLoss(loss, scale)->Evaluate(squared, at.rho);
+  return at;
+}
+
+FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
+                       const std::vector<bool>& held, bool with_covariance) {
+  FitResult result;
+  result.point = start;
+  FitPoint& point = result.point;
+  Motions motions(problem, &point);
+  const auto loss = MakeLoss(problem.options->loss, loss_scale);
+  ceres::Problem::Options problem_options;
+  problem_options.evaluation_callback = &motions;
+  problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  ceres::Problem ceres_problem(problem_options);
+  for (std::size_t s = 0; s < point.segments.size(); ++s) {
+    Segment& segment = point.segments[s];
+    std::vector<double*> blocks;
+    for (double& coordinate : point.coordinates) blocks.push_back(&coordinate);
+    for (const int body : problem.free_bodies) blocks.push_back(&segment.initial[4 * body]);
+    for (int i = 0; i < segment.last - segment.first; ++i) {
+      ceres_problem.AddResidualBlock(
+          new SampleCost(problem, motions, segment, static_cast<int>(s), i), loss.get(), blocks);
+    }
+  }
+  for (std::size_t u = 0; u < held.size(); ++u) {
+    if (held[u]) ceres_problem.SetParameterBlockConstant(&point.coordinates[u]);
+  }
+  ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size());
+  StopCallback stop(problem.options->stop);
+  options.callbacks.push_back(&stop);
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &ceres_problem, &summary);
+  motions.Compute(/*with_jacobians=*/true);
+  result.ok = summary.IsSolutionUsable();
+  result.converged = summary.termination_type == ceres::CONVERGENCE;
+  result.reason = summary.message;
+  result.cost = summary.final_cost;
+  result.iterations = summary.num_successful_steps + summary.num_unsuccessful_steps;
+  result.motion = motions.motion();
+  for (const MotionAtSamples& motion : result.motion) {
+    if (motion.ok) continue;
+    result.ok = false;
+    result.reason = motion.reason;
+  }
+  if (with_covariance && result.ok) result.covariance = CovarianceOf(problem, point, held, &ceres_problem);
+  result.evaluations = motions.evaluations();
+  return result;
+}
+
+}  // namespace saltus

@@ -1,0 +1,63 @@
+// One fit by Ceres, from one start.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "identify/segment_motion.h"
+
+namespace saltus {
+
+// What a fit is about; outlives it.
+struct FitProblem {
+  Contact contact;
+  Scene scene;  // of known parameters
+  const std::vector<Recording>* recordings = nullptr;
+  std::vector<Unknown> unknowns;
+  std::vector<int> free_bodies;
+  const IdentifyOptions* options = nullptr;
+  double sigma = 0;  // m, of samples that state none; of velocities by the time that the scene needs for its length
+  double sigma_velocity = 0;
+
+  MotionRequest RequestOf(const Segment& segment) const {
+    return {&(*recordings)[segment.recording].samples, unknowns, free_bodies};
+  }
+  const Sample& SampleAt(const Segment& segment, int i) const {
+    return (*recordings)[segment.recording].samples[segment.first + i];
+  }
+  Scene SceneAt(const std::vector<double>& coordinates) const;
+};
+
+// What a fit changes.
+struct FitPoint {
+  std::vector<double> coordinates;  // of the unknowns (unknowns.h)
+  std::vector<Segment> segments;    // with their initial states
+};
+
+struct FitResult {
+  bool ok = false;  // there is a cost
+  bool converged = false;
+  std::string reason;
+  double cost = 0;
+  int iterations = 0, evaluations = 0;
+  FitPoint point;
+  std::vector<MotionAtSamples> motion;          // of each segment, at the end, with derivatives
+  std::vector<std::vector<double>> covariance;  // of the unknowns' values, if asked for: (J^T J)^-1
+};
+
+// Minimises from `start`, with the loss scale `loss_scale`. Unknowns in `held` stay as they are.
+FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
+                       const std::vector<bool>& held = {}, bool with_covariance = false);
+
+// Standardised residual of a sample: of its position, then of its velocity if it was measured.
+Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state);
+// 1 / sigma of each of its entries.
+Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample);
+
+// rho, rho' and rho'' at a squared residual.
+struct LossAt {
+  double rho[3];
+};
+LossAt EvaluateLoss(RobustLoss loss, double scale, double squared);
+
+}  // namespace saltus

@@ -1,0 +1,391 @@
+#include "saltus/identify/identify.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <set>
+
+#include "identify/fit.h"
+#include "identify/start.h"
+#include "identify/statistics.h"
+#include "identify/unknowns.h"
+#include "physics/units.h"
+
+namespace saltus {
+namespace {
+
+using Kind = Unknown::Kind;
+
+constexpr double kHorizons[] = {0.15, 0.3, 0.5, 0.7, 0.85, 1};  // shares of the samples that fits begin with
+constexpr double kWideLoss = 10;        // times the loss scale, while the motion is not found yet
+constexpr double kFits = 1.25;          // misfit of a motion that is found
+constexpr double kContradicts = 2.5;    // misfit that noise does not make
+constexpr double kFewOutliers = 0.12;   // share of samples, of a motion that is found
+constexpr double kMostOutliers = 0.35;  // that noise and slips of the pen do not make
+constexpr double kFirstSigma = 1e-3;    // of the scene's length, until it is estimated
+
+// The i-th number of the low-discrepancy sequence of van der Corput, in (0, 1).
+double RadicalInverse(int i, int base) {
+  double value = 0, digit = 1.0 / base;
+  for (; i > 0; i /= base, digit /= base) value += digit * (i % base);
+  return value;
+}
+
+class Identification {
+ public:
+  Identification(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
+                 const std::vector<Unknown>& unknowns, const IdentifyOptions& options)
+      : options_(options), start_scene_(scene) {
+    problem_.contact = contact;
+    problem_.scene = scene;
+    problem_.recordings = &recordings_;
+    problem_.unknowns = unknowns;
+    problem_.options = &options_;
+    recordings_ = recordings;
+    for (const Unknown& unknown : unknowns) {
+      SetValue(unknown, FromCoordinate(unknown, ToCoordinate(unknown, ValueOf(unknown, scene))), &problem_.scene);
+    }
+    // The loss of the scene has no part in this.
+    problem_.scene.objective = {};
+    problem_.scene.optimize = Optimize::kNone;
+    problem_.scene.free.clear();
+  }
+
+  IdentifyReport Run() {
+    const auto begin = std::chrono::steady_clock::now();
+    report_.reason = WhyNot();
+    if (!report_.reason.empty()) {
+      report_.verdict = FitVerdict::kNotApplicable;
+      return report_;
+    }
+    Fit();
+    report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    return report_;
+  }
+
+ private:
+  std::string WhyNot() {
+    if (recordings_.empty()) return "found no recordings, expected at least one";
+    for (Recording& recording : recordings_) {
+      if (const auto error = CheckRecording(problem_.scene, &recording)) return error->ToString();
+    }
+    if (options_.loss_scale <= 0 || options_.segment < 0 || options_.starts < 1 || options_.threads < 0) {
+      return "found an option out of range, expected loss_scale > 0, segment >= 0, starts >= 1";
+    }
+    const std::string why = WhyNotApplicable(problem_.contact, problem_.scene);
+    if (!why.empty()) return why;
+    FindFreeBodies();
+    if (problem_.unknowns.empty() && problem_.free_bodies.empty()) return "found nothing that is unknown";
+    segments_ = CutIntoSegments(recordings_, options_.segment);
+    return WhyNotMeasured();
+  }
+
+  // Those that any recording has; with segments, every disc that moves.
+  void FindFreeBodies() {
+    if (!options_.initial_states) return;
+    std::set<int> measured;
+    for (const Recording& recording : recordings_) {
+      for (const Sample& sample : recording.samples) measured.insert(sample.body);
+    }
+    problem_.free_bodies.assign(measured.begin(), measured.end());
+  }
+
+  std::string WhyNotMeasured() const {
+    for (const Segment& segment : segments_) {
+      std::set<int> measured;
+      for (int i = segment.first; i < segment.last; ++i) {
+        measured.insert(recordings_[segment.recording].samples[i].body);
+      }
+      for (int body = 0; body < problem_.scene.num_bodies(); ++body) {
+        const bool needed =
+            segment.begin > 0 || std::count(problem_.free_bodies.begin(), problem_.free_bodies.end(), body);
+        if (problem_.scene.bodies[body].fixed || measured.count(body) > 0 || !needed) continue;
+        return recordings_[segment.recording].name + ": found no sample of '" + problem_.scene.bodies[body].name +
+               "' from " + std::to_string(segment.begin) + " s on, expected some in every segment of every recording";
+      }
+    }
+    return "";
+  }
+
+  void Fit() {
+    const Units units = NaturalUnits(problem_.scene);
+    states_sigma_ = recordings_[0].samples[0].sigma > 0;
+    SetSigma(kFirstSigma * units.length);
+    FitResult best = SearchFromStarts();
+    if (!best.ok) {
+      report_.verdict = Interrupted() ? FitVerdict::kInterrupted : FitVerdict::kFailed;
+      report_.reason = best.reason;
+      return;
+    }
+    best = Polish(best);
+    Report(best);
+  }
+
+  bool Interrupted() const { return options_.stop && options_.stop(); }
+
+  // A velocity counts as a position over the time that the scene needs for its length.
+  void SetSigma(double sigma) {
+    problem_.sigma = sigma;
+    problem_.sigma_velocity = sigma / NaturalUnits(problem_.scene).time;
+  }
+
+  void Say(const std::string& what) const {
+    if (options_.status) options_.status(what);
+  }
+
+  // The scene's values first, then values spread over what is plausible.
+  FitPoint StartAt(int number) const {
+    static constexpr int kBases[] = {2, 3, 5, 7, 11, 13, 17, 19, 23, 29};
+    FitPoint point;
+    for (std::size_t u = 0; u < problem_.unknowns.size(); ++u) {
+      const Unknown& unknown = problem_.unknowns[u];
+      const double value = ValueOf(unknown, problem_.scene), scale = ScaleOf(unknown, problem_.scene);
+      const double t = number == 0 ? 0.5 : RadicalInverse(number, kBases[u % 10]);
+      double start = value;
+      if (number > 0) {
+        switch (unknown.kind) {
+          case Kind::kRestitution:
+            start = 0.1 + 0.85 * t;
+            break;
+          case Kind::kFriction:
+            start = 0.02 + 0.5 * t;
+            break;
+          case Kind::kGravity:
+          case Kind::kForce:
+            start = value + scale * (t - 0.5);
+            break;
+          default:
+            start = value * std::exp(2 * (t - 0.5));
+        }
+      }
+      point.coordinates.push_back(ToCoordinate(unknown, start));
+    }
+    const Scene scene = problem_.SceneAt(point.coordinates);
+    point.segments = segments_;
+    for (Segment& segment : point.segments) {
+      segment.initial = InitialFromData(scene, recordings_[segment.recording].samples, segment, problem_.free_bodies);
+    }
+    return point;
+  }
+
+  // With the samples up to a share of each segment's.
+  FitPoint UpTo(double share, FitPoint point) const {
+    for (std::size_t s = 0; s < segments_.size(); ++s) {
+      const int count = segments_[s].last - segments_[s].first;
+      point.segments[s].last = segments_[s].first + std::max(1, static_cast<int>(std::ceil(share * count)));
+    }
+    return point;
+  }
+
+  FitResult FitFrom(const FitPoint& start) {
+    FitResult fit;
+    fit.point = start;
+    for (const double share : kHorizons) {
+      const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
+      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale);
+      Count(next);
+      if (!next.ok) return next;
+      fit = std::move(next);
+      if (Interrupted()) break;
+    }
+    return fit;
+  }
+
+  void Count(const FitResult& fit) {
+    report_.iterations += fit.iterations;
+    report_.evaluations += fit.evaluations;
+  }
+
+  static std::string SequenceOf(const FitResult& fit) {
+    std::string sequence;
+    for (const MotionAtSamples& motion : fit.motion) {
+      Candidate last{-1, -1, false};
+      for (const StepTouch& at : motion.touches) {
+        const Candidate& c = at.touch.candidate;
+        if (c == last) continue;
+        last = c;
+        sequence += std::to_string(c.a) + (c.plane ? "|" : "-") + std::to_string(c.b) + " ";
+      }
+      sequence += ";";
+    }
+    return sequence;
+  }
+
+  FitResult SearchFromStarts() {
+    FitResult best;
+    best.reason = "no start has a motion";
+    std::set<std::string> sequences;
+    for (int number = 0; number < options_.starts && !Interrupted(); ++number) {
+      Say("start " + std::to_string(number + 1));
+      FitResult fit = FitFrom(StartAt(number));
+      ++report_.starts;
+      if (!fit.ok) {
+        if (!best.ok) best.reason = fit.reason;
+        continue;
+      }
+      const bool known = !sequences.insert(SequenceOf(fit)).second;
+      const double before = best.cost;
+      const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
+      if (!best.ok || fit.cost < best.cost) best = std::move(fit);
+      // Without a stated sigma nothing says that a fit is good, but that another start finds it again.
+      if (states_sigma_ ? IsFound(best) : same && known) break;
+    }
+    report_.sequences = static_cast<int>(sequences.size());
+    return best;
+  }
+
+  bool IsFound(const FitResult& fit) const {
+    return MisfitOf(problem_, fit) < kFits && OutlierShareOf(problem_, fit) < kFewOutliers;
+  }
+
+  // Estimates sigma if none is stated, holds what the data leave open, and takes the covariance.
+  FitResult Polish(FitResult fit) {
+    for (int round = 0; round < 3 && !states_sigma_; ++round) {
+      SetSigma(problem_.sigma * MisfitOf(problem_, fit));
+      FitResult next = MinimizeFrom(problem_, fit.point, options_.loss_scale);
+      Count(next);
+      if (!next.ok) break;
+      fit = std::move(next);
+    }
+    open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
+    std::vector<bool> held;
+    for (const Determination at : open_.determination) held.push_back(at != Determination::kDetermined);
+    FitResult last = MinimizeFrom(problem_, fit.point, options_.loss_scale, held, /*with_covariance=*/true);
+    Count(last);
+    return last.ok ? last : fit;
+  }
+
+  void Report(const FitResult& fit) {
+    ReportEstimates(fit);
+    ReportResiduals(fit);
+    report_.cost = fit.cost;
+    report_.sigma = states_sigma_ ? 0 : problem_.sigma;
+    report_.misfit = states_sigma_ ? MisfitOf(problem_, fit) : 0;
+    for (std::size_t s = 0; s < segments_.size(); ++s) {
+      report_.initial.push_back(fit.point.segments[s].initial);
+      report_.segment_begin.push_back(segments_[s].begin);
+      report_.segment_recording.push_back(segments_[s].recording);
+      report_.impacts += static_cast<int>(fit.motion[s].touches.size());
+    }
+    SetVerdict(fit);
+  }
+
+  void SetVerdict(const FitResult& fit) {
+    const double share = OutlierShareOf(problem_, fit);
+    if (Interrupted()) {
+      report_.verdict = FitVerdict::kInterrupted;
+    } else if (report_.misfit > kContradicts || share > kMostOutliers) {
+      report_.verdict = FitVerdict::kContradicted;
+      char text[120];
+      std::snprintf(text,
+                    sizeof text,
+                    "samples miss the motion by %.3g times their sigma, %.0f %% are outliers",
+                    report_.misfit,
+                    100 * share);
+      report_.reason = text;
+    } else if (!fit.converged) {
+      report_.verdict = FitVerdict::kNotConverged;
+      report_.reason = fit.reason;
+    } else {
+      report_.verdict = FitVerdict::kFits;
+      report_.reason.clear();
+    }
+  }
+
+  void ReportEstimates(const FitResult& fit) {
+    const double factor = CovarianceFactor(problem_, fit, options_.loss_scale);
+    std::vector<int> determined;
+    for (std::size_t u = 0; u < problem_.unknowns.size(); ++u) {
+      Estimate estimate;
+      estimate.unknown = problem_.unknowns[u];
+      estimate.name = NameOf(estimate.unknown, problem_.scene);
+      estimate.start = ValueOf(estimate.unknown, start_scene_);
+      estimate.determination = open_.determination[u];
+      for (const int other : open_.with[u]) estimate.with.push_back(NameOf(problem_.unknowns[other], problem_.scene));
+      if (estimate.determination == Determination::kDetermined && !fit.covariance.empty()) {
+        determined.push_back(static_cast<int>(u));
+        estimate.value = FromCoordinate(estimate.unknown, fit.point.coordinates[u]);
+        estimate.standard_error = std::sqrt(factor * fit.covariance[u][u]);
+        SetInterval(&estimate);
+      }
+      report_.estimates.push_back(std::move(estimate));
+    }
+    for (const int i : determined) {
+      report_.correlation.emplace_back();
+      for (const int j : determined) {
+        const double scale = std::sqrt(fit.covariance[i][i] * fit.covariance[j][j]);
+        report_.correlation.back().push_back(scale > 0 ? fit.covariance[i][j] / scale : 0);
+      }
+    }
+  }
+
+  static void SetInterval(Estimate* estimate) {
+    const double half = 1.959963985 * estimate->standard_error;
+    estimate->low = estimate->value - half;
+    estimate->high = estimate->value + half;
+    const Kind kind = estimate->unknown.kind;
+    if (kind != Kind::kGravity && kind != Kind::kForce) estimate->low = std::max(0.0, estimate->low);
+    if (kind == Kind::kRestitution) estimate->high = std::min(1.0, estimate->high);
+  }
+
+  void ReportResiduals(const FitResult& fit) {
+    for (std::size_t s = 0; s < segments_.size(); ++s) {
+      const Segment& segment = segments_[s];
+      for (int i = 0; i < segment.last - segment.first; ++i) {
+        const Sample& sample = problem_.SampleAt(segment, i);
+        const Eigen::VectorXd residual = ResidualOf(problem_, sample, fit.motion[s].state[i]);
+        SampleResidual at{segment.recording, segment.first + i, fit.motion[s].state[i].head<2>(), residual.head<2>()};
+        at.outlier = residual.norm() > options_.outlier;
+        report_.residuals.push_back(at);
+      }
+    }
+  }
+
+  const IdentifyOptions options_;
+  const Scene start_scene_;
+  std::vector<Recording> recordings_;
+  FitProblem problem_;
+  std::vector<Segment> segments_;  // without initial states
+  bool states_sigma_ = false;
+  Openness open_;
+  IdentifyReport report_;
+};
+
+}  // namespace
+
+const char* DeterminationToString(Determination determination) {
+  switch (determination) {
+    case Determination::kDetermined:
+      return "determined";
+    case Determination::kCombined:
+      return "only in combination";
+    case Determination::kUndetermined:
+      break;
+  }
+  return "not determined";
+}
+
+const char* FitVerdictToString(FitVerdict verdict) {
+  switch (verdict) {
+    case FitVerdict::kFits:
+      return "fits";
+    case FitVerdict::kContradicted:
+      return "contradicted";
+    case FitVerdict::kFailed:
+      return "failed";
+    case FitVerdict::kNotConverged:
+      return "not converged";
+    case FitVerdict::kInterrupted:
+      return "interrupted";
+    case FitVerdict::kNotApplicable:
+      break;
+  }
+  return "not applicable";
+}
+
+IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
+                        const std::vector<Unknown>& unknowns, const IdentifyOptions& options) {
+  return Identification(contact, scene, recordings, unknowns, options).Run();
+}
+
+}  // namespace saltus

@@ -1,0 +1,315 @@
+#include "identify/segment_motion.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "identify/unknowns.h"
+
+namespace saltus {
+namespace {
+
+using Kind = Unknown::Kind;
+using Eigen::MatrixXd;
+
+constexpr double kOnNode = 1e-9;  // of a step: a time as near to a node is that of the node
+
+// The scene of a segment: its free parameters are set, its horizon ends with the step of its last sample.
+Scene SceneOf(const Scene& scene, double horizon, int grid_steps) {
+  Scene segment = scene;
+  const double dt = scene.dt();
+  const int steps = std::max(1, static_cast<int>(std::ceil(horizon / dt - kOnNode)));
+  segment.steps = (steps + grid_steps - 1) / grid_steps * grid_steps;
+  segment.duration = dt * segment.steps;
+  return segment;
+}
+
+// Flight over n steps: [p v a] to [p v a].
+Eigen::Matrix3d Power(const StepLinearization::FreeFlight& f, int n) {
+  Eigen::Matrix3d step, power = Eigen::Matrix3d::Identity();
+  step << f.pp, f.pv, f.pa, f.vp, f.vv, f.va, 0, 0, 1;
+  for (; n > 0; n /= 2, step = (step * step).eval()) {
+    if (n % 2 == 1) power = (step * power).eval();
+  }
+  return power;
+}
+
+class Sweep {
+ public:
+  Sweep(const Contact& contact, const Scene& scene, const Segment& segment, const MotionRequest& request,
+        bool with_derivatives)
+      : contact_(contact),
+        segment_(segment),
+        request_(request),
+        with_derivatives_(with_derivatives),
+        scene_(SceneOf(scene, Last() - segment.begin, FindContactModel(contact)->grid_steps)),
+        simulator_(MakeSimulator(contact, scene_, Precision::kDouble)) {}
+
+  MotionAtSamples Run() {
+    MotionAtSamples out;
+    control_ = InitialControl(scene_, simulator_->num_steps());
+    if (!simulator_->Rollout(segment_.initial, control_)) {
+      out.reason = simulator_->WhyFailed();
+      return out;
+    }
+    out.touches = simulator_->touches();
+    x_.resize(simulator_->state_size());
+    FindTouchedSteps();
+    if (with_derivatives_) Begin();
+    for (int i = segment_.first; i < segment_.last; ++i) {
+      if (!TakeSample((*request_.samples)[i], &out)) {
+        out.reason = "the step to a sample has no result";
+        return out;
+      }
+    }
+    out.ok = true;
+    return out;
+  }
+
+ private:
+  double Last() const { return (*request_.samples)[segment_.last - 1].time; }
+  int size() const { return simulator_->body_size(); }
+
+  // Discs that spin are moved on step by step, as their rotation has no Jacobian of its own.
+  void FindTouchedSteps() {
+    for (const StepTouch& touch : simulator_->touches()) {
+      if (touched_.empty() || touched_.back() != touch.step) touched_.push_back(touch.step);
+    }
+    if (size() == 4) return;
+    touched_.resize(simulator_->num_steps());
+    for (int k = 0; k < simulator_->num_steps(); ++k) touched_[k] = k;
+  }
+
+  void Begin() {
+    tangent_ = MatrixXd::Zero(simulator_->state_size(), request_.num_columns());
+    int column = static_cast<int>(request_.unknowns.size());
+    for (const int body : request_.free_bodies) {
+      tangent_.block(body * size(), column, 4, 4).setIdentity();
+      column += 4;
+    }
+    FindPushes();
+    const auto flight = simulator_->FreeFlightOver(simulator_->step());
+    if (flight) {
+      free_ = flight->flight;
+      return;
+    }
+    StepLinearization first;
+    Linearize(*simulator_, 0, &first);
+    free_ = first.free;
+  }
+
+  // What unknowns do as forces on every disc and as accelerations of those that fly.
+  void FindPushes() {
+    const int num_bodies = scene_.num_bodies();
+    force_ = MatrixXd::Zero(2 * num_bodies, request_.num_columns());
+    acceleration_ = force_;
+    for (std::size_t column = 0; column < request_.unknowns.size(); ++column) {
+      const Unknown& unknown = request_.unknowns[column];
+      const int row = 2 * unknown.body + unknown.component;
+      if (unknown.kind == Kind::kForce) {
+        force_(row, column) = 1;
+        acceleration_(row, column) = 1 / scene_.bodies[unknown.body].mass;
+      } else if (unknown.kind == Kind::kMass) {
+        const double mass = scene_.bodies[unknown.body].mass;
+        for (int c = 0; c < scene_.num_controlled(); ++c) {
+          if (scene_.control.bodies[c] != unknown.body) continue;
+          acceleration_.block<2, 1>(2 * unknown.body, column) = -scene_.control.initial[c] / (mass * mass);
+        }
+      } else if (unknown.kind == Kind::kGravity) {
+        for (int i = 0; i < num_bodies; ++i) {
+          if (scene_.bodies[i].fixed) continue;
+          force_(2 * i + unknown.component, column) = scene_.bodies[i].mass;
+          acceleration_(2 * i + unknown.component, column) = 1;
+        }
+      }
+    }
+  }
+
+  void Linearize(const Simulator& simulator, int k, StepLinearization* linear) {
+    std::vector<double> force(2 * scene_.num_bodies());
+    simulator_->GetState(k, x_);
+    simulator_->ExpandForce(control_, k, force);
+    simulator.Linearize(x_, force, /*with_parameters=*/true, linear);
+  }
+
+  void Fly(const Eigen::Matrix3d& flight, int body, MatrixXd* tangent) const {
+    for (int j = 0; j < 2; ++j) {
+      const int p = body * size() + j;
+      const Eigen::RowVectorXd at = tangent->row(p), moving = tangent->row(p + 2);
+      const auto pushed = acceleration_.row(2 * body + j);
+      tangent->row(p) = flight(0, 0) * at + flight(0, 1) * moving + flight(0, 2) * pushed;
+      tangent->row(p + 2) = flight(1, 0) * at + flight(1, 1) * moving + flight(1, 2) * pushed;
+    }
+  }
+
+  // Moves `tangent` through one step.
+  void Apply(const StepLinearization& linear, MatrixXd* tangent) const {
+    const Eigen::Matrix3d flight = Power(linear.free, 1);
+    for (std::size_t f = 0; f < linear.flying.size(); ++f) {
+      const int body = linear.flying[f];
+      if (!scene_.bodies[body].fixed) Fly(flight, body, tangent);
+      if (size() == 4) continue;
+      auto rotation = tangent->middleRows(body * size() + 4, size() - 4);
+      rotation = (linear.rotation[f] * rotation).eval();
+    }
+    for (const StepLinearization::Island& island : linear.islands) ApplyIsland(island, tangent);
+  }
+
+  void ApplyIsland(const StepLinearization::Island& island, MatrixXd* tangent) const {
+    const int n = static_cast<int>(island.bodies.size());
+    MatrixXd before(n * size(), tangent->cols()), force(2 * n, tangent->cols());
+    for (int i = 0; i < n; ++i) {
+      before.middleRows(i * size(), size()) = tangent->middleRows(island.bodies[i] * size(), size());
+      force.middleRows(2 * i, 2) = force_.middleRows(2 * island.bodies[i], 2);
+    }
+    MatrixXd after = island.A * before + island.B * force;
+    for (std::size_t column = 0; column < request_.unknowns.size(); ++column) {
+      const int of_step = ParameterColumn(request_.unknowns[column], island);
+      if (of_step >= 0) after.col(column) += island.P.col(of_step);
+    }
+    for (int i = 0; i < n; ++i) {
+      if (scene_.bodies[island.bodies[i]].fixed) continue;
+      tangent->middleRows(island.bodies[i] * size(), size()) = after.middleRows(i * size(), size());
+    }
+  }
+
+  // In P of a step; -1: none.
+  static int ParameterColumn(const Unknown& unknown, const StepLinearization::Island& island) {
+    switch (unknown.kind) {
+      case Kind::kRestitution:
+        return 0;
+      case Kind::kFriction:
+        return 1;
+      case Kind::kStiffness:
+        return 2;
+      case Kind::kDamping:
+        return 3;
+      case Kind::kMass: {
+        const auto found = std::find(island.bodies.begin(), island.bodies.end(), unknown.body);
+        return found == island.bodies.end() ? -1 : 4 + static_cast<int>(found - island.bodies.begin());
+      }
+      case Kind::kGravity:
+      case Kind::kForce:
+        break;
+    }
+    return -1;
+  }
+
+  void FlyTo(int k) {
+    if (k == at_) return;
+    const Eigen::Matrix3d flight = Power(free_, k - at_);
+    for (int body = 0; body < scene_.num_bodies(); ++body) {
+      if (!scene_.bodies[body].fixed) Fly(flight, body, &tangent_);
+    }
+    at_ = k;
+  }
+
+  void AdvanceTo(int k) {
+    for (; next_touched_ < touched_.size() && touched_[next_touched_] < k; ++next_touched_) {
+      FlyTo(touched_[next_touched_]);
+      StepLinearization linear;
+      Linearize(*simulator_, at_, &linear);
+      Apply(linear, &tangent_);
+      ++at_;
+    }
+    FlyTo(k);
+  }
+
+  bool IsTouched(int k) const { return std::binary_search(touched_.begin(), touched_.end(), k); }
+
+  bool TakeSample(const Sample& sample, MotionAtSamples* out) {
+    const double h = simulator_->step(), time = sample.time - segment_.begin;
+    int k = std::min(static_cast<int>(time / h + kOnNode), simulator_->num_steps());
+    const double left = k == simulator_->num_steps() ? 0 : std::max(0.0, time - k * h);
+    if (with_derivatives_) AdvanceTo(k);
+    const int row = sample.body * size();
+    if (left <= kOnNode * h) {
+      simulator_->GetState(k, x_);
+      Append(x_, tangent_, row, out);
+      return true;
+    }
+    if (!IsPartial(k, left)) MakePartial(k, left);
+    Append(partial_state_, partial_tangent_, row, out);
+    return std::isfinite(partial_state_[row]);
+  }
+
+  void Append(const std::vector<double>& x, const MatrixXd& tangent, int row, MotionAtSamples* out) const {
+    out->state.push_back(Eigen::Map<const Eigen::Vector4d>(&x[row]));
+    if (with_derivatives_) out->derivative.push_back(tangent.middleRows(row, 4));
+  }
+
+  bool IsPartial(int k, double left) const { return k == partial_step_ && left == partial_length_; }
+
+  // The state after a part of step k, and its derivative.
+  void MakePartial(int k, double left) {
+    partial_step_ = k;
+    partial_length_ = left;
+    partial_tangent_ = tangent_;
+    simulator_->GetState(k, x_);
+    const std::optional<FlightOver> flight = IsTouched(k) ? std::nullopt : simulator_->FreeFlightOver(left);
+    if (flight) {
+      FlyPartial(*flight, k);
+      return;
+    }
+    Scene scene = scene_;
+    scene.duration = left;
+    scene.steps = FindContactModel(contact_)->grid_steps;
+    const auto simulator = MakeSimulator(contact_, scene, Precision::kDouble);
+    std::vector<double> force(2 * scene_.num_bodies());
+    simulator_->ExpandForce(control_, k, force);
+    partial_state_.resize(x_.size());
+    simulator->Step(x_, force, partial_state_);
+    if (!with_derivatives_) return;
+    StepLinearization linear;
+    simulator->Linearize(x_, force, /*with_parameters=*/true, &linear);
+    Apply(linear, &partial_tangent_);
+  }
+
+  void FlyPartial(const FlightOver& flight, int k) {
+    partial_state_ = x_;
+    const Eigen::Matrix3d map = Power(flight.flight, 1);
+    std::vector<double> force(2 * scene_.num_bodies());
+    simulator_->ExpandForce(control_, k, force);
+    for (int body = 0; body < scene_.num_bodies(); ++body) {
+      if (scene_.bodies[body].fixed) continue;
+      for (int j = 0; j < 2; ++j) {
+        const double acceleration = force[2 * body + j] / scene_.bodies[body].mass + scene_.gravity[j];
+        const int p = body * size() + j;
+        const Eigen::Vector3d after = map * Eigen::Vector3d(x_[p], x_[p + 2], acceleration);
+        partial_state_[p] = after[0];
+        partial_state_[p + 2] = after[1];
+      }
+      if (with_derivatives_) Fly(map, body, &partial_tangent_);
+    }
+  }
+
+  const Contact& contact_;
+  const Segment& segment_;
+  const MotionRequest& request_;
+  const bool with_derivatives_;
+  const Scene scene_;
+  const std::unique_ptr<Simulator> simulator_;
+  std::vector<double> control_;
+  std::vector<double> x_;
+  std::vector<int> touched_;  // steps, rising
+
+  // Derivatives of the state in which step at_ begins.
+  int at_ = 0;
+  std::size_t next_touched_ = 0;
+  StepLinearization::FreeFlight free_{};
+  MatrixXd tangent_, force_, acceleration_;
+
+  int partial_step_ = -1;
+  double partial_length_ = 0;
+  std::vector<double> partial_state_;
+  MatrixXd partial_tangent_;
+};
+
+}  // namespace
+
+MotionAtSamples MoveThrough(const Contact& contact, const Scene& scene, const Segment& segment,
+                            const MotionRequest& request, bool with_derivatives) {
+  return Sweep(contact, scene, segment, request, with_derivatives).Run();
+}
+
+}  // namespace saltus

@@ -1,0 +1,46 @@
+// The motion of a segment at its samples, with derivatives by what is identified.
+//
+// Forward sensitivities: each unknown has a column of state derivatives, which flights move by a constant Jacobian and
+// steps with contact by their linearization. A sample between two nodes of the time grid has the state of the model's
+// own step of that length.
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "saltus/identify/identify.h"
+
+namespace saltus {
+
+// A stretch of one recording, with an initial state of its own.
+struct Segment {
+  int recording = 0;
+  double begin = 0;             // s, of the recording
+  int first = 0, last = 0;      // samples [first, last) of the recording
+  std::vector<double> initial;  // B x 4, of the scene or of the data
+};
+
+// What is measured, and what it depends on.
+struct MotionRequest {
+  const std::vector<Sample>* samples = nullptr;
+  std::vector<Unknown> unknowns;
+  std::vector<int> free_bodies;  // whose initial states are unknown: columns px py vx vy of each, after `unknowns`
+
+  int num_columns() const { return static_cast<int>(unknowns.size() + 4 * free_bodies.size()); }
+};
+
+// Of one segment.
+struct MotionAtSamples {
+  bool ok = false;
+  std::string reason;
+  std::vector<Eigen::Vector4d> state;       // px py vx vy of each sample's disc
+  std::vector<Eigen::MatrixXd> derivative;  // 4 x columns, if asked for
+  std::vector<StepTouch> touches;           // of the whole segment, up to its last sample
+};
+
+// `scene` has the values of the unknowns and the scene's time step.
+MotionAtSamples MoveThrough(const Contact& contact, const Scene& scene, const Segment& segment,
+                            const MotionRequest& request, bool with_derivatives);
+
+}  // namespace saltus

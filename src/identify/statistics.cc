@@ -1,0 +1,120 @@
+#include "identify/statistics.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "identify/unknowns.h"
+
+namespace saltus {
+namespace {
+
+// A direction of parameters with a larger standard error, in units of a change that matters, is not determined.
+constexpr double kOpen = 0.5;
+// The share of a parameter in such directions from which on it is not determined either.
+constexpr double kShare = 0.04;
+
+// The median length of a vector of as many standard normal numbers.
+double MedianLength(int entries) { return entries == 2 ? 1.177410023 : 1.832132867; }
+
+template <typename Visit>
+void ForEachSample(const FitProblem& problem, const FitResult& fit, const Visit& visit) {
+  for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
+    const Segment& segment = fit.point.segments[s];
+    for (int i = 0; i < segment.last - segment.first; ++i) {
+      const Sample& sample = problem.SampleAt(segment, i);
+      visit(static_cast<int>(s), i, sample, ResidualOf(problem, sample, fit.motion[s].state[i]));
+    }
+  }
+}
+
+// Derivatives of a sample's standardised residual; those by unknowns per change that matters.
+Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, const Sample& sample,
+                               const Eigen::MatrixXd& derivative) {
+  const Eigen::VectorXd weights = WeightsOf(problem, sample);
+  Eigen::MatrixXd jacobian = weights.asDiagonal() * derivative.topRows(weights.size());
+  for (std::size_t u = 0; u < problem.unknowns.size(); ++u) jacobian.col(u) *= ScaleOf(problem.unknowns[u], scene);
+  return jacobian;
+}
+
+// The information on the unknowns, what the initial states take of it left out.
+Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
+  const auto num_unknowns = static_cast<Eigen::Index>(problem.unknowns.size());
+  const Scene scene = problem.SceneAt(fit.point.coordinates);
+  const auto columns = num_unknowns + static_cast<Eigen::Index>(4 * problem.free_bodies.size());
+  std::vector<Eigen::MatrixXd> normal(fit.point.segments.size(), Eigen::MatrixXd::Zero(columns, columns));
+  ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
+    const double weight = EvaluateLoss(problem.options->loss, loss_scale, residual.squaredNorm()).rho[1];
+    const Eigen::MatrixXd jacobian = ScaledJacobian(problem, scene, sample, fit.motion[s].derivative[i]);
+    normal[s] += weight * jacobian.transpose() * jacobian;
+  });
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(num_unknowns, num_unknowns);
+  const Eigen::Index rest = columns - num_unknowns;
+  for (const Eigen::MatrixXd& all : normal) {
+    information += all.topLeftCorner(num_unknowns, num_unknowns);
+    if (rest == 0) continue;
+    const Eigen::MatrixXd cross = all.topRightCorner(num_unknowns, rest);
+    information -= cross * all.bottomRightCorner(rest, rest).completeOrthogonalDecomposition().solve(cross.transpose());
+  }
+  return information;
+}
+
+}  // namespace
+
+double MisfitOf(const FitProblem& problem, const FitResult& fit) {
+  std::vector<double> lengths;
+  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
+    lengths.push_back(residual.norm() / MedianLength(static_cast<int>(residual.size())));
+  });
+  const auto middle = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() / 2);
+  std::nth_element(lengths.begin(), middle, lengths.end());
+  return *middle;
+}
+
+double OutlierShareOf(const FitProblem& problem, const FitResult& fit) {
+  int outliers = 0, samples = 0;
+  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
+    outliers += residual.norm() > problem.options->outlier;
+    ++samples;
+  });
+  return static_cast<double>(outliers) / samples;
+}
+
+Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
+  const auto count = static_cast<Eigen::Index>(problem.unknowns.size());
+  Openness open{std::vector<Determination>(count, Determination::kDetermined), std::vector<std::vector<int>>(count)};
+  if (count == 0) return open;
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(InformationOnUnknowns(problem, fit, loss_scale));
+  const double factor = CovarianceFactor(problem, fit, loss_scale);
+  Eigen::MatrixXd share = Eigen::MatrixXd::Zero(count, count);  // the projection on what is open
+  for (Eigen::Index k = 0; k < count; ++k) {
+    if (eigen.eigenvalues()[k] * kOpen * kOpen > factor) continue;
+    share += eigen.eigenvectors().col(k) * eigen.eigenvectors().col(k).transpose();
+  }
+  for (Eigen::Index i = 0; i < count; ++i) {
+    if (share(i, i) < kShare) continue;
+    for (Eigen::Index j = 0; j < count; ++j) {
+      if (j != i && std::abs(share(i, j)) > kShare) open.with[i].push_back(static_cast<int>(j));
+    }
+    open.determination[i] = open.with[i].empty() ? Determination::kUndetermined : Determination::kCombined;
+  }
+  return open;
+}
+
+double CovarianceFactor(const FitProblem& problem, const FitResult& fit, double loss_scale) {
+  double squares = 0, slopes = 0;
+  int entries = 0;
+  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
+    const double squared = residual.squaredNorm();
+    const LossAt loss = EvaluateLoss(problem.options->loss, loss_scale, squared);
+    squares += loss.rho[1] * loss.rho[1] * squared;
+    slopes += static_cast<double>(residual.size()) * loss.rho[1] + 2 * loss.rho[2] * squared;
+    entries += static_cast<int>(residual.size());
+  });
+  const int unknowns =
+      static_cast<int>(problem.unknowns.size() + 4 * problem.free_bodies.size() * fit.point.segments.size());
+  const double mean_slope = slopes / entries;
+  return squares / std::max(1, entries - unknowns) / (mean_slope * mean_slope);
+}
+
+}  // namespace saltus

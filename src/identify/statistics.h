@@ -1,0 +1,26 @@
+// What a fit is worth: which parameters the data determine, how well, and which samples stand out.
+#pragma once
+
+#include "identify/fit.h"
+
+namespace saltus {
+
+// |r| of every sample, as a multiple of what is typical of noise in so many coordinates: the median is 1 if the model
+// and sigma are right.
+double MisfitOf(const FitProblem& problem, const FitResult& fit);
+
+// Share of the samples with |r| above IdentifyOptions::outlier.
+double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
+
+// Which unknowns the data leave open at the minimum: from the information on them, initial states eliminated, in units
+// of a change that matters.
+struct Openness {
+  std::vector<Determination> determination;
+  std::vector<std::vector<int>> with;  // of combined ones: the others
+};
+Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+// By how much the loss and the true noise change (J^T J)^-1: Huber's factor for M-estimators.
+double CovarianceFactor(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+}  // namespace saltus

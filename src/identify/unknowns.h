@@ -1,0 +1,25 @@
+// The numbers that are identified: where they stand in a scene, and how their bounds are kept.
+#pragma once
+
+#include "saltus/identify/identify.h"
+
+namespace saltus {
+
+double ValueOf(const Unknown& unknown, const Scene& scene);
+void SetValue(const Unknown& unknown, double value, Scene* scene);
+
+// Whether its coordinate is another than its value.
+bool HasBounds(const Unknown& unknown);
+
+// From a coordinate without bounds to the parameter: logistic for restitution, exponential for what is positive, the
+// identity for the rest.
+double FromCoordinate(const Unknown& unknown, double coordinate);
+// d parameter / d coordinate there.
+double SlopeAt(const Unknown& unknown, double coordinate);
+// The coordinate of a value; of one at a bound, a little inside.
+double ToCoordinate(const Unknown& unknown, double value);
+
+// A change of the parameter that matters: what is known no better than this is not known. In the scene's units.
+double ScaleOf(const Unknown& unknown, const Scene& scene);
+
+}  // namespace saltus

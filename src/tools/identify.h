@@ -1,0 +1,25 @@
+// Parameters of a scene from recordings of its motion, and how they are told.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "saltus/identify/identify.h"
+#include "tools/json_output.h"
+#include "tools/program.h"
+
+namespace saltus {
+
+// Fits of the same recordings, by contact model.
+struct Identified {
+  std::vector<Recording> recordings;
+  std::vector<std::string> contacts;
+  std::vector<IdentifyReport> reports;  // of each contact model that was begun
+};
+
+Json IdentifiedToJson(const Scene& scene, const Identified& identified);
+
+// `saltus_identify`.
+int IdentifyMain(int argc, char** argv);
+
+}  // namespace saltus

@@ -1,0 +1,91 @@
+// Generated problems of identification: how often the estimates lie within their stated confidence, how often the
+// parameters are found from a start 30 % off, and how long a fit takes.
+#include <gflags/gflags.h>
+
+#include <cstdio>
+
+#include "identify/generated_problem.h"
+
+DEFINE_int32(problems, 200, "how many");
+DEFINE_int64(seed, 1, "of the first");
+DEFINE_double(least_found, 0.95, "of all problems, exit code 1 below");
+DEFINE_double(least_covered, 0.92, "share of 95 % intervals that hold, exit code 1 below");
+DEFINE_double(most_covered, 0.97, "likewise, above");
+DEFINE_bool(print, false, "every problem");
+
+namespace saltus {
+namespace {
+
+struct Tally {
+  int found = 0, intervals = 0, covered = 0, open = 0, impacts = 0;
+  double seconds = 0, slowest = 0;
+};
+
+void Run(uint64_t seed, Tally* tally) {
+  const GeneratedProblem problem = GenerateProblem(seed);
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+  bool found = report.verdict == FitVerdict::kFits;
+  for (const Estimate& estimate : report.estimates) {
+    if (estimate.determination != Determination::kDetermined) {
+      ++tally->open;
+      continue;
+    }
+    const double truth = TrueValue(problem, estimate.unknown);
+    const bool covered = truth >= estimate.low && truth <= estimate.high;
+    ++tally->intervals;
+    tally->covered += covered;
+    // Far outside of its confidence: another minimum.
+    found = found && std::abs(estimate.value - truth) < 6 * estimate.standard_error + 1e-9;
+    if (FLAGS_print) {
+      std::printf("  %s %.5f +- %.5f, true %.5f%s\n",
+                  estimate.name.c_str(),
+                  estimate.value,
+                  estimate.standard_error,
+                  truth,
+                  covered ? "" : " *");
+    }
+  }
+  tally->found += found;
+  tally->impacts += problem.impacts;
+  tally->seconds += report.seconds;
+  tally->slowest = std::max(tally->slowest, report.seconds);
+  if (FLAGS_print || !found) {
+    std::printf("seed %llu: %s, %d discs, %d impacts, misfit %.3f, cost %.4g, %d starts, %d iterations, %.0f ms %s\n",
+                static_cast<unsigned long long>(seed),
+                FitVerdictToString(report.verdict),
+                problem.truth.num_bodies(),
+                problem.impacts,
+                report.misfit,
+                report.cost,
+                report.starts,
+                report.iterations,
+                1e3 * report.seconds,
+                report.reason.c_str());
+  }
+}
+
+int Main() {
+  Tally tally;
+  for (int i = 0; i < FLAGS_problems; ++i) Run(FLAGS_seed + i, &tally);
+  const double found = double(tally.found) / FLAGS_problems, covered = double(tally.covered) / tally.intervals;
+  std::printf(
+      "%d problems, %d impacts: found %.3f, 95 %% intervals hold %.3f of %d, %d not determined, "
+      "%.1f ms on average, at most %.1f ms\n",
+      FLAGS_problems,
+      tally.impacts,
+      found,
+      covered,
+      tally.intervals,
+      tally.open,
+      1e3 * tally.seconds / FLAGS_problems,
+      1e3 * tally.slowest);
+  return found >= FLAGS_least_found && covered >= FLAGS_least_covered && covered <= FLAGS_most_covered ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace saltus
+
+int main(int argc, char** argv) {
+  gflags::ParseCommandLineFlags(&argc, &argv, true);
+  return saltus::Main();
+}

@@ -1,0 +1,303 @@
+// Parameters from recordings: derivatives through impacts, fits of problems whose parameters are known, what is not
+// determined or contradicted, and recordings that are wrong.
+#include "saltus/identify/identify.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "identify/generated_problem.h"
+#include "identify/segment_motion.h"
+#include "identify/unknowns.h"
+
+namespace saltus {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using Kind = Unknown::Kind;
+
+// Two discs and a floor: one falls and slides, the other is hit.
+Scene DropAndHit() {
+  Scene scene;
+  scene.name = "drop_and_hit";
+  scene.duration = 1;
+  scene.steps = 50;
+  scene.gravity = {0.2, -5};
+  scene.bodies = {{.name = "a", .radius = 0.1, .mass = 1.2, .position = {-0.6, 0.4}, .velocity = {1.5, 0}},
+                  {.name = "b", .radius = 0.15, .mass = 0.7, .position = {0.05, 0.6}, .velocity = {0, 0.3}}};
+  scene.planes = {{"floor", {0, 0}, {0, 1}}};
+  scene.contact = {.restitution = 0.7, .friction = 0.1};
+  scene.control = {{0}, {{0.3, 0.1}}};
+  return scene;
+}
+
+std::vector<Unknown> AllOf(const Scene& scene) {
+  return std::get<std::vector<Unknown>>(
+      ParseUnknowns("restitution,friction,gravity,mass.a,mass.b,force.a,force.b.y", scene));
+}
+
+// Where a and b are at times on and between nodes, and in steps with impacts before and after these.
+Recording Times(const Scene& scene) {
+  Recording recording{"times", {}};
+  for (double time = 0.013; time < scene.duration; time += 0.0171) {
+    for (int body = 0; body < 2; ++body) recording.samples.push_back({.time = time, .body = body, .sigma = 1});
+  }
+  recording.samples.push_back({.time = 1, .body = 0, .sigma = 1});
+  return recording;
+}
+
+MotionAtSamples Move(const std::string& contact, const Scene& scene, const Recording& recording,
+                     const std::vector<Unknown>& unknowns, const std::vector<double>& initial) {
+  const Segment segment{0, 0, 0, static_cast<int>(recording.samples.size()), initial};
+  return MoveThrough(contact, scene, segment, {&recording.samples, unknowns, {0, 1}}, true);
+}
+
+class DerivativeUnder : public testing::TestWithParam<const char*> {};
+
+TEST_P(DerivativeUnder, IsThatOfDifferences) {
+  Scene scene = DropAndHit();
+  const std::vector<Unknown> unknowns = AllOf(scene);
+  for (const Unknown& unknown : unknowns) SetValue(unknown, ValueOf(unknown, scene), &scene);
+  const Recording recording = Times(scene);
+  const std::vector<double> initial = InitialState(scene);
+  const MotionAtSamples motion = Move(GetParam(), scene, recording, unknowns, initial);
+  ASSERT_TRUE(motion.ok) << motion.reason;
+  ASSERT_GE(motion.touches.size(), 3u);
+  const double width = 1e-6;
+  for (std::size_t column = 0; column < unknowns.size() + 8; ++column) {
+    const auto shifted = [&](double by) {
+      Scene other = scene;
+      std::vector<double> start = initial;
+      if (column < unknowns.size()) {
+        SetValue(unknowns[column], ValueOf(unknowns[column], scene) + by, &other);
+      } else {
+        start[column - unknowns.size()] += by;
+      }
+      return Move(GetParam(), other, recording, unknowns, start);
+    };
+    const MotionAtSamples up = shifted(width), down = shifted(-width);
+    ASSERT_EQ(up.touches.size(), down.touches.size());
+    for (std::size_t i = 0; i < recording.samples.size(); ++i) {
+      const Eigen::Vector4d difference = (up.state[i] - down.state[i]) / (2 * width);
+      const double scale = 1 + difference.cwiseAbs().maxCoeff();
+      ASSERT_LT((motion.derivative[i].col(static_cast<Eigen::Index>(column)) - difference).cwiseAbs().maxCoeff(),
+                2e-5 * scale)
+          << "column " << column << " at " << recording.samples[i].time;
+    }
+  }
+}
+INSTANTIATE_TEST_SUITE_P(Models, DerivativeUnder, testing::Values("event", "qcqp", "smooth_compliant"));
+
+// Between two nodes the motion is that of a grid which has the time for a node.
+TEST(SegmentMotion, IsThatOfAFinerGrid) {
+  Scene scene = DropAndHit(), fine = scene;
+  fine.steps = 1000;
+  Recording recording{"nodes", {}};
+  for (int k = 1; k <= 1000; k += 3) recording.samples.push_back({.time = k * 1e-3, .body = k % 2, .sigma = 1});
+  const std::vector<double> initial = InitialState(scene);
+  const MotionAtSamples coarse = Move("event", scene, recording, {}, initial);
+  const MotionAtSamples exact = Move("event", fine, recording, {}, initial);
+  for (std::size_t i = 0; i < recording.samples.size(); ++i) {
+    EXPECT_LT((coarse.state[i] - exact.state[i]).norm(), 1e-10) << recording.samples[i].time;
+  }
+}
+
+// A few of tests/campaign/identify_problems.
+TEST(Identify, FindsTheParametersOfGeneratedProblems) {
+  int found = 0, intervals = 0, covered = 0;
+  const int count = 30;
+  for (int seed = 1; seed <= count; ++seed) {
+    const GeneratedProblem problem = GenerateProblem(seed);
+    const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    bool ok = report.verdict == FitVerdict::kFits;
+    for (const Estimate& estimate : report.estimates) {
+      if (estimate.determination != Determination::kDetermined) continue;
+      const double truth = TrueValue(problem, estimate.unknown);
+      ++intervals;
+      covered += truth >= estimate.low && truth <= estimate.high;
+      ok = ok && std::abs(estimate.value - truth) < 6 * estimate.standard_error;
+    }
+    found += ok;
+  }
+  EXPECT_GE(found, 28);
+  EXPECT_GE(covered, 0.85 * intervals);
+}
+
+// A ball that falls on the floor, measured 60 times a second.
+GeneratedProblem Bounce(double noise = 1e-3) {
+  GeneratedProblem problem;
+  problem.truth.name = "bounce";
+  problem.truth.duration = 1.5;
+  problem.truth.steps = 90;
+  problem.truth.gravity = {0, -9.81};
+  problem.truth.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 1}, .velocity = {0.4, 0}}};
+  problem.truth.planes = {{"floor", {0, 0}, {0, 1}}};
+  problem.truth.contact.restitution = 0.75;
+  GeneratedRandom random(4);
+  problem.recording.name = "bounce";
+  Measure(noise, 0, &random, &problem);
+  problem.guess = problem.truth;
+  problem.guess.contact.restitution = 0.5;
+  return problem;
+}
+
+// Without noise the parameters come out to what the solver resolves.
+TEST(Identify, IsExactWithoutNoise) {
+  GeneratedProblem problem = Bounce(1e-9);
+  for (Sample& sample : problem.recording.samples) sample.sigma = 1e-3;
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, {{Kind::kRestitution}});
+  EXPECT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_NEAR(report.estimates[0].value, 0.75, 1e-6);
+}
+
+TEST(Identify, SaysWhatNoImpactReveals) {
+  const GeneratedProblem problem = Bounce();
+  const std::vector<Unknown> unknowns = {{Kind::kRestitution}, {Kind::kMass, 0}, {Kind::kGravity, -1, 1}};
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, unknowns);
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_NEAR(report.estimates[0].value, 0.75, 5 * report.estimates[0].standard_error);
+  EXPECT_LT(report.estimates[0].standard_error, 0.01);
+  EXPECT_EQ(report.estimates[1].determination, Determination::kUndetermined);
+  EXPECT_NEAR(report.estimates[2].value, -9.81, 5 * report.estimates[2].standard_error);
+  EXPECT_EQ(report.correlation.size(), 2u);
+}
+
+// Gravity and a force are one acceleration.
+TEST(Identify, SaysWhatIsDeterminedOnlyTogether) {
+  const GeneratedProblem problem = Bounce();
+  const std::vector<Unknown> unknowns = {{Kind::kRestitution}, {Kind::kGravity, -1, 0}, {Kind::kForce, 0, 0}};
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, unknowns);
+  EXPECT_EQ(report.estimates[0].determination, Determination::kDetermined);
+  EXPECT_EQ(report.estimates[1].determination, Determination::kCombined);
+  EXPECT_THAT(report.estimates[1].with, ElementsAre("force.ball.x"));
+  EXPECT_THAT(report.estimates[2].with, ElementsAre("gravity.x"));
+}
+
+// Recordings of two balls said to be of one restitution: no value fits both.
+TEST(Identify, SaysThatDataAreContradictory) {
+  const GeneratedProblem one = Bounce();
+  GeneratedProblem other = Bounce();
+  other.truth.contact.restitution = 0.4;
+  other.recording.samples.clear();
+  GeneratedRandom random(5);
+  Measure(1e-3, 0, &random, &other);
+  const IdentifyReport report = Identify("event", one.guess, {one.recording, other.recording}, {{Kind::kRestitution}});
+  EXPECT_EQ(report.verdict, FitVerdict::kContradicted);
+  EXPECT_THAT(report.reason, HasSubstr("outliers"));
+}
+
+TEST(Identify, SharesParametersAndNamesOutliers) {
+  GeneratedProblem one = Bounce(), two = Bounce();
+  two.truth.bodies[0].velocity = {-0.8, 1};
+  two.recording.samples.clear();
+  GeneratedRandom random(6);
+  Measure(1e-3, 0, &random, &two);
+  one.recording.samples[20].position += Vec2d(0.05, 0);
+  const IdentifyReport alone = Identify("event", one.guess, {one.recording}, {{Kind::kRestitution}});
+  const IdentifyReport both = Identify("event", one.guess, {one.recording, two.recording}, {{Kind::kRestitution}});
+  ASSERT_EQ(both.verdict, FitVerdict::kFits) << both.reason;
+  EXPECT_LT(both.estimates[0].standard_error, alone.estimates[0].standard_error);
+  EXPECT_NEAR(both.initial[1][2], -0.8, 0.02);
+  std::vector<int> outliers;
+  for (const SampleResidual& at : both.residuals) {
+    if (at.outlier) outliers.push_back(at.recording * 1000 + at.sample);
+  }
+  EXPECT_THAT(outliers, testing::Contains(20));
+  EXPECT_LT(outliers.size(), 4u);
+}
+
+// Noise that nobody states is estimated.
+TEST(Identify, EstimatesSigma) {
+  GeneratedProblem problem = Bounce();
+  for (Sample& sample : problem.recording.samples) sample.sigma = 0;
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, {{Kind::kRestitution}});
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_NEAR(report.sigma, 1e-3, 2e-4);
+  EXPECT_NEAR(report.estimates[0].value, 0.75, 5 * report.estimates[0].standard_error);
+}
+
+// In segments of two impacts or so each, the same.
+TEST(Identify, LongRecordingsInSegments) {
+  Scene scene = Bounce().truth;
+  scene.duration = 60;
+  scene.steps = 3600;
+  scene.gravity = {0, 0};
+  scene.planes = {
+      {"left", {-1, 0}, {1, 0}}, {"right", {1, 0}, {-1, 0}}, {"floor", {0, -1}, {0, 1}}, {"ceiling", {0, 1}, {0, -1}}};
+  scene.bodies[0].position = {0, 0};
+  scene.bodies[0].velocity = {8, 5};
+  scene.contact.restitution = 0.98;
+  GeneratedProblem problem;
+  problem.truth = scene;
+  GeneratedRandom random(7);
+  problem.recording.name = "long";
+  Measure(1e-3, 0.02, &random, &problem);
+  Scene guess = scene;
+  guess.contact.restitution = 0.9;
+  const IdentifyReport report = Identify("event", guess, {problem.recording}, {{Kind::kRestitution}}, {.segment = 1});
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_GT(report.initial.size(), 50u);
+  EXPECT_NEAR(report.estimates[0].value, 0.98, 5 * report.estimates[0].standard_error);
+  EXPECT_LT(report.estimates[0].standard_error, 1e-3);
+}
+
+std::string ErrorIn(const std::string& csv) {
+  const auto loaded = ParseRecording(csv, "ball.csv", Bounce().truth);
+  const auto* error = std::get_if<RecordingError>(&loaded);
+  return error == nullptr ? "" : error->ToString();
+}
+
+TEST(Recording, ErrorsNameTheLineAndWhatWasExpected) {
+  const std::string header = "time,body,x,y,sigma\n";
+  EXPECT_EQ(ErrorIn(header + "0.1,ball,0,1,0.001\n"), "");
+  const std::pair<const char*, const char*> wrong[] = {
+      {"0.1,ball,0,1,0.001\n2,ball,0,1,0.001\n",
+       "ball.csv:3: time: found 2, expected 0 to the scene's duration, 1.5 s"},
+      {"0.1,bal,0,1,0.001\n", "ball.csv:2: body: found 'bal', expected one of ball"},
+      {"0.1,ball,nan,1,0.001\n", "ball.csv:2: x: found 'nan', expected a finite number"},
+      {"0.1,ball,0,1e999,0.001\n", "ball.csv:2: y: found '1e999', expected a finite number"},
+      {"0.1,ball,0,1,0\n", "ball.csv:2: sigma: found '0', expected a number > 0"},
+      {"0.1,ball,0,1,0.001\n0.2,ball,0,1,\n", "ball.csv:3: found sigma in some rows, expected in all or none"},
+      {"0.1,ball,0,1,1\n\n0.1,ball,0,2,1\n",
+       "ball.csv:4: found 'ball' again at time 0.1, as in line 2; expected it once"},
+      {"0.1,ball,0,1\n", "ball.csv: line 2: 4 fields, the header has 5"}};
+  for (const auto& [rows, expected] : wrong) EXPECT_EQ(ErrorIn(header + rows), expected);
+  EXPECT_THAT(ErrorIn("time,body,x\n0,ball,1\n"), HasSubstr("ball.csv:1: found no column y"));
+  EXPECT_THAT(ErrorIn("time,body,x,y,z\n"), HasSubstr("ball.csv:1: found the column 'z'"));
+  EXPECT_THAT(ErrorIn("time,body,x,y\n"), HasSubstr("found no samples"));
+}
+
+TEST(Unknowns, AreFoundByNameAndRefused) {
+  const Scene scene = DropAndHit();
+  const std::vector<Unknown> all = AllOf(scene);
+  std::vector<std::string> names;
+  for (const Unknown& unknown : all) names.push_back(NameOf(unknown, scene));
+  EXPECT_THAT(names,
+              ElementsAre("restitution",
+                          "friction",
+                          "gravity.x",
+                          "gravity.y",
+                          "mass.a",
+                          "mass.b",
+                          "force.a.x",
+                          "force.a.y",
+                          "force.b.y"));
+  for (const char* wrong : {"", "bounce", "mass.c", "gravity.z", "force.a.z", "restitution,restitution"}) {
+    EXPECT_TRUE(std::holds_alternative<std::string>(ParseUnknowns(wrong, scene))) << wrong;
+  }
+  for (const Unknown& unknown : all) {
+    for (const double value : {0.2, 0.7}) {
+      const double at = ToCoordinate(unknown, value), width = 1e-6;
+      EXPECT_NEAR(FromCoordinate(unknown, at), value, 1e-12);
+      EXPECT_NEAR((FromCoordinate(unknown, at + width) - FromCoordinate(unknown, at - width)) / (2 * width),
+                  SlopeAt(unknown, at),
+                  1e-8);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace saltus
