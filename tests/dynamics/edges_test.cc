@@ -225,7 +225,7 @@ TEST_P(EveryModelOnEdges, ASideIsAPlane) {
 }
 
 // Whether a disc falls on the end of a segment, or on a fixed disc of no size. (Sources differ by a millionth in how
-// they normalise directions.)
+// they normalise directions. Those that spin may grip discs without friction, and do not grip walls.)
 TEST_P(EveryModelOnEdges, AnEndIsASmallDisc) {
   Scene disc = Empty();
   disc.gravity = {0, -9.81};
@@ -235,6 +235,7 @@ TEST_P(EveryModelOnEdges, AnEndIsASmallDisc) {
   Scene end = disc;
   end.bodies.pop_back();
   end.segments = {{"shelf", {-2, 0}, {0, 0}}};
+  if (FindContactModel(GetParam())->spins) GTEST_SKIP() << "discs grip each other otherwise than walls";
   if (!Takes(disc) || !Takes(end)) GTEST_SKIP() << WhyNotApplicable(GetParam(), end);
   ExpectSameMotion(MotionOf(GetParam(), end), MotionOf(GetParam(), disc), 1e-4);
 }
