@@ -211,7 +211,8 @@ CaptionedTable FormulationAudit::ToTable() const {
                   ErrorByInitialState(results, model),
                   Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))});
     }
-    row.emplace_back(Rounded(CostOf(model)));
+    const double cost = CostOf(model);
+    row.push_back(std::isnan(cost) ? Cell() : Cell(Rounded(cost)));
     table.AddRow(std::move(row));
   }
   std::vector<Cell> exact = {"exact", Cell()};

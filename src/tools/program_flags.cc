@@ -19,6 +19,8 @@ const FlagGroup kScene = {"Scene (in place of what the file says)",
                           {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
 const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
 const FlagGroup kSimulators = {"Simulators of others", {"simulate=COMMAND", "simulate_seconds=S"}};
+const FlagGroup kModelsAndSimulators = {"Contact models",
+                                        {"contact=LIST", "precision=NAME", "simulate=COMMAND", "simulate_seconds=S"}};
 const FlagGroup kSolvers = {"Solvers",
                             {"solver=LIST",
                              "iterations=N",
@@ -96,8 +98,7 @@ std::vector<Program> MakePrograms() {
        {"--scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
        {{"Points", {"sweep=POINTS", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
         kScene,
-        kModels,
-        kSimulators,
+        kModelsAndSimulators,
         kSolvers,
         kSurrogate,
         kOutput},

@@ -1,0 +1,118 @@
+// saltus_identify as a user runs it: recordings of a ball that falls, bounces and falls, by the formulas of free fall.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "output/npz.h"
+#include "tools/run_program.h"
+
+namespace saltus {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+
+constexpr double kRadius = 0.05, kGravity = 9.81, kRestitution = 0.8;
+
+std::string PathOf(const std::string& name) {
+  return testing::TempDir() + "/identify_" + std::to_string(getpid()) + "_" + name;
+}
+
+// The height of the centre, dropped from 1 m.
+double HeightAt(double time) {
+  const double impact = std::sqrt(2 * (1 - kRadius) / kGravity);
+  if (time < impact) return 1 - 0.5 * kGravity * time * time;
+  const double after = time - impact;
+  return kRadius + kRestitution * kGravity * impact * after - 0.5 * kGravity * after * after;
+}
+
+std::string DropScene() {
+  const std::string path = PathOf("drop.yaml");
+  std::ofstream(path) << "name: drop\nduration: 1.0\nsteps: 60\ngravity: [0, -9.81]\n"
+                         "bodies:\n  - {name: ball, radius: 0.05, mass: 0.2, position: [0, 1]}\n"
+                         "planes:\n  - {name: floor, point: [0, 0], normal: [0, 1]}\n"
+                         "contact: {restitution: 0.5}\nobjective: {terminal: []}\noptimize: none\n";
+  return " --scene=" + path + " --progress=none ";
+}
+
+std::string DropRecording() {
+  const std::string path = PathOf("drop.csv");
+  std::ofstream csv(path);
+  csv.precision(17);
+  csv << "time,body,x,y,sigma\n";
+  for (int i = 0; i < 40; ++i) {
+    const double time = 0.02 * i + 0.007, slip = i % 2 == 0 ? 1e-4 : -1e-4;
+    csv << time << ",ball," << slip << "," << HeightAt(time) + slip + (i == 30 ? 0.02 : 0) << ",1e-4\n";
+  }
+  return path;
+}
+
+TEST(IdentifyProgram, FindsTheRestitutionOfABall) {
+  const Outcome outcome = RunProgram("saltus_identify --json --unknown=restitution,mass.ball" + DropScene() +
+                                     "--recording=" + DropRecording());
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json fit = json::parse(outcome.output)["fits"][0];
+  EXPECT_EQ(fit["contact"], "event");
+  EXPECT_EQ(fit["verdict"], "fits");
+  EXPECT_NEAR(fit["parameters"][0]["value"].get<double>(), kRestitution, 1e-3);
+  EXPECT_EQ(fit["parameters"][1]["determination"], "not determined");
+  EXPECT_TRUE(fit["parameters"][1]["value"].is_null());
+  ASSERT_EQ(fit["outliers"].size(), 1u);
+  EXPECT_EQ(fit["outliers"][0]["line"], 32);
+}
+
+TEST(IdentifyProgram, TablesAndFilesSayTheSame) {
+  const Outcome outcome =
+      RunProgram("saltus_identify" + DropScene() + "--recording=" + DropRecording() + " --output_dir=" + PathOf("out"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_THAT(outcome.output, HasSubstr("restitution"));
+  EXPECT_THAT(outcome.output, HasSubstr("Outliers"));
+  std::ifstream parameters(PathOf("out") + "/drop_parameters.csv"), residuals(PathOf("out") + "/drop_residuals.csv");
+  std::stringstream text;
+  text << parameters.rdbuf();
+  EXPECT_THAT(text.str(), HasSubstr("event,restitution,0.5,0.8"));
+  EXPECT_EQ(std::count(std::istreambuf_iterator<char>(residuals), {}, '\n'), 41);
+}
+
+TEST(IdentifyProgram, ReadsArchivesToo) {
+  std::vector<double> time, position;
+  for (int i = 0; i < 40; ++i) {
+    time.push_back(0.02 * i);
+    position.insert(position.end(), {0, HeightAt(time.back())});
+  }
+  const std::string path = PathOf("drop.npz");
+  ASSERT_TRUE(WriteNpz(path,
+                       {{"time", {{40}, time}},
+                        {"body", {{40}, std::vector<std::string>(40, "ball")}},
+                        {"position", {{40, 2}, position}},
+                        {"sigma", {{}, std::vector<double>{1e-4}}}})
+                  .ok());
+  const Outcome outcome = RunProgram("saltus_identify --json" + DropScene() + "--recording=" + path);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  EXPECT_NEAR(json::parse(outcome.output)["fits"][0]["parameters"][0]["value"].get<double>(), kRestitution, 1e-6);
+}
+
+TEST(IdentifyProgram, WrongInputIsRefusedWithItsPlace) {
+  const std::string recording = " --recording=" + DropRecording(), wrong = PathOf("wrong.csv");
+  std::ofstream(wrong) << "time,body,x,y\n0.1,ball,0,1\n0.2,bal,0,1\n";
+  const std::pair<std::string, std::string> cases[] = {
+      {"", "--recording=FILE is needed"},
+      {" --recording=" + wrong, "wrong.csv:3: body: found 'bal', expected one of ball"},
+      {" --recording=/no/such/file.csv", "/no/such/file.csv"},
+      {recording + " --unknown=bounce", "--unknown: found 'bounce', expected some of restitution"},
+      {recording + " --loss=tukey", "--loss=tukey; expected none, huber or cauchy"},
+      {recording + " --segment=-1", "--segment must not be negative"},
+      {recording + " --solver=gd", "--solver is not a flag of saltus_identify"}};
+  for (const auto& [flags, message] : cases) {
+    const Outcome outcome = RunProgram("saltus_identify" + DropScene() + flags);
+    EXPECT_EQ(outcome.exit_code, 2) << flags;
+    EXPECT_THAT(outcome.errors, HasSubstr(message)) << flags;
+  }
+}
+
+}  // namespace
+}  // namespace saltus
