@@ -14,7 +14,7 @@
 #include "blackbox/command_box.h"
 #include "io/file.h"
 
-DEFINE_string(simulate, "", "a simulator of yours, [NAME=]COMMAND or @FILE with such lines; may be repeated");
+DEFINE_string(simulate, "", "a simulator of yours: [NAME=]COMMAND, or @FILE of such lines");
 DEFINE_double(simulate_seconds, 30, "after which a simulator that is silent has failed");
 
 namespace saltus {
