@@ -229,7 +229,7 @@ class EventStep : private EventMotion<T> {
   }
 
   void Stop(int i) {
-    const T time = discs_[i].t + Length(discs_[i].v) / in_.slowing;
+    const T time = discs_[i].t + Divide(Length(discs_[i].v), in_.slowing);
     MoveTo(i, time);
     discs_[i].v = Vec2<T>(T(0.0), T(0.0));
     Slide(i);

@@ -37,7 +37,7 @@ struct SpringStep {
   };
   struct Side {
     int a, b;  // discs; b < 0 at a plane
-    HalfPlane<double> plane;
+    Wall<double> plane;
     double touching;  // m, distance at which the gap is zero
   };
   // A contact at some velocities.
@@ -208,7 +208,7 @@ class SpringDescent {
     }
     for (const Candidate& c : in.candidates) {
       problem.contacts.push_back(
-          {c.a, c.plane ? -1 : c.b, c.plane ? in.planes[c.b] : HalfPlane<double>{}, in.ContactDistance(c)});
+          {c.a, c.plane ? -1 : c.b, c.plane ? in.planes[c.b] : Wall<double>{}, in.ContactDistance(c)});
     }
     return problem;
   }

@@ -66,8 +66,8 @@ void FillCostates(const TwoDiscProblem& problem, TwoDiscOptimum* o) {
 }
 
 // The candidate at a minimum (s, phi), or nothing if its paths are not as assumed.
-std::optional<TwoDiscOptimum> Candidate(const Scene& scene, TwoDiscSequence sequence, const TwoDiscProblem& problem,
-                                        double s, double phi) {
+std::optional<TwoDiscOptimum> CandidateAt(const Scene& scene, TwoDiscSequence sequence, const TwoDiscProblem& problem,
+                                          double s, double phi) {
   const TwoDiscLoss<double> loss = EvaluateTwoDisc(problem, problem.start, s, phi);
   if (!(loss.speed > 0)) return std::nullopt;
   TwoDiscOptimum o;
@@ -141,7 +141,7 @@ std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequ
       double s = problem->duration * (i + 0.5) / kTimes;
       double phi = std::atan2(way[1], way[0]) + std::numbers::pi * ((j + 0.5) / kAngles - 0.5);
       if (!exact_internal::MinimizeTwoDisc(*problem, true, &s, &phi)) continue;
-      const std::optional<TwoDiscOptimum> candidate = Candidate(scene, sequence, *problem, s, phi);
+      const std::optional<TwoDiscOptimum> candidate = CandidateAt(scene, sequence, *problem, s, phi);
       if (candidate && (!best || candidate->loss < best->loss)) best = candidate;
     }
   }

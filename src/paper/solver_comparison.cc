@@ -57,7 +57,8 @@ Series SolverSeries(const std::string& solver, std::vector<double> x, std::vecto
   return series;
 }
 
-double LargestDefect(const SolveReport& report) {
+// Not a number of what has none.
+double OpenDefect(const SolveReport& report) {
   if (report.defects.empty()) return std::numeric_limits<double>::quiet_NaN();
   return *std::max_element(report.defects.back().begin(), report.defects.back().end());
 }
@@ -268,7 +269,7 @@ Table SolverComparison::StepShootingTable() const {
                   exact(&fine),
                   TerminationToString(fine.report.termination),
                   exact(lagrangian),
-                  LargestDefect(lagrangian->report),
+                  OpenDefect(lagrangian->report),
                   TerminationToString(lagrangian->report.termination)});
   }
   return table;
@@ -454,7 +455,7 @@ std::vector<std::string> SolverComparison::Findings() const {
         "Multiple shooting with open defects should not be trusted through a collision: the augmented Lagrangian ends "
         "at an exact loss of " +
         Format("%.4f", lagrangian->exact.loss) + ", its largest defect " +
-        Format("%.1g", LargestDefect(lagrangian->report)) +
+        Format("%.1g", OpenDefect(lagrangian->report)) +
         ". A feasible path (`ceres_shooting`: every iterate is a rollout) has no such trouble.");
   }
   if (!others_.runs.empty()) findings.push_back(FindingOnOthers());

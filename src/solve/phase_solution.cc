@@ -123,8 +123,7 @@ Scene BeginningAs(const Trial& trial, Scene scene) {
 }
 
 void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
-  trial->exact =
-      SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
+  trial->exact = SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
   trial->own = {};
   if (terms.empty() || !trial->exact.ok) return;
   trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);

@@ -12,9 +12,10 @@ namespace saltus {
 // The report's reason, and what is ambiguous in its exact run.
 std::string RemarkOn(const SolvedRun& run);
 
-// Every contact model with every solver, contact models outermost, or without a solver the start under each; on all threads, in the same order whatever their
-// number. Solvers that know exact contact only run with the event-driven model alone, if it is among those asked for.
-// Interruption (SIGINT, under an InterruptGuard) leaves out the runs that were not begun.
+// Every contact model with every solver, contact models outermost, or without a solver the start under each; on all
+// threads, in the same order whatever their number. Solvers that know exact contact only run with the event-driven
+// model alone, if it is among those asked for. Interruption (SIGINT, under an InterruptGuard) leaves out the runs that
+// were not begun.
 SolvedRuns SolveAll(const Request& request);
 
 // Why a run is no answer, in a few words: it did not converge, its defects are open, or it ends worse than it began.
