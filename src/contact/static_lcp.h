@@ -21,6 +21,7 @@
 #include <memory_resource>
 #include <vector>
 
+#include "contact/block_solve.h"
 #include "contact/contact_rows.h"
 #include "saltus/contact/contact_model.h"
 
@@ -230,7 +231,7 @@ struct StaticLcp {
     const std::pmr::vector<T> at_zero = Residual<T>(in, rows, flying, std::vector<double>(rows.size(), 0.0));
     Eigen::VectorXd F(rows.size());
     for (int i = 0; i < rows.size(); ++i) F[i] = Value(at_zero[i]);
-    return Matrix(in, rows).completeOrthogonalDecomposition().solve(-F);
+    return SolveByBlocks(Matrix(in, rows), -F);
   }
 
   // Of least norm, along the normals and tangents of A, with which the discs move by z.
@@ -254,7 +255,7 @@ struct StaticLcp {
         directions.block<2, 1>(at, num_contacts + i) = sign * Perpendicular(n);
       });
     }
-    return directions.completeOrthogonalDecomposition().solve(needed).head(num_contacts);
+    return SolveByBlocks(directions, needed).head(num_contacts);
   }
 
   template <typename T>

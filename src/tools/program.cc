@@ -39,16 +39,15 @@ DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
 DEFINE_double(friction, 0, "coefficient of friction, >= 0");
 DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
 DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
-DEFINE_bool(rate_per_time, false,
-            "the rate is one per unit of time (default: per step, the published one at 480 steps)");
+DEFINE_bool(rate_per_time, false, "the rate is one per unit of time (default: per step)");
 DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
 DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
               "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
               "striker-target,target-ceiling");
-DEFINE_double(search_seconds, 10, "of mode_search at most, s; 0 is any time. What it ends depends on the machine");
+DEFINE_double(search_seconds, 10, "of mode_search at most, s; 0 is any time");
 DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
-DEFINE_int32(search_starts, 8, "from which mode_search begins, at random, beside the initial guess");
+DEFINE_int32(search_starts, 8, "random ones of mode_search, beside the initial guess");
 DEFINE_uint64(search_seed, 1, "of these starts");
 DEFINE_int32(threads, 0, "0 is one per core");
 DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");
@@ -57,7 +56,7 @@ DEFINE_string(control, "", "JSON or NPZ with a control to start from, or with --
 DEFINE_string(warm_start, "", "JSON or NPZ of a solution to start from: its control, velocities or positions");
 DEFINE_bool(states, false, "times and states of every solution in --json");
 DEFINE_bool(json, false, "one JSON document on standard output, instead of tables");
-DEFINE_string(progress, "auto", "on standard error: auto (a bar on a terminal, else lines), plain or none");
+DEFINE_string(progress, "auto", "on standard error: auto, plain (lines) or none");
 DEFINE_bool(h, false, "as --help");
 
 DECLARE_bool(help);

@@ -7,12 +7,10 @@
 DEFINE_string(surrogate, "",
               "what stands in for the gradient, biased, or 'list' to print what there is (default: the model's own "
               "gradient)");
-DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples of a smoothed gradient, m, m/s or N");
+DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples, m, m/s or N");
 DEFINE_int32(surrogate_samples, 2000, "of a smoothed gradient, an even number");
 DEFINE_uint64(surrogate_seed, 1, "of a smoothed gradient; iteration k takes the k-th after it");
-DEFINE_int32(surrogate_segments, 0,
-             "equal parts of the horizon in which the samples hold their change of the control (default: every step "
-             "has its own)");
+DEFINE_int32(surrogate_segments, 0, "parts of the horizon in which samples hold the control (default: steps)");
 
 namespace saltus {
 namespace {

@@ -173,7 +173,8 @@ TEST_P(AdjointOf, EqualsForwardSensitivity) {
     const double adjoint = Dot(gradient.initial, directions[d].initial) + Dot(gradient.control, directions[d].control);
     double magnitude = 0;
     for (size_t i = 0; i < x.size(); ++i) magnitude += std::abs(cotangent[i] * dx[d][i]);
-    EXPECT_NEAR(adjoint, forward, 1e-12 * magnitude) << "direction " << d;
+    // Each step rounds.
+    EXPECT_NEAR(adjoint, forward, 4e-15 * num_steps_ * magnitude) << "direction " << d;
   }
 }
 
@@ -355,7 +356,7 @@ TEST_P(DerivativeOf, EqualsDifferencesAwayFromTies) {
   without_effort.scene.objective.effort = 0;
   ties += CompareWithDifferences(model_, without_effort, here.touches, force);
   all += force.moves.size();
-  EXPECT_LE(ties, all / 10);
+  EXPECT_LE(ties, (all + 9) / 10);
 }
 
 INSTANTIATE_TEST_SUITE_P(AllModels, AdjointOf, testing::ValuesIn(AllCases()), NameOf);

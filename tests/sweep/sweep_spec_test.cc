@@ -124,7 +124,7 @@ TEST(SweepSpec, ErrorsNamePlaceAndExpectation) {
 
 // Flags that say how to run, not what.
 bool IsOfTheRun(const std::string& flag) {
-  return flag == "threads" || flag == "memory_limit" || flag == "point_seconds";
+  return flag == "threads" || flag == "memory_limit" || flag == "point_seconds" || flag == "simulate_seconds";
 }
 
 TEST(SweepOptions, EveryNumericFlagCanBeSwept) {
