@@ -46,7 +46,10 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
                       .pushed = {},
                       .control = {},
                       .ends = {}};
+  if (scene.HasEdges())
+    replay.remark += std::string(replay.remark.empty() ? "" : "; ") + "walls that end are not drawn";
   for (const TouchSpan& touch : motion.touches) {
+    if (touch.contact.plane && touch.contact.b >= static_cast<int>(scene.planes.size())) continue;
     replay.touches.push_back(
         {touch.contact.a, touch.contact.b, touch.contact.plane, touch.begin, touch.end, Pair(touch.impulse)});
   }

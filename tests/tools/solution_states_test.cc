@@ -115,6 +115,26 @@ TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
   std::filesystem::remove_all(directory);
 }
 
+TEST(SolutionStates, WallsThatEndAreNamedAndSaidToBeMissingInPictures) {
+  const json scene = {{"name", "edge"},
+                      {"duration", 1.0},
+                      {"steps", 60},
+                      {"gravity", {0, -9.8}},
+                      {"bodies", {{{"name", "ball"}, {"radius", 0.1}, {"mass", 1}, {"position", {0, 1}}}}},
+                      {"segments", {{{"name", "gate"}, {"from", {-1, 0}}, {"to", {1, 0}}}}},
+                      {"objective", {{"terminal", {{{"body", "ball"}, {"quantity", "position"}, {"target", {0, 0}}}}}}},
+                      {"optimize", "none"}};
+  const std::string file = Write("edge.yaml", scene), folder = TempFile("edge");
+  const json run =
+      Solve("--solver=none --contact=event --states --scene=" + file + " --output_dir=" + folder)["runs"][0];
+  ASSERT_FALSE(run["exact_touches"].empty()) << run.dump().substr(0, 500);
+  EXPECT_EQ(run["exact_touches"][0]["b"], "gate");
+  EXPECT_NEAR(run["exact_touches"][0]["begin"].get<double>(), std::sqrt(2 * 0.9 / 9.8), 1e-9);
+  std::stringstream page;
+  page << std::ifstream(folder + "/report.html").rdbuf();
+  EXPECT_THAT(page.str(), HasSubstr("walls that end are not drawn"));
+}
+
 TEST(SolutionStates, AVelocityIsAWarmStartToo) {
   const std::string scene = Scene("ground_wall");
   const json first = Solve("--contact=direct_toi --solver=gd --iterations=20" + scene)["runs"][0];
