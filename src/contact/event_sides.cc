@@ -37,7 +37,7 @@ struct Start {
     in.planes = planes;
     in.extents = extents;
     in.force = force;
-    in.scratch = std::pmr::get_default_resource();
+    in.scratch = &scratch;
     for (int i = 0; i < scene.num_bodies(); ++i) {
       const Body& body = scene.bodies[i];
       discs.push_back({0, body.position, body.fixed ? Vec2d(0, 0) : body.velocity, in.Acceleration(i)});
@@ -57,6 +57,7 @@ struct Start {
     return SeparationAt(in, c, [&](int i) { return discs[i].p; }).normal;
   }
 
+  std::pmr::monotonic_buffer_resource scratch;  // what a step keeps until its end
   std::vector<BodyConstants<double>> bodies;
   std::vector<Wall<double>> planes;
   std::vector<WallExtent> extents;
