@@ -5,8 +5,10 @@
 #include "output/html_report.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
+#include "saltus/physics/walls.h"
 #include "tools/audit_files.h"
 #include "tools/audit_tables.h"
+#include "tools/perturbed_flow.h"
 #include "tools/replay_scene.h"
 #include "tools/report_parts.h"
 #include "tools/scene_panel.h"
@@ -76,14 +78,17 @@ Panel WrongStepPanel(const Scene& scene, const ModelAudit& model, const ContactE
     panel.circles.push_back(
         {{position(i)[0], position(i)[1]}, body.radius, meets ? ColourOf(model.gradient.contact) : "#555555", 0.25});
   }
-  const size_t a = find(scene.bodies, contact.a), b = find(scene.bodies, contact.b),
-               plane = find(scene.planes, contact.b);
+  const std::vector<WallPart> walls = WallPartsOf(scene);
+  const size_t a = find(scene.bodies, contact.a), b = find(scene.bodies, contact.b), wall = find(walls, contact.b);
   if (a == scene.bodies.size()) return panel;
   Vec2d normal = Vec2d::Zero();
   if (b < scene.bodies.size()) {
     normal = (position(a) - position(b)).normalized();
-  } else if (plane < scene.planes.size()) {
-    normal = scene.planes[plane].normal.normalized();
+  } else if (wall < walls.size()) {
+    normal = Separate(position(a), walls[wall].wall).normal;
+    // A wall with two sides is met from where the disc is.
+    const bool behind = !walls[wall].extent.endless && Separate(position(a), walls[wall].wall).distance < 0;
+    if (behind) normal = -normal;
   }
   const Vec2d from = position(a) - scene.bodies[a].radius * normal, to = from + 2 * scene.bodies[a].radius * normal;
   panel.segments.push_back({{from[0], from[1]}, {to[0], to[1]}, "#b3261e", 2, true});
@@ -91,27 +96,40 @@ Panel WrongStepPanel(const Scene& scene, const ModelAudit& model, const ContactE
   return panel;
 }
 
-void AddWrongSteps(const Request& request, const AuditReport& audit, HtmlReport* report) {
+// In rows of at most three.
+void AddPanels(std::vector<Panel> panels, const std::string& caption, HtmlReport* report) {
   Figure figure;
+  figure.columns = std::min<int>(3, static_cast<int>(panels.size()));
+  figure.width = 400 * figure.columns;
+  figure.legend = Legend::kNone;
+  figure.panels = std::move(panels);
+  AddFigureOrReason(figure, caption, report);
+}
+
+void AddWrongSteps(const Request& request, const AuditReport& audit, HtmlReport* report) {
+  std::vector<Panel> steps, flows;
   std::vector<std::string> reasons;
   for (const ModelAudit& model : audit.models) {
     const ContactError* contact = model.FirstWrong();
     if (contact == nullptr) continue;
     reasons.push_back("`" + model.gradient.contact + "`: " + model.Why());
-    if (figure.panels.size() == kMostWrongSteps) continue;
-    figure.panels.push_back(WrongStepPanel(request.scene, model, *contact));
+    if (steps.size() == kMostWrongSteps) continue;
+    steps.push_back(WrongStepPanel(request.scene, model, *contact));
+    Panel flow = PerturbedFlowPanel(request.scene, model.gradient.contact, *contact);
+    if (!flow.series.front().x.empty()) flows.push_back(std::move(flow));
   }
-  if (figure.panels.empty()) return;
-  figure.columns = std::min<int>(3, static_cast<int>(figure.panels.size()));
-  figure.width = 400 * figure.columns;
-  figure.legend = Legend::kNone;
+  if (steps.empty()) return;
   report->AddHeading(1, "Where gradients go wrong");
   report->AddList(reasons);
-  AddFigureOrReason(
-      figure,
-      "The first step that is wrong, of the first models that have one: discs there, their paths, and the "
-      "contact's normal.",
-      report);
+  AddPanels(std::move(steps),
+            "The first step that is wrong, of the first models that have one: discs there, their paths, and the "
+            "contact's normal.",
+            report);
+  if (flows.empty()) return;
+  AddPanels(std::move(flows),
+            "What that contact makes of a displacement: the first disc is moved by 1 along the normal, before. Solid: "
+            "under the model; dashed: under exact dynamics; thin: what it does to the second disc.",
+            report);
 }
 
 }  // namespace
