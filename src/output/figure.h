@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "io/status.h"
+#include "output/outline.h"
 #include "output/palette.h"
 
 namespace saltus {
@@ -84,6 +85,7 @@ struct Panel {
   std::vector<Circle> circles;
   std::vector<Segment> segments;
   std::vector<SolidHalfPlane> half_planes;
+  std::vector<Outline> outlines;
 };
 
 enum class Legend { kRight, kBelow, kNone };

@@ -4,207 +4,22 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <string_view>
 
 namespace saltus::internal {
 namespace {
 
-constexpr double kFontSize = 13;  // pixels, as all that follows
-constexpr double kTitleFontSize = 15;
-constexpr double kCharacter = 0.56 * kFontSize;  // average width
-constexpr double kLine = 1.5 * kFontSize;
-constexpr double kFigureTitle = 34;
-constexpr double kPanelTitle = 30;
-constexpr double kTopMargin = 14;
-constexpr double kLeftMargin = 46;  // without the tick labels
+constexpr double kTitleFontSize = 15;  // pixels, as all that follows
 constexpr double kTitleGap = 14;
 constexpr double kTickLabelGapX = 18;
 constexpr double kTickLabelGapY = 9;
 constexpr double kAxisLabelGapX = 40;
 constexpr double kAxisLabelGapY = 26;
-constexpr double kPixelsPerTickX = 65;
-constexpr double kPixelsPerTickY = 34;
-constexpr double kRightMargin = 22;
-constexpr double kBottomMargin = 56;
 constexpr double kLegendSample = 36;
-constexpr double kLegendText = 44;
-constexpr double kLegendGap = 12;
 constexpr double kSimplifyTolerance = 0.1;
 constexpr int kMarksOnALine = 9;
 constexpr double kPngScale = 2;
-constexpr double kReferenceWidth = 1.5;
-
-std::string Number(double value) {
-  if (!std::isfinite(value)) return "NaN";
-  std::array<char, 40> buffer;
-  return std::string(buffer.data(), std::to_chars(buffer.data(), buffer.data() + buffer.size(), value).ptr);
-}
-
-// Text as a gnuplot string: single quotes take everything literally but themselves and line ends.
-std::string Quote(std::string_view text) {
-  std::string quoted = "'";
-  for (const char c : text) {
-    const bool control = static_cast<unsigned char>(c) < 0x20;
-    quoted += control ? std::string(" ") : c == '\'' ? std::string("''") : std::string(1, c);
-  }
-  return quoted + "'";
-}
-
-std::string Colour(std::string_view colour) { return " lc rgb " + Quote(colour); }
-
-std::string Font(double size, bool bold = false) {
-  return " font " + Quote(std::string(kFont) + (bold ? ":Bold," : ",") + Number(size));
-}
-
-// Lines end in half discs, which lengthen every dash by the width of the line.
-std::string DashType(Dash dash) {
-  switch (dash) {
-    case Dash::kSolid:
-      return " dt solid";
-    case Dash::kDashed:
-      return " dt (5,5)";
-    case Dash::kDotted:
-      return " dt (0.5,4)";
-    case Dash::kDashDotted:
-      return " dt (8,4,0.5,4)";
-  }
-  return "";
-}
-
-// gnuplot's number of a marker, and the sizes that make all markers look equally large.
-struct PointType {
-  int type;
-  double png_size;
-  double svg_size;
-};
-
-PointType TypeOf(Marker marker) {
-  switch (marker) {
-    case Marker::kNone:
-      return {0, 0, 0};
-    case Marker::kCircle:
-      return {7, 0.62, 0.56};
-    case Marker::kSquare:
-      return {5, 0.58, 0.5};
-    case Marker::kTriangle:
-      return {9, 0.75, 0.52};
-    case Marker::kTriangleDown:
-      return {11, 0.75, 0.52};
-    case Marker::kDiamond:
-      return {13, 0.78, 0.46};
-    case Marker::kOpenCircle:
-      return {6, 0.68, 0.6};
-    case Marker::kOpenSquare:
-      return {4, 0.62, 0.52};
-    case Marker::kCross:
-      return {2, 0.62, 0.58};
-  }
-  return {0, 0, 0};
-}
-
-std::string LineStyle(double width, Dash dash, std::string_view colour) {
-  return " lw " + Number(width) + DashType(dash) + Colour(colour);
-}
-
-std::string MarkStyle(Marker marker, std::string_view colour, Terminal terminal) {
-  const PointType point = TypeOf(marker);
-  const double size = terminal == Terminal::kSvg ? point.svg_size : point.png_size;
-  return " lw 1.2 pt " + std::to_string(point.type) + " ps " + Number(size) + Colour(colour);
-}
-
-size_t Length(std::string_view text) {
-  return static_cast<size_t>(
-      std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
-}
-
-// ---- Legend
-
-// How a line, a row of marks or both look. Copied from a series or a reference line.
-struct LegendEntry {
-  std::string label;
-  std::string line;   // options of "with lines"; empty without a line
-  std::string marks;  // options of "with points"; empty without marks
-};
-
-std::vector<LegendEntry> LegendEntries(const Figure& figure, Terminal terminal) {
-  std::vector<LegendEntry> entries;
-  const auto add = [&](LegendEntry entry) {
-    const bool known =
-        std::any_of(entries.begin(), entries.end(), [&](const auto& e) { return e.label == entry.label; });
-    if (!entry.label.empty() && !known) entries.push_back(std::move(entry));
-  };
-  for (const Panel& panel : figure.panels) {
-    for (const Series& series : panel.series) {
-      const bool marks = series.marker != Marker::kNone;
-      add({series.label,
-           series.line ? LineStyle(series.width, series.dash, series.colour) : "",
-           marks ? MarkStyle(series.marker, series.colour, terminal) : ""});
-    }
-    for (const ReferenceLine& line : panel.reference_lines) {
-      add({line.label, LineStyle(kReferenceWidth, line.dash, line.colour), ""});
-    }
-  }
-  return entries;
-}
-
-size_t LongestLabel(const std::vector<Tick>& ticks) {
-  size_t longest = 0;
-  for (const Tick& tick : ticks) longest = std::max(longest, Length(tick.label));
-  return longest;
-}
-
-std::vector<Tick> Ticks(const Axis& axis, const Range& range, double count) {
-  return axis.log ? LogTicks(range) : LinearTicks(range, std::max(2, static_cast<int>(count)));
-}
-
-std::vector<Tick> TicksX(const Axis& axis, const Range& range, const Box& box) {
-  return Ticks(axis, range, (box.right - box.left) / kPixelsPerTickX);
-}
-
-std::vector<Tick> TicksY(const Axis& axis, const Range& range, const Box& box) {
-  return Ticks(axis, range, (box.top - box.bottom) / kPixelsPerTickY);
-}
-
-// ---- Layout
-
-struct LegendSize {
-  int columns = 0;
-  double width = 0;
-  double height = 0;
-};
-
-// Beside the panels as few columns as their height allows, below them as many as the width does.
-LegendSize SizeOfLegend(const Figure& figure, double panels_height) {
-  const std::vector<LegendEntry> entries = LegendEntries(figure, Terminal::kSvg);
-  if (figure.legend == Legend::kNone || entries.empty()) return {};
-  size_t longest = 0;
-  for (const LegendEntry& entry : entries) longest = std::max(longest, Length(entry.label));
-  const double entry_width = kLegendText + static_cast<double>(longest) * kCharacter + kLegendGap;
-  const double count = static_cast<double>(entries.size());
-  double columns = 0;
-  if (figure.legend == Legend::kRight) {
-    columns = std::ceil(count / std::max(1.0, std::floor((panels_height - kTopMargin) / kLine)));
-  } else {
-    columns = std::clamp(std::floor((figure.width - kLeftMargin - kRightMargin) / entry_width), 1.0, count);
-  }
-  return {static_cast<int>(columns), columns * entry_width, std::ceil(count / columns) * kLine + kLegendGap};
-}
-
-// Panels above one another begin at the same place, right of the widest tick label.
-void MakeRoomForTickLabels(const Figure& figure, size_t columns, std::vector<Box>* plots) {
-  std::vector<double> width(columns, 0.0);
-  for (size_t i = 0; i < plots->size(); ++i) {
-    const Box& box = (*plots)[i];
-    const Range y = AxisRanges(figure.panels[i], box).second;
-    const size_t longest = LongestLabel(TicksY(figure.panels[i].y, y, box));
-    width[i % columns] = std::max(width[i % columns], static_cast<double>(longest) * kCharacter);
-  }
-  for (size_t i = 0; i < plots->size(); ++i) (*plots)[i].left += width[i % columns];
-}
-
-// ---- Script
 
 // Points of a panel in pixels, relative to its plot.
 class PixelMap {
@@ -322,12 +137,23 @@ class ScriptWriter {
     Text({box.left, box.top + kTitleGap}, panel.title, "left", kFontSize, /*bold=*/true);
     Shapes(panel, x, y);
     std::vector<std::string> plots = {"NaN notitle"};  // gnuplot wants something to plot
+    for (const Outline& outline : panel.outlines) OutlinePlot(outline, &plots);
     for (size_t i = 0; i < panel.series.size(); ++i) SeriesPlots(panel, i, map, &plots);
     ReferencePlots(panel, x, y, &plots);
     Plot(plots);
   }
 
   void Shapes(const Panel& panel, const Range& x, const Range& y) {
+    // What is solid outside of a line would cover all that is solid elsewhere.
+    for (const Outline& outline : panel.outlines) {
+      if (outline.solid == Outline::Solid::kOutside) {
+        Polygon({{x.min, y.min}, {x.max, y.min}, {x.max, y.max}, {x.min, y.max}, {x.min, y.min}}, kGround);
+        Polygon(outline.points, kPaper);
+      }
+    }
+    for (const Outline& outline : panel.outlines) {
+      if (outline.solid == Outline::Solid::kInside) Polygon(outline.points, kGround);
+    }
     for (const SolidHalfPlane& half_plane : panel.half_planes) Ground(half_plane, x, y);
     for (const Rectangle& rectangle : panel.rectangles) {
       // The border closes the gaps that antialiasing leaves between neighbours.
@@ -368,12 +194,17 @@ class ScriptWriter {
       surface.push_back(polygon.back());
     }
     if (surface.size() != 2) return;
-    std::string path;
     polygon.push_back(polygon.front());
-    for (const auto& p : polygon) path += (path.empty() ? " from " : " to ") + Number(p[0]) + "," + Number(p[1]);
-    Line("set object polygon" + path + " behind fc rgb " + Quote(kGround) + " fs solid noborder");
+    Polygon(polygon, kGround);
     Line("set arrow from " + Number(surface[0][0]) + "," + Number(surface[0][1]) + " to " + Number(surface[1][0]) +
          "," + Number(surface[1][1]) + " nohead lw 1.5" + Colour(kFaintInk));
+  }
+
+  // The inside of a closed line.
+  void Polygon(const std::vector<std::array<double, 2>>& points, std::string_view colour) {
+    std::string path;
+    for (const auto& p : points) path += (path.empty() ? " from " : " to ") + Number(p[0]) + "," + Number(p[1]);
+    Line("set object polygon" + path + " behind fc rgb " + Quote(colour) + " fs solid noborder");
   }
 
   // Writes the points to a data block; an empty line interrupts a line.
@@ -438,6 +269,12 @@ class ScriptWriter {
     }
   }
 
+  void OutlinePlot(const Outline& outline, std::vector<std::string>* plots) {
+    std::vector<std::string> rows;
+    for (const auto& point : outline.points) rows.push_back(Number(point[0]) + " " + Number(point[1]));
+    plots->push_back(DataBlock(rows) + " with lines" + LineStyle(1.5, Dash::kSolid, kFaintInk) + " notitle");
+  }
+
   void ReferencePlots(const Panel& panel, const Range& x, const Range& y, std::vector<std::string>* plots) {
     for (const ReferenceLine& line : panel.reference_lines) {
       const std::string value = Number(line.value);
@@ -495,38 +332,6 @@ class ScriptWriter {
 };
 
 }  // namespace
-
-Layout LayOut(const Figure& figure) {
-  CHECK(!figure.panels.empty());
-  CHECK_GT(figure.columns, 0);
-  const size_t columns = std::min(static_cast<size_t>(figure.columns), figure.panels.size());
-  const size_t rows = (figure.panels.size() + columns - 1) / columns;
-  const double title = figure.title.empty() ? 0 : kFigureTitle;
-  const double panels_height = static_cast<double>(rows) * figure.panel_height;
-
-  Layout layout;
-  layout.width = figure.width;
-  const LegendSize legend = SizeOfLegend(figure, panels_height);
-  const bool right = figure.legend == Legend::kRight;
-  const double reserved = right ? legend.width : 0;
-  layout.height = title + panels_height + (right ? 0 : legend.height);
-  layout.legend_columns = legend.columns;
-  layout.legend.left = right ? layout.width - legend.width : kLeftMargin;
-  layout.legend.right = layout.legend.left + legend.width;
-  layout.legend.top = right ? layout.height - title - kTopMargin : legend.height;
-  layout.legend.bottom = layout.legend.top - legend.height;
-
-  const double cell = (layout.width - reserved) / static_cast<double>(columns);
-  for (size_t i = 0; i < figure.panels.size(); ++i) {
-    const double left = static_cast<double>(i % columns) * cell;
-    const double top = layout.height - title - static_cast<double>(i / columns) * figure.panel_height;
-    const double above = figure.panels[i].title.empty() ? kTopMargin : kPanelTitle;
-    layout.plots.push_back(
-        {left + kLeftMargin, left + cell - kRightMargin, top - figure.panel_height + kBottomMargin, top - above});
-  }
-  MakeRoomForTickLabels(figure, columns, &layout.plots);
-  return layout;
-}
 
 std::string GnuplotScript(const Figure& figure, Terminal terminal) { return ScriptWriter(figure, terminal).Write(); }
 

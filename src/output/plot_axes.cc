@@ -155,6 +155,12 @@ std::pair<Range, Range> AxisRanges(const Panel& panel, const Box& box) {
       y.Add(end[1]);
     }
   }
+  for (const Outline& outline : panel.outlines) {
+    for (const auto& point : outline.points) {
+      x.Add(point[0]);
+      y.Add(point[1]);
+    }
+  }
   Range range_x = x.WithMargin(0.02);
   Range range_y = y.WithMargin(0.05);
   if (panel.equal_aspect) {

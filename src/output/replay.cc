@@ -67,6 +67,32 @@ Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<
   return {{"quanta", quanta}, {"data", Base64(bytes)}};
 }
 
+const char* KindName(ReplayWall::Kind kind) {
+  switch (kind) {
+    case ReplayWall::Kind::kHalfPlane:
+      return "half-plane";
+    case ReplayWall::Kind::kSide:
+      return "side";
+    case ReplayWall::Kind::kCircle:
+      return "circle";
+    case ReplayWall::Kind::kTable:
+      return "table";
+  }
+  return "";
+}
+
+const char* SolidName(Outline::Solid solid) {
+  switch (solid) {
+    case Outline::Solid::kNeither:
+      return "neither";
+    case Outline::Solid::kInside:
+      return "inside";
+    case Outline::Solid::kOutside:
+      return "outside";
+  }
+  return "";
+}
+
 const char* DashName(Dash dash) {
   switch (dash) {
     case Dash::kSolid:
@@ -204,8 +230,11 @@ std::string DescribeEnd(const Replay& replay, const ReplayMotion& motion) {
 }  // namespace
 
 std::string DescribeReplay(const Replay& replay) {
-  std::string text =
-      Count(replay.discs.size(), "disc") + (replay.walls.empty() ? "" : " and " + Count(replay.walls.size(), "wall"));
+  const auto planes = std::count_if(replay.walls.begin(), replay.walls.end(), [](const ReplayWall& wall) {
+    return wall.kind == ReplayWall::Kind::kHalfPlane;
+  });
+  const size_t walls = static_cast<size_t>(planes) + replay.outlines.size();
+  std::string text = Count(replay.discs.size(), "disc") + (walls == 0 ? "" : " and " + Count(walls, "wall"));
   for (const ReplayMotion& motion : replay.motions) {
     text += ". " + motion.label + ", " + Number(motion.times.back()) + " s: " + DescribeTouches(replay, motion);
     const std::string end = DescribeEnd(replay, motion);
@@ -219,13 +248,22 @@ std::string ReplayContent(const Replay& replay) {
   Json data = {{"summary", DescribeReplay(replay)},
                {"discs", Json::array()},
                {"walls", Json::array()},
+               {"outlines", Json::array()},
                {"targets", replay.targets},
                {"motions", Json::array()}};
   for (const ReplayDisc& disc : replay.discs) {
     data["discs"].push_back({{"name", disc.name}, {"radius", disc.radius}, {"fixed", disc.fixed}});
   }
   for (const ReplayWall& wall : replay.walls) {
-    data["walls"].push_back({{"name", wall.name}, {"point", wall.point}, {"normal", wall.normal}});
+    data["walls"].push_back({{"name", wall.name},
+                             {"kind", KindName(wall.kind)},
+                             {"point", wall.point},
+                             {"normal", wall.normal},
+                             {"radius", wall.radius}});
+  }
+  for (const Outline& outline : replay.outlines) {
+    data["outlines"].push_back(
+        {{"name", outline.name}, {"solid", SolidName(outline.solid)}, {"points", outline.points}});
   }
   const double size = SizeOf(replay);
   double speed = 0;

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "output/outline.h"
 #include "output/palette.h"
 
 namespace saltus {
@@ -20,10 +21,15 @@ struct ReplayDisc {
   bool fixed = false;
 };
 
-// A half-plane: discs stay on the side that the normal, of length 1, points to.
+// What discs touch: a half-plane, on whose side `normal` (of length 1) points discs stay; a side of a wall that ends;
+// a part of a circle, or a point; or the table under them.
 struct ReplayWall {
+  enum class Kind { kHalfPlane, kSide, kCircle, kTable };
   std::string name;
-  std::array<double, 2> point = {0, 0}, normal = {0, 1};
+  std::array<double, 2> point = {0, 0};   // m, on the line, or the centre
+  std::array<double, 2> normal = {0, 1};  // of a line
+  Kind kind = Kind::kHalfPlane;           // half-planes are drawn; outlines show the others
+  double radius = 0;                      // m, of a circle
 };
 
 // Disc a and disc b, or wall b, touch; equal times are an impact.
@@ -51,6 +57,7 @@ struct ReplayMotion {
 struct Replay {
   std::vector<ReplayDisc> discs;
   std::vector<ReplayWall> walls;
+  std::vector<Outline> outlines;
   std::vector<std::array<double, 2>> targets;
   std::vector<ReplayMotion> motions;
 };

@@ -82,6 +82,7 @@ Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Sce
     if (replay.discs.empty()) {
       replay.discs = file.drawn.discs;
       replay.walls = file.drawn.walls;
+      replay.outlines = file.drawn.outlines;
       replay.targets = file.drawn.targets;
     }
     const auto same = [](const ReplayDisc& l, const ReplayDisc& r) { return l.name == r.name && l.radius == r.radius; };

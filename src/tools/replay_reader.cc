@@ -69,14 +69,6 @@ class Reader {
     file_.drawn.discs.push_back({name, radius, fixed});
   }
 
-  void AddWall(const std::string& name, const std::array<double, 2>& point, std::array<double, 2> normal,
-               const std::string& key) {
-    const double length = std::hypot(normal[0], normal[1]);
-    if (!(length > 0)) Fail(key, "a normal that is not zero");
-    for (double& component : normal) component /= length;
-    file_.drawn.walls.push_back({name, point, normal});
-  }
-
   void ReadBodies(const Json& document) {
     const auto bodies = document.find("bodies");
     if (bodies == document.end() || !bodies->is_array() || bodies->empty()) {
@@ -92,18 +84,64 @@ class Reader {
               fixed != body.end() && fixed->is_boolean() && fixed->get<bool>(),
               key);
     }
-    const auto planes = document.find("planes");
-    for (size_t i = 0; planes != document.end() && i < planes->size(); ++i) {
-      const std::string key = "planes[" + std::to_string(i) + "]";
-      const Json& plane = (*planes)[i];
-      if (!plane.is_object() || !plane.contains("point") || !plane.contains("normal")) {
-        Fail(key, "{ \"name\", \"point\", \"normal\" }");
+  }
+
+  Vec2d VectorIn(const Json& value, const std::string& key) const {
+    const std::array<double, 2> pair = PairIn(value, key);
+    return {pair[0], pair[1]};
+  }
+
+  // Calls read(item, key, name) for each of the list `list`, whose items must have all of `keys`.
+  template <typename F>
+  void ForEach(const Json& document, const std::string& list, const std::string& noun,
+               const std::vector<const char*>& keys, const F& read) const {
+    const auto items = document.find(list);
+    for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
+      const std::string key = list + "[" + std::to_string(i) + "]";
+      std::string expected;
+      bool whole = (*items)[i].is_object();
+      for (const char* one : keys) {
+        expected += (expected.empty() ? "{ \"" : ", \"") + std::string(one) + "\"";
+        whole = whole && (one == std::string_view("name") || (*items)[i].contains(one));
       }
-      AddWall(TextIn(plane, "name", "plane " + std::to_string(i + 1)),
-              PairIn(plane["point"], key + ".point"),
-              PairIn(plane["normal"], key + ".normal"),
-              key);
+      if (!whole) Fail(key, expected + " }");
+      read((*items)[i], key, TextIn((*items)[i], "name", noun + " " + std::to_string(i + 1)));
     }
+  }
+
+  void ReadWalls(const Json& document) {
+    Scene walls;
+    for (const ReplayDisc& disc : file_.drawn.discs) walls.bodies.push_back({.name = disc.name, .radius = disc.radius});
+    using Key = const std::string&;
+    ForEach(
+        document, "planes", "plane", {"name", "point", "normal"}, [&](const Json& plane, Key key, std::string name) {
+          walls.planes.push_back(
+              {name, VectorIn(plane["point"], key + ".point"), VectorIn(plane["normal"], key + ".normal")});
+        });
+    ForEach(
+        document, "segments", "segment", {"name", "from", "to"}, [&](const Json& segment, Key key, std::string name) {
+          walls.segments.push_back(
+              {name, VectorIn(segment["from"], key + ".from"), VectorIn(segment["to"], key + ".to")});
+        });
+    ForEach(document, "polygons", "polygon", {"name", "points"}, [&](const Json& polygon, Key key, std::string name) {
+      const bool outside = TextIn(polygon, "solid", "inside") == "outside";
+      walls.polygons.push_back({name, {}, outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside});
+      for (const Json& point : polygon["points"])
+        walls.polygons.back().points.push_back(VectorIn(point, key + ".points"));
+    });
+    ForEach(document,
+            "arcs",
+            "arc",
+            {"name", "center", "radius", "from", "to"},
+            [&](const Json& arc, Key key, std::string name) {
+              walls.arcs.push_back({name,
+                                    VectorIn(arc["center"], key + ".center"),
+                                    NumberIn(arc["radius"], key + ".radius"),
+                                    NumberIn(arc["from"], key + ".from"),
+                                    NumberIn(arc["to"], key + ".to")});
+            });
+    if (const auto error = ValidateStructure(walls)) throw InputError(path_ + ": " + error->ToString());
+    AddWalls(walls, &file_.drawn);
   }
 
   void ReadDocument(const std::string& text) {
@@ -115,7 +153,10 @@ class Reader {
     }
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (!document.is_object()) Fail("the document", "an object");
-    if (!given_) ReadBodies(document);
+    if (!given_) {
+      ReadBodies(document);
+      ReadWalls(document);
+    }
     const auto runs = document.find("runs");
     if (runs == document.end()) return ReadRun(document, "");
     if (!runs->is_array()) Fail("runs", "a list");
@@ -189,7 +230,7 @@ class Reader {
     };
     const size_t disc = find(file_.drawn.discs), wall = find(file_.drawn.walls);
     if (disc < num_discs()) return disc;
-    if (wall == file_.drawn.walls.size()) Fail(key, "a body or a plane, found '" + name + "'");
+    if (wall == file_.drawn.walls.size()) Fail(key, "a body or a wall, found '" + name + "'");
     return num_discs() + wall;
   }
 
@@ -329,7 +370,7 @@ class Reader {
       const bool wall = pair[3 * i + 2] != 0;
       const double most = static_cast<double>(wall ? file_.drawn.walls.size() : num_discs());
       if (!(pair[3 * i] >= 0 && pair[3 * i] < num_discs() && pair[3 * i + 1] >= 0 && pair[3 * i + 1] < most)) {
-        Fail(prefix + "touch_pairs", "numbers of discs and planes");
+        Fail(prefix + "touch_pairs", "numbers of discs and walls");
       }
       motion->touches.push_back({static_cast<int>(pair[3 * i]),
                                  static_cast<int>(pair[3 * i + 1]),

@@ -2,21 +2,36 @@
 
 #include <algorithm>
 
+#include "saltus/physics/walls.h"
 #include "solve/control_guess.h"
+#include "tools/outlines.h"
 
 namespace saltus {
 namespace {
 
 std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
 
+ReplayWall ToReplayWall(const WallPart& part) {
+  using Kind = ReplayWall::Kind;
+  const Wall<double>& wall = part.wall;
+  if (wall.curved()) return {part.name, Pair(wall.center), {0, 1}, Kind::kCircle, wall.radius};
+  if (part.table) return {part.name, {0, 0}, {0, 1}, Kind::kTable};
+  const Vec2d point = part.extent.endless ? Vec2d(wall.offset * wall.normal) : part.from;
+  return {part.name, Pair(point), Pair(wall.normal), part.extent.endless ? Kind::kHalfPlane : Kind::kSide};
+}
+
 }  // namespace
+
+void AddWalls(const Scene& scene, Replay* replay) {
+  for (const WallPart& part : WallPartsOf(scene)) replay->walls.push_back(ToReplayWall(part));
+  for (size_t i = 0; i < scene.planes.size(); ++i) replay->walls[i].point = Pair(scene.planes[i].point);
+  replay->outlines = OutlinesOf(scene);
+}
 
 Replay ReplayOf(const Scene& scene) {
   Replay replay;
   for (const Body& body : scene.bodies) replay.discs.push_back({body.name, body.radius, body.fixed});
-  for (const Plane& plane : scene.planes) {
-    replay.walls.push_back({plane.name, Pair(plane.point), Pair(plane.normal.normalized())});
-  }
+  AddWalls(scene, &replay);
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (!term.component && term.quantity == TerminalTerm::Quantity::kPosition) {
       replay.targets.push_back(Pair(term.target));
@@ -46,10 +61,7 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
                       .pushed = {},
                       .control = {},
                       .ends = {}};
-  if (scene.HasEdges())
-    replay.remark += std::string(replay.remark.empty() ? "" : "; ") + "walls that end are not drawn";
   for (const TouchSpan& touch : motion.touches) {
-    if (touch.contact.plane && touch.contact.b >= static_cast<int>(scene.planes.size())) continue;
     replay.touches.push_back(
         {touch.contact.a, touch.contact.b, touch.contact.plane, touch.begin, touch.end, Pair(touch.impulse)});
   }

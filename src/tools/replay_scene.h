@@ -11,6 +11,9 @@ namespace saltus {
 // So many states fit into a page: about 3 MB.
 inline constexpr std::size_t kMostReplayNumbers = std::size_t{1} << 21;
 
+// The scene's walls, their parts in the order of WallPartsOf(). Precondition: ValidateStructure(scene) finds nothing.
+void AddWalls(const Scene& scene, Replay* replay);
+
 // The discs, walls and targets of a scene, without motions.
 Replay ReplayOf(const Scene& scene);
 

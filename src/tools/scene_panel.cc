@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "tools/outlines.h"
+
 namespace saltus {
 namespace {
 
@@ -22,6 +24,7 @@ Panel ScenePanel(const Scene& scene, const std::string& title) {
   for (const Plane& plane : scene.planes) {
     panel.half_planes.push_back({{plane.point[0], plane.point[1]}, {plane.normal[0], plane.normal[1]}});
   }
+  panel.outlines = OutlinesOf(scene);
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (!term.component) panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
   }

@@ -8,7 +8,7 @@
 
 namespace saltus {
 
-// Discs at their start, planes and targets.
+// Discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);
 
 // The paths of all discs that move, one line each. At most so many discs are drawn as a figure can show.

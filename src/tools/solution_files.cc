@@ -140,22 +140,37 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   add("exact_", motions.exact);
 }
 
-Json DrawnBodiesToJson(const Scene& scene) {
-  Json bodies = Json::array();
+void AddDrawn(const Scene& scene, Json* document) {
+  const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
+  const auto pair = [](const Vec2d& v) { return Json{NumberToJson(v[0]), NumberToJson(v[1])}; };
+  Json& bodies = list("bodies");
   for (const Body& body : scene.bodies) {
     bodies.push_back({{"name", body.name}, {"radius", NumberToJson(body.radius)}, {"fixed", body.fixed}});
   }
-  return bodies;
-}
-
-Json DrawnPlanesToJson(const Scene& scene) {
-  Json planes = Json::array();
+  Json& planes = list("planes");
   for (const Plane& plane : scene.planes) {
-    planes.push_back({{"name", plane.name},
-                      {"point", {NumberToJson(plane.point[0]), NumberToJson(plane.point[1])}},
-                      {"normal", {NumberToJson(plane.normal[0]), NumberToJson(plane.normal[1])}}});
+    planes.push_back({{"name", plane.name}, {"point", pair(plane.point)}, {"normal", pair(plane.normal)}});
   }
-  return planes;
+  if (!scene.HasEdges()) return;
+  Json& segments = list("segments");
+  for (const EdgeSegment& segment : scene.segments) {
+    segments.push_back({{"name", segment.name}, {"from", pair(segment.from)}, {"to", pair(segment.to)}});
+  }
+  Json& polygons = list("polygons");
+  for (const EdgePolygon& polygon : scene.polygons) {
+    Json points = Json::array();
+    for (const Vec2d& point : polygon.points) points.push_back(pair(point));
+    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
+    polygons.push_back({{"name", polygon.name}, {"points", points}, {"solid", inside ? "inside" : "outside"}});
+  }
+  Json& arcs = list("arcs");
+  for (const EdgeArc& arc : scene.arcs) {
+    arcs.push_back({{"name", arc.name},
+                    {"center", pair(arc.center)},
+                    {"radius", NumberToJson(arc.radius)},
+                    {"from", NumberToJson(arc.from)},
+                    {"to", NumberToJson(arc.to)}});
+  }
 }
 
 std::string SolutionFileName(const Scene& scene, const SolveReport& report) {

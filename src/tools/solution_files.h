@@ -11,9 +11,9 @@ namespace saltus {
 // "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
 void AddStates(const Request& request, const SolvedRun& run, Json* item);
 
-// What is needed to draw states: names and radii of the discs, and the planes.
-Json DrawnBodiesToJson(const Scene& scene);
-Json DrawnPlanesToJson(const Scene& scene);
+// Adds what is needed to draw states: "bodies" with names and radii, "planes", and the walls that end, if there are
+// any, by their keys in scene files.
+void AddDrawn(const Scene& scene, Json* document);
 
 // <scene>_<contact>_<solver>.npz
 std::string SolutionFileName(const Scene& scene, const SolveReport& report);

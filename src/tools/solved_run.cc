@@ -81,8 +81,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
   }
   Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
   if (request.states) {
-    document["bodies"] = DrawnBodiesToJson(request.scene);
-    document["planes"] = DrawnPlanesToJson(request.scene);
+    AddDrawn(request.scene, &document);
   }
   if (solved.interrupted) document["interrupted"] = true;
   return document;

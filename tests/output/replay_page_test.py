@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # Drives replays and reports in headless Chromium. Skipped, with the reason, where Chromium or Selenium is missing.
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -42,6 +43,25 @@ contact: {restitution: 1, friction: 0}
 control: {bodies: [left, right], initial: [[0.5, 0.1], [-0.2, 0.3]]}
 objective: {terminal: [{body: left, quantity: position, target: [0, 0], weight: 1}], effort: 0.01}
 optimize: control
+"""
+EDGES = """
+name: edges
+duration: 1.5
+steps: 150
+gravity: [0, -9.8]
+bodies:
+  - {name: ball, radius: 0.1, mass: 1, position: [0, 1.6], velocity: [0.3, 0]}
+  - {name: other, radius: 0.08, mass: 0.5, position: [-0.6, 1.2], velocity: [0.2, 1]}
+segments:
+  - {name: gate, from: [-0.4, 0.9], to: [0.2, 0.75]}
+polygons:
+  - {name: frame, points: [[-1.2, -0.6], [1.2, -0.6], [1.2, 1.8], [0, 2.2], [-1.2, 1.8]], solid: outside}
+  - {name: wedge, points: [[0.5, -0.2], [0.9, -0.2], [0.7, 0.3]], solid: inside}
+arcs:
+  - {name: bowl, center: [-0.2, 0.3], radius: 0.7, from: 3.3, to: 6.0}
+contact: {restitution: 0.8, friction: 0}
+objective: {terminal: [{body: ball, quantity: position, target: [0, 0], weight: 1}]}
+optimize: velocity
 """
 FLEES = """
 name: flees
@@ -209,6 +229,43 @@ class Pages(unittest.TestCase):
         self.js("window.dispatchEvent(new Event('beforeprint'))")
         self.assertEqual(self.js("return document.querySelectorAll('.stills img').length"), 6)
         self.assert_quiet()
+
+    # Walls that end: what is solid is filled, and where discs touch them is a disc's radius away.
+    def test_walls_that_end_are_drawn(self):
+        scene = self.write("edges.yaml", EDGES)
+        folder, done = self.solve(scene, "--contact=event,direct", "--solver=none", "--states", "--json")
+        page = os.path.join(self.folder, "edges.html")
+        states = self.write("edges.json", done.stdout)
+        run("saltus_replay", states, f"--output={page}")
+        for path in (os.path.join(folder, "report.html"), page):
+            self.open(path)
+            places = [([0.7, 0.0], True), ([1.19, 2.1], True), ([0.0, -0.1], False), ([0.0, 2.0], False)]
+            colours = self.js("""
+                saltusReplays[0].redraw();
+                const {view} = saltusReplays[0], {canvas} = view, ratio = canvas.width / canvas.clientWidth;
+                const {data} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+                return arguments[0].map(([x, y]) => {
+                  const at = 4 * (canvas.width * Math.round(ratio * view.toY(y)) + Math.round(ratio * view.toX(x)));
+                  return [...data.slice(at, at + 4)];
+                })""", [place for place, _ in places])
+            for (place, solid), colour in zip(places, colours):
+                self.assertEqual(colour, [216, 222, 228, 255] if solid else [0, 0, 0, 0], place)
+            bowl = self.js("return saltusReplays[0].outlines.find(({name}) => name === 'bowl').points")
+            for i, (x, y) in enumerate(bowl):
+                angle = 3.3 + 2.7 * i / (len(bowl) - 1)
+                self.assertAlmostEqual(x, -0.2 + 0.7 * math.cos(angle), delta=1e-12)
+                self.assertAlmostEqual(y, 0.3 + 0.7 * math.sin(angle), delta=1e-12)
+            touches = self.js("""
+                const replay = saltusReplays[0], {view} = replay, state = new Float64Array(8), motion = replay.motions[0];
+                return motion.touches.filter((touch) => touch.wall).map(({a, b, begin}) => {
+                  motion.stateAt(begin, state);
+                  const [x, y] = view.contactWith(replay.walls[b], state[4 * a], state[4 * a + 1]);
+                  return [replay.walls[b].name, Math.hypot(x - state[4 * a], y - state[4 * a + 1]) - [0.1, 0.08][a]];
+                })""")
+            met = {name.split(".")[0] for name, _ in touches}
+            self.assertTrue({"gate", "frame", "bowl"} <= met, met)
+            for name, gap in touches:
+                self.assertAlmostEqual(gap, 0, delta=2e-6, msg=name)
 
     def test_reports_of_eight_scenes(self):
         gas = run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout

@@ -115,7 +115,7 @@ TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
   std::filesystem::remove_all(directory);
 }
 
-TEST(SolutionStates, WallsThatEndAreNamedAndSaidToBeMissingInPictures) {
+TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {
   const json scene = {{"name", "edge"},
                       {"duration", 1.0},
                       {"steps", 60},
@@ -132,7 +132,8 @@ TEST(SolutionStates, WallsThatEndAreNamedAndSaidToBeMissingInPictures) {
   EXPECT_NEAR(run["exact_touches"][0]["begin"].get<double>(), std::sqrt(2 * 0.9 / 9.8), 1e-9);
   std::stringstream page;
   page << std::ifstream(folder + "/report.html").rdbuf();
-  EXPECT_THAT(page.str(), HasSubstr("walls that end are not drawn"));
+  EXPECT_THAT(page.str(),
+              HasSubstr(R"("outlines":[{"name":"gate","solid":"neither","points":[[-1.0,0.0],[1.0,0.0]]}])"));
 }
 
 TEST(SolutionStates, AVelocityIsAWarmStartToo) {

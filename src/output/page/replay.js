@@ -23,7 +23,8 @@ function number(value) {
 class Replay {
   constructor(figure) {
     const data = JSON.parse(figure.querySelector('script[type="application/json"]').textContent);
-    Object.assign(this, {figure, discs: data.discs, walls: data.walls, targets: data.targets});
+    const {discs, walls, outlines, targets} = data;
+    Object.assign(this, {figure, discs, walls, outlines, targets});
     this.motions = data.motions.map((motion) => new Motion(motion, this.discs));
     const most = (value) => Math.max(0, ...this.motions.map(value));
     this.fastest = most((motion) => motion.fastest);

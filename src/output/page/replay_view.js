@@ -13,8 +13,8 @@ class View {
     this.pictures = new Map();
   }
 
-  // All that discs, targets and the visible motions reach.
-  boundsOf({discs, motions, targets}) {
+  // All that discs, walls that end, targets and the visible motions reach.
+  boundsOf({discs, motions, targets, outlines}) {
     const box = {left: Infinity, right: -Infinity, bottom: Infinity, top: -Infinity};
     const add = (x, y, r) => {
       box.left = Math.min(box.left, x - r);
@@ -28,6 +28,7 @@ class View {
       }
     }
     for (const target of targets) add(target[0], target[1], 0);
+    for (const {points} of outlines) points.forEach(([x, y]) => add(x, y, 0));
     if (!(box.right >= box.left)) return {left: -1, right: 1, bottom: -1, top: 1};
     const margin = 0.06 * Math.max(box.right - box.left, box.top - box.bottom, 1e-300);
     return {left: box.left - margin, right: box.right + margin, bottom: box.bottom - margin, top: box.top + margin};
@@ -101,7 +102,9 @@ class View {
   }
 
   drawWalls(context, x, y, w, h) {
+    this.drawOutlines(context, x, y, w, h);
     for (const wall of this.replay.walls) {
+      if (wall.kind !== 'half-plane') continue;
       const far = 4 * (w + h) / this.scale, [nx, ny] = wall.normal;
       const centre = this.nearestTo(wall);
       const corner = (along, depth) => [centre[0] - ny * along - nx * depth, centre[1] + nx * along - ny * depth];
@@ -120,12 +123,46 @@ class View {
     }
   }
 
-  // The point of a wall next to the middle of what is drawn.
-  nearestTo({point, normal}) {
-    const {left, right, bottom, top} = this.bounds;
-    const x = (left + right) / 2, y = (bottom + top) / 2;
-    const gap = (x - point[0]) * normal[0] + (y - point[1]) * normal[1];
+  // What is solid outside of a line first: it would cover all else.
+  drawOutlines(context, x, y, w, h) {
+    context.fillStyle = GROUND;
+    for (const solid of ['outside', 'inside']) {
+      for (const outline of this.replay.outlines.filter((one) => one.solid === solid)) {
+        context.beginPath();
+        if (solid === 'outside') context.rect(x, y, w, h);
+        this.trace(context, outline);
+        context.fill('evenodd');
+      }
+    }
+    context.beginPath();
+    for (const outline of this.replay.outlines) this.trace(context, outline);
+    context.strokeStyle = FAINT;
+    context.lineWidth = 1.5;
+    context.stroke();
+  }
+
+  trace(context, {points}) {
+    points.forEach(([px, py], i) => {
+      if (i === 0) context.moveTo(this.toX(px), this.toY(py));
+      else context.lineTo(this.toX(px), this.toY(py));
+    });
+  }
+
+  // The point of a wall where a disc at (x, y) touches it.
+  contactWith({kind, point, normal, radius}, x, y) {
+    const dx = x - point[0], dy = y - point[1];
+    if (kind === 'circle') {
+      const share = radius / (Math.hypot(dx, dy) || 1);
+      return [point[0] + share * dx, point[1] + share * dy];
+    }
+    const gap = dx * normal[0] + dy * normal[1];
     return [x - gap * normal[0], y - gap * normal[1]];
+  }
+
+  // The point of a wall next to the middle of what is drawn.
+  nearestTo(wall) {
+    const {left, right, bottom, top} = this.bounds;
+    return this.contactWith(wall, (left + right) / 2, (bottom + top) / 2);
   }
 
   drawTargets(context) {
@@ -256,8 +293,7 @@ class View {
       const ax = x[4 * a], ay = x[4 * a + 1];
       let px, py;
       if (wall) {
-        px = ax - other.normal[0] * discs[a].radius;
-        py = ay - other.normal[1] * discs[a].radius;
+        [px, py] = this.contactWith(other, ax, ay);
       } else {
         const share = discs[a].radius / (discs[a].radius + other.radius);
         px = ax + share * (x[4 * b] - ax);
