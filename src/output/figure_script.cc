@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <string_view>
 
 namespace saltus::internal {
@@ -135,7 +136,7 @@ class ScriptWriter {
     AxisX(panel.x, x, box, map);
     AxisY(panel.y, y, box, map);
     Text({box.left, box.top + kTitleGap}, panel.title, "left", kFontSize, /*bold=*/true);
-    Shapes(panel, x, y);
+    Shapes(panel, x, y, map);
     std::vector<std::string> plots = {"NaN notitle"};  // gnuplot wants something to plot
     for (const Outline& outline : panel.outlines) OutlinePlot(outline, &plots);
     for (size_t i = 0; i < panel.series.size(); ++i) SeriesPlots(panel, i, map, &plots);
@@ -143,7 +144,7 @@ class ScriptWriter {
     Plot(plots);
   }
 
-  void Shapes(const Panel& panel, const Range& x, const Range& y) {
+  void Shapes(const Panel& panel, const Range& x, const Range& y, const PixelMap& map) {
     // What is solid outside of a line would cover all that is solid elsewhere.
     for (const Outline& outline : panel.outlines) {
       if (outline.solid == Outline::Solid::kOutside) {
@@ -162,9 +163,9 @@ class ScriptWriter {
            " fs solid border rgb " + Quote(rectangle.colour) + " lw 0.5");
     }
     for (const Circle& circle : panel.circles) {
-      Line("set object circle at " + Number(circle.centre[0]) + "," + Number(circle.centre[1]) + " size " +
-           Number(circle.radius) + " front fc rgb " + Quote(circle.colour) + " fs transparent solid " +
-           Number(circle.opacity) + " border rgb " + Quote(circle.colour) + " lw 1.5");
+      Line("set object " + (panel.equal_aspect ? PolygonOf(circle, map) : Round(circle)) + " front fc rgb " +
+           Quote(circle.colour) + " fs transparent solid " + Number(circle.opacity) + " border rgb " +
+           Quote(circle.colour) + " lw 1.5");
     }
     for (const Segment& segment : panel.segments) {
       Line("set arrow from " + Number(segment.from[0]) + "," + Number(segment.from[1]) + " to " +
@@ -200,11 +201,35 @@ class ScriptWriter {
          "," + Number(surface[1][1]) + " nohead lw 1.5" + Colour(kFaintInk));
   }
 
+  static std::string Round(const Circle& circle) {
+    return "circle at " + Number(circle.centre[0]) + "," + Number(circle.centre[1]) + " size " + Number(circle.radius);
+  }
+
+  // With no more corners than one can see: gnuplot's own circles take 4 KB each.
+  static std::string PolygonOf(const Circle& circle, const PixelMap& map) {
+    const double pixels = std::abs(map.X(circle.centre[0] + circle.radius) - map.X(circle.centre[0]));
+    const double half_angle = std::acos(1 - std::min(kSimplifyTolerance / 2 / std::max(pixels, 0.1), 0.5));
+    const int corners = static_cast<int>(std::ceil(std::numbers::pi / half_angle));
+    std::vector<std::array<double, 2>> points;
+    for (int i = 0; i <= corners; ++i) {
+      const double angle = 2 * std::numbers::pi * (i % corners) / corners;
+      points.push_back(
+          {circle.centre[0] + circle.radius * std::cos(angle), circle.centre[1] + circle.radius * std::sin(angle)});
+    }
+    return PolygonThrough(points);
+  }
+
+  static std::string PolygonThrough(const std::vector<std::array<double, 2>>& points) {
+    std::string path = "polygon";
+    for (size_t i = 0; i < points.size(); ++i) {
+      path += (i == 0 ? " from " : " to ") + Number(points[i][0]) + "," + Number(points[i][1]);
+    }
+    return path;
+  }
+
   // The inside of a closed line.
   void Polygon(const std::vector<std::array<double, 2>>& points, std::string_view colour) {
-    std::string path;
-    for (const auto& p : points) path += (path.empty() ? " from " : " to ") + Number(p[0]) + "," + Number(p[1]);
-    Line("set object polygon" + path + " behind fc rgb " + Quote(colour) + " fs solid noborder");
+    Line("set object " + PolygonThrough(points) + " behind fc rgb " + Quote(colour) + " fs solid noborder");
   }
 
   // Writes the points to a data block; an empty line interrupts a line.

@@ -135,6 +135,17 @@ TEST(FigureTest, DrawsEverythingThatAPanelCanHold) {
   EXPECT_THAT(*svg, HasSubstr("<text>impact</text>"));
 }
 
+TEST(FigureTest, AThousandDiscsStaySmall) {
+  Figure figure;
+  figure.panels.resize(1);
+  figure.panels[0].equal_aspect = true;
+  for (int i = 0; i < 1000; ++i) figure.panels[0].circles.push_back({{1.0 * (i % 32), 1.0 * (i / 32)}, 0.4});
+  const StatusOr<std::string> svg = RenderSvg(figure, "f");
+  ASSERT_TRUE(svg.ok()) << svg.status().message();
+  ExpectWellFormed(*svg);
+  EXPECT_LT(svg->size(), 1500u * 1000);
+}
+
 TEST(FigureTest, DrawsPanelsWithoutAnythingToShow) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   Figure figure;
