@@ -11,13 +11,18 @@
 namespace saltus {
 
 CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
-                             std::span<const double> lengths, std::vector<std::optional<double>> theta)
+                             std::span<const double> lengths, std::vector<std::optional<double>> theta,
+                             Restrictions restrictions)
     : scene_(scene),
       flight_(flight),
       control_(control),
       lengths_(lengths),
       theta_(std::move(theta)),
+      restrictions_(std::move(restrictions)),
+      soft_(scene.objective),
       width_(2 * scene.num_controlled()) {
+  std::erase_if(soft_.terminal, [](const TerminalTerm& term) { return term.hard; });
+  num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
   const std::vector<Flight::Hit>& hits = flight.hits();
   theta_.resize(hits.size());
   pushed_.assign(scene.num_bodies(), -1);
@@ -188,7 +193,16 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   std::vector<DiscCostate<T>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (last_arc_[i] >= 0) fly(arcs_[last_arc_[i]], &now[i]);
-    costates.push_back(TerminalCostate<T>(scene_.objective, i, now[i].p, now[i].v));
+    costates.push_back(TerminalCostate<T>(soft_, i, now[i].p, now[i].v));
+  }
+  size_t hard = 0;
+  for (const TerminalTerm& term : scene_.objective.terminal) {
+    if (!term.hard || restrictions_.hard.empty()) continue;
+    const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
+    DiscCostate<T>& costate = costates[term.body];
+    (of_position ? costate.position : costate.velocity) += restrictions_.hard[hard++].template cast<T>();
+    const Vec2<T>& held = of_position ? now[term.body].p : now[term.body].v;
+    for (int axis = 0; axis < 2 && gaps != nullptr; ++axis) *gaps++ = held[axis];
   }
   const auto fly_back = [&](const Arc& arc) {
     DiscCostate<T>& costate = costates[arc.body];
@@ -302,15 +316,35 @@ Eigen::MatrixXd CondensedLoss::Gram() const {
     const Functional& a = functionals_[j];
     for (int k = j; k < n; ++k) {
       const Functional& b = functionals_[k];
-      if (a.column != b.column) continue;
+      if (a.column / 2 != b.column / 2) continue;
+      const int c = a.column / 2;
       const int begin = std::max(a.first, b.first);
       const int end =
           std::min(a.first + static_cast<int>(a.weights.size()), b.first + static_cast<int>(b.weights.size()));
-      for (int i = begin; i < end; ++i) gram(j, k) += a.weights[i - a.first] * b.weights[i - b.first] / lengths_[i];
+      for (int i = begin; i < end; ++i) {
+        const Restrictions::Force& force = ForceAt(i, c);
+        const double share = force.free(a.column % 2, b.column % 2) / (1 + force.bend);
+        gram(j, k) += share * a.weights[i - a.first] * b.weights[i - b.first] / lengths_[i];
+      }
       gram(k, j) = gram(j, k);
     }
   }
   return gram;
+}
+
+void CondensedLoss::DivideByWeights(Eigen::VectorXd* x) const {
+  for (Eigen::Index i = 0; i < x->size(); i += 2) {
+    const Restrictions::Force& force = ForceAt(i / width_, static_cast<int>(i % width_ / 2));
+    x->segment<2>(i) = (force.free * x->segment<2>(i) / ((1 + force.bend) * Length(i))).eval();
+  }
+}
+
+Eigen::Index CondensedLoss::NumFree() const {
+  double sum = 0;
+  for (size_t k = 0; k < lengths_.size(); ++k) {
+    for (int c = 0; c < width_ / 2; ++c) sum += ForceAt(k, c).free.trace();
+  }
+  return std::lround(sum);
 }
 
 CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
@@ -335,7 +369,7 @@ CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
     if (scale[i] == 0) image.row(i).setZero();
   }
   Eigen::MatrixXd source = scale.asDiagonal() * vectors * roots.cwiseInverse().asDiagonal();
-  if (num_held_ > 0) {  // what keeps the impacts on their nodes
+  if (num_held_ > 0) {  // what keeps the impacts on their nodes, and hard terms
     Eigen::MatrixXd rows = gaps * image;
     for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) /= std::max(rows.row(i).norm(), 1e-300);
     const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(rows.transpose());
@@ -346,14 +380,19 @@ CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
   Curvature result;
   result.direction = Eigen::VectorXd::Zero(control_.size());
   const Eigen::Index last = image.cols() - 1;
-  const bool others = rank < result.direction.size();  // directions that the motion does not notice
+  const bool others = rank < NumFree();  // directions that the motion does not notice
   if (last < 0) return result;
   const Eigen::MatrixXd reduced = image.transpose() * hessian * image / (2 * scene_.objective.effort);
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> curvature(reduced);
   result.smallest = 1 + curvature.eigenvalues()[0];
   result.largest = 1 + curvature.eigenvalues()[last];
   result.direction = Transposed(source * curvature.eigenvectors().col(0));
-  for (Eigen::Index i = 0; i < result.direction.size(); ++i) result.direction[i] /= Length(i);
+  DivideByWeights(&result.direction);
+  if (!restrictions_.forces.empty()) {  // orthonormal to another measure
+    double square = 0;
+    for (Eigen::Index i = 0; i < result.direction.size(); ++i) square += Length(i) * std::pow(result.direction[i], 2);
+    result.direction /= std::sqrt(square);
+  }
   Eigen::Index most = 0;
   result.direction.cwiseAbs().maxCoeff(&most);
   if (result.direction[most] < 0) result.direction = -result.direction;

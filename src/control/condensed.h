@@ -19,6 +19,9 @@
 // An impact on a node, where the force jumps, is either followed by that boundary of the two intervals, for the discs
 // that take part; or it is held on the node, by a multiplier between those of the two one-sided gradients. Held impacts
 // restrict directions to those along which they stay on their nodes, to first order.
+//
+// So do bounds that forces are at, and hard terminal terms. L is then the Lagrangian: multipliers of hard terms add to
+// the costates at the end, and a bound on the norm, which is curved itself, adds to M.
 #pragma once
 
 #include <Eigen/Core>
@@ -32,21 +35,32 @@
 
 namespace saltus {
 
+// What holds a motion back, with the multipliers that belong to it.
+struct Restrictions {
+  struct Force {
+    Eigen::Matrix2d free = Eigen::Matrix2d::Identity();  // projects on the directions along its bounds
+    double bend = 0;  // second derivative of its bounds, times their multiplier, as a part of that of the effort
+  };
+  std::vector<Force> forces = {};  // K x C; empty: all are free
+  std::vector<Vec2d> hard = {};    // multipliers of hard terminal terms
+};
+
 class CondensedLoss {
  public:
   // `theta`, by impact: the weight of the gradient as if the impact were early, if it is held on its node; an empty
   // vector holds none. The flight must outlive the object and be that of `control` on intervals of `lengths`.
   CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
-                std::span<const double> lengths, std::vector<std::optional<double>> theta = {});
+                std::span<const double> lengths, std::vector<std::optional<double>> theta = {},
+                Restrictions restrictions = {});
 
   // Of F.
   int num_functionals() const { return static_cast<int>(values_.size()); }
 
-  // By the control, K x C x 2, 1/N. With impacts held it is that of the Lagrangian.
+  // By the control, K x C x 2, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left out.
   Eigen::VectorXd Gradient() const;
 
-  // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort alone, and its
-  // direction (K x C x 2).
+  // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort (and of the
+  // bounds on norms) alone, and its direction (K x C x 2).
   struct Curvature {
     double smallest = 1, largest = 1;
     Eigen::VectorXd direction;
@@ -79,19 +93,29 @@ class CondensedLoss {
   int AddForce(int body, int interval);
   void AddFunctionals(int body, int first, const std::vector<double>& weights);
   std::pair<int, int> IntervalsAt(int hit) const;
-  // Derivatives of G by F u where that is s; and the gaps at impacts that are held (in order), unless null.
+  // Derivatives of G by F u where that is s; and unless null what is held: the gaps at impacts (in order), and what
+  // hard terms hold.
   template <typename T>
   void Sweep(const T* s, T* gradient, T* gaps) const;
-  // G'', and the derivatives of the gaps of held impacts, a row each.
+  // G'', and the derivatives of what is held, a row each.
   void SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd* gaps) const;
   Eigen::VectorXd Transposed(const Eigen::VectorXd& s) const;  // F^T s
-  Eigen::MatrixXd Gram() const;                                // F M^-1 F^T
+  Eigen::MatrixXd Gram() const;                                // F M^-1 F^T, M restricted
   double Length(Eigen::Index i) const { return lengths_[i / width_]; }
+  const Restrictions::Force& ForceAt(size_t interval, int c) const {
+    return restrictions_.forces.empty() ? free_ : restrictions_.forces[interval * (width_ / 2) + c];
+  }
+  // M^-1 x of the free directions, and how many these are.
+  void DivideByWeights(Eigen::VectorXd* x) const;
+  Eigen::Index NumFree() const;
 
   const Scene& scene_;
   const Flight& flight_;
   std::span<const double> control_, lengths_;
   std::vector<std::optional<double>> theta_;
+  Restrictions restrictions_;
+  Restrictions::Force free_;
+  Objective soft_;           // without hard terms
   int width_;                // 2 C
   std::vector<int> pushed_;  // by body: its place among the pushed ones, or -1
   std::vector<double> nodes_;

@@ -7,15 +7,16 @@
 //   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
 //   final time     nor does moving that; at its bounds the loss may fall towards outside.
 //
-// Each is the distance from a convex cone, so the theta that meet them best are found by Newton's method on a sum of
-// squares that is convex. On a grid that does not move, the impacts on nodes have multipliers between those of the two
-// one-sided gradients instead, and the other impacts those that keep the Hamiltonian.
+// The theta that meet them best are found as cone_conditions.h says. On a grid that does not move, the impacts on nodes
+// have multipliers between those of the two one-sided gradients instead, and the other impacts those that keep the
+// Hamiltonian.
 
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "cone_conditions.h"
 #include "costate_sweep.h"
 #include "optimality_conditions.h"
 #include "physics/time_grid.h"
@@ -26,135 +27,6 @@ namespace {
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
 constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
-constexpr int kMostNewtonSteps = 50;
-
-// The cone of normals at a force, in the plane: nothing, a ray or what two rays span.
-class NormalCone {
- public:
-  void Add(const Vec2d& normal) { normals_.push_back(normal); }
-
-  // w less its projection on the cone, and the derivative.
-  void Residual(const Vec2d& w, Vec2d* residual, Eigen::Matrix2d* derivative) const {
-    *residual = w;
-    derivative->setIdentity();
-    if (normals_.empty()) return;
-    const auto [a, b] = Extremes();
-    if (IsBetween(a, b, w)) {
-      residual->setZero();
-      derivative->setZero();
-      return;
-    }
-    const Vec2d& nearest = a.dot(w) > b.dot(w) ? a : b;
-    if (nearest.dot(w) <= 0) return;
-    *residual -= nearest.dot(w) * nearest;
-    *derivative -= nearest * nearest.transpose();
-  }
-
- private:
-  static double Cross(const Vec2d& a, const Vec2d& b) { return a[0] * b[1] - a[1] * b[0]; }
-  // Of a cone less than half of the plane.
-  static bool IsBetween(const Vec2d& a, const Vec2d& b, const Vec2d& w) {
-    const double turn = Cross(a, b);
-    return turn != 0 && Cross(a, w) * turn >= 0 && Cross(w, b) * turn >= 0;
-  }
-  std::pair<Vec2d, Vec2d> Extremes() const {
-    std::pair<Vec2d, Vec2d> widest = {normals_[0], normals_[0]};
-    for (const Vec2d& a : normals_) {
-      for (const Vec2d& b : normals_) {
-        if (a.dot(b) < widest.first.dot(widest.second)) widest = {a, b};
-      }
-    }
-    return widest;
-  }
-
-  std::vector<Vec2d> normals_;
-};
-
-// A sum of squares of distances from cones, of values that are affine in theta.
-class Conditions {
- public:
-  explicit Conditions(int num_unknowns) : theta_(Eigen::VectorXd::Zero(num_unknowns)) {}
-
-  // `columns` are the derivatives by theta.
-  void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, NormalCone cone) {
-    forces_.push_back({value, columns, std::move(cone)});
-  }
-  // A number that is to vanish, or to have the sign `allowed`.
-  void AddNumber(double value, const Eigen::RowVectorXd& columns, int allowed) {
-    numbers_.push_back({value, columns, allowed});
-  }
-
-  void Solve() {
-    for (int step = 0; step < kMostNewtonSteps && theta_.size() > 0; ++step) {
-      Eigen::VectorXd r;
-      Eigen::MatrixXd jacobian;
-      Evaluate(theta_, &r, &jacobian);
-      const Eigen::VectorXd by = jacobian.completeOrthogonalDecomposition().solve(-r);
-      double length = 1;
-      Eigen::VectorXd next;
-      for (; length > 1e-4; length *= 0.5) {
-        Evaluate(theta_ + length * by, &next, nullptr);
-        if (next.squaredNorm() < r.squaredNorm()) break;
-      }
-      if (!(next.squaredNorm() < r.squaredNorm())) break;
-      theta_ += length * by;
-      if (next.squaredNorm() > (1 - 1e-9) * r.squaredNorm()) break;
-    }
-  }
-
-  const Eigen::VectorXd& theta() const { return theta_; }
-  double LargestForce() const {
-    double largest = 0;
-    Vec2d residual;
-    Eigen::Matrix2d derivative;
-    for (const Force& force : forces_) {
-      force.cone.Residual(-(force.value + force.columns * theta_), &residual, &derivative);
-      largest = std::max(largest, residual.norm());
-    }
-    return largest;
-  }
-  double Number(size_t i) const { return Left(numbers_[i], theta_); }
-
- private:
-  struct Force {
-    Vec2d value;
-    Eigen::Matrix2Xd columns;
-    NormalCone cone;
-  };
-  struct Scalar {
-    double value;
-    Eigen::RowVectorXd columns;
-    int allowed;
-  };
-  static double Left(const Scalar& number, const Eigen::VectorXd& theta) {
-    const double value = number.value + number.columns.dot(theta.transpose());
-    return number.allowed * value > 0 ? 0.0 : value;
-  }
-
-  void Evaluate(const Eigen::VectorXd& theta, Eigen::VectorXd* r, Eigen::MatrixXd* jacobian) const {
-    const Eigen::Index rows = 2 * forces_.size() + numbers_.size();
-    r->resize(rows);
-    if (jacobian != nullptr) jacobian->setZero(rows, theta.size());
-    Eigen::Index row = 0;
-    Vec2d residual;
-    Eigen::Matrix2d derivative;
-    for (const Force& force : forces_) {
-      force.cone.Residual(-(force.value + force.columns * theta), &residual, &derivative);
-      r->segment<2>(row) = residual;
-      if (jacobian != nullptr) jacobian->middleRows<2>(row) = -derivative * force.columns;
-      row += 2;
-    }
-    for (const Scalar& number : numbers_) {
-      (*r)[row] = Left(number, theta);
-      if (jacobian != nullptr && (*r)[row] != 0) jacobian->row(row) = number.columns;
-      ++row;
-    }
-  }
-
-  Eigen::VectorXd theta_;
-  std::vector<Force> forces_;
-  std::vector<Scalar> numbers_;
-};
 
 class ConstrainedCertifier {
  public:
@@ -181,9 +53,14 @@ class ConstrainedCertifier {
     }
     OfMovingGrid(&result);
     Judge(&result);
-    if (result.verdict == Certificate::Verdict::kStationary) return result;
-    OfFixedGrid(&result);
-    Judge(&result);
+    if (result.verdict != Certificate::Verdict::kStationary) {
+      OfFixedGrid(&result);
+      Judge(&result);
+    }
+    if (result.IsStationary() && HasCurvature()) {
+      AddCurvature(&result);
+      Judge(&result);
+    }
     return result;
   }
 
@@ -240,18 +117,32 @@ class ConstrainedCertifier {
     });
   }
 
+  bool IsAtNorm(int interval, int c) const {
+    const std::vector<double>& norms = scene_.control.max_norm;
+    return !norms.empty() && Force(interval, c).norm() >= (1 - kAtBound) * norms[c];
+  }
+
+  // Of the bounds that a force is at.
+  std::vector<Vec2d> NormalsAt(int interval, int c) const {
+    std::vector<Vec2d> normals;
+    const Vec2d u = Force(interval, c);
+    const std::vector<double>& max = scene_.control.max;
+    for (int d = 0; d < 2 && !max.empty(); ++d) {
+      if (std::abs(u[d]) >= (1 - kAtBound) * max[c]) normals.push_back((u[d] > 0 ? 1.0 : -1.0) * Vec2d::Unit(d));
+    }
+    if (IsAtNorm(interval, c)) normals.push_back(u.normalized());
+    return normals;
+  }
+
   NormalCone ConeAt(int interval, int c) const {
     NormalCone cone;
-    const Vec2d u = Force(interval, c);
-    const saltus::Control& bounds = scene_.control;
-    for (int d = 0; d < 2 && !bounds.max.empty(); ++d) {
-      if (std::abs(u[d]) >= (1 - kAtBound) * bounds.max[c]) cone.Add((u[d] > 0 ? 1.0 : -1.0) * Vec2d::Unit(d));
-    }
-    if (!bounds.max_norm.empty() && u.norm() >= (1 - kAtBound) * bounds.max_norm[c]) cone.Add(u.normalized());
+    for (const Vec2d& normal : NormalsAt(interval, c)) cone.Add(normal);
     return cone;
   }
 
-  void AddForces(const std::vector<Result>& sweeps, Conditions* conditions) const {
+  bool HasCondition(size_t interval) const { return motion_.lengths[interval] > kNoInterval * scene_.duration; }
+
+  void AddForces(const std::vector<Result>& sweeps, ConeConditions* conditions) const {
     const int n = static_cast<int>(sweeps.size()) - 1;
     const int pushed = scene_.num_controlled();
     const size_t intervals = motion_.lengths.size();
@@ -265,7 +156,7 @@ class ConstrainedCertifier {
       }
     }
     for (size_t k = 0; k < intervals; ++k) {
-      if (motion_.lengths[k] <= kNoInterval * scene_.duration) continue;
+      if (!HasCondition(k)) continue;
       for (int c = 0; c < pushed; ++c) {
         const int interval = static_cast<int>(k);
         const Eigen::Matrix2Xd& of = mean[k * pushed + c];
@@ -343,7 +234,7 @@ class ConstrainedCertifier {
 
   template <typename Of>
   static void Add(const std::vector<Result>& sweeps, const Of& of, double constant, int allowed,
-                  Conditions* conditions) {
+                  ConeConditions* conditions) {
     Eigen::RowVectorXd columns(sweeps.size() - 1);
     for (size_t j = 1; j < sweeps.size(); ++j) columns[j - 1] = of(sweeps[j], false);
     conditions->AddNumber(constant + of(sweeps[0], true), columns, allowed);
@@ -363,7 +254,7 @@ class ConstrainedCertifier {
       hamiltonian_scale_ = std::max(hamiltonian_scale_, EffortRate(static_cast<int>(k)));
     }
   }
-  double RelativeForce(const Conditions& conditions) const {
+  double RelativeForce(const ConeConditions& conditions) const {
     const double force = conditions.LargestForce();
     return force == 0 ? 0.0 : force / (position_scale_ * scene_.duration);
   }
@@ -372,7 +263,7 @@ class ConstrainedCertifier {
   void OfMovingGrid(Certificate* result) {
     const std::vector<bool> unknown(num_hits(), true);
     const std::vector<Result> sweeps = Sweeps(unknown);
-    Conditions conditions(static_cast<int>(sweeps.size()) - 1);
+    ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
     AddForces(sweeps, &conditions);
     for (int k = 0; k < num_hits(); ++k) {
       // At the final time an impact may want to be later.
@@ -388,6 +279,7 @@ class ConstrainedCertifier {
     const Result found = Combined(unknown, conditions.theta());
     SetSizes(found);
     result->stationarity = RelativeForce(conditions);
+    SetRestrictions(conditions);
     for (int k = 0; k < num_hits(); ++k) {
       result->impacts[k].multiplier = found.multipliers[k];
       result->impacts[k].hamiltonian = RelativeHamiltonian(conditions.Number(k));
@@ -404,7 +296,7 @@ class ConstrainedCertifier {
     std::vector<bool> unknown;
     for (const Flight::Hit& hit : motion_.flight.hits()) unknown.push_back(hit.on_node);
     const std::vector<Result> sweeps = Sweeps(unknown);
-    Conditions conditions(static_cast<int>(sweeps.size()) - 1);
+    ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
     AddForces(sweeps, &conditions);
     if (scene_.objective.duration) {  // all intervals scale with it
       const auto by_scale = [&](const Result& sweep, bool whole) {
@@ -416,6 +308,7 @@ class ConstrainedCertifier {
     const Result found = Combined(unknown, conditions.theta());
     SetSizes(found);
     result->gradient = RelativeForce(conditions);
+    SetRestrictions(conditions);
     if (scene_.objective.duration) {
       result->gradient = std::max(*result->gradient, std::abs(RelativeHamiltonian(conditions.Number(0))));
     }
@@ -430,6 +323,47 @@ class ConstrainedCertifier {
                    }
                    return found.multipliers[k];
                  });
+  }
+
+  // Terms on the way and the final time would have a part of their own; impacts at the final time are a kink.
+  bool HasCurvature() const {
+    const Objective& objective = scene_.objective;
+    if (objective.effort == 0 || !objective.running.empty() || !objective.via.empty() || objective.duration)
+      return false;
+    for (int k = 0; k < num_hits(); ++k) {
+      if (IsAtEnd(k)) return false;
+    }
+    return true;
+  }
+
+  void AddCurvature(Certificate* result) const {
+    std::vector<std::optional<double>> held(num_hits());
+    if (result->verdict == Certificate::Verdict::kStationaryOnGrid) {
+      for (int k = 0; k < num_hits(); ++k) held[k] = result->impacts[k].theta;
+    }
+    result->curvature = FindCurvature(
+        CondensedLoss(scene_, motion_.flight, motion_.control, motion_.lengths, std::move(held), restrictions_));
+  }
+
+  // At the multipliers found.
+  void SetRestrictions(const ConeConditions& conditions) {
+    restrictions_.hard = HardOf(conditions.theta());
+    restrictions_.forces.assign(motion_.lengths.size() * scene_.num_controlled(), {});
+    size_t next = 0;
+    for (size_t i = 0; i < restrictions_.forces.size(); ++i) {
+      const int interval = static_cast<int>(i / scene_.num_controlled()),
+                c = static_cast<int>(i % scene_.num_controlled());
+      const Vec2d left = HasCondition(interval) ? conditions.Force(next++) : Vec2d(0, 0);
+      Restrictions::Force& force = restrictions_.forces[i];
+      for (const Vec2d& normal : NormalsAt(interval, c)) {
+        const Vec2d along = force.free * normal;
+        if (along.norm() > 1e-9) force.free -= along * along.transpose() / along.squaredNorm();
+      }
+      if (IsAtNorm(interval, c) && effort() > 0) {
+        const Vec2d u = Force(interval, c);
+        force.bend = std::max(0.0, -left.dot(u) / (2 * effort() * Mass(c) * u.squaredNorm()));
+      }
+    }
   }
 
   std::vector<Vec2d> HardOf(const Eigen::VectorXd& theta) const {
@@ -458,6 +392,7 @@ class ConstrainedCertifier {
   CostateSweep sweep_;
   std::vector<int> boundaries_;  // of phases: segments, 0 and their number included
   double position_scale_ = 0, hamiltonian_scale_ = 0;
+  Restrictions restrictions_;
 };
 
 // The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.

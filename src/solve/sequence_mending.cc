@@ -2,11 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
-#include <numeric>
 
-#include "control/control_bounds.h"
+#include "motion_merit.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {
@@ -16,15 +14,11 @@ constexpr int kMostAttempts = 60;
 constexpr int kPatience = 5;           // attempts after which nothing better than an optimum is expected
 constexpr int kMostStarts = 5;         // of one plan
 constexpr double kBetterStart = 0.99;  // of the merit of an earlier one
-constexpr double kFeasible = 1e-8;     // largest violation on the exact roll-out
 constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants to be none
 constexpr double kActive = 1e-6;       // ... or is none, at an optimum
 constexpr double kOutOfOrder = 1e-9;   // of the horizon
 constexpr double kGrazes = 1e-4;       // of the scene's speed, at which an impact wants to be none
 constexpr double kNearBorder = 1e-2;   // of the sliding velocity between slip and stick
-constexpr double kMissWeight = 1e3;    // of hard constraints beside the loss, in natural units
-constexpr int kHalvings = 8;           // on the way from one motion to another
-constexpr double kSameLoss = 1e-9;
 
 // What is tried first.
 enum class Rank { kBetterMotion, kIndicated, kTie, kHold };
@@ -37,11 +31,6 @@ struct Task {
 
 bool Contains(const ContactSequence& pairs, const Candidate& pair) {
   return std::find(pairs.begin(), pairs.end(), pair) != pairs.end();
-}
-
-bool IsForbidden(const Scene& scene, const Candidate& c) {
-  return std::find(scene.no_contact.begin(), scene.no_contact.end(), NoContact{c.a, c.b, c.plane}) !=
-         scene.no_contact.end();
 }
 
 class Mending {
@@ -76,59 +65,11 @@ class Mending {
 
   // ------------------------------------------------------------------------------------------------- merit of motions
 
-  // Of a real motion: the loss, and what is left of hard constraints. Infinite if there is none.
-  double Merit(const Trial& trial) const {
-    if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
-    const double violation = ViolationOf(scene_, trial);
-    return trial.exact.loss + kMissWeight * violation * violation;
-  }
-
-  Trial WithinBounds(Trial trial) const {
-    const std::vector<double> control = trial.control;
-    MoveWithinBounds(scene_.control, trial.control);
-    if (trial.control == control) return trial;
-    Simulate(scene_, run_.terms(), &trial);
-    return trial;
-  }
+  double Merit(const Trial& trial) const { return MeritOf(scene_, trial); }
+  Trial WithinBounds(const Trial& trial) const { return saltus::WithinBounds(scene_, run_.terms(), trial); }
 
   void Meet(const Trial& trial) {
     if (Merit(trial) < Merit(lowest_)) lowest_ = trial;
-  }
-
-  // The best motion on the way from one to another whose forces are known, if it is better than the first.
-  std::optional<Trial> WalkTo(const Trial& to, const Trial& from) const {
-    std::optional<Trial> best;
-    double least = Merit(WithinBounds(from));
-    if (std::isfinite(least)) least -= kSameLoss * std::abs(least);
-    const auto before = ForcesOf(scene_, from);
-    const double stretch = DurationOf(from) / DurationOf(to);
-    double part = 1;
-    for (int i = 0; i <= kHalvings; ++i, part /= 2) {
-      Trial between = to;
-      for (size_t j = 0; j < to.initial.size(); ++j) {
-        between.initial[j] = part * to.initial[j] + (1 - part) * InitialOf(scene_, from)[j];
-      }
-      const double factor = part + (1 - part) * stretch;
-      double begin = 0;
-      for (size_t k = 0; k < to.durations.size(); ++k) {
-        for (int c = 0; c < scene_.num_controlled(); ++c) {
-          const Vec2d old = before(c, stretch * (begin + 0.5 * to.durations[k]));
-          for (int j = 0; j < 2; ++j) {
-            double& u = between.control[2 * (k * scene_.num_controlled() + c) + j];
-            u = part * u + (1 - part) * old[j];
-          }
-        }
-        begin += to.durations[k];
-        between.durations[k] *= factor;
-      }
-      MoveWithinBounds(scene_.control, between.control);
-      Simulate(scene_, run_.terms(), &between);
-      const double merit = Merit(between);
-      if (!(merit < least)) continue;
-      least = merit;
-      best = std::move(between);
-    }
-    return best;
   }
 
   // ------------------------------------------------------------------------------------------------------------ tasks
@@ -213,7 +154,7 @@ class Mending {
 
   bool IsBetter(const PlanAttempt& attempt) const {
     if (!best_) return true;
-    const double same = kSameLoss * std::abs(best_->loss());
+    const double same = kHardlyBetter * std::abs(best_->loss());
     if (attempt.converged && !best_->converged) return attempt.loss() <= best_->loss() + same;
     return attempt.loss() < best_->loss() - same;
   }
@@ -242,7 +183,7 @@ class Mending {
     std::vector<Task> moves;
     const Trial& trial = attempt.trial;
     if (!attempt.feasible()) {
-      if (const auto better = WalkTo(trial, task.start.trial)) {
+      if (const auto better = WalkTo(scene_, run_.terms(), trial, task.start.trial)) {
         moves.push_back(WithApart(TaskAlong(better->exact.contacts, *better), task.plan.apart));
         moves.back().rank = Rank::kBetterMotion;
       }
@@ -393,7 +334,8 @@ class Mending {
     std::string reason;
     const Termination termination = Judge(&reason);
     if (saddles_ > 0) reason = DescribeSaddle(reason);
-    if (passed_.size() > 1) reason += (reason.empty() ? "" : "; ") + Passed();
+    if (passed_.size() > 1)
+      reason += (reason.empty() ? "sequences passed: " : "; sequences passed: ") + NamesOf(scene_, passed_);
     const Trial& result = termination == Termination::kConverged ? best_->trial : lowest_;
     return run_.Finish(result, result.exact.loss, termination, std::move(reason));
   }
@@ -401,10 +343,10 @@ class Mending {
   Termination Judge(std::string* reason) {
     if (interrupted_) return Termination::kInterrupted;
     if (tried_.empty()) {
-      *reason = "no motion along " + NameOf(passed_.front()) + " was found to start from";
+      *reason = "no motion along " + NameOf(scene_, passed_.front()) + " was found to start from";
       return Termination::kFailed;
     }
-    if (HasOptimum() && !(Merit(lowest_) < best_->loss() - kSameLoss * std::abs(best_->loss()))) {
+    if (HasOptimum() && !(Merit(lowest_) < best_->loss() - kHardlyBetter * std::abs(best_->loss()))) {
       Certify();
       return Termination::kConverged;
     }
@@ -412,7 +354,7 @@ class Mending {
       *reason = "no optimum found is better than a motion that is none";
     } else if (IsOpen(lowest_)) {
       *reason = "no motion along " + ContactSequenceToString(scene_, lowest_.exact.contacts) +
-                " that meets all constraints was found; the least violation is " + DescribeMiss();
+                " that meets all constraints was found; the least violation is " + DescribeMiss(scene_, lowest_);
     } else if (!best_ && last_ && !last_->realized) {
       *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
     }
@@ -429,69 +371,10 @@ class Mending {
     const bool kinks = best_plan_.HasTies() || best_plan_.HasModes() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {
       certificate = {};
-      certificate.reason = Kinks() + ", where the loss has a kink: the conditions are those where it has none";
+      certificate.reason =
+          KinksOf(scene_, best_plan_) + ", where the loss has a kink: the conditions are those where it has none";
     }
     run_.report().certificate = std::move(certificate);
-  }
-
-  std::string Kinks() const {
-    std::string text;
-    const auto add = [&](const std::string& what) { text += (text.empty() ? "" : ", ") + what; };
-    for (const Candidate& pair : best_plan_.apart) add(ContactSequenceToString(scene_, {pair}) + " just touch");
-    if (best_plan_.HasTies()) {
-      add(best_plan_.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
-    }
-    if (best_plan_.HasModes()) add("an impact is between slip and stick");
-    return text;
-  }
-
-  // Of the constraint that the best motion misses most.
-  std::string DescribeMiss() const {
-    const Miss miss = LargestMiss(scene_, lowest_);
-    if (lowest_.own.violation > miss.size) {
-      char part[40];
-      std::snprintf(part, sizeof part, "%.6g", lowest_.own.violation);
-      return std::string(part) + " of its scale, by " + lowest_.own.worst;
-    }
-    const bool position = miss.quantity == TerminalTerm::Quantity::kPosition;
-    const double unit = position ? scene_.units.length : scene_.units.speed();
-    char text[40];
-    std::snprintf(text, sizeof text, "%.6g", miss.size * unit);
-    return std::string(text) + (position ? " m" : " m/s") + ", by " + scene_.bodies[miss.body].name;
-  }
-
-  std::string NameOf(const PhasePlan& plan) const { return NameFrom(plan, 0); }
-
-  // Without the first impacts.
-  std::string NameFrom(const PhasePlan& plan, size_t first) const {
-    const ContactSequence sequence = plan.Sequence();
-    std::string text = ContactSequenceToString(scene_, {sequence.begin() + first, sequence.end()});
-    if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
-    for (size_t k = 0; k < plan.cuts.size(); ++k) {
-      if (!plan.modes[k]) continue;
-      text += ", " + ContactSequenceToString(scene_, {*plan.cuts[k]});
-      text += *plan.modes[k] == ContactMode::kSlip ? " slips" : " sticks";
-    }
-    for (const Candidate& pair : plan.apart) text += ", " + ContactSequenceToString(scene_, {pair}) + " apart";
-    return text;
-  }
-
-  std::string Passed() const {
-    constexpr size_t kLong = 8;  // impacts, of which those are left out that the sequence before has too
-    std::string text = "sequences passed: ";
-    for (size_t i = 0; i < passed_.size(); ++i) {
-      const ContactSequence sequence = passed_[i].Sequence();
-      size_t same = 0;
-      if (i > 0 && sequence.size() > kLong) {
-        const ContactSequence before = passed_[i - 1].Sequence();
-        const auto [mine, other] = std::mismatch(sequence.begin(), sequence.end(), before.begin(), before.end());
-        same = std::min<size_t>(mine - sequence.begin(), sequence.size() - 1);
-      }
-      text += i > 0 ? "; " : "";
-      if (same > 0) text += "(" + std::to_string(same) + " the same) ";
-      text += NameFrom(passed_[i], same);
-    }
-    return text;
   }
 
   PhaseRun& run_;
@@ -516,61 +399,6 @@ class Mending {
 };
 
 }  // namespace
-
-ContactSequence PhasePlan::Sequence() const {
-  ContactSequence sequence;
-  for (const auto& cut : cuts) {
-    if (cut) sequence.push_back(*cut);
-  }
-  return sequence;
-}
-
-bool PhasePlan::HasTies() const { return std::find(tied.begin(), tied.end(), true) != tied.end(); }
-
-bool PhasePlan::HasModes() const {
-  return std::any_of(modes.begin(), modes.end(), [](const auto& mode) { return mode.has_value(); });
-}
-
-bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; }
-
-double DurationOf(const Trial& trial) { return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0); }
-
-std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& trial) {
-  std::vector<double> ends(trial.durations.size());
-  std::partial_sum(trial.durations.begin(), trial.durations.end(), ends.begin());
-  return [&scene, &trial, ends = std::move(ends)](int c, double t) {
-    const size_t last = ends.size() - 1;
-    const size_t k = std::min<size_t>(std::upper_bound(ends.begin(), ends.end(), t) - ends.begin(), last);
-    const double* u = &trial.control[2 * (k * scene.num_controlled() + c)];
-    return Vec2d(u[0], u[1]);
-  };
-}
-
-Miss LargestMiss(const Scene& scene, const Trial& trial) {
-  Miss largest;
-  const Flight flight = FlightOf(scene, trial);
-  const auto consider = [&](const DiscStates& x, const auto& term) {
-    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
-    const double size = (q - term.target).norm();
-    if (size > largest.size) largest = {size, term.body, term.quantity};
-  };
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.hard) consider(flight.end(), term);
-  }
-  for (const ViaTerm& term : scene.objective.via) {
-    if (term.hard) consider(flight.Before(term.time), term);
-  }
-  return largest;
-}
-
-double ViolationOf(const Scene& scene, const Trial& trial) {
-  if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
-  const ContactSequence& met = trial.exact.contacts;
-  if (std::any_of(met.begin(), met.end(), [&](const Candidate& c) { return IsForbidden(scene, c); })) {
-    return std::numeric_limits<double>::infinity();
-  }
-  return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
-}
 
 SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan) { return Mending(run, try_plan).Solve(); }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "physics/control_problems.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -23,7 +24,14 @@ Surrogate& SurrogateOf(Request* request) {
   return *request->options.surrogate;
 }
 
+void TakeControlProblem(double seed, Request* request) {
+  if (seed < 0) throw InputError("seed must not be negative");
+  request->scene = ControlProblem(static_cast<uint64_t>(seed));
+  ApplySceneFlags(&request->scene);
+}
+
 constexpr NumberOption kNumbers[] = {
+    {kSeedOption, kInteger, TakeControlProblem},
     {"stiffness", kReal, [](double value, Request* r) { r->scene.contact.stiffness = value; }},
     {"damping", kReal, [](double value, Request* r) { r->scene.contact.damping = value; }},
     {"restitution", kReal, [](double value, Request* r) { r->scene.contact.restitution = value; }},

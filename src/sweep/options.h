@@ -1,5 +1,5 @@
 // What a sweep can vary: every numeric flag of the programs, some numbers of the scene, the contact model, the solver
-// and the precision.
+// and the precision; or the scene itself, by the seed of a control problem (physics/control_problems.h).
 //
 // Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,
 // position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled.
@@ -24,6 +24,9 @@ std::vector<std::string> SweepOptionNames();
 
 // The words that solver or precision accept. A contact model may have options: see registry.h.
 std::vector<std::string> SweepWords(const std::string& name);
+
+// The option that takes the place of the scene, so that it is set before all others.
+inline constexpr const char* kSeedOption = "seed";
 
 // Sets one option of a request; the scene that results is not validated. Precondition: the option exists, the value is
 // a word that it accepts, or else a number. Throws InputError if the number is impossible for an option of solvers.

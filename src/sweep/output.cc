@@ -106,7 +106,10 @@ Json SweepJson(const SweepStudy& study, const std::vector<StoredPoint>& points) 
     object["status"] = ToString(point.result.status);
     list.push_back(std::move(object));
   }
-  return {{"scene", study.request().scene.name}, {"points", std::move(list)}};
+  Json document = Json::object();
+  if (!study.generates()) document["scene"] = study.request().scene.name;
+  document["points"] = std::move(list);
+  return document;
 }
 
 std::string Summary(const SweepStudy& study, const std::vector<StoredPoint>& points) {

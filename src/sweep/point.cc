@@ -7,6 +7,7 @@
 #include "output/table.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
+#include "sweep/peak_memory.h"
 #include "tools/audit.h"
 #include "tools/simulators.h"
 #include "tools/solve.h"
@@ -38,11 +39,12 @@ PointStatus StatusOf(Termination termination) {
   return failed ? PointStatus::kFailed : PointStatus::kComputed;
 }
 
-PointResult SolvePoint(const Request& request, double seconds, PointResult result) {
+PointResult SolvePoint(const Request& request, double seconds, bool with_memory, PointResult result) {
   const Clock::time_point deadline =
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
   SolverOptions options = request.options;
   if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
+  if (with_memory) ForgetPeakMemory();
   SolvedRun run;
   run.report = Solve(request.solvers[0],
                      {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
@@ -63,6 +65,7 @@ PointResult SolvePoint(const Request& request, double seconds, PointResult resul
             report.seconds},
            &result.row);
   }
+  if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
   Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : RemarkOn(run)},
@@ -122,23 +125,18 @@ PointResult GradientPoint(const Request& request, PointResult result) {
 
 }  // namespace
 
-std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias) {
+std::vector<std::string> ResultColumns(const SweepStudy& study) {
+  const std::optional<Surrogate>& surrogate = study.request().options.surrogate;
   std::vector<std::string> columns;
   if (surrogate) columns.push_back("surrogate");
-  if (any_bias) columns.push_back("biased");
+  if (study.any_bias()) columns.push_back("biased");
   const auto add = [&](std::initializer_list<const char*> names) {
     columns.insert(columns.end(), names.begin(), names.end());
   };
-  if (solving) {
-    add({"initial_loss",
-         "loss_before_last",
-         "final_loss",
-         "exact_loss",
-         "iterations",
-         "evaluations",
-         "seconds",
-         "termination",
-         "reason"});
+  if (study.solving()) {
+    add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
+    if (study.generates()) add({"memory_mib"});
+    add({"termination", "reason"});
     return columns;
   }
   add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
@@ -153,7 +151,7 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds)
   try {
     const Request request = study.At(point);
     PointResult result = StartRow(study, point);
-    return study.solving() ? SolvePoint(request, seconds, std::move(result))
+    return study.solving() ? SolvePoint(request, seconds, study.generates(), std::move(result))
                            : GradientPoint(request, std::move(result));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());

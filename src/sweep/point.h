@@ -12,15 +12,16 @@ namespace saltus {
 
 // The columns after those of the options. A solve is
 //   initial_loss, loss_before_last, final_loss, exact_loss, iterations, evaluations, seconds, termination, reason,
+// and of generated scenes memory_mib before the termination, the most that the process had while it solved,
 // a gradient (at the initial guess)
 //   loss, norm_dposition, norm_dvelocity, norm_dcontrol (of its parts), relative_error (to the exact one), reason,
 // where the reason of a row with results names ambiguous ties (a gradient then has no relative_error),
 // and before either, of a surrogate: surrogate, and of biased gradients: biased ("yes" or "no"). Before the reason of a
 // gradient that was estimated comes norm_standard_error (over the initial state and the control).
-std::vector<std::string> ResultColumns(bool solving, const std::optional<Surrogate>& surrogate, bool any_bias);
+std::vector<std::string> ResultColumns(const SweepStudy& study);
 
 // Computes a point. A solver is stopped after `seconds` (0: never), and then the row holds what it had reached. All but
-// the column "seconds" of a point that is not stopped is the same on every call.
+// the columns "seconds" and "memory_mib" of a point that is not stopped is the same on every call.
 PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds);
 
 // Why a point was stopped after so many seconds.

@@ -74,6 +74,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   solving_ = !request_.solvers.empty() || Has(blocks_, "solver");
   if (!Has(blocks_, "contact")) blocks_.push_back(WordBlock("contact", request_.contacts));
   if (solving_ && !Has(blocks_, "solver")) blocks_.push_back(WordBlock("solver", request_.solvers));
+  generates_ = Has(blocks_, kSeedOption);
   any_bias_ = request_.options.surrogate || AnyContactIsBiased(blocks_);
   for (const SweepBlock& block : blocks_) {
     const int64_t rows = static_cast<int64_t>(block.rows.size());
@@ -94,7 +95,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   add(/*names=*/false);
   add(/*names=*/true);
   columns_ = options_;
-  for (const std::string& result : ResultColumns(solving_, request_.options.surrogate, any_bias_)) {
+  for (const std::string& result : ResultColumns(*this)) {
     // An option may bear the name of a result.
     const bool taken = std::find(options_.begin(), options_.end(), result) != options_.end();
     columns_.push_back(taken ? result + "_done" : result);
@@ -122,7 +123,11 @@ SweepRow SweepStudy::Values(int64_t point) const {
 Request SweepStudy::At(int64_t point) const {
   Request request = request_;
   const SweepRow values = Values(point);
-  for (size_t i = 0; i < values.size(); ++i) SetSweepOption(options_[i], values[i], &request);
+  for (const bool seeds : {true, false}) {
+    for (size_t i = 0; i < values.size(); ++i) {
+      if ((options_[i] == kSeedOption) == seeds) SetSweepOption(options_[i], values[i], &request);
+    }
+  }
   if (const std::optional<SceneError> error = Validate(request.scene)) {
     throw InputError(error->key + ": " + error->message);
   }

@@ -22,6 +22,8 @@ class SweepStudy {
 
   int64_t size() const { return size_; }
   bool solving() const { return solving_; }
+  // Whether each point has a scene of its own, by its seed.
+  bool generates() const { return generates_; }
   const Request& request() const { return request_; }
 
   // The options that vary from point to point, in the order of the columns.
@@ -47,6 +49,7 @@ class SweepStudy {
   Request request_;
   std::vector<SweepBlock> blocks_;
   bool solving_;
+  bool generates_ = false;
   bool any_bias_;
   int64_t size_ = 1;
   std::vector<std::string> options_;

@@ -9,11 +9,15 @@
 #include <regex>
 
 #include "output/interrupt.h"
+#include "output/text_layout.h"
+#include "physics/control_problems.h"
 #include "saltus/io/scene_file.h"
 #include "sweep/cluster.h"
 #include "sweep/figures.h"
+#include "sweep/options.h"
 #include "sweep/output.h"
 #include "sweep/run.h"
+#include "sweep/solved.h"
 #include "tools/report_parts.h"
 #include "tools/simulators.h"
 
@@ -103,6 +107,8 @@ void MergeShards(const SweepStudy& study, SweepStore* store) {
   }
 }
 
+bool HasSolvedTable(const SweepStudy& study) { return study.generates() && study.solving(); }
+
 // One page of what failed, the figures and the first rows. Figures are left out where gnuplot is missing.
 void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points,
                  const std::vector<SweepFigure>& figures, const std::string& base) {
@@ -110,6 +116,7 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   HtmlReport report = StartReport(request.scene);
   report.AddHeading(1, "Points");
   report.AddPreformatted(Summary(study, points));
+  if (HasSolvedTable(study)) report.AddTable(SolvedTable(study, points), "What each solver solves.");
   if (!figures.empty()) report.AddHeading(1, "Figures");
   for (const SweepFigure& figure : figures) {
     std::string caption = figure.name;
@@ -121,6 +128,7 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   report.AddTable(SweepTable(study, first),
                   first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
                                                : "All rows, as in `" + base + ".csv`.");
+  if (study.generates()) return OrOutputError(report.Write(ReportPath(study, base)));
   report.AddHeading(1, "Scene");
   report.AddPreformatted(WriteScene(request.scene));
   OrOutputError(report.Write(ReportPath(study, base)));
@@ -131,6 +139,7 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
   const std::string& directory = study.request().output_dir;
   if (directory.empty()) return;
   WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
+  if (HasSolvedTable(study)) WriteTextFile(directory + "/" + base + ".solved.csv", SolvedTable(study, points).ToCsv());
   OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
   if (InterruptGuard::Interrupted()) return;  // figures take seconds
   const std::vector<SweepFigure> figures = MakeSweepFigures(study, points);
@@ -152,6 +161,7 @@ void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& point
                   } else {
                     std::cout << table.ToCsv() << std::flush;
                   }
+                  if (HasSolvedTable(study)) std::cerr << SolvedTable(study, points).ToText(LayoutOfStandardOutput());
                 });
   // Standard output is data.
   const bool silent = study.request().progress == ProgressMode::kNone || InterruptGuard::Interrupted();
@@ -213,9 +223,20 @@ void AddSimulators(const std::vector<std::string>& arguments, Request* request) 
   request->contacts.insert(request->contacts.end(), names.begin(), names.end());
 }
 
+// Whether each point is to have a scene of its own, which is asked before there is any.
+bool SweepsSeeds(const std::string& text) {
+  static const std::regex seeds(std::string("(^|[;&(,\\s])") + kSeedOption + "\\s*[=,)]");
+  return std::regex_search(text, seeds);
+}
+
 int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   Request request;
-  if (!ReadRequest({}, &request)) return kDone;
+  ProgramDefaults defaults;
+  if (SweepsSeeds(FLAGS_sweep)) {
+    defaults.generated = ControlProblem(0);
+    defaults.generated->name = "control_problems";
+  }
+  if (!ReadRequest(defaults, &request)) return kDone;
   CheckFlags();
   AddSimulators(arguments, &request);
   const SweepStudy study(request, ParseSweep(FLAGS_sweep, request.scene));

@@ -219,17 +219,6 @@ void RefuseFlagsOfOthers(const Program& program) {
   }
 }
 
-void ApplyFlags(Scene* scene) {
-  if (IsGiven("steps")) scene->steps = FLAGS_steps;
-  if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
-  if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
-  if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
-  if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
-  if (const std::optional<SceneError> error = Validate(*scene)) {
-    throw InputError("with the flags given, " + error->key + ": " + error->message);
-  }
-}
-
 SearchOptions SearchFromFlags() {
   const SearchOptions options{.seconds = FLAGS_search_seconds,
                               .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
@@ -237,6 +226,12 @@ SearchOptions SearchFromFlags() {
                               .seed = FLAGS_search_seed};
   if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
   return options;
+}
+
+void RefuseFlagsOfOneScene() {
+  for (const char* flag : {"scene", "control", "warm_start"}) {
+    if (IsGiven(flag)) throw InputError("--" + std::string(flag) + ": scenes are made from seeds");
+  }
 }
 
 // --control and --warm_start.
@@ -381,6 +376,17 @@ ProgressMode ProgressFromFlags() {
 
 std::string OutputDirFromFlags() { return FLAGS_output_dir; }
 
+void ApplySceneFlags(Scene* scene) {
+  if (IsGiven("steps")) scene->steps = FLAGS_steps;
+  if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
+  if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
+  if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
+  if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
+  if (const std::optional<SceneError> error = Validate(*scene)) {
+    throw InputError("with the flags given, " + error->key + ": " + error->message);
+  }
+}
+
 Precision PrecisionFromFlags() {
   if (FLAGS_precision != "double" && FLAGS_precision != "float") {
     throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
@@ -402,13 +408,14 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
     return false;
   }
   const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
-  if (path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
+  if (defaults.generated) RefuseFlagsOfOneScene();
+  if (!defaults.generated && path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
   if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, AllSolvers());
   request->precision = PrecisionFromFlags();
-  request->scene = LoadScene(path);
-  ApplyFlags(&request->scene);
+  request->scene = defaults.generated ? *defaults.generated : LoadScene(path);
+  ApplySceneFlags(&request->scene);
   ReadStart(request);
 
   request->options.search = FLAGS_sequence == "auto";

@@ -30,9 +30,10 @@ inline constexpr char kNoSolver[] = "none";
 
 // Defaults that differ from program to program; flags given on the command line override them.
 struct ProgramDefaults {
-  std::string scene;          // file; empty if --scene must be given
-  std::string solver = "gd";  // --solver
-  double learning_rate = 0;   // 0: by what is optimised (10 for a control, 0.01 otherwise)
+  std::string scene;                              // file; empty if --scene must be given
+  std::optional<Scene> generated = std::nullopt;  // in place of any file; --scene is then an error
+  std::string solver = "gd";                      // --solver
+  double learning_rate = 0;                       // 0: by what is optimised (10 for a control, 0.01 otherwise)
   int iterations = 1000;
 };
 
@@ -76,6 +77,9 @@ void WriteAndPrint(const std::function<void()>& write, const std::function<void(
 // Reads the common flags. Throws InputError. If --contact=list, --solver=list or --surrogate=list is given, prints the
 // list and returns false: the program is done.
 bool ReadRequest(const ProgramDefaults& defaults, Request* request);
+
+// What flags say in place of the scene. Throws InputError if that is impossible.
+void ApplySceneFlags(Scene* scene);
 
 // The parts of ReadRequest, for programs without a scene.
 int ThreadsFromFlags();

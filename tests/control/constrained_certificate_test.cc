@@ -34,6 +34,12 @@ TEST_P(ConstrainedCertificate, AcceptsTheOptimum) {
   EXPECT_NEAR(certificate.impacts[0].time, GetParam()["impact_time"].get<double>(), 2e-5);
   EXPECT_EQ(certificate.final_time.has_value(), scene.objective.duration.has_value());
   EXPECT_EQ(certificate.constraints.size(), scene.objective.terminal[0].hard ? 1u : 0u);
+  const bool on_the_way = scene.objective.duration || !scene.objective.running.empty();
+  EXPECT_EQ(certificate.curvature.has_value(), !on_the_way);
+  if (!certificate.curvature) return;
+  EXPECT_EQ(certificate.curvature->kind, Curvature::Kind::kMinimum);
+  EXPECT_GT(certificate.curvature->smallest, 0.3);
+  EXPECT_LE(certificate.curvature->smallest, 1);
 }
 
 TEST_P(ConstrainedCertificate, RejectsOneForceChangedByOnePercent) {

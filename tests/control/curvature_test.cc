@@ -150,6 +150,82 @@ INSTANTIATE_TEST_SUITE_P(Scenes, Condensed,
                                          Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2}),
                          [](const auto& at) { return at.param.name; });
 
+// Forces that are free, at one bound, at two, and at one that is curved; and hard terms for both discs.
+Restrictions SomeRestrictions(const Scene& scene) {
+  Restrictions restrictions{.forces = {}, .hard = {{0.3, -0.2}, {0.1, 0.4}}};
+  restrictions.forces.resize(scene.steps * scene.num_controlled());
+  for (size_t i = 0; i < restrictions.forces.size(); ++i) {
+    Restrictions::Force& force = restrictions.forces[i];
+    const Vec2d tangent(std::cos(double(i)), std::sin(double(i)));
+    if (i % 5 == 1) force.free = Vec2d(0, 1).asDiagonal();
+    if (i % 5 == 2) force.free.setZero();
+    if (i % 5 == 3) force = {tangent * tangent.transpose(), 0.7};
+  }
+  return restrictions;
+}
+
+// A linear objective is a row of the derivative of the end by the control; the model knows it exactly.
+Eigen::RowVectorXd DerivativeOf(Scene scene, const TerminalTerm& term, const std::vector<double>& control) {
+  scene.objective.terminal = {term};
+  scene.objective.effort = 0;
+  SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble));
+  double loss = 0;
+  Eigen::VectorXd row(control.size());
+  EXPECT_TRUE(shooting.Evaluate(control, &loss, row.data()));
+  return row.transpose();
+}
+
+// With bounds and hard terms it is the least eigenvalue of the dense Lagrangian where directions may go. The
+// multipliers of hard terms are those of linear ones.
+TEST(Curvature, IsThatOfTheLagrangianAlongWhatIsFree) {
+  const Scene lagrangian = [] {
+    Scene scene = TwoPushed();
+    const auto add = [&](int body, TerminalTerm::Quantity quantity, int component, double weight) {
+      scene.objective.terminal.push_back(
+          {.body = body, .quantity = quantity, .component = component, .weight = weight});
+    };
+    add(0, TerminalTerm::Quantity::kPosition, 0, 0.3);
+    add(0, TerminalTerm::Quantity::kPosition, 1, -0.2);
+    add(1, TerminalTerm::Quantity::kVelocity, 0, 0.1);
+    add(1, TerminalTerm::Quantity::kVelocity, 1, 0.4);
+    return scene;
+  }();
+  Scene hard = TwoPushed();
+  hard.objective.terminal.push_back({.body = 0, .target = {1, 0}, .hard = true});
+  hard.objective.terminal.push_back(
+      {.body = 1, .quantity = TerminalTerm::Quantity::kVelocity, .target = {1, 0}, .hard = true});
+  const std::vector<double> control = Wavy(hard), lengths = EqualLengths(hard);
+  const Exact exact(hard, control, lengths);
+  const Restrictions restrictions = SomeRestrictions(hard);
+  const CondensedLoss::Curvature curvature =
+      CondensedLoss(hard, exact.flight, control, lengths, {}, restrictions).SmallestCurvature();
+
+  const Exact of_lagrangian(lagrangian, control, lengths);
+  Eigen::MatrixXd hessian = CondensedLoss(lagrangian, of_lagrangian.flight, control, lengths).DenseHessian();
+  const double unit = 2 * hard.objective.effort * hard.dt();
+  Eigen::MatrixXd measure = Eigen::MatrixXd::Zero(hessian.rows(), hessian.cols());
+  Eigen::MatrixXd held = Eigen::MatrixXd::Zero(hessian.rows() + 4, hessian.cols());
+  for (size_t i = 0; i < restrictions.forces.size(); ++i) {
+    const Restrictions::Force& force = restrictions.forces[i];
+    hessian.block<2, 2>(2 * i, 2 * i) += unit * force.bend * force.free;
+    measure.block<2, 2>(2 * i, 2 * i) = unit * (Eigen::Matrix2d::Identity() + force.bend * force.free);
+    held.block<2, 2>(2 * i, 2 * i) = Eigen::Matrix2d::Identity() - force.free;
+  }
+  for (int i = 0; i < 4; ++i) {
+    TerminalTerm term = lagrangian.objective.terminal[3 + i];
+    term.weight = 1;
+    held.row(hessian.rows() + i) = DerivativeOf(hard, term, control);
+  }
+  const Eigen::MatrixXd basis = Eigen::FullPivLU<Eigen::MatrixXd>(held).setThreshold(1e-9).kernel();
+  ASSERT_EQ(basis.cols(), 44);  // of 80 forces: 16 and 8 and 8 held, and the end
+  const Eigen::GeneralizedSelfAdjointEigenSolver<Eigen::MatrixXd> dense(basis.transpose() * hessian * basis,
+                                                                        basis.transpose() * measure * basis);
+  EXPECT_NEAR(curvature.smallest, dense.eigenvalues()[0], 1e-8 * dense.eigenvalues().cwiseAbs().maxCoeff());
+  EXPECT_NEAR(curvature.largest, dense.eigenvalues().maxCoeff(), 1e-8 * dense.eigenvalues().maxCoeff());
+  EXPECT_NEAR(hard.dt() * curvature.direction.squaredNorm(), 1, 1e-9);
+  EXPECT_LT((held * curvature.direction).norm(), 1e-8 * curvature.direction.norm());
+}
+
 Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
   return Certify(scene, report.initial_state, report.control, report.durations);
 }
@@ -223,6 +299,26 @@ TEST(Curvature, TheHeadOnBounceIsASaddle) {
     EXPECT_GT(gain(LossWithMovedNode(scene, saddle, sideways, eps)) / length, expected);
     EXPECT_LT(ExactLoss(scene, Along(saddle.control, certificate.curvature->direction, eps), saddle.durations), loss);
   }
+}
+
+// A bound that no force is at changes nothing; one that some are at leaves the saddle one, as it is left sideways.
+TEST(Curvature, KnowsTheSaddleUnderBounds) {
+  Scene scene = HeadOn();
+  const Trial saddle = StraightBack(scene);
+  const Certificate free = CertifyTrial(scene, saddle);
+  double largest = 0;
+  for (const double force : saddle.control) largest = std::max(largest, std::abs(force));
+  scene.control.max = {1.1 * largest};
+  const Certificate wide = CertifyTrial(scene, saddle);
+  EXPECT_EQ(wide.verdict, Certificate::Verdict::kStationary);
+  EXPECT_THAT(wide.reason, HasSubstr("saddle"));
+  ASSERT_TRUE(wide.curvature);
+  EXPECT_NEAR(wide.curvature->smallest, free.curvature->smallest, 1e-9);
+
+  scene.control.max = {0.9 * largest};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_LT(report.final_loss, saddle.exact.loss);  // that of any control straight back is higher
+  for (const double force : report.control) EXPECT_LE(std::abs(force), scene.control.max[0]);
 }
 
 // With the impact held on its node the direction keeps it there.

@@ -295,6 +295,50 @@ TEST_F(SweepRunsTest, WritesTableArraysAndFigures) {
   }
 }
 
+// The part of problems that each solver solves, from the rows of the sweep.
+std::map<std::string, double> SolvedParts(const CsvDocument& csv) {
+  std::map<std::string, double> best, parts;
+  const auto number = [&](const auto& row, const char* name) { return std::stod(row[*csv.Find(name)]); };
+  for (const auto& row : csv.rows) {
+    const double loss = number(row, "exact_loss");
+    const auto [at, is_new] = best.emplace(row[*csv.Find("seed")], loss);
+    if (!is_new) at->second = std::min(at->second, loss);
+  }
+  for (const auto& row : csv.rows) {
+    const bool solved = number(row, "exact_loss") <= (1 + 1e-6) * best[row[*csv.Find("seed")]];
+    parts[row[*csv.Find("solver")]] += solved ? 1.0 / best.size() : 0.0;
+  }
+  return parts;
+}
+
+TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
+  const Outcome outcome = RunCommand(SALTUS_BINARY_DIR
+                                     "/bin/saltus_sweep --contact=event --solver=gd,ceres_lm --sweep='seed=0,1,10' "
+                                     "--iterations=5 --steps=20 --progress=none --output_dir=" +
+                                     directory_);
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 6u);
+  for (const auto& row : csv->rows) EXPECT_GT(std::stod(row[*csv->Find("memory_mib")]), 1);
+  const StatusOr<std::string> text = ReadFile(directory_ + "/sweep.solved.csv", 1 << 20);
+  ASSERT_TRUE(text.ok());
+  const StatusOr<CsvDocument> solved = ParseCsv(*text);
+  ASSERT_TRUE(solved.ok());
+  ASSERT_EQ(solved->rows.size(), 6u);
+  const std::map<std::string, double> parts = SolvedParts(*csv);
+  for (const auto& row : solved->rows) {
+    const std::string& kind = row[*solved->Find("kind")];
+    EXPECT_EQ(row[*solved->Find("problems")], kind == "all" ? "3" : kind == "pair" ? "2" : "1");
+    if (kind == "all")
+      EXPECT_NEAR(std::stod(row[*solved->Find("solved")]), parts.at(row[*solved->Find("solver")]), 1e-9);
+  }
+  EXPECT_EQ(solved->rows.back()[*solved->Find("kind")], "all");
+  const Outcome both = RunCommand(SALTUS_BINARY_DIR "/bin/saltus_sweep --sweep=seed=1,2 " + Scene("two_balls"));
+  EXPECT_EQ(both.exit_code, 2);
+  EXPECT_THAT(both.errors, HasSubstr("--scene"));
+}
+
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
   const std::string base = SALTUS_BINARY_DIR "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {
