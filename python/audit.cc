@@ -53,9 +53,9 @@ void InParallel(int count, int threads, const Compute& compute) {
       [&] { tbb::parallel_for(0, count, [&](int i) { tbb::this_task_arena::isolate([&] { compute(i); }); }); });
 }
 
-// A simulator or a contact model written in Python: its name, what answers questions (callable_box.h), and whether that
-// has gradients and single steps.
-using OwnSimulator = std::tuple<std::string, py::object, bool, bool>;
+// A simulator or a contact model written in Python: its name, what answers questions (callable_box.h), what its
+// gradients are of ("final state", "loss", or "" without any), and whether it has single steps.
+using OwnSimulator = std::tuple<std::string, py::object, std::string, bool>;
 
 py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
                     const std::string& precision, bool width_sweep, const py::object& surrogate, int threads) {
@@ -74,8 +74,10 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   const int workers = ReadThreads(threads);
   if (contacts.size() == 1) options.threads = workers;
   std::vector<std::shared_ptr<BlackBox>> boxes;
-  for (const auto& [name, answerer, gradient, step] : own) {
-    boxes.push_back(MakeCallableBox(name, answerer, gradient, step, /*states=*/false));
+  for (const auto& [name, answerer, gradient_of, step] : own) {
+    CallableOffer offer{.gradient = !gradient_of.empty(), .step = step};
+    if (gradient_of == "loss") offer.loss = scene.objective;
+    boxes.push_back(MakeCallableBox(name, answerer, offer));
   }
   AuditReport report;
   report.models.resize(contacts.size());

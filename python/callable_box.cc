@@ -8,11 +8,13 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
+#include "saltus/control/objective.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus::python {
 namespace {
 
+constexpr double kNotOfLoss = 1e-9;  // of a cotangent's square, what is not along the loss's
 constexpr const char* kKinds[] = {"simulate", "gradient", "step"};
 
 // The Python object for `scene`, with all that the package adds to it.
@@ -23,8 +25,8 @@ py::object SceneToPython(const Scene& scene) {
 
 class CallableBox final : public BlackBox {
  public:
-  CallableBox(std::string name, py::object answerer, const BlackBoxTraits& traits)
-      : name_(std::move(name)), answerer_(std::move(answerer)), traits_(traits) {}
+  CallableBox(std::string name, py::object answerer, CallableOffer offer)
+      : name_(std::move(name)), answerer_(std::move(answerer)), offer_(std::move(offer)) {}
   ~CallableBox() override {
     const py::gil_scoped_acquire acquire;
     answerer_ = py::object();
@@ -32,7 +34,14 @@ class CallableBox final : public BlackBox {
   }
 
   const std::string& name() const override { return name_; }
-  BlackBoxTraits Describe(const Scene&) override { return traits_; }
+  BlackBoxTraits Describe(const Scene& scene) override {
+    BlackBoxTraits traits;
+    traits.name = name_;
+    traits.gradient = offer_.gradient && (!offer_.loss || scene.objective == *offer_.loss);
+    traits.step = offer_.step;
+    traits.states = offer_.states;
+    return traits;
+  }
 
   std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
                           const StopRequest& stop) override {
@@ -74,7 +83,29 @@ class CallableBox final : public BlackBox {
     answer.states = read("states", {question.steps + 1, scene.num_bodies(), 4});
     answer.initial = read("gradient by the initial state", states);
     answer.control = read("gradient by the control", control);
+    if (gradient && offer_.loss) PullBackOfLoss(scene, question, &answer);
     return answer;
+  }
+
+  // From the gradient of the scene's loss to that of of_final . (final state). All questions are about multiples of the
+  // loss, which may be in other units.
+  void PullBackOfLoss(const Scene& scene, const Question& question, Answer* answer) const {
+    std::vector<double> by_final(answer->final.size());
+    TerminalGradient(scene.objective, answer->final, 4, by_final);
+    double product = 0, square = 0, asked = 0;
+    for (size_t i = 0; i < by_final.size(); ++i) {
+      product += by_final[i] * question.of_final[i];
+      square += by_final[i] * by_final[i];
+      asked += question.of_final[i] * question.of_final[i];
+    }
+    const double factor = square > 0 ? product / square : 0.0;
+    if (asked - factor * product > kNotOfLoss * asked) {
+      throw std::logic_error(name_ + ": asked for another gradient than that of the loss");
+    }
+    std::vector<double> effort(answer->control.size());
+    AddEffortGradient(scene.objective, question.control, question.duration / question.steps, effort);
+    for (size_t i = 0; i < effort.size(); ++i) answer->control[i] = factor * (answer->control[i] - effort[i]);
+    for (double& entry : answer->initial) entry *= factor;
   }
 
   // Kept, as questions about one scene come in rows.
@@ -88,30 +119,25 @@ class CallableBox final : public BlackBox {
 
   std::string name_;
   py::object answerer_;
-  BlackBoxTraits traits_;
+  CallableOffer offer_;
   std::optional<Scene> last_scene_;
   py::object scene_of_;
 };
 
 }  // namespace
 
-std::shared_ptr<BlackBox> MakeCallableBox(const std::string& name, const py::object& answerer, bool gradient, bool step,
-                                          bool states) {
+std::shared_ptr<BlackBox> MakeCallableBox(const std::string& name, const py::object& answerer,
+                                          const CallableOffer& offer) {
   if (name.empty() || name.find_first_of(":, ") != std::string::npos) {
     throw py::value_error("name: found '" + name + "', expected text without colons, commas and blanks");
   }
-  BlackBoxTraits traits;
-  traits.name = name;
-  traits.gradient = gradient;
-  traits.step = step;
-  traits.states = states;
-  return std::make_shared<CallableBox>(name, answerer, traits);
+  return std::make_shared<CallableBox>(name, answerer, offer);
 }
 
 void BindContact(py::module_* module) {
   py::class_<Contact>(*module, "Contact")
       .def(py::init([](const std::string& name, const py::object& answerer) {
-             const auto box = MakeCallableBox(name, answerer, true, true, true);
+             const auto box = MakeCallableBox(name, answerer, {.gradient = true, .step = true, .states = true});
              return ContactOf(box, box->Describe({}), {.touches = true});
            }),
            py::arg("name"),

@@ -8,17 +8,18 @@ import numpy as np
 
 from . import _saltus
 from ._scene import Scene
+from ._types import Floats
 
 # What a simulator is asked: kind, scene, dt, initial (B, 4), control (K, C, 2) or force (B, 2), cotangent (B, 4).
-_Answerer = Callable[[str, Scene, float, np.ndarray, np.ndarray, Any], "dict[str, Any]"]
+_Answerer = Callable[[str, Scene, float, Floats, Floats, Any], "dict[str, Any]"]
 
 
-def _difference_width(x: np.ndarray, scale: float) -> np.ndarray:
+def _difference_width(x: Floats, scale: float) -> Floats:
     """Of central differences: the cube root of the rounding, relative."""
-    return np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(x), scale)
+    return np.asarray(np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(x), scale))
 
 
-def _by_differences(step: Callable[..., Any], state: np.ndarray, force: np.ndarray, h: float) -> tuple[Any, Any]:
+def _by_differences(step: Callable[..., Any], state: Floats, force: Floats, h: float) -> tuple[Any, Any]:
     """The derivatives of one step, (4B, 4B) and (4B, 2B), by central differences."""
     blocks = []
     for index, given in enumerate((state, force)):
@@ -58,10 +59,10 @@ class ContactModel:
     def __init__(self, scene: Scene):
         self.scene = scene
 
-    def step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    def step(self, x: Floats, u: Floats, h: float) -> Floats:
         raise NotImplementedError(f"{type(self).__name__} needs a method step(x, u, h)")
 
-    def jacobian(self, x: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(self, x: Floats, u: Floats, h: float) -> tuple[Floats, Floats]:
         return _by_differences(self.step, x, u, h)
 
 
@@ -79,7 +80,7 @@ class Stepper:
         return self._model
 
     def __call__(
-        self, kind: str, scene: Scene, dt: float, initial: np.ndarray, control: np.ndarray, of_final: Any
+        self, kind: str, scene: Scene, dt: float, initial: Floats, control: Floats, of_final: Any
     ) -> dict[str, Any]:
         model = self._of(scene)
         if kind == "step":
@@ -101,7 +102,7 @@ class Stepper:
         return answer
 
 
-def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> Floats:
     state = np.asarray(value, dtype=float)
     if state.shape != shape:
         raise ValueError(f"{model.name}: step: found shape {state.shape}, expected {shape}")
@@ -111,22 +112,32 @@ def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> np.ndarra
 class Simulator:
     """Answers what a black box is asked by a user's callables."""
 
-    def __init__(self, simulate: Any, vjp: Any, jacobian: Any, step: Any):
-        for key, value in {"simulate": simulate, "vjp": vjp, "jacobian": jacobian, "step": step}.items():
+    def __init__(self, simulate: Any, gradient: Any, vjp: Any, jacobian: Any, step: Any):
+        gradients = {"gradient": gradient, "vjp": vjp, "jacobian": jacobian}
+        for key, value in {"simulate": simulate, **gradients, "step": step}.items():
             if value is not None and not callable(value):
                 raise TypeError(f"{key}: found {type(value).__name__}, expected a callable")
-        if vjp is not None and jacobian is not None:
-            raise ValueError("jacobian: found beside vjp, expected one of them")
-        self._simulate, self._vjp, self._jacobian, self._step = simulate, vjp, jacobian, step
+        given = [key for key, value in gradients.items() if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: found beside {given[0]}, expected one of them")
+        if gradient is not None and step is not None:  # blame is pulled back by cotangents that are no loss's
+            raise ValueError("step: found beside gradient, expected it alone, or beside vjp or jacobian")
+        self._simulate, self._gradient, self._vjp, self._jacobian = simulate, gradient, vjp, jacobian
+        self._step = step
+        # Of what: "loss", "final state", or "" without one.
+        self.gradient_of = "loss" if gradient is not None else "final state" if given else ""
+        self.has_step = step is not None
 
     def __call__(
-        self, kind: str, scene: Scene, dt: float, initial: np.ndarray, control: np.ndarray, of_final: Any
+        self, kind: str, scene: Scene, dt: float, initial: Floats, control: Floats, of_final: Any
     ) -> dict[str, Any]:
         if kind == "step":
             return {"final state": self._step(scene, initial, control, dt)}
         answer = {"final state": self._simulate(scene, initial.copy(), control.copy(), dt)}
         if kind == "gradient":
-            if self._vjp is not None:
+            if self._gradient is not None:
+                by_initial, by_control = _pair("gradient", self._gradient(scene, initial, control, dt))
+            elif self._vjp is not None:
                 by_initial, by_control = _pair("vjp", self._vjp(scene, initial, control, dt, of_final))
             else:
                 by_initial, by_control = _pair("jacobian", self._jacobian(scene, initial, control, dt))
@@ -144,7 +155,7 @@ def _pair(name: str, value: Any) -> tuple[Any, Any]:
     return value[0], value[1]
 
 
-def _matrix(name: str, value: Any, by: np.ndarray, rows: int | None = None) -> np.ndarray:
+def _matrix(name: str, value: Any, by: Floats, rows: int | None = None) -> Floats:
     matrix, expected = np.asarray(value, dtype=float), (rows or by.size, by.size)
     if matrix.shape != expected:
         raise ValueError(f"{name}: found shape {matrix.shape}, expected {expected}")
@@ -165,8 +176,8 @@ def as_contact(contact: Any) -> Any:
     """What the extension module takes: a name, or the contact model that a class makes."""
     if is_own(contact):
         if "_contact" not in contact.__dict__:
-            contact._contact = _saltus.Contact(contact.name, Stepper(contact))  # type: ignore[attr-defined]
-        return contact._contact  # type: ignore[attr-defined]
+            contact._contact = _saltus.Contact(contact.name, Stepper(contact))
+        return contact._contact
     if isinstance(contact, ContactModel):
         raise TypeError(f"contact: found an object of {type(contact).__name__}, expected the class itself")
     return contact

@@ -87,7 +87,7 @@ def gradient(scene: Scene, contact: Any, precision: str, control: ArrayLike | No
 def audit(
     scene: Scene,
     contacts: Sequence[str],
-    own: Sequence[tuple[str, Any, bool, bool]],
+    own: Sequence[tuple[str, Any, str, bool]],
     *,
     precision: str,
     width_sweep: bool,

@@ -11,6 +11,7 @@ from . import _saltus
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
+from ._types import Floats
 
 
 class Simulation(_saltus.Simulation):
@@ -145,7 +146,7 @@ def linearize(
     position: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
     precision: str = "double",
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Floats, Floats]:
     """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
 
     Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors

@@ -69,7 +69,7 @@ def solve(
     )
     run = Run(found)
     if stopped_by is not None:
-        stopped_by.run = run
+        stopped_by.run = run  # type: ignore[attr-defined]
         raise stopped_by
     return run
 
@@ -79,6 +79,7 @@ def audit(
     contact: Any = None,
     *,
     simulate: Callable[..., Any] | None = None,
+    gradient: Callable[..., Any] | None = None,
     vjp: Callable[..., Any] | None = None,
     jacobian: Callable[..., Any] | None = None,
     step: Callable[..., Any] | None = None,
@@ -99,13 +100,17 @@ def audit(
         (K, C, 2) on those of scene.controlled, one row a step of dt seconds. It starts afresh each time. It is asked of
         this scene with other starts, steps and forces, and of a head-on impact of its first pair alone: what it needs
         of the discs (scene.to_dict()) it should read there.
+    gradient(scene, initial, control, dt)
+        Its own gradient, of the loss of `scene` with its effort, by initial (B, 4) and by control (K, C, 2). Or
     vjp(scene, initial, control, dt, cotangent)
-        Its own gradient: of sum(cotangent * final state), by initial (B, 4) and by control (K, C, 2). Or
+        likewise, of sum(cotangent * final state). Or
     jacobian(scene, initial, control, dt)
-        the derivatives of the final state by them, of shapes (4 B, 4 B) and (4 B, 2 K C). With neither, differences of
-        final states are judged, of a width that their precision allows, which is found.
+        the derivatives of the final state by them, of shapes (4 B, 4 B) and (4 B, 2 K C). A gradient is compared with
+        the exact one and with differences of what `simulate` gives (``agrees_with_differences``). Without one, these
+        differences are judged, of a width that their precision allows, which is found.
     step(scene, state, force, h)
-        The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong.
+        The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong. Not beside
+        `gradient`.
 
     ``report.raise_if_wrong()`` makes a test of it. Raises ValueError for unknown names and wrong shapes, and if the only
     model asked for cannot take the scene; what a callable raises. Ctrl-C raises KeyboardInterrupt.
@@ -115,11 +120,16 @@ def audit(
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact
     models = list(models) if isinstance(models, (list, tuple)) else [models]
     names = [model for model in models if not is_own(model)]
-    own = [(model.name, Stepper(model), has_jacobian(model), True) for model in models if is_own(model)]
+    own: list[tuple[str, Any, str, bool]] = [
+        (model.name, Stepper(model), "final state" if has_jacobian(model) else "", True)
+        for model in models
+        if is_own(model)
+    ]
     if simulate is not None:
-        own.append((name, Simulator(simulate, vjp, jacobian, step), bool(vjp or jacobian), step is not None))
-    elif vjp or jacobian or step:
-        raise ValueError("simulate: expected a callable beside vjp, jacobian or step")
+        simulator = Simulator(simulate, gradient, vjp, jacobian, step)
+        own.append((name, simulator, simulator.gradient_of, simulator.has_step))
+    elif gradient or vjp or jacobian or step:
+        raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     return Audit(

@@ -38,16 +38,16 @@ def coarse(two_balls):
     return two_balls.replace(steps=32)
 
 
-class Exact:
-    """The exact model, as if it were somebody else's simulator."""
+class Lent:
+    """A built-in model, as if it were somebody else's simulator."""
 
-    def __init__(self):
-        self.scene, self.steps, self.dt = None, 0, 0.0
+    def __init__(self, contact="event"):
+        self.contact, self.scene, self.steps, self.dt = contact, None, 0, 0.0
 
     def end_of(self, scene, control, dt):
         if (self.scene, self.steps, self.dt) != (scene, len(control), dt):
             self.scene, self.steps, self.dt = scene, len(control), dt
-            self.end = saltus.EndState(scene.replace(duration=dt * len(control), steps=len(control)), "event")
+            self.end = saltus.EndState(scene.replace(duration=dt * len(control), steps=len(control)), self.contact)
         return self.end
 
     def simulate(self, scene, initial, control, dt):
@@ -55,6 +55,14 @@ class Exact:
 
     def vjp(self, scene, initial, control, dt, cotangent):
         return self.end_of(scene, control, dt).vjp(initial, control, cotangent)
+
+    def gradient(self, scene, initial, control, dt):
+        """Of the loss, by another way than vjp."""
+        over = scene.replace(duration=dt * len(control), steps=len(control))
+        found = saltus.loss_and_gradient(
+            over, self.contact, control=control, position=initial[:, :2], velocity=initial[:, 2:]
+        ).gradient
+        return np.hstack([found.position, found.velocity]), found.control
 
 
 class TestSimulators:
@@ -67,12 +75,33 @@ class TestSimulators:
             report.raise_if_wrong()
 
     def test_the_exact_one_is_right(self, coarse):
-        exact = Exact()
+        exact = Lent()
         for vjp in (None, exact.vjp):
             report = saltus.audit(coarse, simulate=exact.simulate, vjp=vjp)
             report.raise_if_wrong()
             assert report.of("simulate")["precision_found"] == 53
         assert report.of("simulate")["own_gradient"]
+
+    def test_a_gradient_of_the_loss(self, coarse):
+        """As audited from a vjp: effort is taken off, and nothing else."""
+        exact = Lent()
+        found = [
+            saltus.audit(coarse, simulate=exact.simulate, **own).of("simulate")
+            for own in ({"gradient": exact.gradient}, {"vjp": exact.vjp})
+        ]
+        assert found[0]["verdict"] == found[1]["verdict"] == "right"
+        assert found[0]["agrees_with_differences"] and found[0]["own_gradient"]
+        for key in ("position", "velocity", "control"):
+            np.testing.assert_allclose(found[0]["gradient"][key], found[1]["gradient"][key], rtol=1e-12, atol=1e-14)
+
+    def test_a_gradient_beside_the_exact_one_and_beside_differences(self, coarse):
+        """That of the simulator's own motion agrees with differences, and is wrong; the exact one does not agree."""
+        boundary = Lent("direct")
+        found = saltus.audit(coarse, simulate=boundary.simulate, gradient=boundary.gradient).of("simulate")
+        assert found["verdict"] in ("wrong", "wrong sign") and found["agrees_with_differences"]
+        assert any("agrees with differences, and is wrong" in finding for finding in found["findings"])
+        found = saltus.audit(coarse, simulate=boundary.simulate, gradient=Lent().gradient).of("simulate")
+        assert found["agrees_with_differences"] is False
 
     def test_beside_built_in_models(self, coarse):
         report = saltus.audit(coarse, ["direct"], simulate=simulate_step_boundary)
@@ -95,13 +124,26 @@ class TestSimulators:
             saltus.audit(coarse, simulate=rubbish)
 
     def test_gradients_of_the_wrong_shape(self, coarse):
-        exact = Exact()
+        exact = Lent()
         with pytest.raises(ValueError, match="vjp: found"):
             saltus.audit(coarse, simulate=exact.simulate, vjp=lambda *_: np.zeros(8))
         with pytest.raises(ValueError, match="gradient by the control: found shape"):
             saltus.audit(coarse, simulate=exact.simulate, vjp=lambda *_: (np.zeros((2, 4)), np.zeros((3, 1, 2))))
         with pytest.raises(ValueError, match="jacobian by the initial state: found shape"):
             saltus.audit(coarse, simulate=exact.simulate, jacobian=lambda *_: (np.zeros((2, 2)), np.zeros((2, 2))))
+        with pytest.raises(ValueError, match=r"gradient by the control: found shape \(3,\), expected \(32, 1, 2\)"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=lambda *_: (np.zeros((2, 4)), np.zeros(3)))
+        with pytest.raises(ValueError, match="gradient: found float, expected a pair"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=lambda *_: 0.0)
+
+    def test_gradients_beside_each_other(self, coarse):
+        exact = Lent()
+        with pytest.raises(ValueError, match="vjp: found beside gradient, expected one of them"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=exact.gradient, vjp=exact.vjp)
+        with pytest.raises(ValueError, match="step: found beside gradient"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=exact.gradient, step=lambda *_: None)
+        with pytest.raises(ValueError, match="simulate: expected a callable beside gradient"):
+            saltus.audit(coarse, gradient=exact.gradient)
 
     def test_interrupts(self, two_balls):
         def slow(scene, initial, control, dt):
