@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 
 namespace saltus::python {
 namespace {
@@ -29,18 +30,6 @@ std::string PlaceOf(py::ssize_t i, const Shape& shape) {
   return "[" + text + "]";
 }
 
-void CheckFinite(const Array& array, const std::string& name) {
-  const std::span<const double> numbers = View(array);
-  double sum = 0;  // finite only if all are; what overflows is looked at again
-  for (const double number : numbers) sum += number - number;
-  if (sum == 0) return;
-  for (size_t i = 0; i < numbers.size(); ++i) {
-    if (std::isfinite(numbers[i])) continue;
-    throw py::value_error(name + PlaceOf(static_cast<py::ssize_t>(i), ShapeOf(array)) + ": found " +
-                          std::to_string(numbers[i]) + ", expected a finite number");
-  }
-}
-
 bool Overlap(const Array& a, const Array& b) {
   const auto begin = [](const Array& array) { return reinterpret_cast<std::uintptr_t>(array.data()); };
   return begin(a) < begin(b) + b.nbytes() && begin(b) < begin(a) + a.nbytes();
@@ -60,7 +49,34 @@ py::ssize_t SizeOf(const Shape& shape) {
   return size;
 }
 
+bool AllFinite(std::span<const double> numbers) {
+  constexpr size_t kLanes = 8;  // several sums, so that they need not wait for each other
+  double sums[kLanes] = {};     // x - x is 0, or not a number
+  size_t i = 0;
+  for (; i + kLanes <= numbers.size(); i += kLanes) {
+    for (size_t lane = 0; lane < kLanes; ++lane) sums[lane] += numbers[i + lane] - numbers[i + lane];
+  }
+  for (; i < numbers.size(); ++i) sums[0] += numbers[i] - numbers[i];
+  return std::accumulate(sums, sums + kLanes, 0.0) == 0;
+}
+
+void CheckFinite(const Array& array, const std::string& name) {
+  const std::span<const double> numbers = View(array);
+  if (AllFinite(numbers)) return;
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    if (std::isfinite(numbers[i])) continue;
+    throw py::value_error(name + PlaceOf(static_cast<py::ssize_t>(i), ShapeOf(array)) + ": found " +
+                          std::to_string(numbers[i]) + ", expected a finite number");
+  }
+}
+
 Array ReadArray(const py::handle& value, const std::string& name, const Shape& shape) {
+  const Array read = ReadNumbers(value, name, shape);
+  CheckFinite(read, name);
+  return read;
+}
+
+Array ReadNumbers(const py::handle& value, const std::string& name, const Shape& shape) {
   const std::string expected = ", expected real numbers of shape " + ShapeToString(shape);
   const py::array any = py::array::ensure(value);
   if (!any) throw py::type_error(name + ": found " + TypeName(value) + " that is no array" + expected);
@@ -71,9 +87,7 @@ Array ReadArray(const py::handle& value, const std::string& name, const Shape& s
   CheckShape(any, name, shape);
   const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(any);
   if (!array) throw py::error_already_set();
-  const Array read = py::reinterpret_borrow<Array>(array);
-  CheckFinite(read, name);
-  return read;
+  return py::reinterpret_borrow<Array>(array);
 }
 
 Array WritableArray(const py::object& out, const std::string& name, const Shape& shape, const Array* input) {

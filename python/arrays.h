@@ -24,6 +24,11 @@ py::ssize_t SizeOf(const Shape& shape);
 // as many numbers. TypeError if it is no array of real numbers; ValueError for another shape and for what is not
 // finite.
 Array ReadArray(const py::handle& value, const std::string& name, const Shape& shape);
+// The same, finite or not: for those who look by themselves.
+Array ReadNumbers(const py::handle& value, const std::string& name, const Shape& shape);
+bool AllFinite(std::span<const double> numbers);
+// ValueError that names the first that is not.
+void CheckFinite(const Array& array, const std::string& name);
 
 // `out`, to be written to, or a new array if it is None. TypeError unless it is an array of doubles in row-major order;
 // ValueError for another shape than those of ReadArray, one that may not be written to, or one that overlaps `input`.

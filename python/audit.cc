@@ -7,8 +7,10 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <tuple>
 
 #include "arrays.h"
+#include "callable_box.h"
 #include "computation.h"
 #include "convert.h"
 #include "output/palette.h"
@@ -51,8 +53,12 @@ void InParallel(int count, int threads, const Compute& compute) {
       [&] { tbb::parallel_for(0, count, [&](int i) { tbb::this_task_arena::isolate([&] { compute(i); }); }); });
 }
 
-py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::string& precision,
-                    bool width_sweep, const py::object& surrogate, int threads) {
+// A simulator or a contact model written in Python: its name, what answers questions (callable_box.h), what its
+// gradients are of ("final state", "loss", or "" without any), and whether it has single steps.
+using OwnSimulator = std::tuple<std::string, py::object, std::string, bool>;
+
+py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
+                    const std::string& precision, bool width_sweep, const py::object& surrogate, int threads) {
   Request request;
   request.scene = scene;
   request.precision = ReadPrecision(precision);
@@ -67,6 +73,12 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   options.stop = computation.stop();
   const int workers = ReadThreads(threads);
   if (contacts.size() == 1) options.threads = workers;
+  std::vector<std::shared_ptr<BlackBox>> boxes;
+  for (const auto& [name, answerer, gradient_of, step] : own) {
+    CallableOffer offer{.gradient = !gradient_of.empty(), .step = step};
+    if (gradient_of == "loss") offer.loss = scene.objective;
+    boxes.push_back(MakeCallableBox(name, answerer, offer));
+  }
   AuditReport report;
   report.models.resize(contacts.size());
   computation.RunOrThrow([&] {
@@ -74,9 +86,13 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
     InParallel(static_cast<int>(contacts.size()), workers, [&](int i) {
       report.models[i] = AuditModel(request.contacts[i], scene, request.precision, report.reference, options);
     });
+    // One after the other, in this thread, which has Python's exceptions.
+    for (const std::shared_ptr<BlackBox>& box : boxes) {
+      report.models.push_back(AuditBlackBox(box, scene, report.reference, options));
+    }
   });
   const ModelGradient& first = report.models[0].gradient;
-  if (contacts.size() == 1 && !first.ok() && IsNotApplicable(first, scene)) {
+  if (contacts.size() + own.size() == 1 && !first.ok() && IsNotApplicable(first, scene)) {
     throw py::value_error("contact " + first.contact + ": " + first.reason);
   }
   return ToPython(AuditToJson(request, report));
@@ -110,6 +126,7 @@ void BindAudit(py::module_* module) {
               &AuditScene,
               py::arg("scene"),
               py::arg("contacts"),
+              py::arg("own"),
               py::kw_only(),
               py::arg("precision"),
               py::arg("width_sweep"),

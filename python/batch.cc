@@ -1,6 +1,10 @@
 // Loss and gradient at many points, on all cores.
 #include "saltus/control/batch.h"
 
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
 #include "convert.h"
 #include "motion.h"
 #include "physics/units.h"
@@ -44,17 +48,33 @@ class PointsOfScene {
       throw py::value_error("points: expected an array of P points of " + std::to_string(num_variables()) + " numbers");
     }
     const py::ssize_t count = any.shape(0);
-    if (any.size() != count * num_variables()) return ReadArray(any, "points", {count, num_variables()});
-    return ReadArray(any.attr("reshape")(count, num_variables()), "points", {count, num_variables()});
+    if (any.size() != count * num_variables()) return ReadNumbers(any, "points", {count, num_variables()});
+    return ReadNumbers(any.attr("reshape")(count, num_variables()), "points", {count, num_variables()});
   }
 
   void Evaluate(const Array& points, std::span<double> losses, std::span<double> gradients) {
     Computation computation;
     computation.RunOrThrow([&] {
       const OneUser::Use use(&user_, &computation);
-      batch_->Evaluate(NearVariables(scene_, near_, View(points), &shifted_), losses, gradients);
+      EvaluateFinite(NearVariables(scene_, near_, View(points), &shifted_), losses, gradients);
     });
+    const bool all = std::none_of(losses.begin(), losses.end(), [](double loss) { return std::isnan(loss); });
+    if (!all) CheckFinite(points, "points");
     for (double& loss : losses) loss = ConvertLoss(loss, near_.units, scene_.units);
+  }
+
+  // As Batch::Evaluate(), with NaN for points that are not finite. Each is looked at just before it is used, as a pass
+  // over all points would cost a tenth of the gradients.
+  void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
+    const size_t size = batch_->num_variables();
+    batch_->ForEach(static_cast<int>(losses.size()), [&](SingleShooting* shooting, int i) {
+      const std::span<const double> point = points.subspan(i * size, size);
+      const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * size, size);
+      double* const to = gradient.empty() ? nullptr : gradient.data();
+      if (AllFinite(point) && shooting->Evaluate(point, &losses[i], to)) return;
+      losses[i] = std::numeric_limits<double>::quiet_NaN();
+      std::fill(gradient.begin(), gradient.end(), losses[i]);
+    });
   }
 
   Scene scene_, near_;

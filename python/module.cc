@@ -4,6 +4,7 @@
 PYBIND11_MODULE(_saltus, module) {
   using namespace saltus::python;
   module.attr("__version__") = SALTUS_VERSION;
+  BindContact(&module);
   BindScene(&module);
   BindSimulation(&module);
   BindBatch(&module);

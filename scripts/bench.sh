@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # usage: scripts/bench.sh [output folder] [flags of google-benchmark...]
-# Runs all benchmarks and writes bench.md, bench.svg and bench.png, and the raw results. The folder is results/bench/
+# Runs all benchmarks and writes bench.md, bench.svg and bench.png, python.txt, and the raw results. The folder is results/bench/
 # unless given. Times are of the thread, but a busy machine still blurs them: compare numbers of one run only.
 set -euo pipefail
 
@@ -15,7 +15,7 @@ mkdir -p "$output"
 
 cmake --preset bench
 cmake --build --preset bench -j "$(nproc)" \
-  --target simulation_benchmark solver_benchmark time_to_solution_benchmark bench_report
+  --target simulation_benchmark solver_benchmark time_to_solution_benchmark bench_report gradient_cost
 results=()
 for benchmark in simulation solver time_to_solution; do
   "build/bench/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
@@ -23,4 +23,8 @@ for benchmark in simulation solver time_to_solution; do
   results+=("$output/$benchmark.json")
 done
 build/bench/bench/bench_report "$output" "${results[@]}"
+# What calls from Python cost beside C++, where there is the module.
+if cmake --build --preset bench -j "$(nproc)" --target saltus_python 2>/dev/null; then
+  PYTHONPATH=build/bench/python python/bench/cost.py build/bench/bench/gradient_cost | tee "$output/python.txt"
+fi
 echo "Written to $output"

@@ -11,7 +11,7 @@ packages=(
   gnuplot-nox fonts-dejavu-core # figures, and a font for them
   libgtest-dev libgmock-dev libbenchmark-dev
   python3-dev pybind11-dev python3-numpy # the Python module
-  python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch are skipped without
+  python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch and mypy are skipped without
   "$@"
 )
 

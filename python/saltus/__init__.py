@@ -13,6 +13,7 @@ Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict o
 Many of them    Simulation (one scene, evaluated again and again), Batch (many points, on all cores)
 Optimisation    solve, solvers
 Audits          audit, contact_models, WrongGradient
+Of your own     audit(scene, simulate=...), and ContactModel for a contact model in Python
 Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient as it is, with jac=True
 Results         Result: the keys of the programs' JSON; save, load_result
@@ -22,6 +23,7 @@ model takes K steps. A state is (B, 4 or more): [p_x p_y v_x v_y ...] of each di
 held over each step. Numbers are those of the programs saltus_solve and saltus_audit, bit by bit.
 """
 
+from ._own import ContactModel
 from ._results import Audit, Gradient, Result, Rollout, Run, WrongGradient, load_result
 from ._saltus import __version__
 from ._scene import Scene, SceneError, load_scene
@@ -31,6 +33,7 @@ from ._solve import audit, contact_models, solve, solvers
 __all__ = [
     "Audit",
     "Batch",
+    "ContactModel",
     "EndState",
     "Gradient",
     "Result",

@@ -9,6 +9,8 @@ from typing import Any, Iterator, Mapping
 
 import numpy as np
 
+from ._types import Floats
+
 
 def _plain(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
@@ -71,7 +73,8 @@ class Result(Mapping[str, Any]):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers and text, as in the programs' JSON."""
-        return json.loads(json.dumps(self._data, default=_plain))
+        plain: dict[str, Any] = json.loads(json.dumps(self._data, default=_plain))
+        return plain
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes JSON with all digits."""
@@ -118,19 +121,23 @@ class Rollout(Result):
     _kind = "rollout"
 
     @property
-    def positions(self) -> np.ndarray:
+    def _states(self) -> Floats:
+        return np.asarray(self._data["states"])
+
+    @property
+    def positions(self) -> Floats:
         """(K + 1, B, 2), m."""
-        return self._data["states"][..., :2]
+        return self._states[..., :2]
 
     @property
-    def velocities(self) -> np.ndarray:
+    def velocities(self) -> Floats:
         """(K + 1, B, 2), m/s."""
-        return self._data["states"][..., 2:4]
+        return self._states[..., 2:4]
 
     @property
-    def final_state(self) -> np.ndarray:
+    def final_state(self) -> Floats:
         """(B, 4 or more)"""
-        return self._data["states"][-1]
+        return np.asarray(self._states[-1])
 
 
 class Gradient(Result):
@@ -148,7 +155,7 @@ class Run(Result):
 
     @property
     def converged(self) -> bool:
-        return self._data["termination"] == "converged"
+        return bool(self._data["termination"] == "converged")
 
 
 class Audit(Result):

@@ -32,6 +32,11 @@ class Scene:
     @property
     def velocity(self) -> _Array: ...
 
+class Contact:
+    def __init__(self, name: str, answerer: Any) -> None: ...
+    @property
+    def name(self) -> str: ...
+
 class Simulation:
     def __init__(
         self, scene: Scene, contact: Any = ..., *, precision: str = ..., memory_limit: float = ...
@@ -81,7 +86,8 @@ def starting_at(
 def gradient(scene: Scene, contact: Any, precision: str, control: ArrayLike | None) -> dict[str, Any]: ...
 def audit(
     scene: Scene,
-    contacts: Sequence[Any],
+    contacts: Sequence[str],
+    own: Sequence[tuple[str, Any, str, bool]],
     *,
     precision: str,
     width_sweep: bool,

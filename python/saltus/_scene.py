@@ -59,7 +59,8 @@ class Scene(_saltus.Scene):
         """The keys of the scene file, defaults written out. ``Scene(scene.to_dict()) == scene``."""
         if not hasattr(self, "_json"):
             self._json = json.dumps(self._to_dict())
-        return json.loads(self._json)
+        plain: dict[str, Any] = json.loads(self._json)
+        return plain
 
     def to_yaml(self) -> str:
         """The text of a scene file."""

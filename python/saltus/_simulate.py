@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
+from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
+from ._types import Floats
 
 
 class Simulation(_saltus.Simulation):
@@ -43,7 +45,7 @@ class Simulation(_saltus.Simulation):
     def __init__(
         self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", memory_limit: float = 1024
     ):
-        super().__init__(as_scene(scene), contact, precision=precision, memory_limit=memory_limit)
+        super().__init__(as_scene(scene), as_contact(contact), precision=precision, memory_limit=memory_limit)
 
 
 class Batch(_saltus.Batch):
@@ -60,7 +62,10 @@ class Batch(_saltus.Batch):
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
-        super().__init__(as_scene(scene), contact, precision=precision, threads=threads)
+        # Python's exceptions come out of the thread that called.
+        super().__init__(
+            as_scene(scene), as_contact(contact), precision=precision, threads=1 if is_own(contact) else threads
+        )
 
 
 class EndState(_saltus.EndState):
@@ -79,7 +84,7 @@ class EndState(_saltus.EndState):
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
-        super().__init__(as_scene(scene), contact, precision=precision)
+        super().__init__(as_scene(scene), as_contact(contact), precision=precision)
 
 
 def _start(scene: SceneLike, position: Any, velocity: Any, by_control: bool) -> _saltus.Scene:
@@ -108,7 +113,7 @@ def rollout(
     Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
     """
     given = _start(scene, position, velocity, control is not None)
-    simulation = _saltus.Simulation(given, contact, precision=precision, memory_limit=memory_limit)
+    simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
     found = simulation.rollout(control)
     return Rollout({"scene": given.name, "contact": simulation.contact, **found})
 
@@ -130,7 +135,7 @@ def loss_and_gradient(
     Raises as rollout.
     """
     given = _start(scene, position, velocity, control is not None)
-    return Gradient(_saltus.gradient(given, contact, precision, control))
+    return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))
 
 
 def linearize(
@@ -141,14 +146,14 @@ def linearize(
     position: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
     precision: str = "double",
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Floats, Floats]:
     """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
 
     Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors
     as those of `rollout`.
     """
     given = _start(scene, position, velocity, control is not None)
-    simulation = _saltus.Simulation(given, contact, precision=precision)
+    simulation = _saltus.Simulation(given, as_contact(contact), precision=precision)
     states = simulation.rollout(control)["states"]
     rows: list[Any] = [None] * simulation.num_steps if control is None else list(
         np.reshape(np.asarray(control, dtype=float), (simulation.num_steps, -1, 2)))

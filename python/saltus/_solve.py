@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Callable, Mapping
 
 from . import _saltus
+from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene
 
@@ -52,7 +53,7 @@ def solve(
     """
     found, stopped_by = _saltus.solve(
         as_scene(scene),
-        contact,
+        as_contact(contact),
         solver,
         precision=precision,
         callback=callback,
@@ -62,39 +63,83 @@ def solve(
         rate_per_time=rate_per_time,
         sequence=sequence,
         surrogate=surrogate,
-        threads=threads,
+        threads=1 if is_own(contact) else threads,
         memory_limit=memory_limit,
         keep_iterates=keep_iterates,
     )
     run = Run(found)
     if stopped_by is not None:
-        stopped_by.run = run
+        stopped_by.run = run  # type: ignore[attr-defined]
         raise stopped_by
     return run
 
 
 def audit(
     scene: SceneLike,
-    contact: str | Sequence[str] = "all",
+    contact: Any = None,
     *,
+    simulate: Callable[..., Any] | None = None,
+    gradient: Callable[..., Any] | None = None,
+    vjp: Callable[..., Any] | None = None,
+    jacobian: Callable[..., Any] | None = None,
+    step: Callable[..., Any] | None = None,
+    name: str = "simulate",
     precision: str = "double",
     width_sweep: bool = False,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
 ) -> Audit:
-    """Gradients of contact models beside the exact one, with verdicts and their reasons.
+    """Gradients of contact models, or of a simulator of yours, beside the exact one, with verdicts and their reasons.
 
-    contact: a model, a list of them, or "all". width_sweep: also compares with differences of every width.
-    surrogate: as in `solve`; its error is judged then. threads: 0 is one per core.
+    contact: a model, a list of them, or "all", which is the default without `simulate`; a ContactModel is audited by
+    what it answers, as a simulator is. width_sweep: also compares with differences of every width. surrogate: as in
+    `solve`; its error is judged then. threads: 0 is one per core.
 
-    Raises ValueError for unknown names, and if the only model asked for cannot take the scene. Ctrl-C raises
-    KeyboardInterrupt.
+    simulate(scene, initial, control, dt)
+        The final state (B, 4) of the discs of `scene`, each [p_x p_y v_x v_y], from `initial` (B, 4) under `control`
+        (K, C, 2) on those of scene.controlled, one row a step of dt seconds. It starts afresh each time. It is asked of
+        this scene with other starts, steps and forces, and of a head-on impact of its first pair alone: what it needs
+        of the discs (scene.to_dict()) it should read there.
+    gradient(scene, initial, control, dt)
+        Its own gradient, of the loss of `scene` with its effort, by initial (B, 4) and by control (K, C, 2). Or
+    vjp(scene, initial, control, dt, cotangent)
+        likewise, of sum(cotangent * final state). Or
+    jacobian(scene, initial, control, dt)
+        the derivatives of the final state by them, of shapes (4 B, 4 B) and (4 B, 2 K C). A gradient is compared with
+        the exact one and with differences of what `simulate` gives (``agrees_with_differences``). Without one, these
+        differences are judged, of a width that their precision allows, which is found.
+    step(scene, state, force, h)
+        The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong. Not beside
+        `gradient`.
+
+    ``report.raise_if_wrong()`` makes a test of it. Raises ValueError for unknown names and wrong shapes, and if the only
+    model asked for cannot take the scene; what a callable raises. Ctrl-C raises KeyboardInterrupt.
     """
-    names = list(contact_models()) if contact == "all" else [contact] if isinstance(contact, str) else list(contact)
-    if not names:
+    if contact is None:
+        contact = "all" if simulate is None else []
+    models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact
+    models = list(models) if isinstance(models, (list, tuple)) else [models]
+    names = [model for model in models if not is_own(model)]
+    own: list[tuple[str, Any, str, bool]] = [
+        (model.name, Stepper(model), "final state" if has_jacobian(model) else "", True)
+        for model in models
+        if is_own(model)
+    ]
+    if simulate is not None:
+        simulator = Simulator(simulate, gradient, vjp, jacobian, step)
+        own.append((name, simulator, simulator.gradient_of, simulator.has_step))
+    elif gradient or vjp or jacobian or step:
+        raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
+    if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     return Audit(
         _saltus.audit(
-            as_scene(scene), names, precision=precision, width_sweep=width_sweep, surrogate=surrogate, threads=threads
+            as_scene(scene),
+            names,
+            own,
+            precision=precision,
+            width_sweep=width_sweep,
+            surrogate=surrogate,
+            threads=threads,
         )
     )

@@ -21,25 +21,28 @@ from torch.autograd.function import once_differentiable
 
 from . import _simulate
 from ._scene import SceneLike
+from ._types import Floats
 
 
-def _numpy(tensor: torch.Tensor) -> np.ndarray:
-    return tensor.detach().cpu().to(torch.float64).numpy()
+def _numpy(tensor: torch.Tensor) -> Floats:
+    return np.asarray(tensor.detach().cpu().to(torch.float64).numpy())
 
 
-def _like(array: np.ndarray, tensor: torch.Tensor) -> torch.Tensor:
+def _like(array: Floats, tensor: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array)).to(dtype=tensor.dtype, device=tensor.device)
 
 
 class _EndState(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, initial: torch.Tensor, control: torch.Tensor, end: _simulate.EndState) -> torch.Tensor:
+    def forward(  # type: ignore[override]
+        ctx: Any, initial: torch.Tensor, control: torch.Tensor, end: _simulate.EndState
+    ) -> torch.Tensor:
         ctx.end = end
         ctx.save_for_backward(initial, control)
         return _like(end(_numpy(initial), _numpy(control)), initial)
 
     @staticmethod
-    @once_differentiable
+    @once_differentiable  # type: ignore[misc]
     def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
         initial, control = ctx.saved_tensors
         by_initial, by_control = ctx.end.vjp(_numpy(initial), _numpy(control), _numpy(cotangent))
@@ -65,18 +68,21 @@ class EndState:
         return torch.from_numpy(self._end.control)
 
     def __call__(self, initial: torch.Tensor, control: torch.Tensor) -> torch.Tensor:
-        return _EndState.apply(initial, control, self._end)
+        final: torch.Tensor = _EndState.apply(initial, control, self._end)
+        return final
 
 
 class _Loss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, z: torch.Tensor, simulation: _simulate.Simulation) -> torch.Tensor:
+    def forward(  # type: ignore[override]
+        ctx: Any, z: torch.Tensor, simulation: _simulate.Simulation
+    ) -> torch.Tensor:
         loss, gradient = simulation.loss_and_gradient(_numpy(z))
         ctx.save_for_backward(_like(gradient, z))
         return z.new_tensor(loss)
 
     @staticmethod
-    @once_differentiable
+    @once_differentiable  # type: ignore[misc]
     def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
         (gradient,) = ctx.saved_tensors
         return cotangent * gradient, None
@@ -84,4 +90,5 @@ class _Loss(torch.autograd.Function):
 
 def loss(simulation: _simulate.Simulation, z: torch.Tensor) -> torch.Tensor:
     """The scene's loss at the decision variables z, in the shape of `simulation.shape` or flat."""
-    return _Loss.apply(z, simulation)
+    found: torch.Tensor = _Loss.apply(z, simulation)
+    return found

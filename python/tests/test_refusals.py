@@ -115,6 +115,16 @@ class TestArrays:
             saltus.Batch(two_balls, threads=-1)
         assert batch.loss(np.zeros((0, 960))).shape == (0,)
 
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+    @pytest.mark.parametrize("contact", ["event", "direct_toi"])
+    def test_batches_with_numbers_that_are_not_finite(self, two_balls, contact, value):
+        points = np.full((5, 960), 3.0)
+        points[3, 17] = value
+        batch = saltus.Batch(two_balls, contact)
+        for evaluate in (batch.loss, batch.loss_and_gradient):
+            with refused(ValueError, r"points\[3, 17\]: found", "expected a finite number"):
+                evaluate(points)
+
 
 class TestNames:
     def test_contact_models_and_options(self, two_balls):

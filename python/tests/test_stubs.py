@@ -1,11 +1,31 @@
-"""The stub of the extension module has what the module has."""
+"""The stub of the extension module has what the module has, and types are right."""
 
 import ast
+import importlib.util
 import inspect
+import os
 import pathlib
+import subprocess
+import sys
+
+import pytest
+from conftest import BIN, SOURCE
 
 import saltus
 from saltus import _saltus
+
+# A program that uses the package, for mypy.
+USER = """
+import numpy as np
+import saltus
+
+scene = saltus.load_scene("two_balls.yaml").replace(steps=96)
+simulation = saltus.Simulation(scene, "event")
+loss, gradient = simulation.loss_and_gradient(simulation.initial_guess, out=np.empty(simulation.shape))
+step = simulation.initial_guess - 0.1 * gradient
+run: saltus.Run = saltus.solve(scene, "event", "gd", callback=lambda iteration, loss: loss > 1.4)
+saltus.audit(scene, simulate=lambda scene, initial, control, dt: initial).raise_if_wrong()
+"""
 
 
 def declared():
@@ -40,3 +60,18 @@ def test_all_that_is_public_is_documented():
             continue
         assert inspect.getdoc(getattr(saltus, name)), name
         assert name in saltus.__doc__ or name in ("Audit", "Gradient", "Rollout", "Run"), name
+
+
+def test_mypy_finds_nothing(tmp_path):
+    """The package and the stub, strictly; torch.py where torch is, whose types it needs."""
+    pytest.importorskip("mypy", reason="mypy is not installed")
+    files = [path for path in (SOURCE / "python" / "saltus").glob("*.py*") if path.suffix in (".py", ".pyi")]
+    if importlib.util.find_spec("torch") is None:
+        files = [path for path in files if path.name != "torch.py"]
+    user = tmp_path / "user.py"
+    user.write_text(USER, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", f"--cache-dir={BIN.parent / 'mypy_cache'}", *map(str, files), str(user)],
+        capture_output=True, text=True, check=False, env={**os.environ, "MYPYPATH": str(SOURCE / "python")},
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,70 @@
+// usage: gradient_cost <contact> <points>
+// What the gradient of task 3 costs in C++, for python/bench/cost.py: one line of JSON with the time of one call, us of
+// this thread, and of each gradient of a batch, us of CPU on one thread and of the clock on 1, 2, ... threads.
+#include <glog/logging.h>
+#include <tbb/info.h>
+
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+#include "saltus/control/batch.h"
+#include "timing.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kRepeats = 3;
+
+double ClockTime() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+double CallTime(const std::string& contact, const Scene& scene) {
+  SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble));
+  std::vector<double> gradient(shooting.num_variables());
+  double loss = 0;
+  return TimeInTurns([&] { CHECK(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())); })[0];
+}
+
+// The least time of a gradient of a batch by `now`.
+template <typename Now>
+double BatchTime(const std::string& contact, const Scene& scene, int count, int threads, const Now& now) {
+  Batch batch(contact, scene, Precision::kDouble, threads);
+  std::vector<double> points, losses(count);
+  for (int i = 0; i < count; ++i)
+    points.insert(points.end(), batch.initial_guess().begin(), batch.initial_guess().end());
+  std::vector<double> gradients(points.size());
+  double least = HUGE_VAL;
+  for (int repeat = 0; repeat < kRepeats; ++repeat) {
+    const double start = now();
+    batch.Evaluate(points, losses, gradients);
+    least = std::min(least, now() - start);
+  }
+  return least / count;
+}
+
+int Main(const std::string& contact, int count) {
+  const Scene scene = ProblemScene("two_balls", 480);
+  std::printf("{\"call\": %.4f, \"batch_cpu\": %.4f, \"batch\": [",
+              1e6 * CallTime(contact, scene),
+              1e6 * BatchTime(contact, scene, count, 1, ThreadTime));
+  for (int threads = 1; threads <= tbb::info::default_concurrency(); ++threads) {
+    std::printf("%s%.4f", threads > 1 ? ", " : "", 1e6 * BatchTime(contact, scene, count, threads, ClockTime));
+  }
+  std::printf("]}\n");
+  return 0;
+}
+
+}  // namespace
+}  // namespace saltus
+
+int main(int argc, char** argv) {
+  const int count = argc == 3 ? std::atoi(argv[2]) : 0;
+  if (count <= 0 || saltus::FindContactModel(std::string(argv[1])) == nullptr) {
+    std::fprintf(stderr, "usage: gradient_cost <contact> <points>\n");
+    return 2;
+  }
+  return saltus::Main(argv[1], count);
+}

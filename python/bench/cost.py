@@ -1,0 +1,94 @@
+#!/usr/bin/python3
+"""usage: python/bench/cost.py GRADIENT_COST [contact...]
+
+What the gradient of task 3 costs from Python, beside C++ (the program bench/gradient_cost.cc): one call into arrays that
+are there, a batch of 10 000, and memory over 10^6 calls. Least times of several rounds, C++ and Python in turns; times of
+calls are CPU times of the thread, so that a busy machine disturbs little.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+import saltus
+
+ROUNDS, POINTS, CALLS, REPEATS = 3, 10_000, 2000, 5
+WARM, MILLION = 20_000, 1_000_000
+
+
+def least(measure, repeats=REPEATS):
+    return min(measure() for _ in range(repeats))
+
+
+def call_time(scene, contact):
+    """us of one loss_and_gradient."""
+    simulation = saltus.Simulation(scene, contact)
+    z, out = simulation.initial_guess, np.empty(simulation.shape)
+
+    def measure():
+        start = time.thread_time()
+        for _ in range(CALLS):
+            simulation.loss_and_gradient(z, out)
+        return 1e6 * (time.thread_time() - start) / CALLS
+
+    return least(measure)
+
+
+def batch_time(scene, contact, threads, now):
+    """us of each gradient of a batch, into arrays that are there."""
+    batch = saltus.Batch(scene, contact, threads=threads)
+    points = np.tile(saltus.Simulation(scene, contact).initial_guess.ravel(), (POINTS, 1))
+    losses, gradients = np.empty(POINTS), np.empty_like(points)
+
+    def measure():
+        start = now()
+        batch.loss_and_gradient(points, losses, gradients)
+        return 1e6 * (now() - start) / POINTS
+
+    return least(measure, 3)
+
+
+def growth(scene, contact):
+    """Bytes of memory that each of a million calls leaves."""
+    simulation = saltus.Simulation(scene, contact)
+    z, out = simulation.initial_guess, np.empty(simulation.shape)
+    for _ in range(WARM):
+        simulation.loss_and_gradient(z, out)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(MILLION):
+        simulation.loss_and_gradient(z, out)
+    return 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / MILLION
+
+
+def main():
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    program, contacts = sys.argv[1], sys.argv[2:] or ["direct_toi", "event"]
+    scene = saltus.load_scene("problems/two_balls.yaml")
+    for contact in contacts:
+        cpp, python = [], []
+        for _ in range(ROUNDS):
+            done = subprocess.run([program, contact, str(POINTS)], capture_output=True, text=True, check=True)
+            cpp.append(json.loads(done.stdout))
+            batches = [batch_time(scene, contact, 1 + i, time.perf_counter) for i in range(len(cpp[-1]["batch"]))]
+            python.append({"call": call_time(scene, contact), "batch": batches,
+                           "batch_cpu": batch_time(scene, contact, 1, time.thread_time)})
+        best = {key: [min(run[key] for run in runs) for runs in (cpp, python)] for key in ("call", "batch_cpu")}
+        there, here = best["call"]
+        print(f"{contact}: a call takes {there:.2f} us in C++, {here:.2f} us from Python: {here - there:+.2f} us")
+        there, here = best["batch_cpu"]
+        print(f"{contact}: of a batch of {POINTS}, one thread's CPU: {there:.2f} us in C++, {here:.2f} us from Python: "
+              f"{100 * there / here:.1f} % of the throughput")
+        for i in range(len(cpp[0]["batch"])):
+            there, here = (min(run["batch"][i] for run in runs) for runs in (cpp, python))
+            print(f"{contact}: {i + 1} threads, by the clock: {1e6 / there:.0f} a second in C++, {1e6 / here:.0f} from "
+                  f"Python: {100 * there / here:.1f} %")
+        print(f"{contact}: a million calls leave {growth(scene, contact):.3f} bytes each", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""Simulators and contact models of a user's own."""
+
+from __future__ import annotations
+
+from typing import Any, Callable
+
+import numpy as np
+
+from . import _saltus
+from ._scene import Scene
+from ._types import Floats
+
+# What a simulator is asked: kind, scene, dt, initial (B, 4), control (K, C, 2) or force (B, 2), cotangent (B, 4).
+_Answerer = Callable[[str, Scene, float, Floats, Floats, Any], "dict[str, Any]"]
+
+
+def _difference_width(x: Floats, scale: float) -> Floats:
+    """Of central differences: the cube root of the rounding, relative."""
+    return np.asarray(np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(x), scale))
+
+
+def _by_differences(step: Callable[..., Any], state: Floats, force: Floats, h: float) -> tuple[Any, Any]:
+    """The derivatives of one step, (4B, 4B) and (4B, 2B), by central differences."""
+    blocks = []
+    for index, given in enumerate((state, force)):
+        columns = []
+        widths = _difference_width(given, float(np.max(np.abs(given), initial=1.0)))
+        for place in np.ndindex(given.shape):
+            above, below = given.copy(), given.copy()
+            above[place] += widths[place]
+            below[place] -= widths[place]
+            ends = [step(*((x, force) if index == 0 else (state, x)), h) for x in (above, below)]
+            columns.append((np.ravel(ends[0]) - np.ravel(ends[1])) / (above[place] - below[place]))
+        blocks.append(np.array(columns).T)
+    return blocks[0], blocks[1]
+
+
+class ContactModel:
+    """A contact model in Python: takes part wherever a contact model is named.
+
+    Derive from it, and pass the class: ``saltus.rollout(scene, MyModel)``. It is made once for each scene.
+
+    name
+        Of the model in results: text without colons, commas and blanks.
+    scene
+        The scene that it is made for.
+    step(x, u, h)
+        The states (B, 4) of all discs, [p_x p_y v_x v_y], after a step of h seconds from x (B, 4) under the forces u
+        (B, 2). It must depend on nothing else.
+    jacobian(x, u, h)
+        Its derivatives by x, (4 B, 4 B), and by u, (4 B, 2 B). Central differences unless overridden.
+
+    For prototypes: a step in Python costs a thousand times one in C++. Solvers that work on phases between impacts, and
+    derivatives by parameters, are for built-in models.
+    """
+
+    name = "own"
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+
+    def step(self, x: Floats, u: Floats, h: float) -> Floats:
+        raise NotImplementedError(f"{type(self).__name__} needs a method step(x, u, h)")
+
+    def jacobian(self, x: Floats, u: Floats, h: float) -> tuple[Floats, Floats]:
+        return _by_differences(self.step, x, u, h)
+
+
+class Stepper:
+    """Answers what a black box is asked by the steps of a contact model."""
+
+    def __init__(self, model: type[ContactModel]):
+        self._make = model
+        self._model: ContactModel | None = None
+
+    def _of(self, scene: Scene) -> ContactModel:
+        if self._model is None or self._model.scene is not scene:
+            self._model = self._make(scene)
+            self._model.scene = scene
+        return self._model
+
+    def __call__(
+        self, kind: str, scene: Scene, dt: float, initial: Floats, control: Floats, of_final: Any
+    ) -> dict[str, Any]:
+        model = self._of(scene)
+        if kind == "step":
+            return {"final state": model.step(initial, control, dt)}
+        pushed = [scene.bodies.index(name) for name in scene.controlled]
+        states, forces = [initial], np.zeros((len(control), len(initial), 2))
+        forces[:, pushed] = control
+        for force in forces:
+            states.append(_state(model, model.step(states[-1], force, dt), initial.shape))
+        answer: dict[str, Any] = {"final state": states[-1], "states": np.array(states)}
+        if kind == "gradient":
+            costate, by_control = np.ravel(of_final), np.zeros_like(control)
+            for k in reversed(range(len(control))):
+                A, B = model.jacobian(states[k], forces[k], dt)
+                by_control[k] = (costate @ B).reshape(-1, 2)[pushed]
+                costate = costate @ A
+            answer["gradient by the initial state"] = costate.reshape(initial.shape)
+            answer["gradient by the control"] = by_control
+        return answer
+
+
+def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> Floats:
+    state = np.asarray(value, dtype=float)
+    if state.shape != shape:
+        raise ValueError(f"{model.name}: step: found shape {state.shape}, expected {shape}")
+    return state
+
+
+class Simulator:
+    """Answers what a black box is asked by a user's callables."""
+
+    def __init__(self, simulate: Any, gradient: Any, vjp: Any, jacobian: Any, step: Any):
+        gradients = {"gradient": gradient, "vjp": vjp, "jacobian": jacobian}
+        for key, value in {"simulate": simulate, **gradients, "step": step}.items():
+            if value is not None and not callable(value):
+                raise TypeError(f"{key}: found {type(value).__name__}, expected a callable")
+        given = [key for key, value in gradients.items() if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: found beside {given[0]}, expected one of them")
+        if gradient is not None and step is not None:  # blame is pulled back by cotangents that are no loss's
+            raise ValueError("step: found beside gradient, expected it alone, or beside vjp or jacobian")
+        self._simulate, self._gradient, self._vjp, self._jacobian = simulate, gradient, vjp, jacobian
+        self._step = step
+        # Of what: "loss", "final state", or "" without one.
+        self.gradient_of = "loss" if gradient is not None else "final state" if given else ""
+        self.has_step = step is not None
+
+    def __call__(
+        self, kind: str, scene: Scene, dt: float, initial: Floats, control: Floats, of_final: Any
+    ) -> dict[str, Any]:
+        if kind == "step":
+            return {"final state": self._step(scene, initial, control, dt)}
+        answer = {"final state": self._simulate(scene, initial.copy(), control.copy(), dt)}
+        if kind == "gradient":
+            if self._gradient is not None:
+                by_initial, by_control = _pair("gradient", self._gradient(scene, initial, control, dt))
+            elif self._vjp is not None:
+                by_initial, by_control = _pair("vjp", self._vjp(scene, initial, control, dt, of_final))
+            else:
+                by_initial, by_control = _pair("jacobian", self._jacobian(scene, initial, control, dt))
+                cotangent = np.ravel(of_final)
+                by_initial = cotangent @ _matrix("jacobian by the initial state", by_initial, initial)
+                by_control = cotangent @ _matrix("jacobian by the control", by_control, control, len(cotangent))
+            answer["gradient by the initial state"] = by_initial
+            answer["gradient by the control"] = by_control
+        return answer
+
+
+def _pair(name: str, value: Any) -> tuple[Any, Any]:
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"{name}: found {type(value).__name__}, expected a pair: by initial state and by control")
+    return value[0], value[1]
+
+
+def _matrix(name: str, value: Any, by: Floats, rows: int | None = None) -> Floats:
+    matrix, expected = np.asarray(value, dtype=float), (rows or by.size, by.size)
+    if matrix.shape != expected:
+        raise ValueError(f"{name}: found shape {matrix.shape}, expected {expected}")
+    return matrix
+
+
+def is_own(contact: Any) -> bool:
+    """Whether it is a contact model in Python."""
+    return isinstance(contact, type) and issubclass(contact, ContactModel)
+
+
+def has_jacobian(model: type[ContactModel]) -> bool:
+    """Whether its derivatives are its own, and not differences."""
+    return model.jacobian is not ContactModel.jacobian
+
+
+def as_contact(contact: Any) -> Any:
+    """What the extension module takes: a name, or the contact model that a class makes."""
+    if is_own(contact):
+        if "_contact" not in contact.__dict__:
+            contact._contact = _saltus.Contact(contact.name, Stepper(contact))
+        return contact._contact
+    if isinstance(contact, ContactModel):
+        raise TypeError(f"contact: found an object of {type(contact).__name__}, expected the class itself")
+    return contact

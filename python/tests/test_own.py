@@ -1,0 +1,261 @@
+"""Simulators and contact models in Python."""
+
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+import saltus
+
+
+def simulate_step_boundary(scene, initial, control, dt):
+    """Semi-implicit Euler with the impulse at the end of the step in which two discs overlap: the usual engine.
+
+    Plain floats, which are ten times as fast as small arrays.
+    """
+    a, b = scene.to_dict()["bodies"]
+    reach = a["radius"] + b["radius"]
+    (px, py, vx, vy), (qx, qy, wx, wy) = initial.tolist()
+    forces = control[:, 0].tolist() if len(scene.controlled) else [(0.0, 0.0)] * len(control)
+    for fx, fy in forces:
+        vx, vy = vx + dt * fx / a["mass"], vy + dt * fy / a["mass"]
+        gx, gy = px - qx + dt * (vx - wx), py - qy + dt * (vy - wy)
+        squared = gx * gx + gy * gy
+        if squared < reach * reach:
+            closing = (vx - wx) * gx + (vy - wy) * gy  # times the distance
+            if closing < 0:  # equal masses, elastic
+                ix, iy = -closing * gx / squared, -closing * gy / squared
+                vx, vy, wx, wy = vx + ix, vy + iy, wx - ix, wy - iy
+        px, py, qx, qy = px + dt * vx, py + dt * vy, qx + dt * wx, qy + dt * wy
+    return [[px, py, vx, vy], [qx, qy, wx, wy]]
+
+
+@pytest.fixture
+def coarse(two_balls):
+    """Few steps, as each is Python's."""
+    return two_balls.replace(steps=32)
+
+
+class Lent:
+    """A built-in model, as if it were somebody else's simulator."""
+
+    def __init__(self, contact="event"):
+        self.contact, self.scene, self.steps, self.dt = contact, None, 0, 0.0
+
+    def end_of(self, scene, control, dt):
+        if (self.scene, self.steps, self.dt) != (scene, len(control), dt):
+            self.scene, self.steps, self.dt = scene, len(control), dt
+            self.end = saltus.EndState(scene.replace(duration=dt * len(control), steps=len(control)), self.contact)
+        return self.end
+
+    def simulate(self, scene, initial, control, dt):
+        return self.end_of(scene, control, dt)(initial, control)
+
+    def vjp(self, scene, initial, control, dt, cotangent):
+        return self.end_of(scene, control, dt).vjp(initial, control, cotangent)
+
+    def gradient(self, scene, initial, control, dt):
+        """Of the loss, by another way than vjp."""
+        over = scene.replace(duration=dt * len(control), steps=len(control))
+        found = saltus.loss_and_gradient(
+            over, self.contact, control=control, position=initial[:, :2], velocity=initial[:, 2:]
+        ).gradient
+        return np.hstack([found.position, found.velocity]), found.control
+
+
+class TestSimulators:
+    def test_the_usual_engine_is_wrong(self, coarse):
+        report = saltus.audit(coarse, simulate=simulate_step_boundary, name="mine")
+        found = report.of("mine")
+        assert found["black_box"] and found["class"] == "impulse at a step boundary"
+        assert report.verdicts["mine"] in ("wrong", "wrong sign")
+        with pytest.raises(saltus.WrongGradient, match="mine: the gradient is wrong"):
+            report.raise_if_wrong()
+
+    def test_the_exact_one_is_right(self, coarse):
+        exact = Lent()
+        for vjp in (None, exact.vjp):
+            report = saltus.audit(coarse, simulate=exact.simulate, vjp=vjp)
+            report.raise_if_wrong()
+            assert report.of("simulate")["precision_found"] == 53
+        assert report.of("simulate")["own_gradient"]
+
+    def test_a_gradient_of_the_loss(self, coarse):
+        """As audited from a vjp: effort is taken off, and nothing else."""
+        exact = Lent()
+        found = [
+            saltus.audit(coarse, simulate=exact.simulate, **own).of("simulate")
+            for own in ({"gradient": exact.gradient}, {"vjp": exact.vjp})
+        ]
+        assert found[0]["verdict"] == found[1]["verdict"] == "right"
+        assert found[0]["agrees_with_differences"] and found[0]["own_gradient"]
+        for key in ("position", "velocity", "control"):
+            np.testing.assert_allclose(found[0]["gradient"][key], found[1]["gradient"][key], rtol=1e-12, atol=1e-14)
+
+    def test_a_gradient_beside_the_exact_one_and_beside_differences(self, coarse):
+        """That of the simulator's own motion agrees with differences, and is wrong; the exact one does not agree."""
+        boundary = Lent("direct")
+        found = saltus.audit(coarse, simulate=boundary.simulate, gradient=boundary.gradient).of("simulate")
+        assert found["verdict"] in ("wrong", "wrong sign") and found["agrees_with_differences"]
+        assert any("agrees with differences, and is wrong" in finding for finding in found["findings"])
+        found = saltus.audit(coarse, simulate=boundary.simulate, gradient=Lent().gradient).of("simulate")
+        assert found["agrees_with_differences"] is False
+
+    def test_beside_built_in_models(self, coarse):
+        report = saltus.audit(coarse, ["direct"], simulate=simulate_step_boundary)
+        assert list(report.verdicts) == ["direct", "simulate"]
+        assert report.of("direct")["class"] == report.of("simulate")["class"]
+
+    @pytest.mark.parametrize(
+        "rubbish, error, words",
+        [
+            (lambda *_: None, TypeError, "final state: found"),
+            (lambda *_: np.zeros((2, 3)), ValueError, r"final state: found shape \(2, 3\), expected \(2, 4\)"),
+            (lambda *_: np.full((2, 4), np.nan), ValueError, r"final state\[0, 0\]: found nan"),
+            (lambda *_: 1 / 0, ZeroDivisionError, "division"),
+            (lambda: None, TypeError, "positional argument"),
+            ("text", TypeError, "simulate: found str, expected a callable"),
+        ],
+    )
+    def test_rubbish(self, coarse, rubbish, error, words):
+        with pytest.raises(error, match=words):
+            saltus.audit(coarse, simulate=rubbish)
+
+    def test_gradients_of_the_wrong_shape(self, coarse):
+        exact = Lent()
+        with pytest.raises(ValueError, match="vjp: found"):
+            saltus.audit(coarse, simulate=exact.simulate, vjp=lambda *_: np.zeros(8))
+        with pytest.raises(ValueError, match="gradient by the control: found shape"):
+            saltus.audit(coarse, simulate=exact.simulate, vjp=lambda *_: (np.zeros((2, 4)), np.zeros((3, 1, 2))))
+        with pytest.raises(ValueError, match="jacobian by the initial state: found shape"):
+            saltus.audit(coarse, simulate=exact.simulate, jacobian=lambda *_: (np.zeros((2, 2)), np.zeros((2, 2))))
+        with pytest.raises(ValueError, match=r"gradient by the control: found shape \(3,\), expected \(32, 1, 2\)"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=lambda *_: (np.zeros((2, 4)), np.zeros(3)))
+        with pytest.raises(ValueError, match="gradient: found float, expected a pair"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=lambda *_: 0.0)
+
+    def test_gradients_beside_each_other(self, coarse):
+        exact = Lent()
+        with pytest.raises(ValueError, match="vjp: found beside gradient, expected one of them"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=exact.gradient, vjp=exact.vjp)
+        with pytest.raises(ValueError, match="step: found beside gradient"):
+            saltus.audit(coarse, simulate=exact.simulate, gradient=exact.gradient, step=lambda *_: None)
+        with pytest.raises(ValueError, match="simulate: expected a callable beside gradient"):
+            saltus.audit(coarse, gradient=exact.gradient)
+
+    def test_interrupts(self, two_balls):
+        def slow(scene, initial, control, dt):
+            return simulate_step_boundary(scene, initial, control, dt)
+
+        timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            saltus.audit(two_balls.replace(steps=48_000), simulate=slow)
+        timer.join()
+
+
+class Direct(saltus.ContactModel):
+    """The built-in model `direct`, in numpy: for two discs of mass 1."""
+
+    name = "direct_in_python"
+
+    def step(self, x, u, h):
+        v = x[:, 2:]
+        gap = x[0, :2] - x[1, :2] + h * (v[0] - v[1])
+        distance = np.hypot(*gap)
+        closing = (v[0] - v[1]) @ gap / distance
+        v = v + h * u
+        if distance < 0.4 and closing < 0:
+            impulse = -closing * gap / distance  # equal masses, elastic
+            v += [impulse, -impulse]
+        return np.hstack([x[:, :2] + h * v, v])
+
+
+class TestContactModels:
+    def test_is_the_built_in_one(self, two_balls):
+        scene = two_balls.replace(steps=96)
+        own, built_in = saltus.rollout(scene, Direct), saltus.rollout(scene, "direct")
+        np.testing.assert_allclose(own.states, built_in.states, rtol=0, atol=1e-13)
+        assert own["loss"] == pytest.approx(built_in["loss"], rel=1e-13)
+        mine = saltus.loss_and_gradient(scene, Direct).gradient
+        theirs = saltus.loss_and_gradient(scene, "direct").gradient
+        for key in ("control", "position", "velocity"):  # by differences of steps: to 1e-10 in each of 96
+            np.testing.assert_allclose(getattr(mine, key), getattr(theirs, key), rtol=1e-8, atol=1e-8)
+
+    def test_solvers(self, two_balls):
+        scene = two_balls.replace(steps=48)
+        for solver in ("gd", "ceres_lbfgs"):
+            own = saltus.solve(scene, Direct, solver, iterations=5)
+            built_in = saltus.solve(scene, "direct", solver, iterations=5)
+            np.testing.assert_allclose(own.losses, built_in.losses, rtol=1e-6)
+            assert own["contact"] == "direct_in_python"
+
+    def test_audits(self, two_balls):
+        found = saltus.audit(two_balls.replace(steps=8), Direct)
+        assert found.verdicts["direct_in_python"] in ("wrong", "wrong sign")
+        assert found.of("direct_in_python")["class"] == "impulse at a step boundary"
+
+    def test_a_jacobian_of_its_own(self, two_balls):
+        calls = []
+
+        class Free(saltus.ContactModel):
+            name = "free"
+
+            def step(self, x, u, h):
+                return np.hstack([x[:, :2] + h * x[:, 2:], x[:, 2:] + h * u])
+
+            def jacobian(self, x, u, h):
+                calls.append(h)
+                a, b = np.eye(8), np.zeros((8, 4))
+                for body in range(2):
+                    for j in range(2):
+                        a[4 * body + j, 4 * body + 2 + j] = h
+                        b[4 * body + 2 + j, 2 * body + j] = h
+                return a, b
+
+        scene = two_balls.replace(steps=10)
+        gradient = saltus.loss_and_gradient(scene, Free).gradient
+        assert calls == [0.1] * 10
+        # Nothing touches: the loss is |p + T v|^2 of the target, and the effort.
+        np.testing.assert_allclose(gradient.position, [[0, 0], [-2, -2]], atol=1e-14)
+        np.testing.assert_allclose(gradient.velocity, [[0, 0], [-2, -2]], atol=1e-14)
+        np.testing.assert_allclose(gradient.control, np.full((10, 1, 2), 2 * 0.1 * 0.1 * 3), atol=1e-14)
+
+    def test_refusals(self, two_balls):
+        class Wrong(saltus.ContactModel):
+            name = "wrong"
+
+            def step(self, x, u, h):
+                return x[:1]
+
+        with pytest.raises(ValueError, match=r"wrong: step: found shape \(1, 4\), expected \(2, 4\)"):
+            saltus.rollout(two_balls, Wrong)
+        with pytest.raises(NotImplementedError, match=r"step\(x, u, h\)"):
+            saltus.rollout(two_balls, saltus.ContactModel)
+        with pytest.raises(TypeError, match="expected the class itself"):
+            saltus.rollout(two_balls, Direct(two_balls))
+
+
+class TestEngines:
+    """Engines that Debian packages, beside what was measured of them elsewhere: losses to the digits that are known."""
+
+    @pytest.fixture(params=[("ode", "ode", 2.0581), ("dart", "dartpy", 2.0567)], ids=["ode", "dart"])
+    def engine(self, request, monkeypatch):
+        name, package, loss = request.param
+        pytest.importorskip(package, reason=f"python3-{'pyode' if name == 'ode' else package} is not installed")
+        monkeypatch.syspath_prepend(os.path.join(os.path.dirname(__file__), os.pardir, "examples"))
+        import engines
+
+        return name, getattr(engines, name)(), loss
+
+    def test_applies_impulses_at_step_boundaries(self, two_balls, coarse, engine):
+        name, simulate, loss = engine
+        end = saltus.EndState(two_balls)
+        final = simulate(two_balls, end.initial, end.control, two_balls.dt)
+        assert final[1, 0] ** 2 + final[1, 1] ** 2 + 0.1 * 18 == pytest.approx(loss, abs=5e-5)
+        found = saltus.audit(coarse, simulate=simulate, name=name).of(name)
+        assert found["class"] == "impulse at a step boundary"
+        assert found["verdict"] in ("wrong", "wrong sign")
+        assert found["keep"] == pytest.approx(1, abs=0.05) and found["e"] == pytest.approx(1, abs=0.05)
