@@ -50,6 +50,22 @@
 #include "contact/event_step.h"
 
 namespace saltus {
+namespace internal {
+
+// A step of `model` with candidates, whose impacts obey `law` (event_step.h).
+template <typename M, typename T, typename Law, typename State>
+void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::span<const State> x,
+                   std::span<State> next) {
+  EventStep<T, Law> step(in, law, x);
+  // Derivatives are asked for only where something does.
+  if constexpr (std::is_same_v<T, double>) {
+    if (!step.AnythingMayHappen()) return FreeFlight(model, in, x, next);
+  }
+  step.Run();
+  for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
+}
+
+}  // namespace internal
 
 struct EventDriven {
   static constexpr ModelTraits kTraits = {.name = "event",
@@ -81,13 +97,7 @@ struct EventDriven {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
-    internal::EventStep<T> step(in, x);
-    // Derivatives are asked for only where something does.
-    if constexpr (std::is_same_v<T, double>) {
-      if (!step.AnythingMayHappen()) return FreeFlight(*this, in, x, next);
-    }
-    step.Run();
-    for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : Free(in, i, x[i]);
+    internal::TakeEventStep(*this, in, internal::SceneLaw<T>{in}, x, next);
   }
 };
 

@@ -20,12 +20,32 @@
 namespace saltus::internal {
 
 template <typename T>
+struct ImpactNumbers {
+  T restitution, friction;
+};
+
+// Those of the scene, whatever the relative velocity w and the normal of the impact.
+template <typename T>
+struct SceneLaw {
+  const StepInput<T>& in;
+  ImpactNumbers<T> At(const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
+    return {in.contact.restitution, in.contact.friction};
+  }
+};
+
+// `Law` says which restitution and friction an impact has; contacts that last have those of `in`.
+template <typename T, typename Law>
 class EventStep : private EventMotion<T> {
  public:
   using typename EventMotion<T>::State;
 
-  EventStep(const StepInput<T>& in, std::span<const State> x)
-      : EventMotion<T>(in, x), limit_(in.h * (1 - kNodeMargin)), tied_(in.scratch), trial_(in.scratch), group_(in) {
+  EventStep(const StepInput<T>& in, const Law& law, std::span<const State> x)
+      : EventMotion<T>(in, x),
+        law_(law),
+        limit_(in.h * (1 - kNodeMargin)),
+        tied_(in.scratch),
+        trial_(in.scratch),
+        group_(in) {
     group_.SetDiscs(discs_);
   }
 
@@ -242,9 +262,10 @@ class EventStep : private EventMotion<T> {
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = LastSeparation(c);
     const Vec2<T> w = LastRelativeVelocity(c);
-    const bool last = pressed && -Value(in_.contact.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
-    const T bounce = inelastic_ || last ? T(1.0) : T(in_.contact.restitution + 1.0);
-    const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, in_.contact.friction, kHeadOn);
+    const ImpactNumbers<T> law = law_.At(at.normal, w);
+    const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
+    const T bounce = inelastic_ || last ? T(1.0) : T(law.restitution + 1.0);
+    const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, law.friction, kHeadOn);
     ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
     SlideOn(c);
     Report(c, impact.mode, time, ContactKind::kImpact);
@@ -466,6 +487,7 @@ class EventStep : private EventMotion<T> {
     ForEachPairBeside(c, [&](int other) { Gather(other, time); });
   }
 
+  const Law law_;
   double limit_;                // s, events after it are left to the next step
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;

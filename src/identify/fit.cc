@@ -1,6 +1,7 @@
 #include "identify/fit.h"
 
 #include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
 #include <tbb/parallel_for.h>
 
 #include <memory>
@@ -11,7 +12,8 @@ namespace saltus {
 namespace {
 
 constexpr double kFarthest = 7;  // that a bounded unknown may go from its start, in its coordinate: 1000 times as much
-constexpr int kDenseColumns = 300;  // up to which covariances are computed from a dense Jacobian
+constexpr double kSmallGain = 1e-5;  // of the cost, below which a law is learned: far below what noise does to it
+constexpr int kDenseColumns = 300;   // up to which covariances are computed from a dense Jacobian
 
 std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
   switch (loss) {
@@ -42,9 +44,10 @@ class Motions final : public ceres::EvaluationCallback {
     for (MotionAtSamples& motion : motion_) motion.reason = "a parameter runs away from its start";
     if (!IsNearStart()) return;
     const Scene scene = problem_.SceneAt(point_.coordinates);
+    const std::optional<ImpactLaw> law = problem_.LawAt(point_.coordinates);
     const auto move = [&](std::size_t i) {
       const Segment& segment = point_.segments[i];
-      motion_[i] = MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment), with_jacobians);
+      motion_[i] = MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment, law), with_jacobians);
     };
     if (problem_.options->threads == 1 || motion_.size() == 1) {
       for (std::size_t i = 0; i < motion_.size(); ++i) move(i);
@@ -114,26 +117,45 @@ class SampleCost final : public ceres::CostFunction {
   const int s_, i_;
 };
 
-class StopCallback final : public ceres::IterationCallback {
+// After each iteration: says so, and stops if that is asked for.
+class IterationReport final : public ceres::IterationCallback {
  public:
-  explicit StopCallback(const StopRequest& stop) : stop_(stop) {}
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
-    return stop_ && stop_() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+  explicit IterationReport(const IdentifyOptions& options) : options_(options) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
+    if (options_.status) {
+      char text[64];
+      std::snprintf(text, sizeof text, "iteration %d, cost %.6g", summary.iteration, summary.cost);
+      options_.status(text);
+    }
+    return options_.stop && options_.stop() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
  private:
-  const StopRequest& stop_;
+  const IdentifyOptions& options_;
 };
 
 ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments) {
   ceres::Solver::Options options;
   options.max_num_iterations = problem.options->max_iterations;
-  options.function_tolerance = 1e-12;
+  // Weights of a network wander along valleys in which nothing changes but they.
+  options.function_tolerance = problem.options->law ? kSmallGain : 1e-12;
   options.parameter_tolerance = 1e-10;
   options.gradient_tolerance = 1e-14;
   options.logging_type = ceres::SILENT;
   options.linear_solver_type = num_segments == 1 ? ceres::DENSE_QR : ceres::SPARSE_NORMAL_CHOLESKY;
   return options;
+}
+
+// A law stays near its start where the data say nothing of it.
+void AddPrior(const FitProblem& problem, FitPoint* point, ceres::Problem* ceres_problem) {
+  if (!problem.options->law) return;
+  const ImpactLaw& law = *problem.options->law;
+  const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / law.spread);
+  for (std::size_t i = 0; i < law.parameters.size(); ++i) {
+    const ceres::Vector start = ceres::Vector::Constant(1, law.parameters[i]);
+    double* coordinate = &point->coordinates[problem.num_plain + i];
+    ceres_problem->AddResidualBlock(new ceres::NormalPrior(weight, start), nullptr, coordinate);
+  }
 }
 
 // Covariance of the unknowns' values; empty if the Jacobian has not the rank.
@@ -174,6 +196,12 @@ Scene FitProblem::SceneAt(const std::vector<double>& coordinates) const {
   for (std::size_t u = 0; u < unknowns.size(); ++u)
     SetValue(unknowns[u], FromCoordinate(unknowns[u], coordinates[u]), &at);
   return at;
+}
+
+std::optional<ImpactLaw> FitProblem::LawAt(const std::vector<double>& coordinates) const {
+  std::optional<ImpactLaw> law = options->law;
+  if (law) law->parameters.assign(coordinates.begin() + num_plain, coordinates.end());
+  return law;
 }
 
 Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample) {
@@ -219,12 +247,13 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
           new SampleCost(problem, motions, segment, static_cast<int>(s), i), loss.get(), blocks);
     }
   }
+  AddPrior(problem, &point, &ceres_problem);
   for (std::size_t u = 0; u < held.size(); ++u) {
     if (held[u]) ceres_problem.SetParameterBlockConstant(&point.coordinates[u]);
   }
   ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size());
-  StopCallback stop(problem.options->stop);
-  options.callbacks.push_back(&stop);
+  IterationReport report(*problem.options);
+  options.callbacks.push_back(&report);
   ceres::Solver::Summary summary;
   ceres::Solve(options, &ceres_problem, &summary);
   motions.Compute(/*with_jacobians=*/true);

@@ -16,16 +16,20 @@ struct FitProblem {
   std::vector<Unknown> unknowns;
   std::vector<int> free_bodies;
   const IdentifyOptions* options = nullptr;
-  double sigma = 0;  // m, of samples that state none; of velocities by the time that the scene needs for its length
+  int num_plain = 0;  // unknowns but for the parameters of a law, which are the last
+  double sigma = 0;   // m, of samples that state none; of velocities by the time that the scene needs for its length
   double sigma_velocity = 0;
 
-  MotionRequest RequestOf(const Segment& segment) const {
-    return {&(*recordings)[segment.recording].samples, unknowns, free_bodies};
+  // `law` as at the point at hand, if one is learned.
+  MotionRequest RequestOf(const Segment& segment, const std::optional<ImpactLaw>& law) const {
+    return {&(*recordings)[segment.recording].samples, unknowns, free_bodies, law ? &*law : nullptr};
   }
   const Sample& SampleAt(const Segment& segment, int i) const {
     return (*recordings)[segment.recording].samples[segment.first + i];
   }
   Scene SceneAt(const std::vector<double>& coordinates) const;
+  // Nothing if no law is learned.
+  std::optional<ImpactLaw> LawAt(const std::vector<double>& coordinates) const;
 };
 
 // What a fit changes.

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "identify/fit.h"
+#include "identify/learned_law.h"
 #include "identify/start.h"
 #include "identify/statistics.h"
 #include "identify/unknowns.h"
@@ -36,6 +37,9 @@ class Identification {
   Identification(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
                  const std::vector<Unknown>& unknowns, const IdentifyOptions& options)
       : options_(options), start_scene_(scene) {
+    if (options.status) {
+      options_.status = [this, say = options.status](const std::string& what) { say(at_work_ + ", " + what); };
+    }
     problem_.contact = contact;
     problem_.scene = scene;
     problem_.recordings = &recordings_;
@@ -44,6 +48,12 @@ class Identification {
     recordings_ = recordings;
     for (const Unknown& unknown : unknowns) {
       SetValue(unknown, FromCoordinate(unknown, ToCoordinate(unknown, ValueOf(unknown, scene))), &problem_.scene);
+    }
+    problem_.num_plain = static_cast<int>(unknowns.size());
+    if (options.law) {
+      for (int i = 0; i < static_cast<int>(options.law->parameters.size()); ++i) {
+        problem_.unknowns.push_back({.kind = Kind::kLaw, .component = i});
+      }
     }
     // The loss of the scene has no part in this.
     problem_.scene.objective = {};
@@ -74,10 +84,28 @@ class Identification {
     }
     const std::string why = WhyNotApplicable(problem_.contact, problem_.scene);
     if (!why.empty()) return why;
+    if (std::string wrong = WhatIsWrongWithTheLaw(); !wrong.empty()) return wrong;
     FindFreeBodies();
     if (problem_.unknowns.empty() && problem_.free_bodies.empty()) return "found nothing that is unknown";
     segments_ = CutIntoSegments(recordings_, options_.segment);
     return WhyNotMeasured();
+  }
+
+  std::string WhatIsWrongWithTheLaw() const {
+    if (!options_.law) return "";
+    if (std::string wrong = WhatIsWrongWith(*options_.law); !wrong.empty()) return wrong;
+    if (problem_.contact.name() != "event") {
+      return "found a law of impact with the contact model " + problem_.contact.name() + ", expected event";
+    }
+    for (int u = 0; u < problem_.num_plain; ++u) {
+      const Kind kind = problem_.unknowns[u].kind;
+      const bool said = kind == Kind::kRestitution || (kind == Kind::kFriction && options_.law->HasFriction());
+      const bool unread = kind == Kind::kStiffness || kind == Kind::kDamping;
+      if (!said && !unread) continue;
+      return "found '" + NameOf(problem_.unknowns[u], problem_.scene) + "' beside a law of impact, which " +
+             (said ? "says it" : "does not read it");
+    }
+    return "";
   }
 
   // Those that any recording has; with segments, every disc that moves.
@@ -129,15 +157,11 @@ class Identification {
     problem_.sigma_velocity = sigma / NaturalUnits(problem_.scene).time;
   }
 
-  void Say(const std::string& what) const {
-    if (options_.status) options_.status(what);
-  }
-
   // The scene's values first, then values spread over what is plausible.
   FitPoint StartAt(int number) const {
     static constexpr int kBases[] = {2, 3, 5, 7, 11, 13, 17, 19, 23, 29};
     FitPoint point;
-    for (std::size_t u = 0; u < problem_.unknowns.size(); ++u) {
+    for (int u = 0; u < problem_.num_plain; ++u) {
       const Unknown& unknown = problem_.unknowns[u];
       const double value = ValueOf(unknown, problem_.scene), scale = ScaleOf(unknown, problem_.scene);
       const double t = number == 0 ? 0.5 : RadicalInverse(number, kBases[u % 10]);
@@ -160,6 +184,10 @@ class Identification {
       }
       point.coordinates.push_back(ToCoordinate(unknown, start));
     }
+    if (options_.law) {
+      point.coordinates.insert(
+          point.coordinates.end(), options_.law->parameters.begin(), options_.law->parameters.end());
+    }
     const Scene scene = problem_.SceneAt(point.coordinates);
     point.segments = segments_;
     for (Segment& segment : point.segments) {
@@ -177,10 +205,11 @@ class Identification {
     return point;
   }
 
-  FitResult FitFrom(const FitPoint& start) {
+  FitResult FitFrom(const FitPoint& start, const std::string& name) {
     FitResult fit;
     fit.point = start;
     for (const double share : kHorizons) {
+      at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
       FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale);
       Count(next);
@@ -215,9 +244,9 @@ class Identification {
     FitResult best;
     best.reason = "no start has a motion";
     std::set<std::string> sequences;
-    for (int number = 0; number < options_.starts && !Interrupted(); ++number) {
-      Say("start " + std::to_string(number + 1));
-      FitResult fit = FitFrom(StartAt(number));
+    const int starts = problem_.num_plain > 0 ? options_.starts : 1;  // which differ in these unknowns only
+    for (int number = 0; number < starts && !Interrupted(); ++number) {
+      FitResult fit = FitFrom(StartAt(number), "start " + std::to_string(number + 1));
       ++report_.starts;
       if (!fit.ok) {
         if (!best.ok) best.reason = fit.reason;
@@ -240,6 +269,7 @@ class Identification {
 
   // Estimates sigma if none is stated, holds what the data leave open, and takes the covariance.
   FitResult Polish(FitResult fit) {
+    at_work_ = "confidence";
     for (int round = 0; round < 3 && !states_sigma_; ++round) {
       SetSigma(problem_.sigma * MisfitOf(problem_, fit));
       FitResult next = MinimizeFrom(problem_, fit.point, options_.loss_scale);
@@ -257,6 +287,7 @@ class Identification {
 
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
+    if (options_.law) report_.law = LearnedLawOf(problem_, fit, options_.loss_scale);
     ReportResiduals(fit);
     report_.cost = fit.cost;
     report_.sigma = states_sigma_ ? 0 : problem_.sigma;
@@ -295,7 +326,7 @@ class Identification {
   void ReportEstimates(const FitResult& fit) {
     const double factor = CovarianceFactor(problem_, fit, options_.loss_scale);
     std::vector<int> determined;
-    for (std::size_t u = 0; u < problem_.unknowns.size(); ++u) {
+    for (int u = 0; u < problem_.num_plain; ++u) {
       Estimate estimate;
       estimate.unknown = problem_.unknowns[u];
       estimate.name = NameOf(estimate.unknown, problem_.scene);
@@ -303,7 +334,7 @@ class Identification {
       estimate.determination = open_.determination[u];
       for (const int other : open_.with[u]) estimate.with.push_back(NameOf(problem_.unknowns[other], problem_.scene));
       if (estimate.determination == Determination::kDetermined && !fit.covariance.empty()) {
-        determined.push_back(static_cast<int>(u));
+        determined.push_back(u);
         estimate.value = FromCoordinate(estimate.unknown, fit.point.coordinates[u]);
         estimate.standard_error = std::sqrt(factor * fit.covariance[u][u]);
         SetInterval(&estimate);
@@ -341,7 +372,8 @@ class Identification {
     }
   }
 
-  const IdentifyOptions options_;
+  IdentifyOptions options_;
+  std::string at_work_;  // for a person
   const Scene start_scene_;
   std::vector<Recording> recordings_;
   FitProblem problem_;

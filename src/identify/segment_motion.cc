@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <utility>
 
 #include "identify/unknowns.h"
+#include "saltus/dynamics/learned_contact.h"
 
 namespace saltus {
 namespace {
@@ -38,12 +40,13 @@ class Sweep {
  public:
   Sweep(const Contact& contact, const Scene& scene, const Segment& segment, const MotionRequest& request,
         bool with_derivatives)
-      : contact_(contact),
-        segment_(segment),
+      : segment_(segment),
         request_(request),
         with_derivatives_(with_derivatives),
+        contacts_(ContactsOf(contact, request, with_derivatives)),
         scene_(SceneOf(scene, Last() - segment.begin, FindContactModel(contact)->grid_steps)),
-        simulator_(MakeSimulator(contact, scene_, Precision::kDouble)) {}
+        simulators_(MakeSimulators(scene_)),
+        simulator_(simulators_.front().get()) {}
 
   MotionAtSamples Run() {
     MotionAtSamples out;
@@ -54,6 +57,7 @@ class Sweep {
     }
     out.touches = simulator_->touches();
     x_.resize(simulator_->state_size());
+    if (request_.law != nullptr) FindImpactSpeeds(&out);
     FindTouchedSteps();
     if (with_derivatives_) Begin();
     for (int i = segment_.first; i < segment_.last; ++i) {
@@ -67,6 +71,52 @@ class Sweep {
   }
 
  private:
+  using Simulators = std::vector<std::unique_ptr<Simulator>>;
+
+  // Of a law, one for every few of its parameters that derivatives are wanted of.
+  static std::vector<Contact> ContactsOf(const Contact& contact, const MotionRequest& request, bool with_derivatives) {
+    if (request.law == nullptr) return {contact};
+    std::vector<Contact> contacts;
+    const int count = with_derivatives ? static_cast<int>(request.law->parameters.size()) : 1;
+    for (int i = 0; i < count; i += kLawParametersAtOnce) contacts.push_back(LearnedContact(*request.law, i));
+    return contacts;
+  }
+  Simulators MakeSimulators(const Scene& scene) const {
+    Simulators simulators;
+    for (const Contact& contact : contacts_) simulators.push_back(MakeSimulator(contact, scene, Precision::kDouble));
+    return simulators;
+  }
+
+  // Of the first impact of each step: until then its discs fly.
+  void FindImpactSpeeds(MotionAtSamples* out) {
+    int last = -1;
+    const std::vector<WallPart> walls = WallPartsOf(scene_);
+    for (const StepTouch& at : simulator_->touches()) {
+      if (at.step == last || at.touch.kind != ContactKind::kImpact) continue;
+      last = at.step;
+      simulator_->GetState(at.step, x_);
+      const Candidate& c = at.touch.candidate;
+      const auto position = [&](int i) { return StateAfter(i, at.touch.time).first; };
+      const auto velocity = [&](int i) { return StateAfter(i, at.touch.time).second; };
+      const Separation<double> apart =
+          c.plane ? Separate<double>(position(c.a), walls[c.b].wall) : Separate<double>(position(c.a), position(c.b));
+      const Vec2d w = c.plane ? velocity(c.a) : Vec2d(velocity(c.a) - velocity(c.b));
+      out->impact_speeds.emplace_back(std::max(0.0, -Dot(apart.normal, w)),
+                                      std::abs(Dot(Perpendicular(apart.normal), w)));
+    }
+  }
+  // Of disc i, flying from x_ on for a time.
+  std::pair<Vec2d, Vec2d> StateAfter(int i, double time) const {
+    const double* x = &x_[i * size()];
+    const Vec2d p(x[0], x[1]), v(x[2], x[3]);
+    if (scene_.bodies[i].fixed) return {p, v};
+    Vec2d acceleration = scene_.gravity;
+    for (int c = 0; c < scene_.num_controlled(); ++c) {
+      if (scene_.control.bodies[c] == i) acceleration += scene_.control.initial[c] / scene_.bodies[i].mass;
+    }
+    return {p + time * v + 0.5 * time * time * acceleration, v + time * acceleration};
+  }
+
   double Last() const { return (*request_.samples)[segment_.last - 1].time; }
   int size() const { return simulator_->body_size(); }
 
@@ -93,9 +143,9 @@ class Sweep {
       free_ = flight->flight;
       return;
     }
-    StepLinearization first;
-    Linearize(*simulator_, 0, &first);
-    free_ = first.free;
+    std::vector<StepLinearization> first;
+    Linearize(simulators_, 0, &first);
+    free_ = first.front().free;
   }
 
   // What unknowns do as forces on every disc and as accelerations of those that fly.
@@ -125,11 +175,15 @@ class Sweep {
     }
   }
 
-  void Linearize(const Simulator& simulator, int k, StepLinearization* linear) {
+  // By each of the simulators, whose derivatives are the same but for those by parameters of a law.
+  void Linearize(const Simulators& simulators, int k, std::vector<StepLinearization>* linear) {
     std::vector<double> force(2 * scene_.num_bodies());
     simulator_->GetState(k, x_);
     simulator_->ExpandForce(control_, k, force);
-    simulator.Linearize(x_, force, /*with_parameters=*/true, linear);
+    linear->resize(simulators.size());
+    for (std::size_t i = 0; i < simulators.size(); ++i) {
+      simulators[i]->Linearize(x_, force, /*with_parameters=*/true, &(*linear)[i]);
+    }
   }
 
   void Fly(const Eigen::Matrix3d& flight, int body, MatrixXd* tangent) const {
@@ -143,7 +197,8 @@ class Sweep {
   }
 
   // Moves `tangent` through one step.
-  void Apply(const StepLinearization& linear, MatrixXd* tangent) const {
+  void Apply(const std::vector<StepLinearization>& all, MatrixXd* tangent) const {
+    const StepLinearization& linear = all.front();
     const Eigen::Matrix3d flight = Power(linear.free, 1);
     for (std::size_t f = 0; f < linear.flying.size(); ++f) {
       const int body = linear.flying[f];
@@ -152,10 +207,11 @@ class Sweep {
       auto rotation = tangent->middleRows(body * size() + 4, size() - 4);
       rotation = (linear.rotation[f] * rotation).eval();
     }
-    for (const StepLinearization::Island& island : linear.islands) ApplyIsland(island, tangent);
+    for (std::size_t q = 0; q < linear.islands.size(); ++q) ApplyIsland(all, q, tangent);
   }
 
-  void ApplyIsland(const StepLinearization::Island& island, MatrixXd* tangent) const {
+  void ApplyIsland(const std::vector<StepLinearization>& all, std::size_t q, MatrixXd* tangent) const {
+    const StepLinearization::Island& island = all.front().islands[q];
     const int n = static_cast<int>(island.bodies.size());
     MatrixXd before(n * size(), tangent->cols()), force(2 * n, tangent->cols());
     for (int i = 0; i < n; ++i) {
@@ -164,8 +220,10 @@ class Sweep {
     }
     MatrixXd after = island.A * before + island.B * force;
     for (std::size_t column = 0; column < request_.unknowns.size(); ++column) {
-      const int of_step = ParameterColumn(request_.unknowns[column], island);
-      if (of_step >= 0) after.col(column) += island.P.col(of_step);
+      const Unknown& unknown = request_.unknowns[column];
+      const int of_step = ParameterColumn(unknown, island);
+      const int simulator = unknown.kind == Kind::kLaw ? unknown.component / kLawParametersAtOnce : 0;
+      if (of_step >= 0) after.col(column) += all[simulator].islands[q].P.col(of_step);
     }
     for (int i = 0; i < n; ++i) {
       if (scene_.bodies[island.bodies[i]].fixed) continue;
@@ -188,6 +246,10 @@ class Sweep {
         const auto found = std::find(island.bodies.begin(), island.bodies.end(), unknown.body);
         return found == island.bodies.end() ? -1 : 4 + static_cast<int>(found - island.bodies.begin());
       }
+      case Kind::kLaw: {
+        constexpr int kPlaces[kLawParametersAtOnce] = {0, 2, 3};
+        return kPlaces[unknown.component % kLawParametersAtOnce];
+      }
       case Kind::kGravity:
       case Kind::kForce:
         break;
@@ -207,8 +269,8 @@ class Sweep {
   void AdvanceTo(int k) {
     for (; next_touched_ < touched_.size() && touched_[next_touched_] < k; ++next_touched_) {
       FlyTo(touched_[next_touched_]);
-      StepLinearization linear;
-      Linearize(*simulator_, at_, &linear);
+      std::vector<StepLinearization> linear;
+      Linearize(simulators_, at_, &linear);
       Apply(linear, &tangent_);
       ++at_;
     }
@@ -253,15 +315,15 @@ class Sweep {
     }
     Scene scene = scene_;
     scene.duration = left;
-    scene.steps = FindContactModel(contact_)->grid_steps;
-    const auto simulator = MakeSimulator(contact_, scene, Precision::kDouble);
+    scene.steps = FindContactModel(contacts_.front())->grid_steps;
+    const Simulators simulators = MakeSimulators(scene);
     std::vector<double> force(2 * scene_.num_bodies());
     simulator_->ExpandForce(control_, k, force);
     partial_state_.resize(x_.size());
-    simulator->Step(x_, force, partial_state_);
+    simulators.front()->Step(x_, force, partial_state_);
     if (!with_derivatives_) return;
-    StepLinearization linear;
-    simulator->Linearize(x_, force, /*with_parameters=*/true, &linear);
+    std::vector<StepLinearization> linear;
+    Linearize(simulators, k, &linear);
     Apply(linear, &partial_tangent_);
   }
 
@@ -283,12 +345,13 @@ class Sweep {
     }
   }
 
-  const Contact& contact_;
   const Segment& segment_;
   const MotionRequest& request_;
   const bool with_derivatives_;
+  const std::vector<Contact> contacts_;
   const Scene scene_;
-  const std::unique_ptr<Simulator> simulator_;
+  const Simulators simulators_;
+  Simulator* const simulator_;  // the first of them, which rolls out
   std::vector<double> control_;
   std::vector<double> x_;
   std::vector<int> touched_;  // steps, rising

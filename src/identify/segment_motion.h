@@ -25,7 +25,8 @@ struct Segment {
 struct MotionRequest {
   const std::vector<Sample>* samples = nullptr;
   std::vector<Unknown> unknowns;
-  std::vector<int> free_bodies;  // whose initial states are unknown: columns px py vx vy of each, after `unknowns`
+  std::vector<int> free_bodies;    // whose initial states are unknown: columns px py vx vy of each, after `unknowns`
+  const ImpactLaw* law = nullptr;  // of all impacts, where it is learned; those of its parameters are among `unknowns`
 
   int num_columns() const { return static_cast<int>(unknowns.size() + 4 * free_bodies.size()); }
 };
@@ -37,9 +38,10 @@ struct MotionAtSamples {
   std::vector<Eigen::Vector4d> state;       // px py vx vy of each sample's disc
   std::vector<Eigen::MatrixXd> derivative;  // 4 x columns, if asked for
   std::vector<StepTouch> touches;           // of the whole segment, up to its last sample
+  std::vector<Vec2d> impact_speeds;         // with a law, of the first impact of each step: of approach and of sliding
 };
 
-// `scene` has the values of the unknowns and the scene's time step.
+// `scene` has the values of the unknowns and the scene's time step. A law takes the place of the contact model.
 MotionAtSamples MoveThrough(const Contact& contact, const Scene& scene, const Segment& segment,
                             const MotionRequest& request, bool with_derivatives);
 

@@ -37,7 +37,17 @@ Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, co
   return jacobian;
 }
 
-// The information on the unknowns, what the initial states take of it left out.
+// What is left of the information on the first `count` of some numbers when the others are unknown too.
+Eigen::MatrixXd Remaining(const Eigen::MatrixXd& information, Eigen::Index count) {
+  const Eigen::Index rest = information.cols() - count;
+  if (rest == 0) return information;
+  const Eigen::MatrixXd cross = information.topRightCorner(count, rest);
+  const Eigen::MatrixXd others = information.bottomRightCorner(rest, rest);
+  return information.topLeftCorner(count, count) -
+         cross * others.completeOrthogonalDecomposition().solve(cross.transpose());
+}
+
+// The information on the unknowns but for a law's, what these and the initial states take of it left out.
 Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
   const auto num_unknowns = static_cast<Eigen::Index>(problem.unknowns.size());
   const Scene scene = problem.SceneAt(fit.point.coordinates);
@@ -49,14 +59,12 @@ Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult
     normal[s] += weight * jacobian.transpose() * jacobian;
   });
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(num_unknowns, num_unknowns);
-  const Eigen::Index rest = columns - num_unknowns;
-  for (const Eigen::MatrixXd& all : normal) {
-    information += all.topLeftCorner(num_unknowns, num_unknowns);
-    if (rest == 0) continue;
-    const Eigen::MatrixXd cross = all.topRightCorner(num_unknowns, rest);
-    information -= cross * all.bottomRightCorner(rest, rest).completeOrthogonalDecomposition().solve(cross.transpose());
+  for (const Eigen::MatrixXd& all : normal) information += Remaining(all, num_unknowns);
+  if (problem.options->law) {
+    const double spread = problem.options->law->spread;
+    information.diagonal().tail(num_unknowns - problem.num_plain).array() += 1 / (spread * spread);
   }
-  return information;
+  return Remaining(information, problem.num_plain);
 }
 
 }  // namespace
@@ -83,17 +91,18 @@ double OutlierShareOf(const FitProblem& problem, const FitResult& fit) {
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
   const auto count = static_cast<Eigen::Index>(problem.unknowns.size());
   Openness open{std::vector<Determination>(count, Determination::kDetermined), std::vector<std::vector<int>>(count)};
-  if (count == 0) return open;
+  if (problem.num_plain == 0) return open;
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(InformationOnUnknowns(problem, fit, loss_scale));
   const double factor = CovarianceFactor(problem, fit, loss_scale);
-  Eigen::MatrixXd share = Eigen::MatrixXd::Zero(count, count);  // the projection on what is open
-  for (Eigen::Index k = 0; k < count; ++k) {
+  const Eigen::Index plain = problem.num_plain;
+  Eigen::MatrixXd share = Eigen::MatrixXd::Zero(plain, plain);  // the projection on what is open
+  for (Eigen::Index k = 0; k < plain; ++k) {
     if (eigen.eigenvalues()[k] * kOpen * kOpen > factor) continue;
     share += eigen.eigenvectors().col(k) * eigen.eigenvectors().col(k).transpose();
   }
-  for (Eigen::Index i = 0; i < count; ++i) {
+  for (Eigen::Index i = 0; i < plain; ++i) {
     if (share(i, i) < kShare) continue;
-    for (Eigen::Index j = 0; j < count; ++j) {
+    for (Eigen::Index j = 0; j < plain; ++j) {
       if (j != i && std::abs(share(i, j)) > kShare) open.with[i].push_back(static_cast<int>(j));
     }
     open.determination[i] = open.with[i].empty() ? Determination::kUndetermined : Determination::kCombined;

@@ -12,8 +12,8 @@ double MisfitOf(const FitProblem& problem, const FitResult& fit);
 // Share of the samples with |r| above IdentifyOptions::outlier.
 double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
 
-// Which unknowns the data leave open at the minimum: from the information on them, initial states eliminated, in units
-// of a change that matters.
+// Which unknowns the data leave open at the minimum: from the information on them, initial states and parameters of a
+// law eliminated, in units of a change that matters. The latter, which have a prior, are never open.
 struct Openness {
   std::vector<Determination> determination;
   std::vector<std::vector<int>> with;  // of combined ones: the others

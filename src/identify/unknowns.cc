@@ -90,6 +90,7 @@ std::string NameOf(const Unknown& unknown, const Scene& scene) {
   for (const NamedKind& kind : kContactKinds) {
     if (unknown.kind == kind.kind) return kind.name;
   }
+  if (unknown.kind == Kind::kLaw) return "law." + std::to_string(unknown.component);
   const std::string component = unknown.component == 0 ? ".x" : ".y";
   if (unknown.kind == Kind::kGravity) return "gravity" + component;
   const std::string& body = scene.bodies[unknown.body].name;
@@ -127,6 +128,8 @@ double ValueOf(const Unknown& unknown, const Scene& scene) {
       return scene.bodies[unknown.body].mass;
     case Kind::kGravity:
       return scene.gravity[unknown.component];
+    case Kind::kLaw:
+      return 0;
     case Kind::kForce:
       break;
   }
@@ -153,6 +156,8 @@ void SetValue(const Unknown& unknown, double value, Scene* scene) {
       return;
     case Kind::kGravity:
       scene->gravity[unknown.component] = value;
+      return;
+    case Kind::kLaw:
       return;
     case Kind::kForce:
       break;
@@ -187,7 +192,7 @@ double ToCoordinate(const Unknown& unknown, double value) {
 }
 
 double ScaleOf(const Unknown& unknown, const Scene& scene) {
-  if (unknown.kind == Kind::kRestitution || unknown.kind == Kind::kFriction) return 1;
+  if (unknown.kind == Kind::kRestitution || unknown.kind == Kind::kFriction || unknown.kind == Kind::kLaw) return 1;
   if (IsPositive(unknown.kind)) return std::max(ValueOf(unknown, scene), kInside);
   const Units units = NaturalUnits(scene);
   return unknown.kind == Kind::kGravity ? units.acceleration() : scene.bodies[unknown.body].mass * units.acceleration();

@@ -5,6 +5,7 @@
 
 namespace saltus {
 
+// Of a law's parameters, which stand in no scene: 0, and nothing.
 double ValueOf(const Unknown& unknown, const Scene& scene);
 void SetValue(const Unknown& unknown, double value, Scene* scene);
 

@@ -5,6 +5,7 @@
 #include <sstream>
 
 #include "exact/grid_optimum.h"
+#include "phase_solution.h"
 #include "saltus/dynamics/registry.h"
 #include "solve_run.h"
 
@@ -30,7 +31,7 @@ std::string Describe(const Units& units, const GridOptimum& optimum) {
 }  // namespace
 
 std::string WhyNotGridOptimum(const SolveRequest& request) {
-  if (!FindContactModel(request.contact)->event_driven) return "the closed form is that of exact event-driven dynamics";
+  if (!IsExact(request)) return "the closed form is that of exact event-driven dynamics";
   if (request.scene.optimize != Optimize::kControl) return "the closed form optimizes a control";
   std::string why_not;
   return FindBest(request.scene, &why_not) ? "" : why_not;

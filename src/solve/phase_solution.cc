@@ -86,8 +86,9 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
 }  // namespace
 
 bool IsExact(const SolveRequest& request) {
+  // Phases have impacts of Newton's restitution.
   const ModelTraits* model = FindContactModel(request.contact);
-  return model != nullptr && model->event_driven;
+  return model != nullptr && model->event_driven && model->rebound == Rebound::kRestitution;
 }
 
 std::string WhyNoPhases(const Scene& scene) {

@@ -94,7 +94,7 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, SolveReport* report) {
   const Scene& scene = request.scene;
-  if (report->termination != Termination::kConverged || !FindContactModel(request.contact)->event_driven) return;
+  if (report->termination != Termination::kConverged || !IsExact(request)) return;
   if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
   if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
   if (!report->certificate) {

@@ -1,5 +1,6 @@
 // Generated problems of identification: how often the estimates lie within their stated confidence, how often the
-// parameters are found from a start 30 % off, and how long a fit takes.
+// parameters are found from a start 30 % off, and how long a fit takes. With --minutes, one long recording of a disc in
+// a box instead, which is fitted in pieces.
 #include <gflags/gflags.h>
 
 #include <cstdio>
@@ -12,6 +13,9 @@ DEFINE_double(least_found, 0.95, "of all problems, exit code 1 below");
 DEFINE_double(least_covered, 0.92, "share of 95 % intervals that hold, exit code 1 below");
 DEFINE_double(most_covered, 0.97, "likewise, above");
 DEFINE_bool(print, false, "every problem");
+DEFINE_double(minutes, 0, "> 0: one recording of so long, 60 samples a second");
+DEFINE_double(segment, 1, "s, of the pieces of that");
+DEFINE_int32(threads, 2, "for it");
 
 namespace saltus {
 namespace {
@@ -64,7 +68,30 @@ void Run(uint64_t seed, Tally* tally) {
   }
 }
 
+int FitLongRecording() {
+  const GeneratedProblem problem = LongProblem(60 * FLAGS_minutes);
+  IdentifyOptions options{.segment = FLAGS_segment, .threads = FLAGS_threads};
+  if (FLAGS_print) options.status = [](const std::string& what) { std::fprintf(stderr, "%s\n", what.c_str()); };
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns, options);
+  const Estimate& estimate = report.estimates.at(0);
+  std::printf(
+      "%zu samples, %zu segments, %d impacts: %s, restitution %.6f +- %.6f, true %.6f; %d iterations, %.1f s %s\n",
+      problem.recording.samples.size(),
+      report.initial.size(),
+      report.impacts,
+      FitVerdictToString(report.verdict),
+      estimate.value,
+      estimate.standard_error,
+      problem.truth.contact.restitution,
+      report.iterations,
+      report.seconds,
+      report.reason.c_str());
+  const bool found = std::abs(estimate.value - problem.truth.contact.restitution) < 5 * estimate.standard_error;
+  return report.verdict == FitVerdict::kFits && found ? 0 : 1;
+}
+
 int Main() {
+  if (FLAGS_minutes > 0) return FitLongRecording();
   Tally tally;
   for (int i = 0; i < FLAGS_problems; ++i) Run(FLAGS_seed + i, &tally);
   const double found = double(tally.found) / FLAGS_problems, covered = double(tally.covered) / tally.intervals;

@@ -221,27 +221,29 @@ TEST(Identify, EstimatesSigma) {
 
 // In segments of two impacts or so each, the same.
 TEST(Identify, LongRecordingsInSegments) {
-  Scene scene = Bounce().truth;
-  scene.duration = 60;
-  scene.steps = 3600;
-  scene.gravity = {0, 0};
-  scene.planes = {
-      {"left", {-1, 0}, {1, 0}}, {"right", {1, 0}, {-1, 0}}, {"floor", {0, -1}, {0, 1}}, {"ceiling", {0, 1}, {0, -1}}};
-  scene.bodies[0].position = {0, 0};
-  scene.bodies[0].velocity = {8, 5};
-  scene.contact.restitution = 0.98;
-  GeneratedProblem problem;
-  problem.truth = scene;
-  GeneratedRandom random(7);
-  problem.recording.name = "long";
-  Measure(1e-3, 0.02, &random, &problem);
-  Scene guess = scene;
-  guess.contact.restitution = 0.9;
-  const IdentifyReport report = Identify("event", guess, {problem.recording}, {{Kind::kRestitution}}, {.segment = 1});
+  const GeneratedProblem problem = LongProblem(60);
+  std::vector<std::string> said;
+  IdentifyOptions options{.segment = 1};
+  options.status = [&](const std::string& what) { said.push_back(what); };
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns, options);
   ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
   EXPECT_GT(report.initial.size(), 50u);
   EXPECT_NEAR(report.estimates[0].value, 0.98, 5 * report.estimates[0].standard_error);
   EXPECT_LT(report.estimates[0].standard_error, 1e-3);
+  EXPECT_THAT(said, testing::Contains(testing::StartsWith("start 1, 15 % of the samples, iteration 1, cost ")));
+  EXPECT_THAT(said, testing::Contains(testing::StartsWith("confidence, iteration ")));
+}
+
+// What was found until then is reported.
+TEST(Identify, StopsWhenAsked) {
+  const GeneratedProblem problem = LongProblem(10);
+  int asked = 0;
+  IdentifyOptions options{.segment = 1};
+  options.stop = [&] { return ++asked > 8; };
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns, options);
+  EXPECT_EQ(report.verdict, FitVerdict::kInterrupted);
+  EXPECT_EQ(report.initial.size(), 10u);
+  EXPECT_LT(report.iterations, 20);
 }
 
 std::string ErrorIn(const std::string& csv) {

@@ -8,6 +8,8 @@
 // The cost jumps where the collision sequence changes: fits begin with the part before most of the impacts, and from
 // several starts, of which the best is kept.
 //
+// The law of impact itself may be unknown: a function with parameters, such as a network (impact_law.h).
+//
 // A recording may be cut into segments with an initial state each: long ones must be, as after many impacts the motion
 // depends on its start beyond what can be measured.
 #pragma once
@@ -19,6 +21,7 @@
 #include <variant>
 #include <vector>
 
+#include "saltus/contact/impact_law.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/identify/recording.h"
 
@@ -26,10 +29,10 @@ namespace saltus {
 
 // One number to identify.
 struct Unknown {
-  enum class Kind { kRestitution, kFriction, kStiffness, kDamping, kMass, kGravity, kForce };
+  enum class Kind { kRestitution, kFriction, kStiffness, kDamping, kMass, kGravity, kForce, kLaw };
   Kind kind = Kind::kRestitution;
   int body = -1;      // of a mass or a force
-  int component = 0;  // of gravity or a force: 0 is x, 1 is y
+  int component = 0;  // of gravity or a force: 0 is x, 1 is y; or the number of a law's parameter
 
   bool operator==(const Unknown&) const = default;
 };
@@ -48,6 +51,8 @@ struct IdentifyOptions {
   int starts = 12;             // at most
   double outlier = 4;          // |r| in sigmas from which on a sample is named an outlier
   int max_iterations = 100;    // of each fit
+  // Of the impacts, with its parameters as unknowns beside the others; only with `event`, whose motion it then changes.
+  std::optional<ImpactLaw> law = std::nullopt;
   int threads = 1;
   StopRequest stop = nullptr;
   std::function<void(const std::string&)> status = nullptr;  // told what is at work
@@ -89,6 +94,22 @@ enum class FitVerdict {
 };
 const char* FitVerdictToString(FitVerdict verdict);
 
+// What a law says of impacts at these speeds, m/s.
+struct LawPoint {
+  double speed = 0, sliding = 0;  // of approach, of sliding
+  double restitution = 0, restitution_error = 0;
+  double friction = 0, friction_error = 0;  // of laws of friction
+};
+
+// A law of impact as it was learned.
+struct LearnedLaw {
+  ImpactLaw law;
+  int impacts = 0;
+  // From the slowest to the fastest impact of the motion, at the sliding speed that is the median of theirs. The errors
+  // are standard errors, of what recordings and prior leave open.
+  std::vector<LawPoint> curve;
+};
+
 struct IdentifyReport {
   FitVerdict verdict = FitVerdict::kFailed;
   std::string reason;
@@ -98,7 +119,8 @@ struct IdentifyReport {
   std::vector<double> segment_begin;             // s, of each segment
   std::vector<int> segment_recording;            // of each segment
   std::vector<SampleResidual> residuals;         // of all samples, in order
-  double cost = 0;                               // the minimum, with rho
+  std::optional<LearnedLaw> law;                 // if one was to be learned
+  double cost = 0;                               // the minimum, with rho and the prior of a law
   double sigma = 0;                              // m, estimated from the residuals if samples state none; else 0
   // Typical |r| over what noise of the stated sigma makes of it; 1 if the model is right. 0 if none is stated.
   double misfit = 0;

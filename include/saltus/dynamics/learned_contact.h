@@ -1,0 +1,17 @@
+// Exact events with a law of impact that has parameters, for everything that takes a contact model.
+#pragma once
+
+#include "saltus/contact/impact_law.h"
+#include "saltus/dynamics/registry.h"
+
+namespace saltus {
+
+// Numbers of parameters whose derivatives one simulator has.
+inline constexpr int kLawParametersAtOnce = 3;
+
+// The contact model `neural_event` of a law. Derivatives by restitution, stiffness and damping (P of StepLinearization,
+// ParameterGradient) are those by the law's parameters `first`, first + 1 and first + 2, of a scene in SI units.
+// Precondition: nothing is wrong with the law.
+Contact LearnedContact(const ImpactLaw& law, int first = 0);
+
+}  // namespace saltus

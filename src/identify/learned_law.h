@@ -1,0 +1,11 @@
+// What a fit has learned of the law of impact.
+#pragma once
+
+#include "identify/fit.h"
+
+namespace saltus {
+
+// Precondition: a law is learned, and the fit has its motion.
+LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+}  // namespace saltus

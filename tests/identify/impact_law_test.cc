@@ -1,0 +1,294 @@
+// Laws of impact: in the limit of the true law the motion is that of `event`, derivatives are those of differences, and
+// what is learned from recordings is the law that made them.
+#include "saltus/contact/impact_law.h"
+
+#include <ceres/autodiff_cost_function.h>
+#include <gmock/gmock.h>
+
+#include <cmath>
+
+#include "identify/generated_problem.h"
+#include "identify/segment_motion.h"
+#include "saltus/control/objective.h"
+#include "saltus/dynamics/learned_contact.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using Kind = Unknown::Kind;
+
+struct Constant {
+  template <typename T>
+  bool operator()(const T* /*speeds*/, const T* parameters, T* restitution) const {
+    restitution[0] = parameters[0];
+    return true;
+  }
+};
+ImpactLaw ConstantLaw(double restitution) {
+  ImpactLaw law{.name = "constant", .parameters = {restitution}};
+  law.function = std::make_shared<ceres::AutoDiffCostFunction<Constant, 1, 2, 1>>(new Constant);
+  return law;
+}
+
+// e = a / (1 + b v).
+struct Softening {
+  template <typename T>
+  bool operator()(const T* speeds, const T* parameters, T* restitution) const {
+    restitution[0] = parameters[0] / (1.0 + parameters[1] * speeds[0]);
+    return true;
+  }
+};
+ImpactLaw SofteningLaw(double a, double b) {
+  ImpactLaw law{.name = "softening", .parameters = {a, b}};
+  law.function = std::make_shared<ceres::AutoDiffCostFunction<Softening, 1, 2, 2>>(new Softening);
+  return law;
+}
+double TrueRestitution(double speed) { return 0.9 / (1 + 0.12 * speed); }
+
+// A network in the middle of learning: no weight is zero.
+ImpactLaw Bent(ImpactLaw law) {
+  for (std::size_t i = 0; i < law.parameters.size(); ++i) law.parameters[i] += 0.3 * std::sin(1.7 * (i + 1.0));
+  return law;
+}
+
+struct LossAndGradient {
+  double loss = 0;
+  Sensitivity gradient;
+};
+LossAndGradient Evaluate(const Contact& contact, const Scene& scene) {
+  LossAndGradient out;
+  const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
+  EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
+      << simulator->WhyFailed();
+  std::vector<double> end(simulator->state_size()), cotangent(end.size());
+  simulator->GetState(simulator->num_steps(), end);
+  out.loss = TerminalLoss(scene.objective, end, 4);
+  TerminalGradient(scene.objective, end, 4, cotangent);
+  simulator->Adjoint(cotangent, true, &out.gradient);
+  return out;
+}
+
+// The values of tasks 1 and 2, from closed forms.
+TEST(NeuralEvent, WithTheTrueLawIsExact) {
+  const LossAndGradient bounce = Evaluate(LearnedContact(ConstantLaw(1)), BounceOffTheGrid());
+  EXPECT_NEAR(bounce.loss, 1.199, 1e-12);
+  EXPECT_NEAR(bounce.gradient.initial[1], -1, 1e-12);
+  EXPECT_NEAR(bounce.gradient.initial[3], -1, 1e-12);
+  struct Launch {
+    double friction, loss, dp[2], dv[2];
+  };
+  for (const Launch& exact : {Launch{0, 8.316138586, {-5.277120, 0.216286}, {-3.166272, -0.212230}},
+                              Launch{0.1, 11.484328848, {-6.313214, -0.228822}, {-3.787928, -0.773744}}}) {
+    Scene scene = ProblemScene("ground_wall");
+    scene.contact.friction = exact.friction;
+    const LossAndGradient launch = Evaluate(LearnedContact(ConstantLaw(0.92)), scene);
+    EXPECT_NEAR(launch.loss, exact.loss, 1e-8);
+    for (int j = 0; j < 2; ++j) {
+      EXPECT_NEAR(launch.gradient.initial[j], exact.dp[j], 1e-6);
+      EXPECT_NEAR(launch.gradient.initial[2 + j], exact.dv[j], 1e-6);
+    }
+  }
+}
+
+// Networks begin as the constant law: every state and derivative is that of `event` to rounding, resting discs too.
+TEST(NeuralEvent, BeginsAsEvent) {
+  Scene scene = ProblemScene("ground_wall");
+  scene.duration = 3;
+  scene.contact = {.restitution = 0.4, .friction = 0.15};
+  const LossAndGradient exact = Evaluate("event", scene);
+  for (const ImpactLaw& law : {RestitutionNetwork(3, 5, 0.4), ImpulseNetwork(3, 5, 0.4, 0.15)}) {
+    const LossAndGradient learned = Evaluate(LearnedContact(law), scene);
+    EXPECT_NEAR(learned.loss, exact.loss, 1e-9) << law.name;
+    for (int i = 0; i < 4; ++i) EXPECT_NEAR(learned.gradient.initial[i], exact.gradient.initial[i], 1e-8) << law.name;
+  }
+}
+
+TEST(ImpactLaw, NetworksAreDifferentiated) {
+  for (const ImpactLaw& law : {Bent(RestitutionNetwork(4, 3, 0.8)), Bent(ImpulseNetwork(4, 3, 0.8, 0.2))}) {
+    const ImpactLawAt at = EvaluateLaw(law, 2.2, 0.7);
+    for (std::size_t i = 0; i < law.parameters.size(); ++i) {
+      ImpactLaw up = law, down = law;
+      up.parameters[i] += 1e-6;
+      down.parameters[i] -= 1e-6;
+      const ImpactLawAt above = EvaluateLaw(up, 2.2, 0.7), below = EvaluateLaw(down, 2.2, 0.7);
+      EXPECT_NEAR(at.restitution_slope[i], (above.restitution - below.restitution) / 2e-6, 1e-9) << i;
+      if (!law.HasFriction()) continue;
+      EXPECT_NEAR(at.friction_slope[i], (above.friction - below.friction) / 2e-6, 1e-9) << i;
+    }
+  }
+}
+
+// A ball in a corner, thrown hard: with steps of 0.1 s, some with two impacts.
+Scene Corner() {
+  Scene scene;
+  scene.name = "corner";
+  scene.duration = 1.5;
+  scene.steps = 15;
+  scene.gravity = {0, -9.81};
+  scene.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 0.6}, .velocity = {4, -2}},
+                  {.name = "other", .radius = 0.1, .mass = 0.5, .position = {-0.6, 0.4}, .velocity = {0, 1}}};
+  scene.planes = {{"floor", {0, 0}, {0, 1}}, {"right", {0.5, 0}, {-1, 0}}, {"left", {-1, 0}, {1, 0}}};
+  scene.contact = {.restitution = 0.8, .friction = 0.1};
+  return scene;
+}
+
+MotionAtSamples Move(const Scene& scene, const Recording& recording, const ImpactLaw& law) {
+  MotionRequest request{&recording.samples, {}, {0, 1}, &law};
+  for (int i = 0; i < static_cast<int>(law.parameters.size()); ++i) {
+    request.unknowns.push_back({.kind = Kind::kLaw, .component = i});
+  }
+  const Segment segment{0, 0, 0, static_cast<int>(recording.samples.size()), InitialState(scene)};
+  return MoveThrough("event", scene, segment, request, true);
+}
+
+TEST(ImpactLaw, MotionIsDifferentiatedByItsParameters) {
+  const Scene scene = Corner();
+  Recording recording{"times", {}};
+  for (double time = 0.03; time < 1.5; time += 0.047) {
+    for (int body = 0; body < 2; ++body) recording.samples.push_back({.time = time, .body = body, .sigma = 1});
+  }
+  for (const ImpactLaw& law :
+       {Bent(RestitutionNetwork(3, 4, 0.7)), Bent(ImpulseNetwork(2, 4, 0.7, 0.1)), SofteningLaw(0.9, 0.1)}) {
+    const MotionAtSamples motion = Move(scene, recording, law);
+    ASSERT_TRUE(motion.ok) << motion.reason;
+    ASSERT_GE(motion.touches.size(), 5u);
+    bool two_in_a_step = false;
+    for (std::size_t i = 1; i < motion.touches.size(); ++i) {
+      two_in_a_step = two_in_a_step || motion.touches[i].step == motion.touches[i - 1].step;
+    }
+    EXPECT_TRUE(two_in_a_step);
+    for (std::size_t p = 0; p < law.parameters.size(); ++p) {
+      const auto shifted = [&](double by) {
+        ImpactLaw other = law;
+        other.parameters[p] += by;
+        return Move(scene, recording, other);
+      };
+      const double width = 1e-6;
+      const MotionAtSamples up = shifted(width), down = shifted(-width);
+      for (std::size_t i = 0; i < recording.samples.size(); ++i) {
+        const Eigen::Vector4d difference = (up.state[i] - down.state[i]) / (2 * width);
+        ASSERT_LT((motion.derivative[i].col(static_cast<Eigen::Index>(p)) - difference).norm(),
+                  1e-5 * (1 + difference.norm()))
+            << law.name << ", parameter " << p << " at " << recording.samples[i].time;
+      }
+    }
+  }
+}
+
+// Drops of a ball from several heights, with noise of 1 mm, under the softening law.
+std::vector<Recording> Drops(const Contact& contact, Scene scene, double noise = 1e-3) {
+  std::vector<Recording> recordings;
+  GeneratedRandom random(3);
+  for (const double height : {0.4, 1.0, 2.0, 3.5}) {
+    scene.bodies[0].position = {0, height};
+    const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
+    EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, scene.steps)));
+    Recording recording{"drop", {}};
+    std::vector<double> x(4);
+    for (int k = 2; k <= scene.steps; k += 2) {
+      simulator->GetState(k, x);
+      recording.samples.push_back({.time = k * simulator->step(),
+                                   .position = {x[0] + noise * random.Normal(), x[1] + noise * random.Normal()},
+                                   .sigma = noise});
+    }
+    recordings.push_back(recording);
+  }
+  return recordings;
+}
+Scene DropScene() {
+  Scene scene;
+  scene.name = "drops";
+  scene.duration = 1.6;
+  scene.steps = 160;
+  scene.gravity = {0, -9.81};
+  scene.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 1}, .velocity = {0.2, 0}}};
+  scene.planes = {{"floor", {0, 0}, {0, 1}}};
+  scene.contact.restitution = 0.5;
+  return scene;
+}
+
+TEST(Identify, LearnsALawOfImpactFromNoisyRecordings) {
+  const std::vector<Recording> recordings = Drops(LearnedContact(SofteningLaw(0.9, 0.12)), DropScene());
+  const IdentifyReport network = Identify("event", DropScene(), recordings, {}, {.law = RestitutionNetwork(3, 8, 0.5)});
+  ASSERT_EQ(network.verdict, FitVerdict::kFits) << network.reason;
+  ASSERT_TRUE(network.law.has_value());
+  EXPECT_GE(network.law->impacts, 8);
+  ASSERT_FALSE(network.law->curve.empty());
+  EXPECT_GT(network.law->curve.back().speed, 2 * network.law->curve.front().speed);
+  for (const LawPoint& at : network.law->curve) {
+    EXPECT_NEAR(at.restitution, TrueRestitution(at.speed), 4 * at.restitution_error + 2e-3) << at.speed;
+    EXPECT_LT(at.restitution_error, 0.05) << at.speed;
+  }
+  // No constant explains them.
+  const IdentifyReport constant = Identify("event", DropScene(), recordings, {{Kind::kRestitution}});
+  EXPECT_EQ(constant.verdict, FitVerdict::kContradicted);
+}
+
+TEST(Identify, LearnsTheParametersOfAUsersLaw) {
+  const std::vector<Recording> recordings = Drops(LearnedContact(SofteningLaw(0.9, 0.12)), DropScene(), 1e-4);
+  const IdentifyReport report =
+      Identify("event", DropScene(), recordings, {{Kind::kGravity, -1, 1}}, {.law = SofteningLaw(0.7, 0.02)});
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_NEAR(report.law->law.parameters[0], 0.9, 3e-3);
+  EXPECT_NEAR(report.law->law.parameters[1], 0.12, 2e-3);
+  ASSERT_EQ(report.estimates.size(), 1u);
+  EXPECT_NEAR(report.estimates[0].value, -9.81, 4 * report.estimates[0].standard_error);
+}
+
+// The whole impulse: a ball that is thrown along the floor slides at its impacts.
+TEST(Identify, LearnsFrictionAndRestitutionTogether) {
+  Scene truth = DropScene();
+  truth.bodies[0].velocity = {3, 0};
+  truth.contact = {.restitution = 0.8, .friction = 0.12};
+  const std::vector<Recording> recordings = Drops("event", truth, 2e-4);
+  truth.contact = {.restitution = 0.5, .friction = 0.3};
+  const IdentifyReport report = Identify("event", truth, recordings, {}, {.law = ImpulseNetwork(2, 8, 0.5, 0.3)});
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  for (const LawPoint& at : report.law->curve) {
+    EXPECT_NEAR(at.restitution, 0.8, 4 * at.restitution_error + 2e-3) << at.speed;
+    EXPECT_NEAR(at.friction, 0.12, 4 * at.friction_error + 2e-3) << at.speed;
+  }
+}
+
+TEST(ImpactLaw, WhatMakesNoSenseIsRefused) {
+  ImpactLaw law = ConstantLaw(0.5);
+  law.parameters = {0.5, 0.1};
+  EXPECT_THAT(WhatIsWrongWith(law), HasSubstr("expected 2 speeds and 2 parameters"));
+  EXPECT_THAT(WhatIsWrongWith(ConstantLaw(1.5)), HasSubstr("found no restitution in [0, 1]"));
+  EXPECT_THAT(WhatIsWrongWith(ImpactLaw{}), HasSubstr("found no function"));
+  EXPECT_EQ(WhatIsWrongWith(ConstantLaw(0.5)), "");
+  const std::vector<Recording> recordings = Drops("event", DropScene());
+  const auto reason = [&](const Contact& contact, const std::vector<Unknown>& unknowns) {
+    const IdentifyReport report =
+        Identify(contact, DropScene(), recordings, unknowns, {.law = RestitutionNetwork(2, 5, 0.5)});
+    EXPECT_EQ(report.verdict, FitVerdict::kNotApplicable);
+    return report.reason;
+  };
+  EXPECT_THAT(reason("direct", {}), HasSubstr("expected event"));
+  EXPECT_THAT(reason("event", {{Kind::kRestitution}}), HasSubstr("'restitution' beside a law of impact"));
+  EXPECT_THAT(reason("event", {{Kind::kStiffness}}), HasSubstr("does not read it"));
+}
+
+// Solvers along a sequence of impacts know Newton's restitution; those on rollouts take a law as any contact model.
+TEST(NeuralEvent, GoesWhereRolloutsDo) {
+  const Contact contact = LearnedContact(SofteningLaw(0.95, 0.02));
+  const Scene scene = ProblemScene("ground_wall");
+  const SolveReport report = Solve("ceres_lm", {.scene = scene, .contact = contact}, {});
+  ASSERT_FALSE(report.losses.empty()) << report.reason;
+  EXPECT_LT(report.losses.back(), 1e-6 * report.losses.front());
+  const Scene strike = ProblemScene("two_balls");
+  EXPECT_THAT(Solve("ceres_event", {.scene = strike, .contact = contact}, {}).reason, HasSubstr("exact impacts only"));
+}
+
+// A law without a value at the speed of an impact fails the step, and says so.
+TEST(NeuralEvent, FailsWhereTheLawHasNoValue) {
+  const auto simulator = MakeSimulator(LearnedContact(SofteningLaw(0.9, -0.05)), DropScene(), Precision::kDouble);
+  EXPECT_FALSE(simulator->Rollout(InitialState(DropScene()), InitialControl(DropScene(), 160)));
+  EXPECT_THAT(simulator->WhyFailed(), HasSubstr("the law of impact gives no restitution"));
+}
+
+}  // namespace
+}  // namespace saltus
