@@ -403,6 +403,29 @@ CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
   return result;
 }
 
+// With q = G' + G'' F d + A^T lambda, A the derivatives of what is held, 2 effort M (u + d) + F^T q vanishes and so
+// does A F d: equations for q and lambda, whose number does not grow with the intervals.
+std::optional<Eigen::VectorXd> CondensedLoss::NewtonStep() const {
+  Eigen::MatrixXd hessian, held;
+  SecondDerivatives(&hessian, &held);
+  const int n = num_functionals(), m = num_held_;
+  const Eigen::Map<const Eigen::VectorXd> values(values_.data(), n);
+  Eigen::VectorXd slope(n);
+  Sweep<double>(values_.data(), slope.data(), nullptr);
+  const Eigen::MatrixXd gram = Gram() / (2 * scene_.objective.effort);
+  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n + m, n + m);
+  matrix.topLeftCorner(n, n) = Eigen::MatrixXd::Identity(n, n) + hessian * gram;
+  matrix.topRightCorner(n, m) = -held.transpose();
+  matrix.bottomLeftCorner(m, n) = held * gram;
+  Eigen::VectorXd right(n + m);
+  right << slope - hessian * values, -(held * values);
+  const Eigen::VectorXd found = matrix.fullPivLu().solve(right);
+  Eigen::VectorXd control = Transposed(found.head(n)) / (-2 * scene_.objective.effort);
+  DivideByWeights(&control);
+  if (!control.allFinite()) return std::nullopt;
+  return control;
+}
+
 Eigen::MatrixXd CondensedLoss::DenseHessian() const {
   Eigen::MatrixXd by_functionals, gaps;
   SecondDerivatives(&by_functionals, &gaps);

@@ -67,6 +67,10 @@ class CondensedLoss {
   };
   Curvature SmallestCurvature() const;
 
+  // The control that one step of Newton's method leads to, along directions that keep what is held: to the optimum, if
+  // this is near. Nothing if second derivatives are singular. Precondition: forces are not restricted.
+  std::optional<Eigen::VectorXd> NewtonStep() const;
+
   // 2 effort M + F^T G'' F, for tests.
   Eigen::MatrixXd DenseHessian() const;
 

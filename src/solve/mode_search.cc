@@ -74,6 +74,7 @@ class ModeSearch {
       }
       SolveNext();
     }
+    if (!end_) ShareBest();
     return Report();
   }
 
@@ -176,6 +177,17 @@ class ModeSearch {
     best_mended_ = best_trial_.exact.loss;
     SolveBatch({{.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_trial_)}});
     return true;
+  }
+
+  // The best optimum, with the intervals that a share of them between phases by their lengths has left unused.
+  void ShareBest() {
+    if (!HasBestOptimum() || best_optimum_.exact.contacts.empty()) return;
+    const double before = best_optimum_.exact.loss;
+    SolveBatch({{.kind = SearchTask::Kind::kShare,
+                 .sequence = best_optimum_.exact.contacts,
+                 .from = std::make_shared<const Trial>(best_optimum_)}});
+    const double now = best_optimum_.exact.loss;
+    if (now < before) std::erase_if(optima_, [&](const LocalOptimum& known) { return known.loss == before; });
   }
 
   void SolveBatch(std::vector<SearchTask> tasks) {

@@ -4,12 +4,18 @@
 #include <algorithm>
 #include <cmath>
 
+#include "control/condensed.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/control/objective.h"
+
 namespace saltus {
 namespace {
 
 constexpr double kImprovement = 1e-12;  // of the loss; less is none
 constexpr int kIterationsPerNode = 20;  // of Ceres
 constexpr int kPolishes = 10;           // times that the best nodes are solved again, from where they ended
+constexpr int kNewtonSteps = 3;         // at last
+constexpr double kRounding = 1e-15;     // of the loss: no worse
 constexpr double kTolerance = 1e-14;    // relative change of the cost that ends them
 constexpr double kAside = 1e-7;         // of the radius: the gap at the node where one-sided gradients are taken
 
@@ -64,7 +70,28 @@ bool NodeSearch::Run(int iterations) {
     }
   }
   for (int i = 0; i < kPolishes && TryNodes(arrivals_); ++i) continue;
+  Polish();
   return true;
+}
+
+void NodeSearch::Polish() {
+  const Scene& scene = run_->shooting().scene();
+  if (scene.objective.effort == 0 || !BeyondTerminalCost(scene).empty()) return;
+  const std::vector<double> lengths(scene.steps, scene.dt());
+  for (int step = 0; step < kNewtonSteps && !interrupted_; ++step) {
+    const ExactRun exact = SimulateExactly(scene, InitialState(scene), z_, lengths);
+    if (!exact.ok || !exact.only_impacts) return;
+    const Flight flight(scene, InitialState(scene), z_, lengths, exact);
+    std::vector<std::optional<double>> held;
+    for (const Flight::Hit& hit : flight.hits()) held.push_back(hit.on_node ? std::optional(0.5) : std::nullopt);
+    const auto control = CondensedLoss(scene, flight, z_, lengths, std::move(held)).NewtonStep();
+    if (!control) return;
+    const std::vector<double> z = PutOntoNodes({control->begin(), control->end()}, arrivals_);
+    double loss = 0;
+    if (!run_->shooting().Evaluate(z, &loss, nullptr) || !(loss <= (1 + kRounding) * loss_)) return;
+    z_ = z;
+    loss_ = loss;
+  }
 }
 
 bool NodeSearch::Move(size_t which, int direction) {

@@ -39,6 +39,9 @@ class NodeSearch {
   // Best z with the impacts on these nodes, if that is better than what there is.
   bool TryNodes(const std::vector<Arrival>& arrivals);
   bool Move(size_t which, int direction);
+  // Newton's method along the nodes, on which the loss is smooth: across them is a kink, at which steps of Ceres that
+  // leave a node by rounding are refused.
+  void Polish();
   // Decision variables near z with the impacts on the nodes to rounding, where Ceres leaves them nearly; z if that
   // fails.
   std::vector<double> PutOntoNodes(std::vector<double> z, const std::vector<Arrival>& arrivals);

@@ -285,41 +285,91 @@ PhaseMinimum SolveOnIntervals(const EventPhases& phases, std::vector<double> z, 
 
 }  // namespace
 
+namespace {
+
+// One solve on given intervals; all but the exact run of the trial is filled. False if there is no motion.
+bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseGuess* guess,
+             const PhaseMinimumOptions& options, double loss_change, PhaseSolution* solution) {
+  const EventPhases phases(scene, solution->sequence, intervals);
+  PhaseMinimum& minimum = solution->minimum;
+  const PhaseMinimum before = minimum;
+  std::vector<double> z = guess != nullptr ? phases.Variables(guess->times, guess->before, guess->end) : before.z;
+  minimum = SolveOnIntervals(phases, std::move(z), options, loss_change);
+  minimum.iterations += before.iterations;
+  minimum.jacobians += before.jacobians;
+  Path<double> path;
+  if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return false;
+  solution->times.clear();
+  solution->speeds.clear();
+  for (int k = 0; k < phases.num_impacts(); ++k) {
+    solution->times.push_back(path.impacts[k].time);
+    solution->speeds.push_back(path.impacts[k].impact.speed);
+  }
+  solution->times.push_back(scene.duration);
+  solution->intervals = intervals;
+  phases.Control(path, &solution->trial.control, &solution->trial.durations);
+  return true;
+}
+
+void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
+  solution->valid = true;
+  Simulate(scene, {}, &solution->trial);
+  const std::span<const double> impacts(solution->times.data(), solution->times.size() - 1);
+  solution->realized = IsRealized(scene, solution->trial.exact, solution->sequence, {impacts.begin(), impacts.end()});
+}
+
+}  // namespace
+
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change) {
   PhaseSolution solution;
   solution.sequence = sequence;
-  PhaseMinimum& minimum = solution.minimum;
-  std::vector<double> times = guess.times;
-  std::vector<int> intervals = DistributeIntervals(scene, sequence, times);
+  std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
   // Once more if the phases have become so much longer or shorter that the intervals are ill distributed.
   for (int round = 0; round < 2; ++round) {
     if (intervals.empty()) return solution;
-    const EventPhases phases(scene, sequence, intervals);
-    if (round == 0) minimum.z = phases.Variables(guess.times, guess.before, guess.end);
-    const PhaseMinimum before = minimum;
-    minimum = SolveOnIntervals(phases, before.z, options, loss_change);
-    minimum.iterations += before.iterations;
-    minimum.jacobians += before.jacobians;
-    Path<double> path;
-    if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return solution;
-    solution.speeds.clear();
-    for (int k = 0; k < phases.num_impacts(); ++k) {
-      times[k] = path.impacts[k].time;
-      solution.speeds.push_back(path.impacts[k].impact.speed);
-    }
-    solution.intervals = intervals;
-    solution.times = times;
-    solution.times.push_back(scene.duration);
-    phases.Control(path, &solution.trial.control, &solution.trial.durations);
-    std::vector<int> better = DistributeIntervals(scene, sequence, times);
-    if (!minimum.converged || minimum.touches || better == intervals) break;
+    if (!SolveOn(scene, intervals, round == 0 ? &guess : nullptr, options, loss_change, &solution)) return solution;
+    const std::span<const double> impacts(solution.times.data(), sequence.size());
+    std::vector<int> better = DistributeIntervals(scene, sequence, impacts);
+    if (!solution.minimum.converged || solution.minimum.touches || better == intervals) break;
     intervals = std::move(better);
   }
-  solution.valid = true;
-  Simulate(scene, {}, &solution.trial);
-  solution.realized = IsRealized(scene, solution.trial.exact, sequence, times);
+  SimulateSolution(scene, &solution);
   return solution;
+}
+
+PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
+                          double least_gain) {
+  constexpr int kMostTries = 60;
+  const int phases = static_cast<int>(best.intervals.size());
+  int tries = 0;
+  for (int moved = std::max(1, scene.steps / 16); moved > 0; moved /= 2) {
+    for (bool better = true; better && tries < kMostTries;) {
+      better = false;
+      for (int from = 0; from < phases; ++from) {
+        for (const int to : {from - 1, from + 1}) {
+          std::vector<int> intervals = best.intervals;
+          if (to < 0 || to >= phases || intervals[from] <= moved + 1 || ++tries > kMostTries) continue;
+          intervals[from] -= moved;
+          intervals[to] += moved;
+          const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, best.trial), best.sequence);
+          PhaseSolution next;
+          next.sequence = best.sequence;
+          if (!SolveOn(scene, intervals, &guess, options, 1e-2, &next)) continue;
+          SimulateSolution(scene, &next);
+          next.minimum.jacobians += best.minimum.jacobians;
+          const bool gains = next.trial.exact.loss < (1 - least_gain) * best.trial.exact.loss;
+          if (!next.optimal() || !gains) {
+            best.minimum.jacobians = next.minimum.jacobians;
+            continue;
+          }
+          best = std::move(next);
+          better = true;
+        }
+      }
+    }
+  }
+  return best;
 }
 
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {

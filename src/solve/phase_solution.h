@@ -79,6 +79,10 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 // no use.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
+// The same sequence with intervals moved from phases to those beside them, as long as that lowers the loss by the part
+// `least_gain` of it. Precondition: best.optimal().
+PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
+                          double least_gain);
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 

@@ -16,6 +16,7 @@ constexpr int kIterationsAlong = 80;  // of Ceres, along one sequence
 constexpr int kIterationsMending = 1000;
 constexpr int kIterationsShooting = 30;  // from starts of the search's own
 constexpr double kLossChange = 0.02;     // relative, in the last steps of a solve
+constexpr double kShareGain = 1e-7;      // relative: of the loss, for which intervals change their phase
 constexpr size_t kMostNeighbours = 200;
 
 void Certify(const Scene& scene, SearchFinding* finding) {
@@ -29,7 +30,10 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
   PhaseMinimumOptions phase_options;
   phase_options.iterations = kIterationsAlong;
   phase_options.callback = [&](double) { return !options.stop || !options.stop(); };
-  PhaseSolution solution = SolveAlong(scene, task.sequence, task.guess, phase_options, kLossChange);
+  const bool shares = task.kind == SearchTask::Kind::kShare;
+  const PhaseGuess guess = shares ? GuessFrom(scene, FlightOf(scene, *task.from), task.sequence) : task.guess;
+  PhaseSolution solution = SolveAlong(scene, task.sequence, guess, phase_options, kLossChange);
+  if (shares && solution.optimal()) solution = ShareBetter(scene, std::move(solution), phase_options, kShareGain);
   SearchFinding finding;
   finding.jacobians = solution.minimum.jacobians;
   if (!solution.valid || !solution.trial.exact.ok) return finding;
@@ -108,6 +112,7 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
 SearchFinding Solve(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   switch (task.kind) {
     case SearchTask::Kind::kAlong:
+    case SearchTask::Kind::kShare:
       return SolveAlongSequence(request.scene, options, task);
     case SearchTask::Kind::kMend:
       return Mend(request, options, *task.from);

@@ -19,6 +19,7 @@ struct SearchTask {
     kMend,     // from the motion `from`, along the sequences that mending leads to (sequence_mending.h)
     kShoot,    // by ceres_lm from constant `forces`
     kDescend,  // by gd from there
+    kShare,    // along `sequence` from the optimum `from`, with intervals shared better between its phases
   };
   Kind kind = Kind::kAlong;
   ContactSequence sequence = {};

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "control/control_bounds.h"
 #include "motion_merit.h"
-#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {
@@ -365,8 +365,8 @@ class Mending {
 
   // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
   void Certify() {
-    if (!BeyondTerminalCost(scene_).empty() || scene_.objective.effort == 0 || !run_.terms().empty()) return;
-    if (scene_.optimize != Optimize::kControl) return;
+    if (!run_.terms().empty() || scene_.optimize != Optimize::kControl) return;
+    if (scene_.objective.effort == 0 && !HasBounds(scene_.control)) return;
     Certificate certificate = CertifyTrial(scene_, best_->trial);
     const bool kinks = best_plan_.HasTies() || best_plan_.HasModes() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {

@@ -190,7 +190,7 @@ class Campaign {
     double largest = 0;
     for (const double force : free.control) largest = std::max(largest, std::abs(force));
     if (free.control.empty() || largest == 0) return;
-    scene.control.max = {random->Uniform(0.6, 0.9) * largest};
+    scene.control.max.assign(scene.num_controlled(), random->Uniform(0.6, 0.9) * largest);
     const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
     const std::string name = "with bounds: ";
     Note(name, report);

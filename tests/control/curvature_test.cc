@@ -321,6 +321,26 @@ TEST(Curvature, KnowsTheSaddleUnderBounds) {
   for (const double force : report.control) EXPECT_LE(std::abs(force), scene.control.max[0]);
 }
 
+// One step of Newton's method leaves the square of what was missing, with the impact held on its node.
+TEST(Curvature, NewtonsMethodFindsTheOptimumOnTheGrid) {
+  const Scene scene = ProblemScene("two_balls");
+  const std::vector<double> lengths = EqualLengths(scene);
+  const SolveReport optimum = Solve("grid_optimum", {scene, "event"}, {});
+  const std::vector<double>& direction = optimum.certificate->curvature->direction;  // keeps the node
+  std::vector<double> left;
+  for (const double eps : {1e-3, 1e-4}) {
+    const std::vector<double> control = Along(optimum.control, direction, eps);
+    const Exact exact(scene, control, lengths);
+    const auto found = CondensedLoss(scene, exact.flight, control, lengths, {0.5}).NewtonStep();
+    ASSERT_TRUE(found);
+    double most = 0;
+    for (size_t i = 0; i < control.size(); ++i) most = std::max(most, std::abs((*found)[i] - optimum.control[i]));
+    left.push_back(most);
+  }
+  EXPECT_LT(left[0], 1e-4);
+  EXPECT_LT(left[1], 0.02 * left[0]);
+}
+
 // With the impact held on its node the direction keeps it there.
 TEST(Curvature, OnTheGridDirectionsKeepImpactsOnNodes) {
   const Scene scene = ProblemScene("two_balls");

@@ -121,6 +121,23 @@ double ExactLoss(const Scene& scene, const SolveReport& report) {
   return SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
 }
 
+// Another share of the intervals between phases is worth more than 1e-6 of the loss here: no solver is better by that.
+TEST(ModeSearch, SharesIntervalsBetweenPhases) {
+  const Scene scene = ControlProblem(19);
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted());
+  const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LE(ExactLoss(scene, report), (1 + 1e-6) * ExactLoss(scene, phases));
+  EXPECT_NEAR(std::accumulate(report.durations.begin(), report.durations.end(), 0.0), scene.duration, 1e-12);
+  EXPECT_EQ(report.durations.size(), 120u);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary);
+  for (size_t i = 1; i < report.optima.size(); ++i) {  // the same one is there once
+    EXPECT_FALSE(report.optima[i].sequence == report.optima[0].sequence &&
+                 report.optima[i].loss < (1 + 1e-4) * report.optima[0].loss);
+  }
+}
+
 // Its best motion is an optimum that other solvers miss, or reach and cannot tell.
 struct Hard {
   const char* name;

@@ -5,6 +5,7 @@
 #include <numbers>
 
 #include "box_scene.h"
+#include "physics/control_problems.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -176,6 +177,22 @@ TEST(CeresPhases, KeepsBoundsThatTheGuessDoesNot) {
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_THAT(report.reason, HasSubstr("1.41421 m, by target"));
   for (const double force : report.control) EXPECT_LE(std::abs(force), 1.2 * (1 + 1e-12));
+}
+
+// Under a bound the best motion of this problem has an impact at the final time too, where the loss has a kink.
+TEST(CeresPhases, ConvergesToAKinkUnderABound) {
+  Scene scene = ControlProblem(72);
+  scene.steps = 60;
+  scene.control.max = {1.5};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("at the final time"));
+  ASSERT_TRUE(report.certificate);
+  EXPECT_THAT(report.certificate->reason, HasSubstr("final time"));
+  EXPECT_NEAR(Resimulate(scene, report).loss, report.final_loss, 1e-12);
+  double largest = 0;
+  for (const double force : report.control) largest = std::max(largest, std::abs(force));
+  EXPECT_NEAR(largest, 1.5, 1e-9);
 }
 
 }  // namespace

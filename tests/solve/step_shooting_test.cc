@@ -54,15 +54,18 @@ TEST(CeresShooting, MovesTheImpactToTheBestNode) {
     double loss, tolerance;
     const char* node;
     const char* theta;
-  } cases[] = {{"two_balls", 480, 1.39654310059879899, 1e-9, "node 328", "theta 0.5"},
-               {"two_balls", 1000, 1.39654323006339811, 1e-9, "node 683", "theta 0.48"},
-               {"single_collision", 480, 0.311418376820024856, 1e-5, "node 221", "theta 0.5"}};
+  } cases[] = {{"two_balls", 480, 1.39654310059879899, 1e-13, "node 328", "theta 0.5"},
+               {"two_balls", 1000, 1.39654323006339811, 1e-13, "node 683", "theta 0.48"},
+               {"single_collision", 480, 0.311418376820024856, 1e-13, "node 221", "theta 0.4986"}};
   for (const auto& [problem, steps, loss, tolerance, node, theta] : cases) {
     Scene scene = ProblemScene(problem);
     scene.steps = steps;
     const SolveReport report = Solve("ceres_shooting", {scene, "event"}, {});
     EXPECT_NEAR(report.final_loss, loss, tolerance) << problem << steps;
     EXPECT_GE(report.final_loss, loss - 1e-12) << problem << steps;
+    EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+    ASSERT_TRUE(report.certificate);
+    EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid) << problem << steps;
     EXPECT_NEAR(ExactLoss(scene, report), report.final_loss, 1e-12);
     EXPECT_THAT(report.reason, HasSubstr(node));
     EXPECT_THAT(report.reason, HasSubstr(theta)) << problem << steps;
