@@ -128,4 +128,5 @@ def main():
     serve("Siconos, " + ("located events" if events else "Moreau-Jean"), lambda *given: World(*given, events), refusal)
 
 
-main()
+if __name__ == "__main__":
+    main()

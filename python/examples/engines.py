@@ -1,4 +1,5 @@
-"""Two engines that Debian packages, as simulators for saltus.audit: ODE (python3-pyode) and DART (python3-dartpy).
+"""Three engines that Debian packages, as simulators for saltus.audit: ODE (python3-pyode), DART (python3-dartpy) and
+Siconos (python3-siconos).
 
     report = saltus.audit(scene, simulate=engines.ode(), name="ode")
 
@@ -6,7 +7,12 @@ As they are shipped, with restitution and friction of the scene; discs are spher
 a new world, as engines keep contacts from step to step.
 """
 
+import pathlib
+import sys
+
 import numpy as np
+
+DRIVERS = pathlib.Path(__file__).resolve().parents[2] / "engines"
 
 
 def _discs(scene):
@@ -85,5 +91,25 @@ def dart():
                 skeletons[place].setForces([*force, 0])
             world.step()
         return np.array([[*s.getPositions()[:2], *s.getVelocities()[:2]] for s in skeletons])
+
+    return simulate
+
+
+def siconos(events=False):
+    """Siconos by its driver for the command line: Moreau's and Jean's scheme, or located impacts. Any driver in Python
+    will do like this."""
+    if str(DRIVERS) not in sys.path:
+        sys.path.append(str(DRIVERS))
+    import protocol
+    import siconos_drive
+
+    def simulate(scene, initial, control, dt):
+        read = protocol.Scene(scene.to_dict())
+        reason = siconos_drive.refusal(read)
+        if reason:
+            raise ValueError(reason)
+        request = {"steps": len(control), "duration": dt * len(control), "initial": initial.tolist(),
+                   "control": control.tolist()}
+        return protocol.simulate(lambda *given: siconos_drive.World(*given, events), read, request)["final"]
 
     return simulate

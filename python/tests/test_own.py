@@ -2,10 +2,12 @@
 
 import os
 import signal
+import sys
 import threading
 
 import numpy as np
 import pytest
+from conftest import SOURCE, run_program
 
 import saltus
 
@@ -145,6 +147,17 @@ class TestSimulators:
         with pytest.raises(ValueError, match="simulate: expected a callable beside gradient"):
             saltus.audit(coarse, gradient=exact.gradient)
 
+    def test_cost(self, two_balls):
+        """An audit of task 3 takes less than 20 s on one core if a rollout of its 480 steps takes 1 ms."""
+        lent, steps = Lent("direct"), []
+
+        def simulate(scene, initial, control, dt):
+            steps.append(len(control))
+            return lent.simulate(scene, initial, control, dt)
+
+        saltus.audit(two_balls, simulate=simulate)
+        assert 1e-3 * sum(steps) / 480 < 20
+
     def test_interrupts(self, two_balls):
         def slow(scene, initial, control, dt):
             return simulate_step_boundary(scene, initial, control, dt)
@@ -259,3 +272,22 @@ class TestEngines:
         assert found["class"] == "impulse at a step boundary"
         assert found["verdict"] in ("wrong", "wrong sign")
         assert found["keep"] == pytest.approx(1, abs=0.05) and found["e"] == pytest.approx(1, abs=0.05)
+
+    @pytest.mark.parametrize(
+        "package, driver, flag", [("dartpy", "dart", ""), ("siconos", "siconos", ""), ("siconos", "siconos", "--events")]
+    )
+    def test_verdicts_are_those_of_the_command_line(self, two_balls, tmp_path, monkeypatch, package, driver, flag):
+        pytest.importorskip(package, reason=f"python3-{package} is not installed")
+        monkeypatch.syspath_prepend(os.path.join(os.path.dirname(__file__), os.pardir, "examples"))
+        import engines
+
+        scene = two_balls.replace(steps=12)
+        scene.save(tmp_path / "scene.yaml")
+        simulate = engines.siconos(bool(flag)) if driver == "siconos" else engines.dart()
+        found = saltus.audit(scene, simulate=simulate, name=driver).of(driver)
+        script = SOURCE / "engines" / ("siconos_drive.py" if driver == "siconos" else "dart.py")
+        command = f"{driver}={sys.executable} {script} {flag}".strip()
+        there = run_program("saltus_audit", f"--scene={tmp_path / 'scene.yaml'}", f"--simulate={command}")["audits"][0]
+        assert (found["verdict"], found["class"], found["motion"]) == (there["verdict"], there["class"], there["motion"])
+        assert found["loss"] == pytest.approx(there["loss"], rel=1e-9)
+        assert (found["verdict"] == "right") == (flag == "--events")
