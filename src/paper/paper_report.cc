@@ -53,12 +53,39 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
   return tiles;
 }
 
+void AddFits(const ParameterFits& fits, HtmlReport* report) {
+  report->AddHeading(1, "Wrong gradients, wrong parameters");
+  report->AddParagraph(
+      "What gradients are for besides control: parameters from a recording, by nonlinear least squares. A ball bounces "
+      "off the floor and strikes another, which goes on to a wall; both are seen 60 times a second with 2 mm of noise. "
+      "Each model fits the restitution, a mass and the four initial vectors to a recording of the exact motion, which "
+      "is what the world would give, and to one of its own motion under the true parameters. The second is the fair "
+      "question to a gradient: the model has nothing wrong but that. Plastic models, which cannot explain a bounce, "
+      "are left "
+      "out.");
+  report->AddList(fits.Findings());
+  AddFigure({fits.ToFigure()}, "parameter_fits", report);
+  const CaptionedTable table = fits.ToTable();
+  report->AddTable(table.table, table.caption);
+}
+
+void AddLaw(const PaperFigure& law, HtmlReport* report) {
+  report->AddHeading(1, "A law of impact, learned");
+  report->AddParagraph(
+      "A law need not be a number. Here the restitution is a small network of the speed of approach inside exact "
+      "events "
+      "(`neural_event`), and its weights are unknowns of the same least squares; derivatives pass through the impact "
+      "times. It begins as a constant, in whose place `event` is the same model, and knows nothing of the law's form.");
+  AddFigure({law}, law.name, report);
+}
+
 }  // namespace
 
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
                       const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
-                      const std::optional<DescentAudit>& descents, double seconds, const std::string& output_dir) {
+                      const std::optional<DescentAudit>& descents, const std::optional<ParameterFits>& fits,
+                      const std::optional<PaperFigure>& law, double seconds, const std::string& output_dir) {
   HtmlReport report("Gradients through contact, reproduced",
                     "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have "
                     "Correct Gradients w.r.t. Position, Velocity and Control?”, every table and figure next to ours "
@@ -155,6 +182,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
     report.AddTable(table.table, table.caption);
     AddFigure(figures, "formulations", &report);
   }
+
+  if (fits) AddFits(*fits, &report);
+  if (law) AddLaw(*law, &report);
 
   report.AddHeading(1, "Optima of the follow-up paper");
   report.AddParagraph(

@@ -11,9 +11,11 @@
 #include "paper/descent_audit.h"
 #include "paper/experiments.h"
 #include "paper/formulation_audit.h"
+#include "paper/law_example.h"
 #include "paper/notebook_files.h"
 #include "paper/paper_figures.h"
 #include "paper/paper_report.h"
+#include "paper/parameter_fits.h"
 #include "paper/published.h"
 #include "paper/solver_comparison.h"
 #include "paper/strike_comparison.h"
@@ -24,27 +26,29 @@ DEFINE_string(problems_dir, "", "where the scenes of the problems are (default: 
 DEFINE_string(data_dir, "",
               "where published.csv and constrained_references.json are (default: those that come with saltus)");
 DEFINE_bool(all_formulations, true,
-            "audit every contact model on the three tasks, and solve task 3 under each (default)");
+            "audit every contact model on the three tasks, solve task 3 and fit parameters under each (default)");
 DEFINE_bool(every_solver, false, "every general solver, too, under the models that the paper does not compare");
 
 namespace saltus {
 namespace {
 
-FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<SimulatorCommand> simulators) {
+std::vector<std::string> AllContacts() {
   std::vector<std::string> contacts;
   for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
+  return contacts;
+}
+
+FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<SimulatorCommand> simulators) {
   return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
                            {"Task 2: ground and wall", experiments.scene("ground_wall")},
                            {"Task 3: two balls", experiments.scene("two_balls")}},
-                          std::move(contacts),
+                          AllContacts(),
                           std::move(simulators));
 }
 
 DescentAudit AuditDescents(const Experiments& experiments, const SolverComparison& comparison) {
-  std::vector<std::string> contacts;
-  for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
   return DescentAudit({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
-                      std::move(contacts),
+                      AllContacts(),
                       {comparison.slow().begin(), comparison.slow().end()});
 }
 
@@ -108,6 +112,13 @@ int Reproduce(const std::vector<std::string>& arguments) {
     descents = AuditDescents(experiments, comparison);
     if (!descents->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   }
+  std::optional<ParameterFits> fits;
+  if (FLAGS_all_formulations) {
+    fits.emplace(AllContacts());
+    if (!fits->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  }
+  std::optional<PaperFigure> law;
+  if (FLAGS_all_formulations && !RunStage("a law of impact", [&] { law = LearnALaw(); })) return kAnswerFailed;
   std::vector<PaperFigure> figures;
   const bool compared = RunStage("comparison with the published values", [&] {
     CompareWithPublished(experiments, &rows);
@@ -117,11 +128,22 @@ int Reproduce(const std::vector<std::string>& arguments) {
   });
   std::vector<PaperFigure> along;
   if (descents) along.push_back(descents->ToFigure());
+  if (fits) along.push_back(fits->ToFigure());
+  if (law) along.push_back(*law);
   if (!compared || !WriteFigures({figures, along, comparison.Figures(), strike.Figures()}, output_dir))
     return kAnswerFailed;
   const bool written = RunStage("report", [&] {
-    WritePaperReport(
-        experiments, rows, figures, comparison, strike, formulations, descents, experiment_seconds, output_dir);
+    WritePaperReport(experiments,
+                     rows,
+                     figures,
+                     comparison,
+                     strike,
+                     formulations,
+                     descents,
+                     fits,
+                     law,
+                     experiment_seconds,
+                     output_dir);
   });
   if (!written) return kAnswerFailed;
 
@@ -133,10 +155,10 @@ int Reproduce(const std::vector<std::string>& arguments) {
   for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
   for (const CaptionedTable& table : strike.Tables()) write_table(table.name, table.caption, table.table);
 
-  if (formulations) {
-    const CaptionedTable table = formulations->ToTable();
-    write_table(table.name, table.caption, table.table);
-  }
+  std::vector<CaptionedTable> of_formulations;
+  if (formulations) of_formulations.push_back(formulations->ToTable());
+  if (fits) of_formulations.push_back(fits->ToTable());
+  for (const CaptionedTable& table : of_formulations) write_table(table.name, table.caption, table.table);
 
   int failed = 0;
   for (const PublishedRow& row : rows) {

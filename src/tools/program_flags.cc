@@ -111,7 +111,7 @@ std::vector<Program> MakePrograms() {
        "Parameters of a scene from recordings of its motion, with their confidence",
        {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},
        {{"Data", {"recording=LIST", "segment=S"}},
-        {"Fit", {"unknown=LIST", "known_start", "loss=NAME", "loss_scale=X", "starts=N"}},
+        {"Fit", {"unknown=LIST", "law=NAME", "known_start", "loss=NAME", "loss_scale=X", "starts=N"}},
         kScene,
         {"Contact models (default: event)", {"contact=LIST"}},
         kOutput}},

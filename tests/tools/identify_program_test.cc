@@ -80,6 +80,38 @@ TEST(IdentifyProgram, TablesAndFilesSayTheSame) {
   EXPECT_EQ(std::count(std::istreambuf_iterator<char>(residuals), {}, '\n'), 41);
 }
 
+// The same data under models whose gradient is right, wrong and of no restitution.
+TEST(IdentifyProgram, ComparesContactModelsWithTheExactOne) {
+  const Outcome outcome = RunProgram("saltus_identify --json --contact=event,toi_velocity,position_qp" + DropScene() +
+                                     "--recording=" + DropRecording());
+  EXPECT_EQ(outcome.exit_code, 1);  // one of them cannot explain the data
+  const json fits = json::parse(outcome.output)["fits"];
+  ASSERT_EQ(fits.size(), 3u);
+  EXPECT_FALSE(fits[0]["parameters"][0].contains("bias"));
+  const json parameter = fits[1]["parameters"][0];
+  EXPECT_EQ(parameter["bias"].get<double>(),
+            parameter["value"].get<double>() - fits[0]["parameters"][0]["value"].get<double>());
+  EXPECT_EQ(fits[2]["parameters"][0]["determination"], "not determined");
+  EXPECT_FALSE(fits[2]["parameters"][0].contains("bias"));
+  const Outcome table =
+      RunProgram("saltus_identify --contact=event,toi_velocity" + DropScene() + "--recording=" + DropRecording());
+  EXPECT_THAT(table.output, HasSubstr("Beside event"));
+}
+
+// One impact, so one point of the law.
+TEST(IdentifyProgram, LearnsTheLawOfImpact) {
+  const Outcome outcome = RunProgram("saltus_identify --json --law=network:2" + DropScene() +
+                                     "--recording=" + DropRecording() + " --output_dir=" + PathOf("law"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json law = json::parse(outcome.output)["fits"][0]["law"];
+  EXPECT_EQ(law["impacts"], 1);
+  EXPECT_EQ(law["parameters"].size(), 7u);
+  EXPECT_NEAR(law["curve"][0]["speed"].get<double>(), std::sqrt(2 * kGravity * (1 - kRadius)), 0.01);
+  EXPECT_NEAR(law["curve"][0]["restitution"].get<double>(), kRestitution, 1e-3);
+  EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.csv").good());
+  EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.svg").good());
+}
+
 TEST(IdentifyProgram, ReadsArchivesToo) {
   std::vector<double> time, position;
   for (int i = 0; i < 40; ++i) {
@@ -106,6 +138,8 @@ TEST(IdentifyProgram, WrongInputIsRefusedWithItsPlace) {
       {" --recording=" + wrong, "wrong.csv:3: body: found 'bal', expected one of ball"},
       {" --recording=/no/such/file.csv", "/no/such/file.csv"},
       {recording + " --unknown=bounce", "--unknown: found 'bounce', expected some of restitution"},
+      {recording + " --law=network:x", "--law=network:x; expected network or impulse"},
+      {recording + " --law=network --unknown=restitution", "'restitution' beside a law of impact"},
       {recording + " --loss=tukey", "--loss=tukey; expected none, huber or cauchy"},
       {recording + " --segment=-1", "--segment must not be negative"},
       {recording + " --solver=gd", "--solver is not a flag of saltus_identify"}};

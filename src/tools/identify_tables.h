@@ -1,0 +1,27 @@
+// What identification found, as tables and JSON.
+#pragma once
+
+#include "output/figure.h"
+#include "output/table.h"
+#include "tools/identify.h"
+
+namespace saltus {
+
+inline constexpr std::size_t kMostOutliersNamed = 20;
+
+// Parameters by contact model, and how each fit went.
+Table EstimateTable(const Identified& identified);
+Table FitTable(const Identified& identified);
+// Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
+// by `event`, or without others.
+Table ComparisonTable(const Identified& identified);
+// The law of impact that was learned, with standard errors; empty if none was. The figure has a band of 95 %
+// confidence.
+Table LawTable(const Identified& identified);
+// Precondition: the table has rows.
+Figure LawFigure(const Identified& identified);
+// The first outliers, for a person; and all residuals.
+Table OutlierTable(const Scene& scene, const Identified& identified);
+Table ResidualTable(const Scene& scene, const Identified& identified);
+
+}  // namespace saltus
