@@ -62,7 +62,7 @@ struct ConstraintCertificate {
 };
 
 // The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
-// along eps d from a stationary control the loss gains effort * curvature * eps^2.
+// along eps d from a stationary control the loss gains effort * curvature * eps^2. Bounds and hard terms are kept.
 struct Curvature {
   enum class Kind {
     kMinimum,  // positive along all: a local minimum along the sequence of impacts
@@ -100,7 +100,7 @@ struct Certificate {
   // lambda_v in the mean over an interval, relative to the largest costate.
   std::optional<double> gradient;
 
-  // Where the verdict is stationary or stationary on the grid; not with so many impacts that it would take long.
+  // Where stationary (on the grid too), but not if it took long, nor with terms on the way, free time, no effort.
   std::optional<Curvature> curvature;
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
