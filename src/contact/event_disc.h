@@ -24,6 +24,10 @@ inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
 // How far beyond its end an edge still counts (walls.h), and a disc that slides along it leaves it: lengths.
 inline constexpr double kSeam = 1e-12;
 inline constexpr int kMaxEvents = 100000;
+// Of a pair within a pile without friction that has met more often in this step, the largest speed at which it does not
+// bounce doubles with each time that it meets, up to kLargestSlowSpeed.
+inline constexpr int kCrowdedImpacts = 32;
+inline constexpr double kLargestSlowSpeed = 1e-2;
 
 // A disc since the last event that concerned it.
 template <typename T>
@@ -32,7 +36,8 @@ struct EventDisc {
   Vec2<T> p, v, a;  // at t; a holds from t on
   bool moved = false, reported = false;
   bool dirty = false;
-  int order = 0;            // number of its last event
+  int order = 0;  // number of its last event
+  int impacts = 0;
   double arc_end = kNever;  // s, until when `a` is to hold, for discs that move around each other
 
   Vec2<T> PositionAt(const T& time) const {
@@ -55,7 +60,7 @@ struct Approach {
   double acceleration;  // m/s^2, of the gap, the turning of the normal included
   GapPolynomial polynomial;
 
-  bool Touching() const { return gap <= kContactGap && speed <= kSlowSpeed && speed >= -kSlowSpeed; }
+  bool Touching(double slow = kSlowSpeed) const { return gap <= kContactGap && speed <= slow && speed >= -slow; }
   bool Pushing() const { return acceleration < -kPushing; }
   // So slow and so curved that it parts again before the gap could become negative by more than kContactGap.
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }

@@ -35,9 +35,11 @@ class EventMotion {
 
  protected:
   struct Pair {
-    double next = kNever;    // s, its next event
-    int passed = -1;         // number of the event since which it is ignored while it touches
-    int released = -1;       // number of the event that last ended held
+    double next = kNever;  // s, its next event
+    int passed = -1;       // number of the event since which it is ignored while it touches
+    int released = -1;     // number of the event that last ended held
+    int impacts = 0;
+    bool waits = false;      // touches slowly, and impacts at the same time come first
     bool held = false;       // closed, and kept closed by the accelerations of its discs
     bool curved = false;     // its discs move around each other while held, or did
     bool stopping = false;   // held, and its next event is that sliding ends

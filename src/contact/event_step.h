@@ -12,8 +12,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "contact/event_motion.h"
 #include "contact/event_press.h"
+#include "contact/event_queue.h"
 #include "contact/event_ties.h"
 #include "contact/impact.h"
 
@@ -35,17 +35,12 @@ struct SceneLaw {
 
 // `Law` says which restitution and friction an impact has; contacts that last have those of `in`.
 template <typename T, typename Law>
-class EventStep : private EventMotion<T> {
+class EventStep : private EventQueue<T> {
  public:
-  using typename EventMotion<T>::State;
+  using typename EventQueue<T>::State;
 
   EventStep(const StepInput<T>& in, const Law& law, std::span<const State> x)
-      : EventMotion<T>(in, x),
-        law_(law),
-        limit_(in.h * (1 - kNodeMargin)),
-        tied_(in.scratch),
-        trial_(in.scratch),
-        group_(in) {
+      : EventQueue<T>(in, x), law_(law), tied_(in.scratch), trial_(in.scratch), group_(in) {
     group_.SetDiscs(discs_);
   }
 
@@ -89,12 +84,13 @@ class EventStep : private EventMotion<T> {
 
  private:
   using Group = PressedGroup<T>;
-  using Discs = EventMotion<T>;
+  using Discs = EventQueue<T>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ForEachPairOf,
       Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
-      Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopTime, Discs::StopClosing, Discs::FirstClosingOf,
-      Discs::TimeOnEdge, Discs::LeavingTime, Discs::IsTable, Discs::Slide, Discs::SlideOn;
+      Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopClosing, Discs::FirstClosingOf, Discs::TimeOnEdge,
+      Discs::IsTable, Discs::Slide, Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime,
+      Discs::SlowSpeed;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -111,49 +107,6 @@ class EventStep : private EventMotion<T> {
     in_.Fail(why);
   }
 
-  int NextPair() const {
-    int next = -1;
-    double time = limit_;
-    for (int q = 0; q < num_pairs(); ++q) {
-      // What ends an arc that was cut there comes before the arc's end.
-      const bool first = pairs_[q].next < time || (pairs_[q].next == time && next >= 0 && pairs_[q].stopping);
-      if (first) {
-        time = pairs_[q].next;
-        next = q;
-      }
-    }
-    return next;
-  }
-
-  double LeftAfter(double time) const { return std::max(limit_ - time, 0.0); }
-
-  void Predict(int q) {
-    Pair& pair = pairs_[q];
-    if (pair.held) return;
-    const Candidate& c = CandidateOf(q);
-    if (IsTable(c)) {
-      const double speed = Value(Length(discs_[c.a].v));
-      pair.next = speed > 0 && in_.slowing > 0 ? Value(discs_[c.a].t) + speed / in_.slowing : kNever;
-      return;
-    }
-    const double now = Value(LastTime(c));
-    Approach approach = ApproachAt(c, now);
-    bool ignore_start = false;
-    if (approach.Touching()) {
-      const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
-      if (matters && pair.passed != LastDisc(c).order) {
-        pair.next = now;
-        return;
-      }
-      ignore_start = true;
-      if (std::abs(approach.speed) <= kStillSpeed) approach.polynomial.c[1] = 0;  // or it might turn at once
-      if (std::abs(approach.gap) <= kRoundingGap) approach.polynomial.c[0] = 0;
-    }
-    const std::span<const double> wait = in_.Solved(
-        [&] { return std::array{FirstClosingOf(c, now, approach.polynomial, LeftAfter(now), ignore_start)}; });
-    pair.next = now + wait[0];
-  }
-
   void Resolve(int q) {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
@@ -161,9 +114,9 @@ class EventStep : private EventMotion<T> {
     if (pairs_[q].held && pairs_[q].leaving) return Release(c.a, EventTime(q));
     if (pairs_[q].held) return Settle(q, EventTime(q));
     const Approach approach = ApproachAt(c, time);
-    if (approach.speed < -kSlowSpeed) {
+    if (approach.speed < -SlowSpeed(q, time)) {
       const bool pressed = approach.Pushing() && TouchesAlone(q, time);
-      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(c, ImpactTime(c, time), pressed);
+      if (num_pairs() < 2 || !ResolveTie(q, time)) Impact(q, ImpactTime(c, time), pressed);
       return;
     }
     const T slow_time = SlowTime(c, time, approach);
@@ -186,22 +139,14 @@ class EventStep : private EventMotion<T> {
     pairs_[q].passed = order_;
   }
 
-  // The predicted time of the next event of pair q, with derivatives.
-  T EventTime(int q) const {
-    const Candidate& c = CandidateOf(q);
-    const double time = pairs_[q].next;
-    if (pairs_[q].held && pairs_[q].leaving) return LeavingTime(c, time);
-    if (pairs_[q].held) return pairs_[q].stopping ? StopTime(c, time) : T(time);
-    const Approach approach = ApproachAt(c, time);
-    return approach.speed < -kSlowSpeed ? ImpactTime(c, time) : SlowTime(c, time, approach);
-  }
-
   // The accelerations of discs that move around each other are right at the end of their arc only. Where pair q meets,
   // or stops, before that, begins the arc again, to end there. True if so: that moves the event a little.
   bool CutArc(int q) {
     if (!EndsExactly()) return false;
     const Candidate& c = CandidateOf(q);
     const double end = pairs_[q].next;
+    // Closer than rounding tells it would be met later again, and again.
+    if (!pairs_[q].held && std::abs(ApproachAt(c, Value(LastTime(c))).gap) <= kRoundingGap) return false;
     for (int i : {c.a, c.b}) {
       if ((i == c.b && c.plane) || !Moves(i)) continue;
       const EventDisc<T>& disc = discs_[i];
@@ -257,7 +202,8 @@ class EventStep : private EventMotion<T> {
 
   // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
   // of a contact at rest, friction included, sum up to that of a plastic impact.
-  SALTUS_FLATTEN void Impact(const Candidate& c, const T& time, bool pressed) {
+  SALTUS_FLATTEN void Impact(int q, const T& time, bool pressed) {
+    const Candidate& c = CandidateOf(q);
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
     const Separation<T> at = LastSeparation(c);
@@ -268,7 +214,15 @@ class EventStep : private EventMotion<T> {
     const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, law.friction, kHeadOn);
     ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
     SlideOn(c);
+    CountImpact(q);
     Report(c, impact.mode, time, ContactKind::kImpact);
+  }
+
+  void CountImpact(int q) {
+    const Candidate& c = CandidateOf(q);
+    ++pairs_[q].impacts;
+    ++discs_[c.a].impacts;
+    if (!c.plane) ++discs_[c.b].impacts;
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
@@ -318,7 +272,7 @@ class EventStep : private EventMotion<T> {
       if (next < 0) break;
       inelastic_ = inelastic || count >= kMostTiedImpacts;
       ++order_;
-      Impact(CandidateOf(next), ImpactTime(CandidateOf(next), time), /*pressed=*/false);
+      Impact(next, ImpactTime(CandidateOf(next), time), /*pressed=*/false);
     }
     inelastic_ = inelastic;
     return choice;
@@ -394,7 +348,7 @@ class EventStep : private EventMotion<T> {
       if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
       if (Value(LastTime(c)) > Value(time)) continue;  // it has come later, where an arc begins again
       const bool drifted = pairs_[q].curved && pairs_[q].released == order_;
-      if (!drifted && !ApproachAt(c, Value(time)).Touching()) continue;
+      if (!drifted && !ApproachAt(c, Value(time)).Touching(SlowSpeed(q, Value(time)))) continue;
       Join(q, time);
       grows = true;
     }
@@ -488,7 +442,6 @@ class EventStep : private EventMotion<T> {
   }
 
   const Law law_;
-  double limit_;                // s, events after it are left to the next step
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
   int order_ = 0;
