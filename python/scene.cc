@@ -13,7 +13,12 @@ namespace {
 Scene ParseOrThrow(const std::string& text, const std::string& name) {
   std::variant<Scene, SceneFileError> parsed = ParseScene(text, name);
   const auto* error = std::get_if<SceneFileError>(&parsed);
-  if (error == nullptr) return std::get<Scene>(std::move(parsed));
+  if (error == nullptr) {
+    if (std::get<Scene>(parsed).Spins()) {
+      throw py::value_error(name + ": discs that spin (inertia), which the programs take and this module does not");
+    }
+    return std::get<Scene>(std::move(parsed));
+  }
   const py::object type = py::module_::import("saltus._scene").attr("SceneError");
   const py::object raised = type(error->file, error->line, error->key, error->message);
   PyErr_SetObject(type.ptr(), raised.ptr());

@@ -30,6 +30,8 @@ inline Scene Rescaled(Scene scene, const Rescaling& by) {
     body.mass *= by.mass;
     body.position = by.length * body.position + by.shift;
     body.velocity *= by.speed();
+    body.inertia.moment *= by.mass * by.length * by.length;
+    body.angular_velocity /= by.time;
   }
   const auto move = [&](Vec2d* point) { *point = by.length * *point + by.shift; };
   for (Plane& plane : scene.planes) move(&plane.point);
@@ -51,7 +53,8 @@ inline Scene Rescaled(Scene scene, const Rescaling& by) {
   for (double& most : scene.control.max) most *= by.force();
   for (double& most : scene.control.max_norm) most *= by.force();
   const auto size_of = [&](const auto& term) {
-    return term.quantity == TerminalTerm::Quantity::kPosition ? by.length : by.speed();
+    const double sizes[] = {by.length, by.speed(), 1, 1 / by.time};  // by quantity
+    return sizes[static_cast<int>(term.quantity)];
   };
   const auto convert = [&](const auto& term, Vec2d* target) {
     *target *= size_of(term);

@@ -19,7 +19,9 @@ namespace {
 Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
   const double time = gradient.duration;
   std::vector<double> all = gradient.gradient.initial;
-  for (size_t i = 0; i < all.size(); ++i) all[i] /= i % 4 < 2 ? 1 : time;
+  const size_t moves = gradient.spins ? all.size() / (4 + kSpin) * 4 : all.size();
+  for (size_t i = 0; i < moves; ++i) all[i] /= i % 4 < 2 ? 1 : time;
+  for (size_t i = moves; i < all.size(); ++i) all[i] /= gradient.length * (i % kSpin == 0 ? 1 : time);
   for (double entry : CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals)) {
     all.push_back(entry * gradient.mass / (time * time));
   }
@@ -229,7 +231,7 @@ std::string ModelAudit::Why() const {
 
 std::string WhyNotComparable(const Contact& contact, const Scene& scene) {
   const ModelTraits* traits = FindContactModel(contact);
-  const bool spins = traits != nullptr && traits->spins && scene.contact.friction > 0;
+  const bool spins = traits != nullptr && traits->spins && scene.contact.friction > 0 && !scene.Spins();
   return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
 }
 

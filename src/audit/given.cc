@@ -23,7 +23,7 @@ Verdict Judge(double given, double exact, double largest, double tolerance) {
 
 std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact) {
   CHECK(exact.ok());
-  CHECK_EQ(exact.gradient.initial.size(), 4 * scene.bodies.size());
+  CHECK_EQ(static_cast<int>(exact.gradient.initial.size()), InitialSize(scene));
   CHECK_EQ(exact.gradient.control.size(), 2 * scene.control.bodies.size() * exact.num_steps);
   std::vector<GivenEntry> entries;
   const auto judge = [&](double value, double at, double largest) {

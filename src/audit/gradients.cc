@@ -65,15 +65,20 @@ bool Estimate(SmoothedGradient smoothed, const StopRequest& stop, std::vector<do
   return smoothed.Evaluate(smoothed.initial_guess(), 0, *gradient, *standard_error);
 }
 
-// From the positions of all discs that move, then their velocities, to B x 4 numbers.
+// From the positions of all discs that move, then their velocities, then the rotations of those that spin, to the shape
+// of an initial state.
 std::vector<double> PerDisc(const Scene& scene, const std::vector<double>& variables) {
-  std::vector<double> initial(4 * scene.num_bodies());
+  std::vector<double> initial(InitialSize(scene));
   size_t next = 0;
   for (int offset : {0, 2}) {
     for (int i = 0; i < scene.num_bodies(); ++i) {
       if (scene.bodies[i].fixed) continue;
       for (int j = 0; j < 2; ++j) initial[4 * i + offset + j] = variables[next++];
     }
+  }
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    if (!scene.bodies[i].Spins()) continue;
+    for (int j = 0; j < kSpin; ++j) initial[4 * scene.num_bodies() + kSpin * i + j] = variables[next++];
   }
   return initial;
 }
@@ -105,8 +110,10 @@ bool Smooth(const Scene& given, Precision precision, int threads, const StopRequ
 
 void SetScales(const Scene& scene, ModelGradient* gradient) {
   const UnitFactors natural(NaturalUnits(scene), scene.units);
+  gradient->spins = scene.Spins();
   gradient->duration = scene.duration;
   gradient->mass = natural.mass;
+  gradient->length = natural.length;
   gradient->loss_scale = natural.loss;
 }
 

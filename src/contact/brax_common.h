@@ -1,8 +1,9 @@
 // What the two Brax models share (Brax 0.0.13: physics/colliders.py, bodies.py, math.py).
 //
 // A step of a model covers two integrator steps of h = in.h / 2. Every disc has moment of inertia 1 kg m^2, whatever
-// its mass and radius. Restitution and friction of two surfaces multiply: both are the squares of the scene's values.
-// The spin w, rad/s, is positive clockwise: a point at r from the centre moves with (w r_y, -w r_x).
+// its mass and radius; in scenes with discs that spin, that of the scene, and the others do not turn. Restitution and
+// friction of two surfaces multiply: both are the squares of the scene's values. The spin w, rad/s, is positive
+// clockwise: a point at r from the centre moves with (w r_y, -w r_x).
 //
 // Contact of a disc and a half-plane: p_c = p - r n, depth = (q - p_c) . n for a point q of its boundary. So too for
 // ends of edges and arcs, which the source does not have.
@@ -54,9 +55,14 @@ T Torque(const Vec2<T>& arm, const Vec2<T>& force) {
   return arm[1] * force[0] - arm[0] * force[1];
 }
 
-template <typename T>
-Base<T> InverseInertia(const BodyConstants<T>& body) {
-  return Base<T>(body.fixed ? 0 : 1);
+// With `of_scene` that of a scene with discs that spin.
+template <bool of_scene, typename T>
+auto InverseInertia(const BodyConstants<T>& body) {
+  if constexpr (of_scene) {
+    return body.inverse_inertia;
+  } else {
+    return Base<T>(body.fixed ? 0 : 1);
+  }
 }
 
 // The normal of a half-plane as Brax has it: the upward direction turned by a quaternion, normalised in the arithmetic

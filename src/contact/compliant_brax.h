@@ -12,9 +12,9 @@
 //   dv  = F / m, dw = arm x F on a; the opposite on b          averaged: sum / (number of contacts + 1e-8)
 //
 // e and mu are the squares of the scene's values. Contacts, spin and averaging: brax_common.h. One number of rotation:
-// the spin. Everything is differentiated; ties of min count half. Not differentiable where a contact appears and at
-// k = 0.01. Momentum is conserved unless a disc touches several things at once. A disc hit in the first integrator step
-// can hit another in the second.
+// the spin; in scenes with discs that spin angle and angular velocity, the angle with p. Everything is differentiated;
+// ties of min count half. Not differentiable where a contact appears and at k = 0.01. Momentum is conserved unless a
+// disc touches several things at once. A disc hit in the first integrator step can hit another in the second.
 #pragma once
 
 #include <algorithm>
@@ -25,7 +25,8 @@
 
 namespace saltus {
 
-struct CompliantBrax {
+template <bool kOfScene>
+struct CompliantBraxIn {
   static constexpr ModelTraits kTraits = {.name = "compliant_brax",
                                           .summary = "velocity impulses averaged over contacts, two steps at a time",
                                           .source = "Brax 0.0.13, legacy_spring",
@@ -36,7 +37,8 @@ struct CompliantBrax {
                                           .compared = true,
                                           .relative = true,
                                           .spins = true};
-  static constexpr int kRotation = 1;
+  static constexpr int kRotation = kOfScene ? kSpin : 1;
+  static constexpr bool kLinearRotation = kOfScene;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -62,8 +64,16 @@ struct CompliantBrax {
     const H h = in.h / S(2);
     State<T> next = x;
     next.p += Scale(h, x.v);
+    if constexpr (kOfScene) next.rotation[0] += h * x.rotation[1];
     next.v += Scale(h, in.Acceleration(i));
     return next;
+  }
+
+  // The spin as the source has it, clockwise.
+  template <typename T>
+  static T SpinOf(const State<T>& x) {
+    if constexpr (kOfScene) return -x.rotation[1];
+    return x.rotation[0];
   }
 
   // Applies the impulses of all contacts of the discs as they are.
@@ -76,7 +86,7 @@ struct CompliantBrax {
       const brax::Contact<T> contact = brax::ContactAt(in, c, [&](int disc) -> Vec2<T> { return x[disc].p; });
       if (!(contact.depth > S(0))) continue;
       const auto velocity = [&](int disc) -> Vec2<T> {
-        return x[disc].v + brax::SpinVelocity(x[disc].rotation[0], Vec2<T>(contact.point - x[disc].p));
+        return x[disc].v + brax::SpinVelocity(SpinOf(x[disc]), Vec2<T>(contact.point - x[disc].p));
       };
       const Vec2<T> relative = RelativeVelocity<T>(c, velocity);
       const T approach = Dot(contact.normal, relative);
@@ -91,7 +101,7 @@ struct CompliantBrax {
         const Vec2<T> arm = contact.point - x[disc].p;
         changes.Add(disc,
                     Scale(in.bodies[disc].inverse_mass, force),
-                    brax::InverseInertia(in.bodies[disc]) * brax::Torque(arm, force));
+                    brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, force));
       };
       apply(c.a, impulse);
       if (!c.plane) apply(c.b, -impulse);
@@ -100,7 +110,11 @@ struct CompliantBrax {
     }
     changes.ForEach(S(1e-8), [&](int disc, const Vec2<T>& dv, const T& dw) {
       x[disc].v += dv;
-      x[disc].rotation[0] += dw;
+      if constexpr (kOfScene) {
+        x[disc].rotation[1] -= dw;
+      } else {
+        x[disc].rotation[0] += dw;
+      }
     });
   }
 
@@ -124,6 +138,10 @@ struct CompliantBrax {
     if (friction > S(0) && limit < stopping) *mode = ContactMode::kSlip;
     return Scale(brax::HalfTieMin(stopping, limit), brax::Direction(tangential, speed));
   }
+};
+
+struct CompliantBrax : CompliantBraxIn<false> {
+  using Spinning = CompliantBraxIn<true>;
 };
 
 }  // namespace saltus

@@ -7,8 +7,9 @@
 //   P = p_n n + p_t t       p_n = -(1 + e) m n.w                         (Newton's restitution)
 //                           p_t = -mu p_n sign(t.w), but at most -m t.w  (Coulomb: slip, stick)
 //
-// Discs do not spin. Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse,
-// that is the saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
+// Discs turn only in scenes with discs that spin (EventSpinning; impact.h has what that changes of the impulse).
+// Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse, that is the
+// saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
 //
 // Rules, with the thresholds of event_disc.h and kNodeMargin of time_grid.h:
 //
@@ -39,6 +40,9 @@
 //   below a speed that doubles with every further time, up to kLargestSlowSpeed: that ends in finitely many events.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, at the end of which they are exactly in contact and no work was done. Everything else is exact.
+// Spin. What sticks rolls: it is the points of contact that do not move along each other, and a disc begins and ceases
+//   to roll as any contact begins and ceases to stick. With friction, discs that spin may press against straight walls
+//   only: as they roll around each other, or around what bends, their normal turns, and a step in which they do fails.
 // Edges. The sides and ends of segments, polygons and arcs (walls.h) are met where they count, to kSeam. A disc that
 //   slides off the end of one leaves it there: onto the next, around the end, or freely.
 // Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as
@@ -59,7 +63,7 @@ namespace internal {
 template <typename M, typename T, typename Law, typename State>
 void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::span<const State> x,
                    std::span<State> next) {
-  EventStep<T, Law> step(in, law, x);
+  EventStep<T, M::kRotation, Law> step(in, law, x);
   // Derivatives are asked for only where something does.
   if constexpr (std::is_same_v<T, double>) {
     if (!step.AnythingMayHappen()) return FreeFlight(model, in, x, next);
@@ -70,7 +74,8 @@ void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::
 
 }  // namespace internal
 
-struct EventDriven {
+template <int kTurn>
+struct EventDrivenOf {
   static constexpr ModelTraits kTraits = {.name = "event",
                                           .summary = "event-driven: exact arcs, impacts and impact times",
                                           .source = "saltation matrix; Newton's restitution, Coulomb's friction",
@@ -79,10 +84,12 @@ struct EventDriven {
                                           .event_driven = true,
                                           .sequential = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn > 0;
   static constexpr int kTapedFrom = 5;  // discs
   static std::string WhyNot(const Scene& scene) {
     if (!scene.table) return "";
+    if (scene.Spins()) return "discs that spin on a table: how its friction slows their spin is not modelled";
     if (!scene.control.bodies.empty())
       return "forces on a table: its friction turns with the velocity, on no exact arc";
     return scene.gravity.isZero(0) ? ""
@@ -94,7 +101,13 @@ struct EventDriven {
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     const Vec2<T> a = in.Acceleration(i);
-    return {x.p + Scale(in.h, Vec2<T>(x.v + Scale(in.h * 0.5, a))), x.v + Scale(in.h, a)};
+    const Vec2<T> p = x.p + Scale(in.h, Vec2<T>(x.v + Scale(in.h * 0.5, a))), v = x.v + Scale(in.h, a);
+    if constexpr (kRotation == kSpin) {
+      const T turning = in.AngularAcceleration(i);
+      return {p, v, {x.rotation[0] + in.h * (x.rotation[1] + (in.h * 0.5) * turning), x.rotation[1] + in.h * turning}};
+    } else {
+      return {p, v};
+    }
   }
 
   template <typename T>
@@ -102,6 +115,11 @@ struct EventDriven {
     if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
     internal::TakeEventStep(*this, in, internal::SceneLaw<T>{in}, x, next);
   }
+};
+
+using EventSpinning = EventDrivenOf<kSpin>;
+struct EventDriven : EventDrivenOf<0> {
+  using Spinning = EventSpinning;
 };
 
 }  // namespace saltus

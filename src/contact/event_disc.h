@@ -29,8 +29,20 @@ inline constexpr int kMaxEvents = 100000;
 inline constexpr int kCrowdedImpacts = 32;
 inline constexpr double kLargestSlowSpeed = 1e-2;
 
-// A disc since the last event that concerned it.
+// How a disc turns; nothing where discs do not spin.
+template <typename T, int kRotation>
+struct DiscTurn {};
 template <typename T>
+struct DiscTurn<T, kSpin> {
+  T angle, speed, acceleration;  // rad, rad/s, rad/s^2
+
+  // After s seconds.
+  T AngleAfter(const T& s) const { return angle + s * (speed + (0.5 * s) * acceleration); }
+  T SpeedAfter(const T& s) const { return speed + s * acceleration; }
+};
+
+// A disc since the last event that concerned it.
+template <typename T, int kRotation = 0>
 struct EventDisc {
   T t;              // s, since the start of the step
   Vec2<T> p, v, a;  // at t; a holds from t on
@@ -39,6 +51,7 @@ struct EventDisc {
   int order = 0;  // number of its last event
   int impacts = 0;
   double arc_end = kNever;  // s, until when `a` is to hold, for discs that move around each other
+  [[no_unique_address]] DiscTurn<T, kRotation> turn = {};
 
   Vec2<T> PositionAt(const T& time) const {
     const T s = time - t;
@@ -46,6 +59,18 @@ struct EventDisc {
   }
   Vec2<T> VelocityAt(const T& time) const { return v + Scale(T(time - t), a); }
 };
+
+// What a's point of contact does along the tangent relative to b's, given what the centres do, `along`, and how disc i
+// turns, turning(i): the same of velocities and of accelerations.
+template <int kRotation, typename T, typename S, typename TurningOf>
+T AlongSurface(const StepInput<S>& in, const Candidate& c, const T& along, const TurningOf& turning) {
+  if constexpr (kRotation == kSpin) {
+    const T at_a = along - in.bodies[c.a].radius * turning(c.a);
+    return c.plane ? at_a : T(at_a - in.bodies[c.b].radius * turning(c.b));
+  } else {
+    return along;
+  }
+}
 
 // Position, velocity and constant acceleration, as values.
 struct Motion {

@@ -23,22 +23,50 @@ constexpr double kExact = 1e-12;      // likewise, of a direct solution
 constexpr double kNearly = 1e-9;      // likewise, where contacts that depend on each other do not quite agree
 constexpr double kWedged = 1e9;       // likewise
 
-Vec2d RelativeAcceleration(const PressingContact& c, std::span<const Vec2d> acceleration) {
-  if (c.b < 0) return acceleration[c.a];
-  return acceleration[c.a] - acceleration[c.b];
+// Of the discs; `turning` is empty if none spins.
+struct Accelerations {
+  std::span<Vec2d> linear;    // m/s^2
+  std::span<double> turning;  // rad/s^2
+};
+// The same, with memory of their own.
+struct KeptAccelerations {
+  explicit KeptAccelerations(const Accelerations& given)
+      : linear(given.linear.begin(), given.linear.end()), turning(given.turning.begin(), given.turning.end()) {}
+  Accelerations view() { return {linear, turning}; }
+  void CopyTo(const Accelerations& to) const {
+    std::copy(linear.begin(), linear.end(), to.linear.begin());
+    std::copy(turning.begin(), turning.end(), to.turning.begin());
+  }
+  std::vector<Vec2d> linear;
+  std::vector<double> turning;
+};
+
+// At the points of contact.
+Vec2d RelativeAcceleration(const PressingContact& c, const Accelerations& of) {
+  Vec2d relative = of.linear[c.a];
+  if (c.b >= 0) relative -= of.linear[c.b];
+  if (!of.turning.empty()) relative -= RimAcceleration(c, of.turning) * Perpendicular(c.normal);
+  return relative;
+}
+
+// What a force along the tangent does to the turning of the discs.
+void Turn(const PressingContact& c, double tangential_force, std::span<double> turning) {
+  turning[c.a] -= c.turns_a.radius * c.turns_a.inverse_inertia * tangential_force;
+  if (c.b >= 0) turning[c.b] -= c.turns_b.radius * c.turns_b.inverse_inertia * tangential_force;
 }
 
 // One contact with all others held. Returns the change of force over the effective mass, m/s^2. In plain numbers: this
 // is where the time goes.
-double Relax(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration, PressingContact* c) {
+double Relax(double friction, std::span<const double> inverse_mass, const Accelerations& of, PressingContact* c) {
   const double nx = c->normal[0], ny = c->normal[1];
-  double* a = acceleration[c->a].data();
-  double* b = c->b < 0 ? nullptr : acceleration[c->b].data();
+  double* a = of.linear[c->a].data();
+  double* b = c->b < 0 ? nullptr : of.linear[c->b].data();
   const double x = b ? a[0] - b[0] : a[0], y = b ? a[1] - b[1] : a[1];
   const double normal_force = std::max(0.0, c->normal_force - c->mass * (nx * x + ny * y + c->turning));
   const double bound = friction * normal_force;
+  const double along = nx * y - ny * x - RimAcceleration(*c, of.turning);
   const double tangential_force = c->sliding == 0
-                                      ? std::clamp(c->tangential_force - c->mass * (nx * y - ny * x), -bound, bound)
+                                      ? std::clamp(c->tangential_force - c->tangential_mass * along, -bound, bound)
                                       : -c->sliding * bound;
   const double dn = normal_force - c->normal_force, dt = tangential_force - c->tangential_force;
   c->normal_force = normal_force;
@@ -50,16 +78,18 @@ double Relax(double friction, std::span<const double> inverse_mass, std::span<Ve
     b[0] -= inverse_mass[c->b] * fx;
     b[1] -= inverse_mass[c->b] * fy;
   }
+  if (!of.turning.empty()) Turn(*c, dt, of.turning);
   return (std::abs(dn) + std::abs(dt)) / c->mass;
 }
 
 // The accelerations under the forces of the contacts.
 void Accelerate(std::span<const double> inverse_mass, std::span<const PressingContact> contacts,
-                std::span<Vec2d> acceleration) {
+                const Accelerations& of) {
   for (const PressingContact& c : contacts) {
     const Vec2d force = c.normal_force * c.normal + c.tangential_force * Perpendicular(c.normal);
-    acceleration[c.a] += inverse_mass[c.a] * force;
-    if (c.b >= 0) acceleration[c.b] -= inverse_mass[c.b] * force;
+    of.linear[c.a] += inverse_mass[c.a] * force;
+    if (c.b >= 0) of.linear[c.b] -= inverse_mass[c.b] * force;
+    if (!of.turning.empty()) Turn(c, c.tangential_force, of.turning);
   }
 }
 
@@ -108,20 +138,38 @@ std::optional<Guess> BetterGuess(double friction, double allowed, const Pressing
   return std::nullopt;
 }
 
+// How much the torque of the force of row j changes what row i measures.
+double TurnCoupling(const ForceRow& i, const ForceRow& j, std::span<const PressingContact> contacts) {
+  const PressingContact &c = contacts[i.contact], &d = contacts[j.contact];
+  double mobility = 0;
+  const auto meet = [&](int p, const PressingContact::Turns& disc, int q) {
+    if (p >= 0 && p == q) mobility += disc.radius * disc.radius * disc.inverse_inertia;
+  };
+  meet(c.a, c.turns_a, d.a);
+  meet(c.a, c.turns_a, d.b);
+  meet(c.b, c.turns_b, d.a);
+  meet(c.b, c.turns_b, d.b);
+  return mobility * Dot(Perpendicular(c.normal), i.row.measured) * Dot(Perpendicular(d.normal), j.row.push);
+}
+
 // Solves systems of the same rows: small ones densely, large ones sparsely.
 class RowSolver {
  public:
-  RowSolver(std::span<const ForceRow> rows, std::span<const double> inverse_mass) {
+  RowSolver(std::span<const ForceRow> rows, std::span<const double> inverse_mass,
+            std::span<const PressingContact> contacts, bool turns) {
     std::vector<ContactRow> sides;
     for (const ForceRow& row : rows) sides.push_back(row.row);
     const int n = static_cast<int>(sides.size());
-    if (n > kMostDenseRows) {
+    if (n > kMostDenseRows && !turns) {
       system_.emplace(sides, inverse_mass);
       return;
     }
     Eigen::MatrixXd matrix(n, n);
     for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) matrix(i, j) = Coupling(sides[i], sides[j], inverse_mass);
+      for (int j = 0; j < n; ++j) {
+        matrix(i, j) = Coupling(sides[i], sides[j], inverse_mass);
+        if (turns) matrix(i, j) += TurnCoupling(rows[i], rows[j], contacts);
+      }
     }
     decomposition_.setThreshold(kDependentRows);
     decomposition_.compute(matrix);
@@ -140,9 +188,9 @@ class RowSolver {
 // The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
 // that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, gets the contacts that are, none
 // if they cannot do together what was guessed.
-bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass, std::span<const Vec2d> given,
-                   std::span<const Guess> guesses, std::span<Vec2d> acceleration, std::span<PressingContact> contacts,
-                   std::vector<WrongGuess>* wrong = nullptr) {
+bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass,
+                   const KeptAccelerations& given, std::span<const Guess> guesses, const Accelerations& of,
+                   std::span<PressingContact> contacts, std::vector<WrongGuess>* wrong = nullptr) {
   if (wrong != nullptr) wrong->clear();
   std::vector<ForceRow> rows;
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
@@ -159,16 +207,16 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
   }
   const int n = static_cast<int>(rows.size());
   std::vector<PressingContact> solved(contacts.begin(), contacts.end());
-  std::vector<Vec2d> under(given.size());
+  KeptAccelerations under = given;
   const auto accelerate = [&] {
-    std::copy(given.begin(), given.end(), under.begin());
-    Accelerate(inverse_mass, solved, under);
+    under = given;
+    Accelerate(inverse_mass, solved, under.view());
   };
   const auto missing = [&](const ForceRow& row) {
-    return Dot(row.row.measured, RelativeAcceleration(contacts[row.contact], under)) + row.turning;
+    return Dot(row.row.measured, RelativeAcceleration(contacts[row.contact], under.view())) + row.turning;
   };
   if (n > 0) {
-    const RowSolver solver(rows, inverse_mass);
+    const RowSolver solver(rows, inverse_mass, contacts, !of.turning.empty());
     // The second time for what rounding leaves of the first.
     for (int pass = 0; pass < 2; ++pass) {
       accelerate();
@@ -189,7 +237,7 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
   bool right = true;
   for (int k = 0; k < static_cast<int>(solved.size()); ++k) {
     const std::optional<Guess> better =
-        BetterGuess(friction, allowed, solved[k], RelativeAcceleration(solved[k], under));
+        BetterGuess(friction, allowed, solved[k], RelativeAcceleration(solved[k], under.view()));
     if (!better) continue;
     right = false;
     if (wrong == nullptr) break;
@@ -197,7 +245,7 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
   }
   if (!right) return false;
   std::copy(solved.begin(), solved.end(), contacts.begin());
-  std::copy(under.begin(), under.end(), acceleration.begin());
+  under.CopyTo(of);
   return true;
 }
 
@@ -205,8 +253,8 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
 // Judice and Pires 1994); then the first, which arrives where matrices are positive definite (Murty 1974). False if
 // that does not end in `most_pivots`.
 bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span<const double> inverse_mass,
-                     std::span<const Vec2d> given, std::vector<Guess> guesses, bool in_blocks,
-                     std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+                     const KeptAccelerations& given, std::vector<Guess> guesses, bool in_blocks,
+                     const Accelerations& of, std::span<PressingContact> contacts) {
   std::vector<PressingContact> start(contacts.begin(), contacts.end());
   std::vector<WrongGuess> wrong;
   std::size_t fewest = contacts.size() + 1;
@@ -217,7 +265,7 @@ bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span
       if (guesses[k] == Guess::kLeft) c.tangential_force = -friction * c.normal_force;
       if (guesses[k] == Guess::kRight) c.tangential_force = friction * c.normal_force;
     }
-    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, acceleration, start, &wrong)) {
+    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, of, start, &wrong)) {
       std::copy(start.begin(), start.end(), contacts.begin());
       return true;
     }
@@ -231,13 +279,13 @@ bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span
 }
 
 // Tries all guesses, from no forces. False if none is right.
-bool TryAllGuesses(double friction, double allowed, std::span<const double> inverse_mass, std::span<const Vec2d> given,
-                   std::span<Vec2d> acceleration, std::span<PressingContact> contacts) {
+bool TryAllGuesses(double friction, double allowed, std::span<const double> inverse_mass,
+                   const KeptAccelerations& given, const Accelerations& of, std::span<PressingContact> contacts) {
   std::vector<PressingContact> none(contacts.begin(), contacts.end());
   for (PressingContact& c : none) c.normal_force = c.tangential_force = 0;
   std::vector<Guess> guesses(contacts.size(), Guess::kOpen);
   for (;;) {
-    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, acceleration, none)) {
+    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, of, none)) {
       std::copy(none.begin(), none.end(), contacts.begin());
       return true;
     }
@@ -259,13 +307,15 @@ double NumGuesses(double friction, std::span<const PressingContact> contacts) {
 }  // namespace
 
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                             std::span<PressingContact> contacts) {
-  const std::vector<Vec2d> given(acceleration.begin(), acceleration.end());
+                             std::span<PressingContact> contacts, std::span<double> turning) {
+  const Accelerations of{acceleration, turning};
+  const KeptAccelerations given(of);
   std::vector<Guess> guesses(contacts.size());
   double scale = 0;
   for (PressingContact& c : contacts) {
     c.normal_force = c.tangential_force = 0;
-    const double given_here = RelativeAcceleration(c, acceleration).norm();
+    if (c.tangential_mass == 0) c.tangential_mass = c.mass;
+    const double given_here = RelativeAcceleration(c, of).norm();
     if (!std::isfinite(given_here) || !std::isfinite(c.turning)) return Pressing::kUnsolved;
     scale = std::max({scale, given_here, std::abs(c.turning)});
   }
@@ -276,29 +326,28 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
       const PressingContact& c = contacts[k];
       guesses[k] = c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
     }
-    if (SolveByPivoting(
-            friction, kExact * scale, kFirstPivots, inverse_mass, given, guesses, many, acceleration, contacts)) {
+    if (SolveByPivoting(friction, kExact * scale, kFirstPivots, inverse_mass, given, guesses, many, of, contacts)) {
       return Pressing::kSolved;
     }
   }
   int direct = kFirstSweeps;
   for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {
     double change = 0;
-    for (PressingContact& c : contacts) change = std::max(change, Relax(friction, inverse_mass, acceleration, &c));
+    for (PressingContact& c : contacts) change = std::max(change, Relax(friction, inverse_mass, of, &c));
     if (change <= kConverged * scale) return Pressing::kSolved;
     if (change > kWedged * scale) return Pressing::kWedged;
     if (sweep < direct) continue;
     direct *= 2;
     for (std::size_t k = 0; k < contacts.size(); ++k) guesses[k] = GuessOf(friction, contacts[k]);
-    if (SolveDirectly(friction, kExact * scale, inverse_mass, given, guesses, acceleration, contacts)) {
+    if (SolveDirectly(friction, kExact * scale, inverse_mass, given, guesses, of, contacts)) {
       return Pressing::kSolved;
     }
     if (sweep != kLongSweeps) continue;
     const bool few = NumGuesses(friction, contacts) <= kMostGuesses;
     for (const double exact : {kExact, kNearly}) {
       const double allowed = exact * scale;
-      if (SolveByPivoting(friction, allowed, kMostPivots, inverse_mass, given, guesses, many, acceleration, contacts) ||
-          (few && TryAllGuesses(friction, allowed, inverse_mass, given, acceleration, contacts))) {
+      if (SolveByPivoting(friction, allowed, kMostPivots, inverse_mass, given, guesses, many, of, contacts) ||
+          (few && TryAllGuesses(friction, allowed, inverse_mass, given, of, contacts))) {
         return Pressing::kSolved;
       }
     }

@@ -27,10 +27,11 @@ inline double LongestArc(double distance, double speed, double acceleration) {
   return longest;
 }
 
-template <typename T>
+template <typename T, int kRotation>
 class EventMotion {
  public:
-  using State = BodyState<T, 0>;
+  using State = BodyState<T, kRotation>;
+  using Disc = EventDisc<T, kRotation>;
   static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
 
  protected:
@@ -58,6 +59,9 @@ class EventMotion {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
       discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
+      if constexpr (kRotation == kSpin) {
+        discs_.back().turn = {x[i].rotation[0], x[i].rotation[1], in.AngularAcceleration(i)};
+      }
     }
     if (num_pairs() > kFewPairs) ListPairs();
   }
@@ -140,7 +144,7 @@ class EventMotion {
     return {value(p), value(v), value(a)};
   }
   Motion MotionAt(int i, double time) const {
-    const EventDisc<T>& disc = discs_[i];
+    const Disc& disc = discs_[i];
     return ValueOf(disc.p, disc.v, disc.a).After(time - Value(disc.t));
   }
   // The gap is infinite where a part of an edge does not count; its polynomial still is the part's.
@@ -192,7 +196,7 @@ class EventMotion {
 
   // The time and the number of the last event of a pair's discs.
   const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
-  const EventDisc<T>& LastDisc(const Candidate& c) const {
+  const Disc& LastDisc(const Candidate& c) const {
     return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
   }
 
@@ -232,8 +236,12 @@ class EventMotion {
     const T time(predicted);
     const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
     const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
-    const T sliding = Dot(tangent, RelativeVelocityAt(c, time));
-    return time - Divide(T(sliding - Value(sliding)), Value(Dot(tangent, a)));
+    const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, RelativeVelocityAt(c, time))), [&](auto i) {
+      return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
+    });
+    const T change =
+        AlongSurface<kRotation>(in_, c, T(Dot(tangent, a)), [&](auto i) { return discs_[i].turn.acceleration; });
+    return time - Divide(T(sliding - Value(sliding)), Value(change));
   }
 
   // Likewise for the time at which a disc has slid off an edge.
@@ -252,7 +260,7 @@ class EventMotion {
   // On a table disc i slows against its velocity as it is now, or rests.
   void Slide(int i) {
     if (in_.table < 0 || !Moves(i)) return;
-    EventDisc<T>& disc = discs_[i];
+    Disc& disc = discs_[i];
     const T speed = Length(disc.v);
     const bool slides = Value(speed) > 0;
     // A small velocity would stop after a way that is smaller still.
@@ -306,6 +314,7 @@ class EventMotion {
       const double m = 0.5 * Value(in_.bodies[i].mass);
       gain += m * (after.v.squaredNorm() - before.v.squaredNorm()) - Dot(force, Vec2d(after.p - before.p));
       energy += m * std::max(after.v.squaredNorm(), before.v.squaredNorm()) + force.norm();
+      if constexpr (kRotation == kSpin) AddSpinTo(static_cast<int>(i), &gain, &energy);
     }
     // Unless it is asked for, or forces have worked before the start.
     bool may_gain = Value(in_.contact.restitution) > 1;
@@ -324,12 +333,24 @@ class EventMotion {
 
   const StepInput<T>& in_;
   std::span<const State> start_;
-  std::pmr::vector<EventDisc<T>> discs_;
+  std::pmr::vector<Disc> discs_;
   std::pmr::vector<Pair> pairs_;
 
  private:
   // Lists of so few would cost more than looking at them all.
   static constexpr int kFewPairs = 16;
+
+  // What the spin of a disc has gained in the step beyond the work of its torque, and how much there is of it.
+  void AddSpinTo(int i, double* gain, double* energy) const {
+    const double inverse_inertia = Value(in_.bodies[i].inverse_inertia);
+    if (inverse_inertia == 0) return;
+    const T s = in_.h - discs_[i].t;
+    const double before = Value(start_[i].rotation[1]), after = Value(discs_[i].turn.SpeedAfter(s));
+    const double turned = Value(discs_[i].turn.AngleAfter(s)) - Value(start_[i].rotation[0]);
+    const double torque = in_.torque.empty() ? 0.0 : Value(in_.torque[i]);
+    *gain += 0.5 * (after * after - before * before) / inverse_inertia - torque * turned;
+    *energy += 0.5 * std::max(after * after, before * before) / inverse_inertia + std::abs(torque);
+  }
 
   void ListPairs() {
     first_pair_of_.assign(discs_.size() + 1, 0);

@@ -17,9 +17,10 @@
 
 namespace saltus::internal {
 
-template <typename T>
+template <typename T, int kRotation = 0>
 class PressedGroup {
  public:
+  using Disc = EventDisc<T, kRotation>;
   struct Contact {
     int pair = 0;  // index of its candidate
     PressingContact force = {};
@@ -38,11 +39,12 @@ class PressedGroup {
         rows_(in),
         forces_(in.scratch),
         acceleration_(in.scratch),
+        turning_(in.scratch),
         has_disc_(in.scratch),
         has_pair_(in.scratch) {}
 
   // The discs of the step, which the functions below read and change. They must stay where they are.
-  void SetDiscs(std::span<EventDisc<T>> discs) { discs_ = discs; }
+  void SetDiscs(std::span<Disc> discs) { discs_ = discs; }
   // To be called before anything else.
   void Clear() {
     for (const Contact& contact : contacts_) Mark(contact.pair, 0);
@@ -50,6 +52,7 @@ class PressedGroup {
     rows_.Clear();
     wedged_ = false;
     acceleration_.resize(discs_.size());
+    if (kRotation == kSpin) turning_.resize(discs_.size());
     has_disc_.resize(discs_.size());
     has_pair_.resize(in_.candidates.size());
   }
@@ -90,6 +93,12 @@ class PressedGroup {
     return true;
   }
 
+  // Whether discs that spin press against what bends, with friction: as they roll on it, its normal turns.
+  bool RollsAround() const {
+    if (kRotation != kSpin || !(Value(in_.contact.friction) > 0)) return false;
+    return std::ranges::any_of(contacts_, [](const Contact& contact) { return contact.closed && contact.bends; });
+  }
+
   // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it
   // comes from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small
   // disturbance dies out: it opens contacts for a moment, in which they bounce or fall, and what they then lack of
@@ -111,6 +120,9 @@ class PressedGroup {
       KeepDerivatives();
       rows_.Solve();
       rows_.ForEachPush(move);
+      if constexpr (kRotation == kSpin) {
+        rows_.ForEachTurn([&](int i, const T& change) { discs_[i].turn.angle += change; });
+      }
       for (Row& row : rows_) row.push = row.turning;
       rows_.ForEachPush([&](int i, const Vec2<T>& change) { discs_[i].v -= change; });
     }
@@ -127,6 +139,7 @@ class PressedGroup {
       for (const Row& row : rows_) negligible = negligible && std::abs(Value(row.violation)) <= kStillSpeed;
       rows_.Solve();
       rows_.ForEachPush(push);
+      Turn();
       if (StopClosing()) {
         pass = 0;
       } else if (negligible) {
@@ -140,6 +153,7 @@ class PressedGroup {
       KeepDerivatives();
       rows_.Solve();
       rows_.ForEachPush(push);
+      Turn();
     }
   }
 
@@ -153,16 +167,27 @@ class PressedGroup {
       const Candidate& c = in_.candidates[contact.pair];
       discs_[c.a].a = in_.Acceleration(c.a);
       if (!c.plane) discs_[c.b].a = in_.Acceleration(c.b);
+      if constexpr (kRotation == kSpin) {
+        discs_[c.a].turn.acceleration = in_.AngularAcceleration(c.a);
+        if (!c.plane) discs_[c.b].turn.acceleration = in_.AngularAcceleration(c.b);
+      }
     }
     // The forces found on values, then what is missing.
     const auto push = [&](int i, const Vec2<T>& change) { discs_[i].a += change; };
-    rows_.ForEachPush(push);
+    const auto push_and_turn = [&] {
+      rows_.ForEachPush(push);
+      if constexpr (kRotation == kSpin) {
+        rows_.ForEachTurn([&](int i, const T& change) { discs_[i].turn.acceleration += change; });
+      }
+    };
+    push_and_turn();
     for (Row& row : rows_) {
       row.violation += Dot(row.direction, discs_[row.a].a);
       if (row.b >= 0) row.violation -= Dot(row.direction, discs_[row.b].a);
+      if constexpr (kRotation == kSpin) row.violation -= row.along * TurningOf(row);
     }
     rows_.Solve();
-    rows_.ForEachPush(push);
+    push_and_turn();
   }
 
   // Opens the closed contacts that would have to pull under these accelerations: they part within the arc. True if
@@ -183,14 +208,15 @@ class PressedGroup {
 
   // Sliding speed of a contact and its rate of change, as values.
   double SlidingSpeed(const Contact& contact) const {
-    const PressingContact& f = contact.force;
-    const Vec2d w = ValueOf(discs_[f.a].v) - (f.b >= 0 ? ValueOf(discs_[f.b].v) : Vec2d(0, 0));
-    return Dot(Perpendicular(f.normal), w);
+    return AlongSurface<kRotation>(
+        in_, in_.candidates[contact.pair], CentresSpeed(contact), [&](auto i) { return Value(discs_[i].turn.speed); });
   }
   double SlidingAcceleration(const Contact& contact) const {
     const PressingContact& f = contact.force;
     const Vec2d q = ValueOf(discs_[f.a].a) - (f.b >= 0 ? ValueOf(discs_[f.b].a) : Vec2d(0, 0));
-    return Dot(Perpendicular(f.normal), q);
+    return AlongSurface<kRotation>(in_, in_.candidates[contact.pair], Dot(Perpendicular(f.normal), q), [&](auto i) {
+      return Value(discs_[i].turn.acceleration);
+    });
   }
   // The tangential part of a sliding contact's force for one of 1 N along the normal.
   T TangentialShare(const Contact& contact) const {
@@ -199,7 +225,7 @@ class PressedGroup {
   }
 
  private:
-  using Row = typename ForceRows<T>::Row;
+  using Row = typename ForceRows<T, kRotation>::Row;
   static constexpr bool kDerivatives = !std::is_same_v<T, double>;
 
   template <typename Add>
@@ -221,6 +247,24 @@ class PressedGroup {
   }
 
   static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
+  // Of the centres along the tangent.
+  double CentresSpeed(const Contact& contact) const {
+    const PressingContact& f = contact.force;
+    const Vec2d w = ValueOf(discs_[f.a].v) - (f.b >= 0 ? ValueOf(discs_[f.b].v) : Vec2d(0, 0));
+    return Dot(Perpendicular(f.normal), w);
+  }
+  // How fast the points of contact of a row are accelerated along the tangent by the turning of the discs.
+  T TurningOf(const Row& row) const {
+    T sum = in_.bodies[row.a].radius * discs_[row.a].turn.acceleration;
+    if (row.b >= 0) sum += in_.bodies[row.b].radius * discs_[row.b].turn.acceleration;
+    return sum;
+  }
+  // What the forces across velocities do to the turning.
+  void Turn() {
+    if constexpr (kRotation == kSpin) {
+      rows_.ForEachTurn([&](int i, const T& change) { discs_[i].turn.speed += change; });
+    }
+  }
   Separation<T> SeparationOf(const Candidate& c) const {
     return SeparationAt(in_, c, [&](int i) { return discs_[i].p; });
   }
@@ -230,7 +274,10 @@ class PressedGroup {
     if (!in_.bodies[c.a].fixed) has_disc_[c.a] = in_group;
     if (!c.plane && !in_.bodies[c.b].fixed) has_disc_[c.b] = in_group;
   }
-  void Reset(int i) { acceleration_[i] = ValueOf(in_.Acceleration(i)); }
+  void Reset(int i) {
+    acceleration_[i] = ValueOf(in_.Acceleration(i));
+    if constexpr (kRotation == kSpin) turning_[i] = Value(in_.AngularAcceleration(i));
+  }
 
   // Whether the discs wedge, and of each contact the normal and the tangential force and the acceleration along its
   // tangent; nothing if there is no solution.
@@ -248,7 +295,7 @@ class PressedGroup {
       found.push_back(force.normal_force);
       found.push_back(force.tangential_force);
       const Vec2d a = acceleration_[force.a] - (force.b >= 0 ? acceleration_[force.b] : Vec2d(0, 0));
-      found.push_back(Dot(Perpendicular(force.normal), a));
+      found.push_back(Dot(Perpendicular(force.normal), a) - RimAcceleration(force, turning_));
     }
     return found;
   }
@@ -261,7 +308,7 @@ class PressedGroup {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
-    return SolvePressingForces(Value(in_.contact.friction), rows_.inverse_mass(), acceleration_, forces_);
+    return SolvePressingForces(Value(in_.contact.friction), rows_.inverse_mass(), acceleration_, forces_, turning_);
   }
 
   void Measure(Contact* contact) const {
@@ -274,12 +321,21 @@ class PressedGroup {
     f.b = c.plane ? -1 : c.b;
     f.normal = at.normal;
     f.mass = Value(in_.EffectiveMass(c));
+    if constexpr (kRotation == kSpin) {
+      const auto turns = [&](int i) {
+        return PressingContact::Turns{in_.bodies[i].radius, Value(in_.bodies[i].inverse_inertia)};
+      };
+      f.tangential_mass = Value(in_.TangentialMass(c));
+      f.turns_a = turns(c.a);
+      if (!c.plane) f.turns_b = turns(c.b);
+    }
     const double sliding = SlidingSpeed(*contact);
     const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     const double turning = Value(TurningDistance(in_, c, T(at.distance)));
     contact->bends = !c.plane || turning != 0;
-    f.turning = turning == 0 || may_stick ? 0.0 : sliding * sliding / turning;
+    const double passing = CentresSpeed(*contact);
+    f.turning = turning == 0 || may_stick ? 0.0 : passing * passing / turning;
   }
 
   // `along`: the acceleration along the tangent.
@@ -306,9 +362,11 @@ class PressedGroup {
     if (!MayMove(Value(gap), contact)) gap -= Value(gap);
     const Vec2<T> tangent = Perpendicular(at.normal);
     const T along = TangentialShare(contact);
-    Row row{c.a, c.plane ? -1 : c.b, at.normal, at.normal + Scale(along, tangent), gap, T(0.0)};
+    Row row{c.a, c.plane ? -1 : c.b, at.normal, at.normal + Scale(along, tangent), gap, T(0.0), T(0.0), along};
     if (contact.mode == ContactMode::kStick) {
-      row.push = at.normal - Scale(DriftOf(contact), tangent);
+      const double drift = DriftOf(contact);
+      row.push = at.normal - Scale(drift, tangent);
+      row.push_along = T(-drift);
     } else if (const T turning = TurningDistance(in_, c, at.distance); Value(turning) != 0) {
       const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), turning);
       row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
@@ -325,7 +383,14 @@ class PressedGroup {
     const auto given = [&](int i) { return ValueOf(in_.Acceleration(i)); };
     const Vec2d a = given(f.a) - (f.b >= 0 ? given(f.b) : Vec2d(0, 0));
     const double friction = Value(in_.contact.friction);
-    return DriftOfBounces(Dot(Perpendicular(f.normal), a), -Dot(f.normal, a), friction, restitution);
+    double tangential = Dot(Perpendicular(f.normal), a);
+    if constexpr (kRotation == kSpin) {
+      // What it gives way by turning is no drift: this is beside the motion in which it rolls.
+      const auto given_turn = [&](int i) { return Value(in_.AngularAcceleration(i)); };
+      tangential = AlongSurface<kRotation>(in_, in_.candidates[contact.pair], tangential, given_turn);
+      tangential *= f.tangential_mass / f.mass;
+    }
+    return DriftOfBounces(tangential, -Dot(f.normal, a), friction, restitution);
   }
   // On values. Not only of closed contacts: closing these must not push others into each other bit by bit.
   void AddOverlap(const Contact& contact) {
@@ -363,10 +428,15 @@ class PressedGroup {
     const Vec2<T> normal = SeparationOf(c).normal, tangent = Perpendicular(normal);
     const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
     Vec2<T> push = normal;
-    if (contact.rests) push += Scale(TangentialShare(contact), tangent);
-    rows_.Add({c.a, b, normal, push, Dot(normal, w), T(0.0)});
+    T push_along(0.0);
+    if (contact.rests) {
+      push_along = TangentialShare(contact);
+      push += Scale(push_along, tangent);
+    }
+    rows_.Add({c.a, b, normal, push, Dot(normal, w), T(0.0), T(0.0), push_along});
     if (contact.stopped || (contact.mode != ContactMode::kStick && !wedged_)) return;
-    rows_.Add({c.a, b, tangent, tangent, Dot(tangent, w), T(0.0)});
+    const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, w)), [&](auto i) { return discs_[i].turn.speed; });
+    rows_.Add({c.a, b, tangent, tangent, sliding, T(0.0), T(1.0), T(1.0)});
   }
 
   void AddAccelerationRows(const Contact& contact, const T& arc) {
@@ -382,7 +452,7 @@ class PressedGroup {
     const int b = c.plane ? -1 : c.b;
     if (contact.mode == ContactMode::kStick) {
       rows_.Add({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
-      rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force)});
+      rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force), T(1.0), T(1.0)});
       return;
     }
     T turning(0.0);
@@ -397,16 +467,17 @@ class PressedGroup {
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);
-    rows_.Add({c.a, b, at.normal, push, turning, T(f.normal_force)});
+    rows_.Add({c.a, b, at.normal, push, turning, T(f.normal_force), T(0.0), share});
   }
 
   const StepInput<T>& in_;
-  std::span<EventDisc<T>> discs_;
+  std::span<Disc> discs_;
   bool wedged_ = false;  // sliding ends at once
   std::pmr::vector<Contact> contacts_;
-  ForceRows<T> rows_;
+  ForceRows<T, kRotation> rows_;
   std::pmr::vector<PressingContact> forces_;
   std::pmr::vector<Vec2d> acceleration_;        // per disc, values
+  std::pmr::vector<double> turning_;            // angular acceleration, likewise; empty where discs do not spin
   std::pmr::vector<char> has_disc_, has_pair_;  // per disc that moves, per candidate: it is in the group
 };
 

@@ -10,17 +10,17 @@
 
 namespace saltus::internal {
 
-template <typename T>
-class EventQueue : protected EventMotion<T> {
+template <typename T, int kRotation>
+class EventQueue : protected EventMotion<T, kRotation> {
  protected:
-  using Discs = EventMotion<T>;
+  using Discs = EventMotion<T, kRotation>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::CandidateOf, Discs::IsTable, Discs::LastTime,
       Discs::LastDisc, Discs::ApproachAt, Discs::FirstClosingOf, Discs::TouchesAlone, Discs::LeavingTime,
       Discs::StopTime, Discs::ImpactTime, Discs::SlowTime, Discs::Moves;
   using typename Discs::State, typename Discs::Pair;
 
   EventQueue(const StepInput<T>& in, std::span<const State> x)
-      : EventMotion<T>(in, x), limit_(in.h * (1 - kNodeMargin)) {}
+      : EventMotion<T, kRotation>(in, x), limit_(in.h * (1 - kNodeMargin)) {}
 
   // The pair whose event comes first, -1 if there is none in this step.
   int NextPair() const {

@@ -13,7 +13,7 @@
 
 namespace saltus::internal {
 
-template <typename T>
+template <typename T, int kRotation = 0>
 class ForceRows {
  public:
   struct Row {
@@ -22,6 +22,8 @@ class ForceRows {
     Vec2<T> push;       // along which the force acts
     T violation;
     T force;
+    // How much of these two is along the tangent, where discs that spin turn with it.
+    T along = T(0.0), push_along = T(0.0);
     Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
   };
 
@@ -50,7 +52,10 @@ class ForceRows {
     if (n > kMostDenseRows) return SolveAsSystem();
     matrix_.resize(n * n);
     for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_);
+      for (int j = 0; j < n; ++j) {
+        matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_);
+        if constexpr (kRotation == kSpin) matrix_[i * n + j] += TurnCoupling(rows_[i], rows_[j]);
+      }
     }
     PseudoInvert(n, matrix_);
     if constexpr (std::is_same_v<T, Taped>) {
@@ -60,6 +65,18 @@ class ForceRows {
         rows_[i].force = T(0.0);
         for (int j = 0; j < n; ++j) rows_[i].force -= rows_[j].violation * matrix_[i * n + j];
       }
+    }
+  }
+
+  // Calls apply(disc, change) for what the forces do to the turning of the discs.
+  template <typename Apply>
+  void ForEachTurn(const Apply& apply) const {
+    for (const Row& row : rows_) {
+      const auto turn = [&](int i) {
+        apply(i, T(-(row.force * row.push_along) * (in_.bodies[i].radius * in_.bodies[i].inverse_inertia)));
+      };
+      turn(row.a);
+      if (row.b >= 0) turn(row.b);
     }
   }
 
@@ -86,6 +103,20 @@ class ForceRows {
       }
     }
   };
+
+  // How much the torque of the force of row j changes what row i measures.
+  double TurnCoupling(const Row& i, const Row& j) const {
+    double mobility = 0;
+    const auto meet = [&](int p, int q) {
+      const auto& disc = in_.bodies[std::max(p, 0)];
+      if (p >= 0 && p == q) mobility += disc.radius * disc.radius * Value(disc.inverse_inertia);
+    };
+    meet(i.a, j.a);
+    meet(i.b, j.b);
+    meet(i.a, j.b);
+    meet(i.b, j.a);
+    return mobility * Value(i.along) * Value(j.push_along);
+  }
 
   static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
 

@@ -11,18 +11,22 @@ namespace saltus {
 namespace {
 
 using internal::Approach;
-using internal::EventDisc;
-using Group = internal::PressedGroup<double>;
+template <int kRotation>
+using Group = internal::PressedGroup<double, kRotation>;
+template <int kRotation>
+using ContactOf = typename Group<kRotation>::Contact;
 
 // A component of a direction, of length 1, that is rounding.
 constexpr double kNoComponent = 1e-9;
 
 // The discs of a scene at its start, as a step sees them.
+template <int kRotation>
 struct Start {
   explicit Start(const Scene& scene) {
     for (const Body& body : scene.bodies) {
       const double inverse_mass = body.fixed ? 0.0 : 1 / body.mass;
       bodies.push_back({body.mass, inverse_mass, body.radius, body.fixed});
+      if (body.Spins()) bodies.back().inverse_inertia = 1 / body.MomentOfInertia();
     }
     for (WallPart& part : WallPartsOf(scene)) {
       planes.push_back(part.wall);
@@ -41,6 +45,7 @@ struct Start {
     for (int i = 0; i < scene.num_bodies(); ++i) {
       const Body& body = scene.bodies[i];
       discs.push_back({0, body.position, body.fixed ? Vec2d(0, 0) : body.velocity, in.Acceleration(i)});
+      if constexpr (kRotation == kSpin) discs.back().turn = {body.angle, body.angular_velocity, 0};
     }
     FindTouching();
     in.candidates = touching;
@@ -62,7 +67,7 @@ struct Start {
   std::vector<Wall<double>> planes;
   std::vector<WallExtent> extents;
   std::vector<Vec2d> force;
-  std::vector<EventDisc<double>> discs;
+  std::vector<internal::EventDisc<double, kRotation>> discs;
   std::vector<Candidate> touching;
   StepInput<double> in{};
 
@@ -93,9 +98,10 @@ struct Start {
 };
 
 // Collects the sides on which derivatives do not exist.
+template <int kRotation>
 class Sides {
  public:
-  explicit Sides(const Start& start) : start_(start), missing_(start.bodies.size()) {}
+  explicit Sides(const Start<kRotation>& start) : start_(start), missing_(start.bodies.size()) {}
 
   // There is no derivative for changes of `quantity` that move a against b along -direction.
   void AddOneSided(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
@@ -137,7 +143,7 @@ class Sides {
     }
   }
 
-  const Start& start_;
+  const Start<kRotation>& start_;
   std::vector<Missing> missing_;
 };
 
@@ -149,15 +155,18 @@ bool LossHasVelocities(const Scene& scene) {
 }
 
 // Several contacts, of which some that stick are pressed along themselves.
-bool IsHeldByFriction(const Group& group) {
-  return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const Group::Contact& contact) {
+template <int kRotation>
+bool IsHeldByFriction(const Group<kRotation>& group) {
+  return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const auto& contact) {
            return contact.closed && contact.mode == ContactMode::kStick &&
                   std::abs(contact.force.tangential_force) > kNoComponent * contact.force.normal_force;
          });
 }
 
 // How much the force of a contact accelerates what another measures along its normal, at the discs that they share.
-bool Couples(const Start& start, const Group& group, const Group::Contact& measured, const Group::Contact& pushing) {
+template <int kRotation>
+bool Couples(const Start<kRotation>& start, const Group<kRotation>& group, const ContactOf<kRotation>& measured,
+             const ContactOf<kRotation>& pushing) {
   const Candidate &m = start.touching[measured.pair], &p = start.touching[pushing.pair];
   double shared = 0;
   const auto meet = [&](int i, int j, double sign) { shared += i == j ? sign * start.bodies[i].inverse_mass : 0; };
@@ -173,33 +182,36 @@ bool Couples(const Start& start, const Group& group, const Group::Contact& measu
 }
 
 // The pressed contacts whose forces reach, from one to the next, one that touches only: what bounces there strikes it.
-std::vector<const Group::Contact*> FindRattling(const Start& start, const Group& group) {
-  std::vector<const Group::Contact*> reached;
-  for (const Group::Contact& contact : group.contacts()) {
+template <int kRotation>
+std::vector<const ContactOf<kRotation>*> FindRattling(const Start<kRotation>& start, const Group<kRotation>& group) {
+  std::vector<const ContactOf<kRotation>*> reached;
+  for (const auto& contact : group.contacts()) {
     if (!contact.closed) reached.push_back(&contact);
   }
   const std::size_t open = reached.size();
   for (std::size_t k = 0; k < reached.size(); ++k) {
-    for (const Group::Contact& contact : group.contacts()) {
+    for (const auto& contact : group.contacts()) {
       const bool known = std::find(reached.begin(), reached.end(), &contact) != reached.end();
-      if (!known && Couples(start, group, *reached[k], contact)) reached.push_back(&contact);
+      if (!known && Couples<kRotation>(start, group, *reached[k], contact)) reached.push_back(&contact);
     }
   }
   reached.erase(reached.begin(), reached.begin() + static_cast<std::ptrdiff_t>(open));
   return reached;
 }
 
-void AddPressed(const Scene& scene, const Start& start, const Group& group, Sides* sides) {
+template <int kRotation>
+void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<kRotation>& group,
+                Sides<kRotation>* sides) {
   using Quantity = OneSided::Quantity;
   const double friction = scene.contact.friction, restitution = scene.contact.restitution;
-  const bool undecided = IsHeldByFriction(group);
-  for (const Group::Contact* contact : FindRattling(start, group)) {
+  const bool undecided = IsHeldByFriction<kRotation>(group);
+  for (const auto* contact : FindRattling<kRotation>(start, group)) {
     const Candidate& c = start.touching[contact->pair];
     const Vec2d normal = start.Normal(c);
     for (const auto quantity : {Quantity::kPosition, Quantity::kVelocity}) sides->AddNone(c, quantity, normal);
     if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, Perpendicular(normal));  // see below
   }
-  for (const Group::Contact& contact : group.contacts()) {
+  for (const auto& contact : group.contacts()) {
     const Candidate& c = start.touching[contact.pair];
     const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
     if (!contact.closed) {
@@ -247,12 +259,16 @@ const char* SideToString(OneSided::Side side) {
   return side == OneSided::Side::kAbove ? "+" : "-";
 }
 
-std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
-  Start start(scene);
-  Sides sides(start);
+namespace {
+
+template <int kRotation>
+std::vector<OneSided> FindOneSided(const Scene& scene) {
+  const Start<kRotation> start(scene);
+  Sides<kRotation> sides(start);
   std::vector<char> settled(start.touching.size(), 0);
-  Group group(start.in);
-  group.SetDiscs(start.discs);
+  Group<kRotation> group(start.in);
+  std::vector<internal::EventDisc<double, kRotation>> discs = start.discs;
+  group.SetDiscs(discs);
   const int n = static_cast<int>(start.touching.size());
   // Only what neither parts nor meets at speed can be pressed.
   const auto rests = [&](int q) { return start.Measure(start.touching[q]).Touching(); };
@@ -270,9 +286,15 @@ std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
         settled[other] = grows = true;
       }
     }
-    if (group.SolveForces()) AddPressed(scene, start, group, &sides);
+    if (group.SolveForces()) AddPressed<kRotation>(scene, start, group, &sides);
   }
   return sides.All();
+}
+
+}  // namespace
+
+std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
+  return scene.Spins() ? FindOneSided<kSpin>(scene) : FindOneSided<0>(scene);
 }
 
 }  // namespace saltus

@@ -34,13 +34,14 @@ struct SceneLaw {
 };
 
 // `Law` says which restitution and friction an impact has; contacts that last have those of `in`.
-template <typename T, typename Law>
-class EventStep : private EventQueue<T> {
+template <typename T, int kRotation, typename Law>
+class EventStep : private EventQueue<T, kRotation> {
  public:
-  using typename EventQueue<T>::State;
+  using typename EventQueue<T, kRotation>::State;
+  using typename EventQueue<T, kRotation>::Disc;
 
   EventStep(const StepInput<T>& in, const Law& law, std::span<const State> x)
-      : EventQueue<T>(in, x), law_(law), tied_(in.scratch), trial_(in.scratch), group_(in) {
+      : EventQueue<T, kRotation>(in, x), law_(law), tied_(in.scratch), trial_(in.scratch), group_(in) {
     group_.SetDiscs(discs_);
   }
 
@@ -69,7 +70,7 @@ class EventStep : private EventQueue<T> {
       for (int other = 0; other < num_pairs(); ++other) {
         if (IsDirty(other)) Predict(other);
       }
-      for (EventDisc<T>& disc : discs_) disc.dirty = false;
+      for (Disc& disc : discs_) disc.dirty = false;
     }
     Fail("there is no end of events");
   }
@@ -79,12 +80,18 @@ class EventStep : private EventQueue<T> {
   bool Moved(int i) const { return discs_[i].moved && (discs_[i].reported || failed_); }
   SALTUS_FLATTEN State End(int i) const {
     const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
-    return {discs_[i].PositionAt(end), discs_[i].VelocityAt(end)};
+    const Vec2<T> p = discs_[i].PositionAt(end), v = discs_[i].VelocityAt(end);
+    if constexpr (kRotation == kSpin) {
+      const T s = end - discs_[i].t;
+      return {p, v, {discs_[i].turn.AngleAfter(s), discs_[i].turn.SpeedAfter(s)}};
+    } else {
+      return {p, v};
+    }
   }
 
  private:
-  using Group = PressedGroup<T>;
-  using Discs = EventQueue<T>;
+  using Group = PressedGroup<T, kRotation>;
+  using Discs = EventQueue<T, kRotation>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ForEachPairOf,
       Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
@@ -98,7 +105,7 @@ class EventStep : private EventQueue<T> {
     explicit TieTrial(std::pmr::memory_resource* scratch)
         : tied(scratch), discs(scratch), outcome(scratch), pairs(scratch) {}
     std::pmr::vector<int> tied;
-    std::pmr::vector<EventDisc<T>> discs, outcome;
+    std::pmr::vector<Disc> discs, outcome;
     std::pmr::vector<Pair> pairs;
   };
 
@@ -149,7 +156,7 @@ class EventStep : private EventQueue<T> {
     if (!pairs_[q].held && std::abs(ApproachAt(c, Value(LastTime(c))).gap) <= kRoundingGap) return false;
     for (int i : {c.a, c.b}) {
       if ((i == c.b && c.plane) || !Moves(i)) continue;
-      const EventDisc<T>& disc = discs_[i];
+      const Disc& disc = discs_[i];
       const double start = Value(disc.t), arc = disc.arc_end - start;
       if (arc == kNever || disc.arc_end - end <= kArcEnd * arc || end - start <= kNodeMargin * in_.h) continue;
       for (int held = 0; held < num_pairs(); ++held) {
@@ -167,8 +174,12 @@ class EventStep : private EventQueue<T> {
 
   SALTUS_FLATTEN void MoveTo(int i, const T& time) {
     if (!Moves(i)) return;
-    EventDisc<T>& disc = discs_[i];
+    Disc& disc = discs_[i];
     const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
+    if constexpr (kRotation == kSpin) {
+      const T s = time - disc.t;
+      disc.turn = {disc.turn.AngleAfter(s), disc.turn.SpeedAfter(s), disc.turn.acceleration};
+    }
     disc.p = p;
     disc.v = v;
     disc.t = time;
@@ -182,6 +193,7 @@ class EventStep : private EventQueue<T> {
     if (!Moves(i)) return;
     MoveTo(i, time);
     discs_[i].a = in_.Acceleration(i);
+    if constexpr (kRotation == kSpin) discs_[i].turn.acceleration = in_.AngularAcceleration(i);
     Slide(i);
     ForEachPairOf(i, [&](int q) {
       const Candidate& c = CandidateOf(q);
@@ -211,8 +223,11 @@ class EventStep : private EventQueue<T> {
     const ImpactNumbers<T> law = law_.At(at.normal, w);
     const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
     const T bounce = inelastic_ || last ? T(1.0) : T(law.restitution + 1.0);
-    const auto impact = MakeImpact<T>(at.normal, w, in_.EffectiveMass(c), bounce, law.friction, kHeadOn);
+    const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
     ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    if constexpr (kRotation == kSpin) {
+      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { discs_[i].turn.speed += change; });
+    }
     SlideOn(c);
     CountImpact(q);
     Report(c, impact.mode, time, ContactKind::kImpact);
@@ -223,6 +238,18 @@ class EventStep : private EventQueue<T> {
     ++pairs_[q].impacts;
     ++discs_[c.a].impacts;
     if (!c.plane) ++discs_[c.b].impacts;
+  }
+
+  auto MakeImpactOf(const Candidate& c, const Vec2<T>& normal, const Vec2<T>& w, const T& bounce,
+                    const T& friction) const {
+    if constexpr (kRotation == kSpin) {
+      const T sliding = AlongSurface<kRotation>(
+          in_, c, T(Dot(Perpendicular(normal), w)), [&](auto i) { return discs_[i].turn.speed; });
+      return MakeImpact<T>(
+          normal, T(Dot(normal, w)), sliding, in_.EffectiveMass(c), in_.TangentialMass(c), bounce, friction, kHeadOn);
+    } else {
+      return MakeImpact<T>(normal, w, in_.EffectiveMass(c), bounce, friction, kHeadOn);
+    }
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
@@ -296,7 +323,7 @@ class EventStep : private EventQueue<T> {
       choice = TakeTied(time) || k > 1;
       if (k == 1) trial_.outcome = discs_;
       for (std::size_t i = 0; i < discs_.size(); ++i) {
-        matters = matters || (trial_.outcome[i].VelocityAt(time) - discs_[i].VelocityAt(time)).norm() > same;
+        matters = matters || Difference(static_cast<int>(i), time) > same;
       }
       discs_ = trial_.discs;
       pairs_ = trial_.pairs;
@@ -305,6 +332,17 @@ class EventStep : private EventQueue<T> {
     }
     tied_ = trial_.tied;
     return matters;
+  }
+
+  // Between the velocities of disc i as the first of the orders left it and as it is, its rim's by its spin included.
+  double Difference(int i, double time) const {
+    const Disc &first = trial_.outcome[i], &now = discs_[i];
+    double difference = (first.VelocityAt(time) - now.VelocityAt(time)).norm();
+    if constexpr (kRotation == kSpin && std::is_same_v<T, double>) {
+      const double turning = first.turn.SpeedAfter(time - first.t) - now.turn.SpeedAfter(time - now.t);
+      difference += in_.bodies[i].radius * std::abs(turning);
+    }
+    return difference;
   }
 
   void ReportTie(double time) const {
@@ -320,6 +358,9 @@ class EventStep : private EventQueue<T> {
     Join(q, time);
     while (Grow(time)) continue;
     if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
+    if (group_.RollsAround()) {
+      return Fail("discs that spin press against each other or a wall that bends: with friction that is not resolved");
+    }
     group_.ProjectPositions();
     group_.ProjectVelocities();
     group_.SetAccelerations(T(0.0));

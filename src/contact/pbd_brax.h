@@ -36,7 +36,8 @@
 
 namespace saltus {
 
-struct PbdBrax {
+template <bool kOfScene>
+struct PbdBraxIn {
   static constexpr ModelTraits kTraits = {.name = "pbd_brax",
                                           .summary = "position-based dynamics, contacts in every second step",
                                           .source = "Brax 0.0.13, pbd",
@@ -149,7 +150,7 @@ struct PbdBrax {
   template <typename T>
   static T PointMobility(const StepInput<T>& in, int disc, const Vec2<T>& arm, const Vec2<T>& direction) {
     const T lever = brax::Torque(arm, direction);
-    return in.bodies[disc].inverse_mass + brax::InverseInertia(in.bodies[disc]) * (lever * lever);
+    return in.bodies[disc].inverse_mass + brax::InverseInertia<kOfScene>(in.bodies[disc]) * (lever * lever);
   }
   // The same of both sides, for the point of contact.
   template <typename T>
@@ -213,7 +214,7 @@ struct PbdBrax {
         const Vec2<T> arm = contact.point - x[disc].p;
         moves.Add(disc,
                   Scale(in.bodies[disc].inverse_mass, moved),
-                  brax::InverseInertia(in.bodies[disc]) * brax::Torque(arm, gripped));
+                  brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, gripped));
       };
       apply(c.a, push, grip);
       if (!c.plane) apply(c.b, -push, -grip);
@@ -249,7 +250,7 @@ struct PbdBrax {
         const Vec2<T> arm = contact.point - x[disc].p;
         changes.Add(disc,
                     Scale(in.bodies[disc].inverse_mass, force),
-                    brax::InverseInertia(in.bodies[disc]) * brax::Torque(arm, force));
+                    brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, force));
       };
       apply(c.a, impulse);
       if (!c.plane) apply(c.b, -impulse);
@@ -288,6 +289,50 @@ struct PbdBrax {
     const T mobility = PointMobility(in, touching->contact, x, direction) + S(brax::kEpsilon);
     return Scale(Divide(brax::HalfTieMin(limit, speed), mobility), direction);
   }
+};
+
+// In scenes with discs that spin: the same step on angles and angular velocities, from which its rotation is made.
+struct PbdBraxSpinning {
+  using Source = PbdBraxIn<true>;
+  static constexpr ModelTraits kTraits = Source::kTraits;
+  static constexpr int kRotation = kSpin;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
+    const Source::State<T> from = ToSource(x);
+    return FromSource<T>(x, from, Source().Free(in, i, from));
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    std::pmr::vector<Source::State<T>> from(in.scratch), to(x.size(), in.scratch);
+    for (const State<T>& state : x) from.push_back(ToSource(state));
+    Source().Step(in, std::span<const Source::State<T>>(from), std::span<Source::State<T>>(to));
+    for (std::size_t i = 0; i < x.size(); ++i) next[i] = FromSource<T>(x[i], from[i], to[i]);
+  }
+
+ private:
+  // The source counts clockwise.
+  template <typename T>
+  static Source::State<T> ToSource(const State<T>& x) {
+    using std::cos, std::sin;
+    const T half = Base<T>(-0.5) * x.rotation[0];
+    return {x.p, x.v, {-x.rotation[1], cos(half), sin(half)}};
+  }
+  // The angle goes on from that before the step, by however many turns that is.
+  template <typename T>
+  static State<T> FromSource(const State<T>& before, const Source::State<T>& from, const Source::State<T>& to) {
+    using std::atan2;
+    const T cosine = to.rotation[1] * from.rotation[1] + to.rotation[2] * from.rotation[2];
+    const T sine = to.rotation[2] * from.rotation[1] - to.rotation[1] * from.rotation[2];
+    return {to.p, to.v, {before.rotation[0] - Base<T>(2) * atan2(sine, cosine), -to.rotation[0]}};
+  }
+};
+
+struct PbdBrax : PbdBraxIn<false> {
+  using Spinning = PbdBraxSpinning;
 };
 
 }  // namespace saltus

@@ -40,7 +40,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
     const Scene natural = InNaturalUnits(scene);
     const UnitFactors by(scene.units, natural.units);
     return InUnits(Certify(natural,
-                           ConvertStates(initial, scene.units, natural.units),
+                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
                            Multiplied(control, by.force),
                            Multiplied(durations, by.time)),
                    natural.units,

@@ -76,7 +76,8 @@ ContactSequence AllPairs(const Scene& scene) {
 
 std::string BeyondPlanes(const Scene& scene) {
   if (scene.HasEdges()) return "walls that end (segments, polygons or arcs)";
-  return scene.table ? "a table that discs slide on" : "";
+  if (scene.table) return "a table that discs slide on";
+  return scene.Spins() ? "discs that spin" : "";
 }
 
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence) {

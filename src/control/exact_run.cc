@@ -33,8 +33,8 @@ struct How {
   std::optional<int> most_impacts;
 };
 
-// Runs `scene` for control intervals of one length, from number `first` on, from `x` (B x 4) on, which becomes the
-// state at the end.
+// Runs `scene` for control intervals of one length, from number `first` on, from `x` on, in the shape of an
+// initial state, which becomes the state at the end.
 bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<double>& control, int first, double start,
                        std::vector<double>* x, ExactRun* run) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(how.model, scene, Precision::kDouble);
@@ -43,7 +43,6 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     return how.most_impacts && run->contacts.size() + of->touches().size() > static_cast<size_t>(*how.most_impacts);
   };
   simulator->set_stop(has_too_many);
-  CHECK_EQ(simulator->state_size(), static_cast<int>(x->size()));
   const bool ran = simulator->Rollout(*x, control);
   if (has_too_many()) {
     run->reason = "discs meet more than " + std::to_string(*how.most_impacts) + " times";
@@ -53,7 +52,9 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     run->reason = "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
-  simulator->GetState(simulator->num_steps(), *x);
+  std::vector<double> end(simulator->state_size());
+  simulator->GetState(simulator->num_steps(), end);
+  *x = ToInitial(end, scene.num_bodies());
   for (const Event& event : EventsOf(*simulator)) {
     run->events.push_back(event);
     run->events.back().time += start;
@@ -77,7 +78,7 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   const auto sizes = [](const char* what, size_t found, const std::string& expected) {
     return std::string(what) + ": found " + std::to_string(found) + " numbers, expected " + expected;
   };
-  const size_t size = 4 * scene.bodies.size(), width = 2 * scene.control.bodies.size();
+  const size_t size = InitialSize(scene), width = 2 * scene.control.bodies.size();
   if (initial.size() != size) return sizes("initial state", initial.size(), std::to_string(size));
   if (!durations.empty() && control.size() != width * durations.size()) {
     return sizes("control", control.size(), std::to_string(width * durations.size()));
@@ -152,7 +153,8 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
     }
   }
   run.ok = true;
-  run.loss += TerminalLoss(scene.objective, run.end, 4);
+  run.loss +=
+      TerminalLoss(scene.objective, ToState(run.end, scene.num_bodies()), InitialSize(scene) / scene.num_bodies());
   AddLossOnTheWay(whole, initial, control, durations, &run);
   return run;
 }
@@ -160,8 +162,9 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
 // Whether final states are the same, on the scale of how far and how fast discs move.
 class SameEnd {
  public:
-  SameEnd(const Scene& scene, const std::vector<double>& initial, const ExactRun& run) : end_(run.end) {
-    for (size_t i = 0; i < end_.size(); i += 4) {
+  SameEnd(const Scene& scene, const std::vector<double>& initial, const ExactRun& run)
+      : end_(run.end), moves_(4 * scene.bodies.size()) {
+    for (size_t i = 0; i < moves_; i += 4) {
       const double way = std::hypot(end_[i] - initial[i], end_[i + 1] - initial[i + 1]);
       length_ = std::max({length_, way, scene.bodies[i / 4].radius});
       speed_ = std::max({speed_, std::hypot(initial[i + 2], initial[i + 3]), std::hypot(end_[i + 2], end_[i + 3])});
@@ -170,13 +173,20 @@ class SameEnd {
   }
   bool operator()(const ExactRun& other) const {
     for (size_t i = 0; i < end_.size(); ++i) {
-      if (std::abs(other.end[i] - end_[i]) > kSameEnd * (i % 4 < 2 ? length_ : speed_)) return false;
+      if (std::abs(other.end[i] - end_[i]) > kSameEnd * SizeOf(i)) return false;
     }
     return true;
   }
 
  private:
+  // Of entry i; rotations at the end, where a disc turns by about as much as it moves.
+  double SizeOf(size_t i) const {
+    if (i < moves_) return i % 4 < 2 ? length_ : speed_;
+    return i % kSpin == 0 ? 1 : speed_ / length_;
+  }
+
   const std::vector<double>& end_;
+  size_t moves_;
   double length_ = 0, speed_ = 0;
 };
 
@@ -194,11 +204,11 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
     const UnitFactors to(scene.units, natural.units);
     ExactRun run = SimulateUpTo(most_impacts,
                                 natural,
-                                ConvertStates(initial, scene.units, natural.units),
+                                ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
                                 Multiplied(control, to.force),
                                 Multiplied(durations, to.time));
     if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
-    run.end = ConvertStates(std::move(run.end), natural.units, scene.units);
+    run.end = ConvertInitial(std::move(run.end), scene.num_bodies(), natural.units, scene.units);
     for (Event& event : run.events) event.time /= to.time;
     for (ExactRun::Place& place : run.places) place.time /= to.time;
     for (Tie& tie : run.ambiguous) tie.time /= to.time;

@@ -4,14 +4,21 @@
 
 #include <cmath>
 
+#include "saltus/contact/step_input.h"
+
 namespace saltus {
 namespace {
 
-// Index of the first of the two entries that a term reads in a state of `size` numbers.
+// How many entries of the state a term reads.
+int Width(const TerminalTerm& term) { return term.IsOfSpin() ? 1 : 2; }
+
+// Index of the first of the entries that a term reads in a state of `size` numbers.
 int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
   CHECK(term.body >= 0 && (term.body + 1) * static_cast<std::size_t>(body_size) <= size)
       << "a terminal term of body " << term.body << ", which is not in the state";
-  return term.body * body_size + (term.quantity == TerminalTerm::Quantity::kVelocity ? 2 : 0);
+  CHECK(!term.IsOfSpin() || body_size == 4 + kSpin) << "a terminal term of spin, which is not in the state";
+  constexpr int kOffset[] = {0, 2, 4, 5};  // by quantity
+  return term.body * body_size + kOffset[static_cast<int>(term.quantity)];
 }
 
 }  // namespace
@@ -34,6 +41,9 @@ double TerminalLoss(const Objective& objective, std::span<const double> x, int b
     const double* q = &x[Offset(term, body_size, x.size())];
     if (term.component) {
       loss += term.weight * q[*term.component];
+    } else if (term.IsOfSpin()) {
+      const double miss = *q - term.target[0];
+      loss += term.weight * miss * miss;
     } else {
       const Vec2d miss(q[0] - term.target[0], q[1] - term.target[1]);
       loss += term.weight * Dot(miss, miss);
@@ -53,11 +63,15 @@ void TerminalGradient(const Objective& objective, std::span<const double> x, int
       gradient[at + *term.component] += term.weight;
       continue;
     }
-    for (int j = 0; j < 2; ++j) gradient[at + j] += 2 * term.weight * (x[at + j] - term.target[j]);
+    for (int j = 0; j < Width(term); ++j) gradient[at + j] += 2 * term.weight * (x[at + j] - term.target[j]);
   }
 }
 
-int NumTerminalResiduals(const Objective& objective) { return 2 * static_cast<int>(objective.terminal.size()); }
+int NumTerminalResiduals(const Objective& objective) {
+  int rows = 0;
+  for (const TerminalTerm& term : objective.terminal) rows += Width(term);
+  return rows;
+}
 
 void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,
                        std::span<double> residuals) {
@@ -65,7 +79,7 @@ void TerminalResiduals(const Objective& objective, std::span<const double> x, in
   int row = 0;
   for (const TerminalTerm& term : objective.terminal) {
     const int at = Offset(term, body_size, x.size());
-    for (int j = 0; j < 2; ++j) residuals[row++] = std::sqrt(term.weight) * (x[at + j] - term.target[j]);
+    for (int j = 0; j < Width(term); ++j) residuals[row++] = std::sqrt(term.weight) * (x[at + j] - term.target[j]);
   }
 }
 
@@ -74,7 +88,7 @@ Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int
   int row = 0;
   for (const TerminalTerm& term : objective.terminal) {
     const int at = Offset(term, body_size, state_size);
-    for (int j = 0; j < 2; ++j) jacobian(row++, at + j) = std::sqrt(term.weight);
+    for (int j = 0; j < Width(term); ++j) jacobian(row++, at + j) = std::sqrt(term.weight);
   }
   return jacobian;
 }

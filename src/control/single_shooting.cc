@@ -10,7 +10,7 @@
 namespace saltus {
 namespace {
 
-// Indices into the initial state (B x 4): of the first of two entries of each body, and the next.
+// Indices into the initial state: of the first of two entries of each body, and the next.
 void AddPairs(const std::vector<int>& bodies, int offset, std::vector<int>* indices) {
   for (int body : bodies) {
     for (int j = 0; j < 2; ++j) indices->push_back(4 * body + offset + j);
@@ -21,6 +21,7 @@ std::vector<int> IndicesOfDecisionVariables(const Scene& scene) {
   std::vector<int> indices;
   if (scene.optimize == Optimize::kPosition) AddPairs(scene.free, 0, &indices);
   if (scene.optimize == Optimize::kVelocity) AddPairs(scene.free, 2, &indices);
+  for (int body : scene.free_spin) indices.push_back(4 * scene.num_bodies() + kSpin * body + 1);
   return indices;
 }
 
@@ -31,6 +32,11 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
   }
   AddPairs(moving, 0, &indices);
   AddPairs(moving, 2, &indices);
+  for (int i = 0; i < scene.num_bodies() && scene.Spins(); ++i) {
+    for (int j = 0; j < kSpin && scene.bodies[i].Spins(); ++j) {
+      indices.push_back(4 * scene.num_bodies() + kSpin * i + j);
+    }
+  }
   return indices;
 }
 

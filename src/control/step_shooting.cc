@@ -16,6 +16,7 @@ StepShooting::StepShooting(const SingleShooting* shooting, std::span<const doubl
   for (int body : scene.free) {
     for (int j = 0; j < 2; ++j) decision_indices_.push_back(body * simulator().body_size() + offset + j);
   }
+  for (int body : scene.free_spin) decision_indices_.push_back(body * simulator().body_size() + 5);
 }
 
 std::vector<double*> StepShooting::StepBlocks(int k) {

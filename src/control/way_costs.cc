@@ -7,6 +7,7 @@
 #include "costate_sweep.h"
 #include "phase_costs.h"
 #include "running_loss.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/events.h"
 
@@ -41,6 +42,9 @@ class ExactWayCosts final : public WayCosts {
   std::string Update(const Simulator& simulator, std::span<const double> initial,
                      std::span<const double> control) override {
     scene_ = simulator.scene();
+    if (const std::string beyond = BeyondPlanes(scene_); !beyond.empty()) {
+      return "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+    }
     ExactRun run;
     run.ok = true;
     for (const StepTouch& at : EventTouches(simulator)) {

@@ -64,6 +64,7 @@ int BroadPhase::Find(const S* x, int stride, std::vector<Candidate>* candidates)
   for (int i = 0; i < num_discs(); ++i, x += stride) {
     now_[i].p = Vec2d(x[0], x[1]);
     now_[i].v = Vec2d(x[2], x[3]);
+    if (discs_[i].gyration2 > 0) now_[i].turning = std::sqrt(discs_[i].gyration2) * x[5];
   }
   return FindInMotion(candidates);
 }
@@ -270,14 +271,15 @@ void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
   group_size_.assign(n, 0);
   for (int i = 0; i < n; ++i) {
     if (discs_[i].fixed) continue;
-    const double fastest = now_[i].v.norm() + acceleration_[i] * options_.dt;
+    const double fastest = std::hypot(now_[i].v.norm(), now_[i].turning) + acceleration_[i] * options_.dt;
     energy_[Root(i)] += discs_[i].mass * fastest * fastest;
     ++group_size_[Root(i)];
   }
   for (int i = 0; i < n; ++i) {
     const int root = Root(i);
     // A group gains speed from forces too: each disc at most its own acceleration, times the mass ratio after impacts.
-    if (group_size_[root] > 1) speed_[i] = std::max(speed_[i], std::sqrt(energy_[root] / discs_[i].mass));
+    const bool may_gain = group_size_[root] > 1 || discs_[i].gyration2 > 0;
+    if (may_gain) speed_[i] = std::max(speed_[i], std::sqrt(energy_[root] / discs_[i].mass));
   }
 }
 

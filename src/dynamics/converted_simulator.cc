@@ -24,7 +24,7 @@ class ConvertedSimulator final : public Simulator {
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
     initial_.resize(initial.size());
-    Convert(scene_.units, inner_->scene().units, 4, initial, initial_);
+    ConvertInitial(initial, initial_);
     control_.resize(control.size());
     for (std::size_t i = 0; i < control.size(); ++i) control_[i] = to_inner_.force * control[i];
     inner_->set_memory_limit(memory_limit_);
@@ -50,7 +50,10 @@ class ConvertedSimulator final : public Simulator {
     SensitivityView inner = out;
     inner.factor *= to_outer_.force;
     inner_->AdjointInto(cotangent_, inner);
-    for (std::size_t i = 0; i < out.initial.size(); ++i) out.initial[i] *= FactorOf(to_inner_, i, 4);
+    const std::size_t moves = 4 * static_cast<std::size_t>(num_bodies());
+    for (std::size_t i = 0; i < out.initial.size(); ++i) {
+      out.initial[i] *= i < moves ? FactorOf(to_inner_, i, 4) : FactorOf(to_inner_, 4 + (i - moves) % kSpin, 4 + kSpin);
+    }
     for (double& entry : out.control) entry *= to_inner_.force;
     if (out.parameters != nullptr) ConvertParameters(out.parameters);
   }
@@ -83,15 +86,16 @@ class ConvertedSimulator final : public Simulator {
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
     std::vector<double> inner(initial.size());
-    Convert(scene_.units, inner_->scene().units, 4, initial, inner);
+    ConvertInitial(initial, inner);
     inner_->ExpandInitial(inner, x);
     Convert(inner_->scene().units, scene_.units, body_size(), x, x);
   }
 
  private:
-  // Of entry i of states with so many numbers for a disc.
+  // Of entry i of states with so many numbers for a disc. A model's own rotation has SI units.
   static double FactorOf(const UnitFactors& factors, std::size_t i, int body_size) {
     const std::size_t entry = i % body_size;
+    if (body_size == 4 + kSpin && entry == 5) return factors.rate;
     return entry < 2 ? factors.length : entry < 4 ? factors.speed : 1.0;
   }
 
@@ -111,6 +115,15 @@ class ConvertedSimulator final : public Simulator {
       out[i] = position[0];
       out[i + 1] = position[1];
       for (std::size_t j = i + 2; j < i + body_size; ++j) out[j] = in[j] * FactorOf(factors, j - i, body_size);
+    }
+  }
+
+  // An initial state: those of the discs, and then their rotations, if there are any.
+  void ConvertInitial(std::span<const double> initial, std::span<double> inner) const {
+    const std::size_t moves = 4 * static_cast<std::size_t>(num_bodies());
+    Convert(scene_.units, inner_->scene().units, 4, initial.first(moves), inner.first(moves));
+    for (std::size_t i = moves; i < initial.size(); ++i) {
+      inner[i] = initial[i] * FactorOf(to_inner_, 4 + (i - moves) % kSpin, 4 + kSpin);
     }
   }
 
@@ -141,7 +154,11 @@ class ConvertedSimulator final : public Simulator {
     }
     island->B *= to_inner_.force;
     for (Eigen::Index column = 2; column < island->P.cols(); ++column) {
-      island->P.col(column) *= column == 2 ? Stiffness() : column == 3 ? Damping() : to_inner_.mass;
+      const bool mass = column < 4 + static_cast<Eigen::Index>(island->bodies.size());
+      island->P.col(column) *= column == 2   ? Stiffness()
+                               : column == 3 ? Damping()
+                               : mass        ? to_inner_.mass
+                                             : 1 / to_inner_.moment_of_inertia;
     }
   }
 
@@ -150,6 +167,7 @@ class ConvertedSimulator final : public Simulator {
     gradient->damping *= Damping();
     gradient->gravity *= to_inner_.acceleration;
     for (double& mass : gradient->mass) mass *= to_inner_.mass;
+    for (double& inertia : gradient->inertia) inertia *= to_inner_.moment_of_inertia;
     for (Vec2d& force : gradient->force) force *= to_inner_.force;
   }
 

@@ -118,7 +118,7 @@ std::string Simulator::WhyFailed() const {
 }
 
 void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity) {
-  sensitivity->initial.resize(4 * num_bodies());
+  sensitivity->initial.resize(initial_size());
   sensitivity->control.resize(control_size());
   if (!with_parameters) sensitivity->parameters = {};
   AdjointInto(cotangent,
@@ -138,11 +138,36 @@ void Simulator::ExpandForce(std::span<const double> control, int k, std::span<do
   }
 }
 
+int InitialSize(const Scene& scene) { return (scene.Spins() ? 4 + kSpin : 4) * scene.num_bodies(); }
+
+std::vector<double> ToInitial(std::span<const double> state, int num_bodies) {
+  const std::size_t bodies = num_bodies, size = state.size() / bodies;
+  std::vector<double> initial;
+  for (std::size_t i = 0; i < bodies; ++i) initial.insert(initial.end(), &state[i * size], &state[i * size] + 4);
+  for (std::size_t i = 0; i < bodies && size == 4 + kSpin; ++i) {
+    initial.insert(initial.end(), &state[i * size] + 4, &state[i * size] + size);
+  }
+  return initial;
+}
+
+std::vector<double> ToState(std::span<const double> initial, int num_bodies) {
+  const std::size_t bodies = num_bodies, rotation = initial.size() / bodies - 4;
+  std::vector<double> state;
+  for (std::size_t i = 0; i < bodies; ++i) {
+    const double *moves = initial.data() + 4 * i, *turns = initial.data() + 4 * bodies + rotation * i;
+    state.insert(state.end(), moves, moves + 4);
+    state.insert(state.end(), turns, turns + rotation);
+  }
+  return state;
+}
+
 std::vector<double> InitialState(const Scene& scene) {
   std::vector<double> state;
   for (const Body& body : scene.bodies) {
     state.insert(state.end(), {body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
   }
+  if (!scene.Spins()) return state;
+  for (const Body& body : scene.bodies) state.insert(state.end(), {body.angle, body.angular_velocity});
   return state;
 }
 

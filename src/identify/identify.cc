@@ -85,6 +85,7 @@ class Identification {
     const std::string why = WhyNotApplicable(problem_.contact, problem_.scene);
     if (!why.empty()) return why;
     if (std::string wrong = WhatIsWrongWithTheLaw(); !wrong.empty()) return wrong;
+    if (problem_.scene.Spins()) return "the scene has discs that spin, of whose angles recordings know nothing";
     FindFreeBodies();
     if (problem_.unknowns.empty() && problem_.free_bodies.empty()) return "found nothing that is unknown";
     segments_ = CutIntoSegments(recordings_, options_.segment);

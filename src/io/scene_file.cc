@@ -5,6 +5,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
@@ -225,6 +226,16 @@ int ReadChoice(const Value& value, const std::vector<std::string>& choices) {
   return static_cast<int>(choice - choices.begin());
 }
 
+// In the order of TerminalTerm::Quantity.
+constexpr std::array kQuantities = {"position", "velocity", "angle", "angular_velocity"};
+
+Inertia ReadInertia(const Value& value) {
+  const std::string text = value.node.IsScalar() ? value.node.Scalar() : "";
+  if (text == "none") return {};
+  if (text == "solid") return {Inertia::Kind::kSolid};
+  return {Inertia::Kind::kGiven, ReadPlain<double>(value, "none, solid or a number in kg m^2")};
+}
+
 // Builds a Scene out of a YAML tree, and remembers the line of every path that it passes.
 class SceneReader {
  public:
@@ -347,7 +358,8 @@ std::vector<int> SceneReader::ReadBodyNames(const Value& value) {
 }
 
 Body SceneReader::ReadBody(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "radius", "mass", "fixed", "position", "velocity"});
+  const Fields fields = ReadFields(
+      value, {"name", "radius", "mass", "fixed", "position", "velocity", "inertia", "angle", "angular_velocity"});
   Body body;
   body.name = ReadName(fields.Require("name", "a name"));
   body.radius = ReadNumber(fields.Require("radius", "the radius in m"));
@@ -359,6 +371,9 @@ Body SceneReader::ReadBody(const Value& value) {
   }
   body.position = ReadVector(fields.Require("position", "the position [x, y] in m"));
   if (const Value* velocity = fields.Find("velocity")) body.velocity = ReadVector(*velocity);
+  if (const Value* inertia = fields.Find("inertia")) body.inertia = ReadInertia(*inertia);
+  if (const Value* angle = fields.Find("angle")) body.angle = ReadNumber(*angle);
+  if (const Value* spin = fields.Find("angular_velocity")) body.angular_velocity = ReadNumber(*spin);
   return body;
 }
 
@@ -437,9 +452,8 @@ Control SceneReader::ReadControl(const Value& value) {
 }
 
 TerminalTerm::Quantity SceneReader::ReadQuantity(const Fields& fields) {
-  const Value& quantity = fields.Require("quantity", "position or velocity");
-  return ReadChoice(quantity, {"position", "velocity"}) == 0 ? TerminalTerm::Quantity::kPosition
-                                                             : TerminalTerm::Quantity::kVelocity;
+  const Value& quantity = fields.Require("quantity", "position, velocity, angle or angular_velocity");
+  return static_cast<TerminalTerm::Quantity>(ReadChoice(quantity, {kQuantities.begin(), kQuantities.end()}));
 }
 
 TerminalTerm SceneReader::ReadTerm(const Value& value) {
@@ -452,6 +466,8 @@ TerminalTerm SceneReader::ReadTerm(const Value& value) {
     if (const Value* target = fields.Find("target")) {
       Fail(*target, "found a target, expected none: with a component the term is linear");
     }
+  } else if (term.IsOfSpin()) {
+    term.target = {ReadNumber(fields.Require("target", "the target in rad or rad/s")), 0};
   } else {
     term.target = ReadVector(fields.Require("target", "the target [x, y], or component: x or y"));
   }
@@ -563,7 +579,8 @@ Scene SceneReader::Read(const YAML::Node& root) {
                                     "objective",
                                     "no_contact",
                                     "optimize",
-                                    "free"});
+                                    "free",
+                                    "free_spin"});
   scene_.name = ReadName(fields.Require("name", "the name of the scene"));
   scene_.duration = ReadNumber(fields.Require("duration", "the duration in s"));
   scene_.steps = ReadSteps(fields.Require("steps", "the number of steps"));
@@ -598,6 +615,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
       if (!scene_.bodies[i].fixed) scene_.free.push_back(i);
     }
   }
+  if (const Value* spin = fields.Find("free_spin")) scene_.free_spin = ReadBodyNames(*spin);
   return scene_;
 }
 
@@ -636,6 +654,16 @@ void WriteNames(YAML::Emitter* out, const char* key, const Scene& scene, const s
   *out << YAML::EndSeq;
 }
 
+void WriteSpin(YAML::Emitter* out, const Body& body) {
+  if (body.inertia.kind == Inertia::Kind::kSolid) {
+    WriteField(out, "inertia", "solid");
+  } else {
+    WriteField(out, "inertia", body.inertia.moment);
+  }
+  WriteField(out, "angle", body.angle);
+  WriteField(out, "angular_velocity", body.angular_velocity);
+}
+
 void WriteBody(YAML::Emitter* out, const Body& body) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteField(out, "name", body.name);
@@ -647,6 +675,7 @@ void WriteBody(YAML::Emitter* out, const Body& body) {
   }
   WriteField(out, "position", body.position);
   if (!body.fixed) WriteField(out, "velocity", body.velocity);
+  if (body.Spins()) WriteSpin(out, body);
   *out << YAML::EndMap;
 }
 
@@ -721,7 +750,7 @@ void WriteControl(YAML::Emitter* out, const Scene& scene) {
 }
 
 void WriteQuantity(YAML::Emitter* out, TerminalTerm::Quantity quantity) {
-  WriteField(out, "quantity", quantity == TerminalTerm::Quantity::kPosition ? "position" : "velocity");
+  WriteField(out, "quantity", kQuantities[static_cast<size_t>(quantity)]);
 }
 
 // The weight of a term that may be a constraint instead.
@@ -739,6 +768,8 @@ void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term)
   WriteQuantity(out, term.quantity);
   if (term.component) {
     WriteField(out, "component", *term.component == 0 ? "x" : "y");
+  } else if (term.IsOfSpin()) {
+    WriteField(out, "target", term.target[0]);
   } else {
     WriteField(out, "target", term.target);
   }
@@ -864,6 +895,7 @@ std::string WriteScene(const Scene& scene) {
   WriteTerms(&out, "no_contact", scene, scene.no_contact, WriteNoContact);
   WriteField(&out, "optimize", OptimizeToString(scene.optimize));
   if (!scene.free.empty()) WriteNames(&out, "free", scene, scene.free);
+  if (!scene.free_spin.empty()) WriteNames(&out, "free_spin", scene, scene.free_spin);
   out << YAML::EndMap;
   return std::string(out.c_str()) + '\n';
 }

@@ -79,6 +79,7 @@ class Rules {
     CheckControl();
     CheckObjective();
     CheckFree();
+    CheckFreeSpin();
     CheckNoContact();
     if (all_ && !error_) CheckOverlap();  // meaningful for finite numbers only
     return error_;
@@ -168,7 +169,21 @@ class Rules {
       Vector(At("bodies", i, "velocity"), body.velocity);
       if (body.fixed)
         Expect(body.velocity.isZero(0), At("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
+      CheckSpin(i);
     }
+  }
+
+  void CheckSpin(std::size_t i) {
+    const Body& body = scene_.bodies[i];
+    if (body.inertia.kind == Inertia::Kind::kGiven) Number(At("bodies", i, "inertia"), body.inertia.moment, kPositive);
+    Expect(
+        !body.Spins() || !body.fixed, At("bodies", i, "inertia"), "found an inertia, expected none: the body is fixed");
+    Number(At("bodies", i, "angle"), body.angle, kAny);
+    Number(At("bodies", i, "angular_velocity"), body.angular_velocity, kAny);
+    if (body.Spins()) return;
+    constexpr char kNoInertia[] = "expected 0, or inertia: solid or a number in kg m^2: without inertia it cannot spin";
+    Expect(body.angle == 0, At("bodies", i, "angle"), kNoInertia);
+    Expect(body.angular_velocity == 0, At("bodies", i, "angular_velocity"), kNoInertia);
   }
 
   void CheckPlanes() {
@@ -263,10 +278,18 @@ class Rules {
     for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], kPositive);
   }
 
+  void PositionOrVelocity(const Key& key, TerminalTerm::Quantity quantity) {
+    using Quantity = TerminalTerm::Quantity;
+    Expect(quantity == Quantity::kPosition || quantity == Quantity::kVelocity,
+           key,
+           "found one of spin, expected position or velocity: angles are read at the final time only");
+  }
+
   void CheckRunning() {
     for (std::size_t i = 0; i < scene_.objective.running.size(); ++i) {
       const RunningTerm& term = scene_.objective.running[i];
       BodyIndex(At("objective.running", i, "body"), term.body);
+      PositionOrVelocity(At("objective.running", i, "quantity"), term.quantity);
       const Key target = At("objective.running", i, "target");
       Expect(!term.times.empty() && term.times.size() == term.targets.size(), target, "expected rows [time, x, y]");
       for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
@@ -283,6 +306,7 @@ class Rules {
     for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
       const ViaTerm& term = scene_.objective.via[i];
       BodyIndex(At("objective.via", i, "body"), term.body);
+      PositionOrVelocity(At("objective.via", i, "quantity"), term.quantity);
       Vector(At("objective.via", i, "target"), term.target);
       Number(At("objective.via", i, "weight"), term.weight, kNotNegative);
       Expect(term.time > 0 && term.time < scene_.duration, At("objective.via", i, "time"), [&] {
@@ -326,6 +350,15 @@ class Rules {
       Expect(!term.component || *term.component == 0 || *term.component == 1,
              At("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
+      if (term.IsOfSpin() && !error_) {
+        Expect(scene_.bodies[term.body].Spins(), At("objective.terminal", i, "quantity"), [&] {
+          return "found one of spin, expected position or velocity: " + scene_.bodies[term.body].name +
+                 " has no inertia and cannot spin";
+        });
+        Expect(!term.component && term.target[1] == 0,
+               At("objective.terminal", i, "target"),
+               "expected one number, and no component: it is of spin");
+      }
       Expect(!term.hard || !term.component,
              At("objective.terminal", i, "hard"),
              "found a hard term with a component, expected a target: a linear term is no constraint");
@@ -345,6 +378,20 @@ class Rules {
     if (!all_) return;
     const bool needed = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
     Expect(!needed || !scene_.free.empty(), {"free"}, "found no body, expected at least one that moves");
+  }
+
+  void CheckFreeSpin() {
+    Movable("free_spin", scene_.free_spin);
+    for (std::size_t i = 0; i < scene_.free_spin.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[scene_.free_spin[i]];
+      Expect(body.Spins(), At("free_spin", i), [&] {
+        return "found " + body.name + ", which has no inertia; expected a body that spins";
+      });
+    }
+    if (!all_ || scene_.free_spin.empty()) return;
+    Expect(scene_.optimize == Optimize::kVelocity,
+           {"free_spin"},
+           "found bodies, expected none: angular velocities are optimized with optimize: velocity");
   }
 
   void CheckOverlap() {
@@ -421,6 +468,10 @@ bool Objective::HasConstraints() const {
 
 bool Objective::IsSumOfSquares() const {
   return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
+}
+
+bool Scene::Spins() const {
+  return std::any_of(bodies.begin(), bodies.end(), [](const Body& body) { return body.Spins(); });
 }
 
 const char* OptimizeToString(Optimize optimize) {

@@ -89,7 +89,11 @@ double SpeedOf(const Scene& scene, double length) {
   const double mean = length / scene.duration;
   const double table = scene.table ? scene.table->friction * scene.table->gravity : 0;
   double square = mean * mean, gravity = scene.gravity.norm() + table, acceleration = gravity;
-  for (const Body& body : scene.bodies) square = std::max(square, body.velocity.squaredNorm());
+  for (const Body& body : scene.bodies) {
+    square = std::max(square, body.velocity.squaredNorm());
+    // Friction turns the speed of the rim into speed.
+    if (body.Spins()) square = std::max(square, std::pow(body.radius * body.angular_velocity, 2));
+  }
   for (size_t i = 0; i < scene.control.bodies.size(); ++i) {
     const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
     acceleration = std::max(acceleration, gravity + push);
@@ -101,12 +105,25 @@ double SpeedOf(const Scene& scene, double length) {
   return NearestPowerOfRoot(std::max(square, acceleration * length));
 }
 
+double SizeOf(TerminalTerm::Quantity quantity, const Units& units) {
+  switch (quantity) {
+    case TerminalTerm::Quantity::kPosition:
+      return units.length;
+    case TerminalTerm::Quantity::kVelocity:
+      return units.speed();
+    case TerminalTerm::Quantity::kAngle:
+      return 1;
+    case TerminalTerm::Quantity::kAngularVelocity:
+      break;
+  }
+  return 1 / units.time;
+}
+
 // Of scenes in any units, whose size is 1 then.
 double LossOf(const Scene& scene, const Units& units) {
   double loss = 0;
   for (const TerminalTerm& term : scene.objective.terminal) {
-    const bool position = term.quantity == TerminalTerm::Quantity::kPosition;
-    const double size = position ? units.length : units.speed();
+    const double size = SizeOf(term.quantity, units);
     loss = std::max(loss, std::abs(term.weight) * (term.component ? size : size * size));
   }
   if (!scene.control.bodies.empty()) {
@@ -126,7 +143,9 @@ UnitFactors::UnitFactors(const Units& from, const Units& to)
       loss(from.loss / to.loss),
       speed(from.speed() / to.speed()),
       acceleration(from.acceleration() / to.acceleration()),
-      force(from.force() / to.force()) {}
+      force(from.force() / to.force()),
+      rate(to.time / from.time),
+      moment_of_inertia(from.moment_of_inertia() / to.moment_of_inertia()) {}
 
 Units NaturalUnits(const Scene& scene) {
   if (scene.units.natural) return scene.units;
@@ -180,6 +199,16 @@ std::vector<double> ConvertStates(std::vector<double> states, const Units& from,
   return states;
 }
 
+std::vector<double> ConvertInitial(std::vector<double> initial, int bodies, const Units& from, const Units& to) {
+  const size_t moves = std::min(initial.size(), 4 * static_cast<size_t>(bodies));
+  const std::vector<double> rotations(initial.begin() + static_cast<std::ptrdiff_t>(moves), initial.end());
+  initial.resize(moves);
+  initial = ConvertStates(std::move(initial), from, to);
+  const double rate = UnitFactors(from, to).rate;
+  for (size_t i = 0; i < rotations.size(); ++i) initial.push_back(i % 2 == 0 ? rotations[i] : rate * rotations[i]);
+  return initial;
+}
+
 std::vector<double> Multiplied(std::vector<double> numbers, double factor) {
   for (double& number : numbers) number *= factor;
   return numbers;
@@ -197,6 +226,8 @@ Scene InUnits(const Scene& scene, const Units& units) {
     body.mass *= by.mass;
     convert_position(&body.position);
     body.velocity *= by.speed;
+    body.inertia.moment *= by.moment_of_inertia;
+    body.angular_velocity *= by.rate;
   }
   for (Plane& plane : out.planes) convert_position(&plane.point);
   for (EdgeSegment& segment : out.segments) {
@@ -216,14 +247,25 @@ Scene InUnits(const Scene& scene, const Units& units) {
   for (Vec2d& force : out.control.initial) force *= by.force;
   out.control.max = Multiplied(std::move(out.control.max), by.force);
   out.control.max_norm = Multiplied(std::move(out.control.max_norm), by.force);
+  using Quantity = TerminalTerm::Quantity;
   const auto size_of = [&](const auto& term) {
-    return term.quantity == TerminalTerm::Quantity::kPosition ? by.length : by.speed;
+    switch (term.quantity) {
+      case Quantity::kPosition:
+        return by.length;
+      case Quantity::kVelocity:
+        return by.speed;
+      case Quantity::kAngle:
+        return 1.0;
+      case Quantity::kAngularVelocity:
+        break;
+    }
+    return by.rate;
   };
   const auto convert_target = [&](const auto& term, Vec2d* target) {
-    if (term.quantity == TerminalTerm::Quantity::kPosition) {
+    if (term.quantity == Quantity::kPosition) {
       convert_position(target);
     } else {
-      *target *= by.speed;
+      *target *= size_of(term);
     }
   };
   for (TerminalTerm& term : out.objective.terminal) {

@@ -29,6 +29,7 @@ namespace saltus {
 struct UnitFactors {
   UnitFactors(const Units& from, const Units& to);
   double length, time, mass, loss, speed, acceleration, force;
+  double rate, moment_of_inertia;  // of angular velocities, 1/time; mass length^2
 };
 
 // The same scene in other units. Precondition: `scene` is valid in SI units.
@@ -48,6 +49,8 @@ Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to)
 
 // States of the discs, p_x p_y v_x v_y of each.
 std::vector<double> ConvertStates(std::vector<double> states, const Units& from, const Units& to);
+// An initial state of so many bodies: their states, and then the rotations of the discs, if any spin.
+std::vector<double> ConvertInitial(std::vector<double> initial, int bodies, const Units& from, const Units& to);
 
 double ConvertLoss(double loss, const Units& from, const Units& to);
 

@@ -14,8 +14,13 @@ void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
     z->back() = duration;
     return;
   }
+  if (scene.optimize == Optimize::kVelocity) {
+    const size_t turning = z->size() - scene.free_spin.size();
+    for (size_t i = 0; i < z->size(); ++i) (*z)[i] *= i < turning ? to_si.speed : to_si.rate;
+    return;
+  }
   if (scene.optimize != Optimize::kPosition) {
-    *z = Multiplied(std::move(*z), scene.optimize == Optimize::kVelocity ? to_si.speed : to_si.force);
+    *z = Multiplied(std::move(*z), to_si.force);
     return;
   }
   for (size_t i = 0; i + 1 < z->size(); i += 2) {
@@ -52,12 +57,13 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   for (double& loss : report.losses) convert_loss(&loss);
   if (report.best) {
     convert_loss(&report.best->loss);
-    report.best->initial_state = ConvertStates(std::move(report.best->initial_state), scene.units, si);
+    report.best->initial_state =
+        ConvertInitial(std::move(report.best->initial_state), scene.num_bodies(), scene.units, si);
     report.best->control = Multiplied(std::move(report.best->control), to_si.force);
     report.best->durations = Multiplied(std::move(report.best->durations), to_si.time);
   }
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
-  report.initial_state = ConvertStates(std::move(report.initial_state), scene.units, si);
+  report.initial_state = ConvertInitial(std::move(report.initial_state), scene.num_bodies(), scene.units, si);
   report.control = Multiplied(std::move(report.control), to_si.force);
   report.durations = Multiplied(std::move(report.durations), to_si.time);
   if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);

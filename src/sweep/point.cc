@@ -79,10 +79,10 @@ double Norm(const std::vector<double>& values) {
   return std::sqrt(sum);
 }
 
-// x and y of every body, from B x 4 numbers; offset 0 for positions, 2 for velocities.
-std::vector<double> Pairs(const std::vector<double>& initial, size_t offset) {
+// x and y of every body, from numbers in the shape of an initial state; offset 0 for positions, 2 for velocities.
+std::vector<double> Pairs(const Scene& scene, const std::vector<double>& initial, size_t offset) {
   std::vector<double> pairs;
-  for (size_t i = 0; i < initial.size(); i += 4) {
+  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
     pairs.insert(pairs.end(), {initial[i + offset], initial[i + offset + 1]});
   }
   return pairs;
@@ -110,8 +110,8 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     }
   }
   Append({FiniteOrNothing(gradient.loss),
-          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 0))),
-          FiniteOrNothing(Norm(Pairs(gradient.gradient.initial, 2))),
+          FiniteOrNothing(Norm(Pairs(request.scene, gradient.gradient.initial, 0))),
+          FiniteOrNothing(Norm(Pairs(request.scene, gradient.gradient.initial, 2))),
           FiniteOrNothing(Norm(gradient.gradient.control)),
           error},
          &result.row);

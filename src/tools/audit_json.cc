@@ -121,8 +121,8 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
   if (!audit.gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, audit.gradient.one_sided);
   if (!audit.gradient.initial_error.empty()) {
-    item["standard_error"] = {{"position", VectorsToJson(audit.gradient.initial_error, 0)},
-                              {"velocity", VectorsToJson(audit.gradient.initial_error, 2)},
+    item["standard_error"] = {{"position", VectorsToJson(scene, audit.gradient.initial_error, 0)},
+                              {"velocity", VectorsToJson(scene, audit.gradient.initial_error, 2)},
                               {"control", ControlToJson(scene, audit.gradient.control_error)}};
   }
   if (audit.error) {

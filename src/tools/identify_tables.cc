@@ -318,8 +318,8 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
         item["segments"].push_back({{"recording", identified.recordings[report.segment_recording[s]].name},
                                     {"begin", NumberToJson(report.segment_begin[s])},
-                                    {"position", VectorsToJson(report.initial[s], 0)},
-                                    {"velocity", VectorsToJson(report.initial[s], 2)}});
+                                    {"position", VectorsToJson(scene, report.initial[s], 0)},
+                                    {"velocity", VectorsToJson(scene, report.initial[s], 2)}});
       }
     }
     item["starts"] = report.starts;

@@ -15,25 +15,35 @@ Json ParametersToJson(const ParameterGradient& p) {
   Json mass = Json::array(), force = Json::array();
   for (double value : p.mass) mass.push_back(NumberToJson(value));
   for (const Vec2d& value : p.force) force.push_back({NumberToJson(value[0]), NumberToJson(value[1])});
-  return {{"restitution", NumberToJson(p.restitution)},
-          {"friction", NumberToJson(p.friction)},
-          {"stiffness", NumberToJson(p.stiffness)},
-          {"damping", NumberToJson(p.damping)},
-          {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
-          {"mass", mass},
-          {"force", force}};
+  Json item = {{"restitution", NumberToJson(p.restitution)},
+               {"friction", NumberToJson(p.friction)},
+               {"stiffness", NumberToJson(p.stiffness)},
+               {"damping", NumberToJson(p.damping)},
+               {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
+               {"mass", mass},
+               {"force", force}};
+  for (double value : p.inertia) item["inertia"].push_back(NumberToJson(value));
+  return item;
 }
 
 }  // namespace
 
 Json NumberToJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 
-Json VectorsToJson(const std::vector<double>& initial, int offset) {
+Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset) {
   Json vectors = Json::array();
-  for (size_t i = 0; i < initial.size(); i += 4) {
+  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
     vectors.push_back({NumberToJson(initial[i + offset]), NumberToJson(initial[i + offset + 1])});
   }
   return vectors;
+}
+
+Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry) {
+  Json rotations = Json::array();
+  for (size_t i = 4 * scene.bodies.size() + entry; i < initial.size(); i += kSpin) {
+    rotations.push_back(NumberToJson(initial[i]));
+  }
+  return rotations;
 }
 
 Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
@@ -141,10 +151,14 @@ Json NumbersToJson(const std::vector<double>& values) {
 }
 
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
-  return {{"position", VectorsToJson(gradient.initial, 0)},
-          {"velocity", VectorsToJson(gradient.initial, 2)},
-          {"control", ControlToJson(scene, gradient.control)},
-          {"parameters", ParametersToJson(gradient.parameters)}};
+  Json item = {{"position", VectorsToJson(scene, gradient.initial, 0)},
+               {"velocity", VectorsToJson(scene, gradient.initial, 2)},
+               {"control", ControlToJson(scene, gradient.control)},
+               {"parameters", ParametersToJson(gradient.parameters)}};
+  if (!scene.Spins()) return item;
+  item["angle"] = RotationsToJson(scene, gradient.initial, 0);
+  item["angular_velocity"] = RotationsToJson(scene, gradient.initial, 1);
+  return item;
 }
 
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {

@@ -14,7 +14,9 @@ namespace saltus {
 using Json = nlohmann::ordered_json;
 
 // [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
-Json VectorsToJson(const std::vector<double>& initial, int offset);
+Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset);
+// The angles (entry 0) or angular velocities (entry 1) of all discs in it. Precondition: the scene has discs that spin.
+Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry);
 // [[ [x, y] per controlled disc ] per control interval], from K x C x 2 numbers; [] without control.
 Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 Json EventsToJson(const std::vector<Event>& events);

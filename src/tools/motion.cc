@@ -98,8 +98,11 @@ class Way {
 class Recorder {
  public:
   Recorder(const Scene& scene, const MotionOptions& options, size_t nodes, Motion* motion)
-      : bodies_(scene.bodies.size()), stride_((nodes + options.most_nodes - 1) / options.most_nodes), motion_(motion) {
-    const size_t kept = nodes / stride_ + 2, each = bodies_ * 4 * sizeof(double);
+      : bodies_(scene.bodies.size()),
+        spins_(scene.Spins()),
+        stride_((nodes + options.most_nodes - 1) / options.most_nodes),
+        motion_(motion) {
+    const size_t kept = nodes / stride_ + 2, each = bodies_ * (spins_ ? 4 + kSpin : 4) * sizeof(double);
     instants_left_ = options.most_nodes > kept ? (options.most_nodes - kept) / 2 : 0;
     instants_left_ = std::min(instants_left_, (options.most_bytes / each) / 2);
     if (kept > options.most_bytes / each) {
@@ -118,7 +121,9 @@ class Recorder {
   void Add(double time, std::span<const double> x, int body_size) {
     motion_->times.push_back(time);
     for (size_t i = 0; i < bodies_; ++i) {
-      motion_->states.insert(motion_->states.end(), x.begin() + i * body_size, x.begin() + i * body_size + 4);
+      const auto body = x.begin() + static_cast<std::ptrdiff_t>(i) * body_size;
+      motion_->states.insert(motion_->states.end(), body, body + 4);
+      if (spins_) motion_->rotations.insert(motion_->rotations.end(), body + 4, body + 4 + kSpin);
     }
   }
   void AddNode(double time, std::span<const double> x, int body_size, bool last = false) {
@@ -126,7 +131,9 @@ class Recorder {
   }
 
  private:
-  size_t bodies_, stride_, instants_left_ = 0, number_ = 0;
+  size_t bodies_;
+  bool spins_;
+  size_t stride_, instants_left_ = 0, number_ = 0;
   Motion* motion_;
 };
 
@@ -183,6 +190,7 @@ class ExactMotion {
   ExactMotion(const Scene& scene, const MotionOptions& options, size_t nodes)
       : scene_(scene),
         options_(options),
+        size_(InitialSize(scene) / scene.num_bodies()),
         recorder_(scene, options, nodes, &motion_),
         touches_(&motion_, kOneInstant * scene.duration) {
     motion_.arcs = recorder_.whole();
@@ -190,7 +198,7 @@ class ExactMotion {
 
   Motion Run(std::vector<double> x, const std::vector<double>& control, const std::vector<double>& lengths) {
     const size_t width = 2 * scene_.num_controlled();
-    if (motion_.failure.empty()) recorder_.AddNode(0, x, 4);
+    if (motion_.failure.empty()) recorder_.AddNode(0, ToState(x, scene_.num_bodies()), size_);
     for (const Group& group : GroupsOf(lengths)) {
       if (!motion_.failure.empty()) break;
       Scene part = scene_;
@@ -222,10 +230,10 @@ class ExactMotion {
       for (; event != events.end() && event->step == k; ++event) here.push_back(*event);
       if (!here.empty()) AddInstants(way, here, h);
       for (; touch != touches.end() && touch->step == k; ++touch) Extend(*touch, k * h, h);
-      recorder_.AddNode(start_ + (k + 1) * h, way.next(), 4, k + 1 == way.num_steps());
+      recorder_.AddNode(start_ + (k + 1) * h, way.next(), size_, k + 1 == way.num_steps());
     }
     start_ += way.num_steps() * h;
-    x->assign(way.next().begin(), way.next().end());
+    *x = ToInitial(way.next(), scene_.num_bodies());
   }
 
   // The states before and after each event of a step: from the last one flown, or begun with, once more.
@@ -242,16 +250,16 @@ class ExactMotion {
       while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
       if (time - now > kOneInstant * h) {
         before = Fly(before, way.force(), time - now);
-        recorder_.Add(instant, before, 4);
+        recorder_.Add(instant, before, size_);
         now = time;
       }
       std::vector<double> after = Fly(before, way.force(), kJustAfter * h);
-      for (size_t j = 0; j < after.size(); j += 4) std::copy_n(before.begin() + j, 2, after.begin() + j);
-      recorder_.Add(instant, after, 4);
+      for (size_t j = 0; j < after.size(); j += size_) std::copy_n(before.begin() + j, 2, after.begin() + j);
+      recorder_.Add(instant, after, size_);
       for (size_t j = i; j < end; ++j) {
         Report(events[j],
                start_ + way.step() * h,
-               ImpulseOn(scene_, events[j].touch.candidate, before, after, 4, way.force(), kJustAfter * h));
+               ImpulseOn(scene_, events[j].touch.candidate, before, after, size_, way.force(), kJustAfter * h));
       }
     }
   }
@@ -286,6 +294,7 @@ class ExactMotion {
   const Scene& scene_;
   const MotionOptions& options_;
   Motion motion_;
+  int size_;  // of a body's state
   Recorder recorder_;
   TouchCollector touches_;
   double start_ = 0;  // s, of the group
@@ -294,6 +303,7 @@ class ExactMotion {
 Motion ConvertMotion(Motion motion, const Units& from, const Units& to) {
   const UnitFactors by(from, to);
   motion.states = ConvertStates(std::move(motion.states), from, to);
+  for (size_t i = 1; i < motion.rotations.size(); i += kSpin) motion.rotations[i] *= by.rate;
   for (double& time : motion.times) time *= by.time;
   for (TouchSpan& touch : motion.touches) {
     touch.begin *= by.time;
@@ -323,8 +333,9 @@ Motion SimulateExactMotion(const Scene& given, const MotionInput& input, const M
     lengths = Multiplied(input.durations, to.time);
   }
   ExactMotion exact(scene, options, lengths.size() + 1);
-  Motion motion =
-      exact.Run(ConvertStates(input.initial, given.units, scene.units), Multiplied(input.control, to.force), lengths);
+  Motion motion = exact.Run(ConvertInitial(input.initial, scene.num_bodies(), given.units, scene.units),
+                            Multiplied(input.control, to.force),
+                            lengths);
   return ConvertMotion(std::move(motion), scene.units, given.units);
 }
 
@@ -367,12 +378,17 @@ Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionIn
 Motion AtNodes(const Motion& motion, const std::vector<double>& nodes) {
   Motion at{.times = nodes, .states = {}, .arcs = false, .touches = motion.touches, .failure = motion.failure};
   if (motion.times.empty()) return at;
-  const size_t width = motion.states.size() / motion.times.size();
   const double margin = 1e-10 * motion.times.back();
   size_t row = 0;
   for (const double time : nodes) {
     while (row + 1 < motion.times.size() && motion.times[row] < time - margin) ++row;
-    at.states.insert(at.states.end(), motion.states.begin() + row * width, motion.states.begin() + (row + 1) * width);
+    const auto take = [&](const std::vector<double>& from, std::vector<double>* to) {
+      const auto width = static_cast<std::ptrdiff_t>(from.size() / motion.times.size());
+      const auto begin = from.begin() + static_cast<std::ptrdiff_t>(row) * width;
+      to->insert(to->end(), begin, begin + width);
+    };
+    take(motion.states, &at.states);
+    take(motion.rotations, &at.rotations);
   }
   return at;
 }

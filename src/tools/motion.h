@@ -19,6 +19,8 @@ struct TouchSpan {
 struct Motion {
   std::vector<double> times;   // s, never falling; where velocities jump the instant stands twice, before and after
   std::vector<double> states;  // times.size() x B x 4
+  // Of scenes with discs that spin, angle and angular velocity: times.size() x B x 2; else empty.
+  std::vector<double> rotations = {};
   // Between two times accelerations are constant: positions are the cubic that states at both ends determine.
   bool arcs = false;
   std::vector<TouchSpan> touches;  // by their beginnings
@@ -27,7 +29,7 @@ struct Motion {
 
 // An initial state and a control on intervals, as SolveReport has them.
 struct MotionInput {
-  std::vector<double> initial;    // B x 4
+  std::vector<double> initial;    // as in simulator.h
   std::vector<double> control;    // K x C x 2
   std::vector<double> durations;  // s, of the K intervals; none: equally long
 };

@@ -92,6 +92,19 @@ class Reader {
       if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
       for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[i / 2 * 4 + offset + i % 2] = numbers[i];
     }
+    const auto spins = run.find("angular_velocity");
+    if (spins == run.end() || !scene_.Spins()) return;
+    const bool fits = spins->is_array() && spins->size() == scene_.bodies.size() &&
+                      std::all_of(spins->begin(), spins->end(), [](const Json& item) { return item.is_number(); });
+    if (!fits) Fail("angular_velocity", "a list of " + std::to_string(scene_.num_bodies()) + " finite numbers");
+    SetAngularVelocities(spins->get<std::vector<double>>());
+  }
+
+  // Of `initial_state`, which begins as the scene's: entry 1 of each rotation.
+  void SetAngularVelocities(const std::vector<double>& numbers) {
+    if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
+    const size_t moves = 4 * scene_.bodies.size();
+    for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[moves + kSpin * i + 1] = numbers[i];
   }
 
   std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
@@ -121,8 +134,19 @@ class Reader {
       if (initial->second.shape != std::vector<int64_t>{bodies, 4}) {
         Fail("initial_state", "a shape of (" + std::to_string(bodies) + ", 4)");
       }
-      solution_.initial_state = Numbers(initial->second, "initial_state");
+      const std::vector<double> numbers = Numbers(initial->second, "initial_state");
+      solution_.initial_state = InitialState(scene_);
+      std::copy(numbers.begin(), numbers.end(), solution_.initial_state.begin());
     }
+    const auto rotation = arrays->find("initial_rotation");
+    if (rotation == arrays->end() || !scene_.Spins()) return;
+    if (rotation->second.shape != std::vector<int64_t>{bodies, kSpin}) {
+      Fail("initial_rotation", "a shape of (" + std::to_string(bodies) + ", 2)");
+    }
+    const std::vector<double> numbers = Numbers(rotation->second, "initial_rotation");
+    std::vector<double> spins;
+    for (size_t i = 1; i < numbers.size(); i += kSpin) spins.push_back(numbers[i]);
+    SetAngularVelocities(spins);
   }
 
   void CheckDurations() const {
@@ -170,6 +194,14 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
     };
     take(Vec2d(x[0], x[1]), "position", is_free && scene->optimize == Optimize::kPosition, &body.position);
     take(Vec2d(x[2], x[3]), "velocity", is_free && scene->optimize == Optimize::kVelocity, &body.velocity);
+    if (!body.Spins()) continue;
+    const double spin = solution.initial_state[4 * scene->bodies.size() + kSpin * i + 1];
+    if (std::find(scene->free_spin.begin(), scene->free_spin.end(), i) != scene->free_spin.end()) {
+      body.angular_velocity = spin;
+    } else if (std::abs(spin - body.angular_velocity) > kSameStart * (1 + std::abs(body.angular_velocity))) {
+      throw InputError(flag + ": the angular velocity of " + body.name +
+                       " is not the scene's, and not free: a solution of another scene");
+    }
   }
 }
 

@@ -33,9 +33,15 @@ std::optional<double> LossUnderModel(const Scene& given, const Contact& contact,
   return std::nullopt;
 }
 
-std::vector<double> LastState(const Motion& motion, size_t numbers) {
-  if (!motion.failure.empty() || motion.states.size() < numbers) return {};
-  return {motion.states.end() - static_cast<std::ptrdiff_t>(numbers), motion.states.end()};
+// In the shape of an initial state.
+std::vector<double> LastState(const Motion& motion) {
+  if (!motion.failure.empty() || motion.times.empty()) return {};
+  std::vector<double> last;
+  for (const std::vector<double>* all : {&motion.states, &motion.rotations}) {
+    const auto row = static_cast<std::ptrdiff_t>(all->size() / motion.times.size());
+    last.insert(last.end(), all->end() - row, all->end());
+  }
+  return last;
 }
 
 bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
@@ -57,7 +63,7 @@ void CheckRun(const Scene& scene, const Contact& contact, Precision precision, S
   ends.precision = precision;
   ends.most_nodes = 2;
   const MotionInput input{report.initial_state, report.control, report.durations};
-  run->final_state = LastState(SimulateMotion(scene, contact, input, ends), 4 * scene.bodies.size());
+  run->final_state = LastState(SimulateMotion(scene, contact, input, ends));
 }
 
 SolvedRun SimulateOnly(const Request& request, const std::string& contact) {

@@ -13,20 +13,28 @@ namespace {
 
 constexpr size_t kState = 4;  // p_x p_y v_x v_y
 
-Json StateToJson(const double* x, size_t bodies) {
+// With the rotations, if there are any.
+Json StateToJson(const double* x, const double* rotations, size_t bodies) {
   Json state = Json::array();
-  for (size_t i = 0; i < bodies; ++i, x += kState) {
+  for (size_t i = 0; i < bodies; ++i) {
     Json body = Json::array();
-    for (size_t j = 0; j < kState; ++j) body.push_back(NumberToJson(x[j]));
+    for (size_t j = 0; j < kState; ++j) body.push_back(NumberToJson(x[kState * i + j]));
+    for (size_t j = 0; j < kSpin && rotations != nullptr; ++j) body.push_back(NumberToJson(rotations[kSpin * i + j]));
     state.push_back(std::move(body));
   }
   return state;
 }
 
+// Of numbers in the shape of an initial state.
+Json StateToJson(const std::vector<double>& x, size_t bodies) {
+  return StateToJson(x.data(), x.size() > kState * bodies ? &x[kState * bodies] : nullptr, bodies);
+}
+
 Json StatesToJson(const Motion& motion, size_t bodies) {
   Json states = Json::array();
   for (size_t k = 0; k < motion.times.size(); ++k) {
-    states.push_back(StateToJson(&motion.states[k * bodies * kState], bodies));
+    const double* rotations = motion.rotations.empty() ? nullptr : &motion.rotations[k * bodies * kSpin];
+    states.push_back(StateToJson(&motion.states[k * bodies * kState], rotations, bodies));
   }
   return states;
 }
@@ -84,9 +92,18 @@ void AddMotion(const Motion& motion, const std::string& prefix, int64_t bodies, 
   const int64_t rows = static_cast<int64_t>(motion.times.size());
   (*arrays)[prefix + "times"] = {{rows}, motion.times};
   (*arrays)[prefix + "states"] = {{rows, bodies, static_cast<int64_t>(kState)}, motion.states};
+  if (!motion.rotations.empty()) (*arrays)[prefix + "rotations"] = {{rows, bodies, kSpin}, motion.rotations};
 }
 
 NpyArray ScalarText(const std::string& text) { return {{}, std::vector<std::string>{text}}; }
+
+// An initial state: positions and velocities, and the rotations, if there are any.
+void AddInitial(const std::string& prefix, const std::vector<double>& initial, int64_t bodies, NpzArrays* arrays) {
+  const auto moves = initial.begin() + static_cast<std::ptrdiff_t>(kState) * bodies;
+  (*arrays)[prefix + "state"] = {{bodies, static_cast<int64_t>(kState)}, std::vector<double>(initial.begin(), moves)};
+  if (moves == initial.end()) return;
+  (*arrays)[prefix + "rotation"] = {{bodies, kSpin}, std::vector<double>(moves, initial.end())};
+}
 
 NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
   const SolveReport& report = run.report;
@@ -94,7 +111,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
   const int64_t controlled = request.scene.num_controlled();
   NpzArrays arrays;
   if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
-  arrays["initial_state"] = {{bodies, 4}, report.initial_state};
+  AddInitial("initial_", report.initial_state, bodies, &arrays);
   if (controlled > 0) {
     const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
     arrays["control"] = {{intervals, controlled, 2}, report.control};
@@ -102,7 +119,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
   }
   if (report.best && !report.best->initial_state.empty()) {
     arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
-    arrays["best_initial_state"] = {{bodies, 4}, report.best->initial_state};
+    AddInitial("best_initial_", report.best->initial_state, bodies, &arrays);
     if (controlled > 0) {
       const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
       arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
@@ -126,8 +143,8 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
 
 void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   const size_t bodies = request.scene.bodies.size();
-  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state.data(), bodies);
-  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end.data(), bodies);
+  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
+  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
   if (!request.states) return;
   const Motions motions = MotionsOf(request, run);
   const auto add = [&](const std::string& prefix, const Motion& motion) {

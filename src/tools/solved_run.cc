@@ -59,22 +59,29 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     if (run.HasSolution()) {
       item["events"] = EventsToJson(run.exact.events);
       AddTies(run.exact.ambiguous, run.exact.spread, &item);
-      item["velocity"] = VectorsToJson(report.initial_state, 2);
+      item["velocity"] = VectorsToJson(request.scene, report.initial_state, 2);
+      if (request.scene.Spins()) {
+        item["angular_velocity"] = RotationsToJson(request.scene, report.initial_state, 1);
+      }
       item["control"] = ControlToJson(request.scene, report.control);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
       if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
       if (report.best && !report.best->initial_state.empty()) {
-        item["best_velocity"] = VectorsToJson(report.best->initial_state, 2);
+        item["best_velocity"] = VectorsToJson(request.scene, report.best->initial_state, 2);
+        if (request.scene.Spins()) {
+          item["best_angular_velocity"] = RotationsToJson(request.scene, report.best->initial_state, 1);
+        }
         item["best_control"] = ControlToJson(request.scene, report.best->control);
         if (!report.best->durations.empty()) item["best_durations"] = NumbersToJson(report.best->durations);
         if (request.scene.optimize == Optimize::kPosition) {
-          item["best_position"] = VectorsToJson(report.best->initial_state, 0);
+          item["best_position"] = VectorsToJson(request.scene, report.best->initial_state, 0);
         }
       }
       if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
       if (report.searched) item["searched"] = SearchedToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
-      if (request.scene.optimize == Optimize::kPosition) item["position"] = VectorsToJson(report.initial_state, 0);
+      if (request.scene.optimize == Optimize::kPosition)
+        item["position"] = VectorsToJson(request.scene, report.initial_state, 0);
       AddStates(request, run, &item);
     }
     list.push_back(std::move(item));

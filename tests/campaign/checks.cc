@@ -31,6 +31,13 @@ constexpr double kSmallestDerivative = 1e-3;  // what the tolerances are at leas
 Vec2d PositionOf(std::span<const double> x, int i) { return {x[4 * i], x[4 * i + 1]}; }
 Vec2d VelocityOf(std::span<const double> x, int i) { return {x[4 * i + 2], x[4 * i + 3]}; }
 
+// Numbers of x are in the shape of an initial state: rotations behind positions and velocities.
+double AngularVelocityOf(const Scene& scene, std::span<const double> x, int i) {
+  return scene.bodies[i].Spins() ? x[4 * scene.bodies.size() + kSpin * i + 1] : 0.0;
+}
+
+double SpinInertia(const Body& body) { return body.Spins() ? body.MomentOfInertia() : 0.0; }
+
 // The largest overlap of discs with each other or with walls, m.
 double LargestOverlap(const Scene& scene, const std::vector<WallPart>& walls, std::span<const double> x) {
   double overlap = 0;
@@ -125,27 +132,34 @@ class SceneCheck {
   }
 
   void CheckStates() {
-    std::vector<double> x(static_cast<size_t>(simulator_->state_size()));
+    std::vector<double> state(static_cast<size_t>(simulator_->state_size()));
     double overlap = 0, growth = 0, largest = 0, fastest = 0, before = 0, momentum_error = 0, momentum_scale = 0;
     // What forces would do along the scene: the scale of a scene at rest.
     const double size = Size(scene_);
     for (int i = 0; i < scene_.num_bodies(); ++i) largest += scene_.bodies[i].fixed ? 0 : force_[i].norm() * size;
+    double angular_at_start = 0, angular_error = 0, angular_scale = 0;
     Vec2d momentum_at_start = Vec2d::Zero(), pushed = Vec2d::Zero();
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       if (!scene_.bodies[i].fixed) pushed += force_[i];
     }
     for (int k = 0; k <= simulator_->num_steps(); ++k) {
-      simulator_->GetState(k, x);
+      simulator_->GetState(k, state);
+      const std::vector<double> x = ToInitial(state, scene_.num_bodies());
       if (!std::all_of(x.begin(), x.end(), [](double value) { return std::isfinite(value); })) {
         return Fail("a state is not finite");
       }
       overlap = std::max(overlap, LargestOverlap(scene_, walls_, x));
-      double energy = 0, kinetic_energy = 0;
+      double energy = 0, kinetic_energy = 0, angular = 0;
       Vec2d momentum = Vec2d::Zero();
       for (int i = 0; i < scene_.num_bodies(); ++i) {
         const Body& body = scene_.bodies[i];
         if (body.fixed) continue;
-        const double kinetic = 0.5 * body.mass * VelocityOf(x, i).squaredNorm();
+        const double inertia = SpinInertia(body), spin = AngularVelocityOf(scene_, x, i);
+        const double kinetic = 0.5 * (body.mass * VelocityOf(x, i).squaredNorm() + inertia * spin * spin);
+        const Vec2d arm = PositionOf(x, i) - scene_.bodies[0].position;
+        angular += body.mass * Dot(Perpendicular(arm), VelocityOf(x, i)) + inertia * spin;
+        angular_scale =
+            std::max(angular_scale, body.mass * arm.norm() * VelocityOf(x, i).norm() + inertia * std::abs(spin));
         const double potential = -Dot(force_[i], Vec2d(PositionOf(x, i) - body.position));
         energy += kinetic + potential;
         kinetic_energy += kinetic;
@@ -156,6 +170,8 @@ class SceneCheck {
       if (k > 0) growth = std::max(growth, energy - before);
       before = energy;
       if (k == 0) momentum_at_start = momentum;
+      if (k == 0) angular_at_start = angular;
+      angular_error = std::max(angular_error, std::abs(angular - angular_at_start));
       const Vec2d expected = momentum_at_start + k * simulator_->step() * pushed;
       momentum_error = std::max(momentum_error, (momentum - expected).norm());
     }
@@ -166,19 +182,25 @@ class SceneCheck {
     const bool isolated =
         walls_.empty() && std::none_of(scene_.bodies.begin(), scene_.bodies.end(), [](auto& b) { return b.fixed; });
     if (isolated && !(momentum_error <= kTolerance * momentum_scale)) Fail("momentum changes");
+    const bool unforced = std::ranges::all_of(force_, [](const Vec2d& force) { return force.isZero(0); });
+    const bool all_spin = std::ranges::all_of(scene_.bodies, [](const Body& body) { return body.Spins(); });
+    if (isolated && unforced && all_spin) {
+      Count("scenes that keep angular momentum");
+      if (!(angular_error <= kTolerance * angular_scale)) Fail("angular momentum changes");
+    }
   }
 
   std::optional<double> Loss(std::span<const double> initial, std::span<const double> control) {
     if (!simulator_->Rollout(initial, control)) return std::nullopt;
     std::vector<double> end(static_cast<size_t>(simulator_->state_size()));
     simulator_->GetState(simulator_->num_steps(), end);
-    return TerminalLoss(scene_.objective, end, 4);
+    return TerminalLoss(scene_.objective, end, simulator_->body_size());
   }
 
   void CheckGradient() {
     std::vector<double> end(static_cast<size_t>(simulator_->state_size())), cotangent(end.size());
     simulator_->GetState(simulator_->num_steps(), end);
-    TerminalGradient(scene_.objective, end, 4, cotangent);
+    TerminalGradient(scene_.objective, end, simulator_->body_size(), cotangent);
     Sensitivity gradient;
     simulator_->Adjoint(cotangent, false, &gradient);
     const auto finite = [](const std::vector<double>& values) {
@@ -186,9 +208,10 @@ class SceneCheck {
     };
     Count("gradients");
     if (!finite(gradient.initial) || !finite(gradient.control)) return Fail("gradient is not finite");
-    const double loss = TerminalLoss(scene_.objective, end, 4);
+    const double loss = TerminalLoss(scene_.objective, end, simulator_->body_size());
     Compare("position", 0, gradient, loss);
     Compare("velocity", 2, gradient, loss);
+    if (scene_.Spins()) Compare("angular velocity", 4, gradient, loss);
     if (!control_.empty()) Compare("control", -1, gradient, loss);
   }
 
@@ -234,7 +257,8 @@ class SceneCheck {
     return sides;
   }
 
-  // Along a random direction of the entries offset, offset + 1 of each disc's initial state; -1 for the control. Where
+  // Along a random direction of the entries offset, offset + 1 of each disc's initial state; of the angular velocities
+  // for 4, and -1 for the control. Where
   // derivatives exist from one side only, a direction to that side.
   void Compare(const std::string& name, int offset, const Sensitivity& gradient, double loss) {
     std::vector<double> initial(initial_.size()), control(control_.size());
@@ -246,7 +270,12 @@ class SceneCheck {
       size += std::abs(derivative * *entry);
     };
     const std::map<size_t, OneSided::Side> known = SidesOfInitial();
-    for (size_t j = 0; j < initial.size() && offset >= 0; ++j) {
+    const size_t moves = 4 * scene_.bodies.size();
+    for (size_t i = 0; i < scene_.bodies.size() && offset == 4; ++i) {
+      const size_t j = moves + kSpin * i + 1;
+      if (scene_.bodies[i].Spins()) choose(-1, 1, gradient.initial[j], &initial[j]);
+    }
+    for (size_t j = 0; j < moves && offset >= 0; ++j) {
       if (scene_.bodies[j / 4].fixed || static_cast<int>(j % 4) / 2 != offset / 2) continue;
       const auto found = known.find(j);
       if (found == known.end()) {

@@ -16,14 +16,14 @@ inline constexpr char kFailure[] = "FAILED ";
 //   - every state is finite; a rollout that the model refuses is counted by its reason,
 //   - nothing overlaps by more than 1e-9 of the scene's size,
 //   - energy, that of gravity and of the constant forces included, never grows by more than 1e-9 of its scale,
-//   - without planes and fixed discs forces alone change the momentum;
+//   - without planes and fixed discs forces alone change the momentum, and the angular momentum where there are none;
 // and with `gradient`, that the gradient agrees with differences of the loss, along a random direction each of initial
-// positions, velocities and the control. Differences are one-sided, on both sides, at four widths h, h/2, h/4, h/8, and
-// extrapolated; where extrapolations disagree, other events happen within the difference, and nothing is compared on
-// that side. Neither is a side on which discs would overlap at the start. Where a derivative exists from one side only
-// (event_sides.h), the direction is to that side. Differences that disagree are taken again, at 0.3 h. Where contact
-// lasts, velocities below the model's threshold are cut off, and what was moved takes its time to come to rest: there h
-// and the tolerances are larger, and widths h, h/4, h/16, h/64.
+// positions, velocities, angular velocities and the control. Differences are one-sided, on both sides, at four widths
+// h, h/2, h/4, h/8, and extrapolated; where extrapolations disagree, other events happen within the difference, and
+// nothing is compared on that side. Neither is a side on which discs would overlap at the start. Where a derivative
+// exists from one side only (event_sides.h), the direction is to that side. Differences that disagree are taken again,
+// at 0.3 h. Where contact lasts, velocities below the model's threshold are cut off, and what was moved takes its time
+// to come to rest: there h and the tolerances are larger, and widths h, h/4, h/16, h/64.
 //
 // A gradient that disagrees is a failure, unless several impacts of one disc at the same time, or a grazing one, leave
 // the derivative undefined: such are counted by that reason.

@@ -25,6 +25,7 @@ DEFINE_double(scene_seconds, 300, "what takes longer hangs");
 DEFINE_double(time_limit, 0, "s; begins no scene after that (0: none)");
 DEFINE_int64(only, -1, "run this seed alone, gradient included");
 DEFINE_bool(edges, false, "scenes among segments, polygons and arcs, and on tables");
+DEFINE_bool(spin, false, "discs spin");
 DEFINE_bool(print, false, "with --only: print the scene as YAML");
 
 namespace saltus {
@@ -50,7 +51,8 @@ Counts Decode(const std::string& text) {
 
 campaign::NamedScene SceneOf(int64_t seed) {
   const auto number = static_cast<std::uint32_t>(seed);
-  return FLAGS_edges ? campaign::RandomEdgeScene(number) : campaign::RandomScene(number);
+  campaign::NamedScene scene = FLAGS_edges ? campaign::RandomEdgeScene(number) : campaign::RandomScene(number);
+  return FLAGS_spin ? campaign::WithSpin(std::move(scene), number) : scene;
 }
 
 Counts RunScene(int64_t seed, bool gradient) {
@@ -143,7 +145,7 @@ int main(int argc, char** argv) {
       "random_scenes",
       "Random scenes by exact events",
       {"--scenes=1000000 [--seed=1]"},
-      {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "edges", "only=SEED", "print"}},
+      {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "edges", "spin", "only=SEED", "print"}},
        {"Limits", {"scene_seconds=S", "time_limit=S", "threads=N"}},
        {"Output", {"progress=auto|plain|none"}}}};
   return saltus::RunMain(argc, argv, program, [] {

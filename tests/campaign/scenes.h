@@ -22,6 +22,10 @@ NamedScene RandomScene(std::uint32_t seed);
 // Likewise among segments, polygons and arcs, one in three on a table: 1 to 4 discs, none pushed.
 NamedScene RandomEdgeScene(std::uint32_t seed);
 
+// The same scene with discs that spin, friction and a loss that depends on their spin; without a table, on which
+// nothing spins.
+NamedScene WithSpin(NamedScene scene, std::uint32_t seed);
+
 // Gives a scene its loss, a random linear function of the final state, by the velocities of all discs that move.
 void MeasureEnd(testing::RandomScenes* random, Scene* scene);
 

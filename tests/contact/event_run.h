@@ -19,17 +19,12 @@ inline std::vector<double> HeldControl(const Scene& scene) {
   return control;
 }
 
-inline std::vector<double> StartOf(const Scene& scene) {
-  std::vector<double> x;
-  for (const Body& body : scene.bodies) {
-    x.insert(x.end(), {body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
-  }
-  return x;
-}
+inline std::vector<double> StartOf(const Scene& scene) { return InitialState(scene); }
 
 // A rollout from the scene's own start under its own forces.
-struct EventRun {
-  explicit EventRun(const Scene& scene) : simulator(scene, Precision::kDouble), control(HeldControl(scene)) {
+template <ContactModel M>
+struct EventRunOf {
+  explicit EventRunOf(const Scene& scene) : simulator(scene, Precision::kDouble), control(HeldControl(scene)) {
     Scene named = scene;
     named.name = "test";
     const std::optional<SceneError> error = Validate(named);
@@ -47,12 +42,12 @@ struct EventRun {
 
   double Loss() const {
     const Objective& objective = simulator.scene().objective;
-    return TerminalLoss(objective, End(), 4) + EffortLoss(objective, control, simulator.step());
+    return TerminalLoss(objective, End(), simulator.body_size()) + EffortLoss(objective, control, simulator.step());
   }
   Sensitivity Gradient() {
     const Objective& objective = simulator.scene().objective;
     std::vector<double> cotangent(simulator.state_size());
-    TerminalGradient(objective, End(), 4, cotangent);
+    TerminalGradient(objective, End(), simulator.body_size(), cotangent);
     Sensitivity gradient;
     simulator.Adjoint(cotangent, true, &gradient);
     AddEffortGradient(objective, control, simulator.step(), gradient.control);
@@ -68,9 +63,13 @@ struct EventRun {
   }
   double TimeOf(const StepTouch& touch) const { return touch.step * simulator.step() + touch.touch.time; }
 
-  EventSimulator simulator;
+  ModelSimulator<M, double> simulator;
   std::vector<double> control;
   bool finite = false;
 };
+
+using EventRun = EventRunOf<EventDriven>;
+// Of scenes with discs that spin.
+using SpinRun = EventRunOf<EventSpinning>;
 
 }  // namespace saltus::testing

@@ -186,6 +186,49 @@ table: {friction: 0.1}
   EXPECT_EQ(key_of("table: {gravity: 9.81}"), "table.friction");
 }
 
+TEST(ParseScene, ReadsDiscsThatSpin) {
+  const auto scene_of = [](const std::string& bodies, const std::string& term, const std::string& more = "") {
+    return "name: spin\nduration: 1\nsteps: 10\nbodies:\n  - {name: ball, radius: 0.1, mass: 3, position: [0, 5]" +
+           bodies +
+           "}\n  - {name: other, radius: 0.1, mass: 1, position: [1, 5]}\nobjective: {terminal: [{body: ball, " + term +
+           "}]}\noptimize: velocity\n" + more;
+  };
+  const std::string solid = ", inertia: solid, angle: 0.5, angular_velocity: -30";
+  const std::string spin = "quantity: angular_velocity, target: -12, weight: 2";
+  const Scene scene = SceneOf(ParseScene(scene_of(solid, spin, "free_spin: [ball]\n"), "spin.yaml"));
+  EXPECT_EQ(scene.bodies[0].inertia.kind, Inertia::Kind::kSolid);
+  EXPECT_DOUBLE_EQ(scene.bodies[0].MomentOfInertia(), 0.015);
+  EXPECT_EQ(scene.bodies[0].angle, 0.5);
+  EXPECT_EQ(scene.bodies[0].angular_velocity, -30);
+  EXPECT_FALSE(scene.bodies[1].Spins());
+  EXPECT_TRUE(scene.Spins());
+  ASSERT_EQ(scene.objective.terminal.size(), 1u);
+  EXPECT_EQ(scene.objective.terminal[0].quantity, TerminalTerm::Quantity::kAngularVelocity);
+  EXPECT_EQ(scene.objective.terminal[0].target, Vec2d(-12, 0));
+  EXPECT_EQ(scene.free_spin, std::vector<int>{0});
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written.yaml")), scene);
+
+  const std::string angle = "quantity: angle, target: 3";
+  const Scene given = SceneOf(ParseScene(scene_of(", inertia: 0.02", angle), "spin.yaml"));
+  EXPECT_EQ(given.bodies[0].MomentOfInertia(), 0.02);
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(given), "written.yaml")), given);
+  const std::string place = "quantity: position, target: [0, 0]";
+  EXPECT_FALSE(SceneOf(ParseScene(scene_of(", inertia: none", place), "spin.yaml")).Spins());
+
+  const auto key_of = [&](const std::string& text) { return ErrorOf(text).key; };
+  EXPECT_EQ(key_of(scene_of(", inertia: round", place)), "bodies[0].inertia");
+  EXPECT_EQ(key_of(scene_of(", inertia: -1", place)), "bodies[0].inertia");
+  EXPECT_EQ(key_of(scene_of(", inertia: 0", place)), "bodies[0].inertia");
+  EXPECT_EQ(key_of(scene_of(", inertia: [1]", place)), "bodies[0].inertia");
+  EXPECT_EQ(key_of(scene_of(", angular_velocity: 3", place)), "bodies[0].angular_velocity");
+  EXPECT_EQ(key_of(scene_of(", angle: 3", place)), "bodies[0].angle");
+  EXPECT_EQ(key_of(scene_of(solid, "quantity: angle, target: [1, 2]")), "objective.terminal[0].target");
+  EXPECT_EQ(key_of(scene_of(solid, "quantity: angle, component: x")), "objective.terminal[0].target");
+  EXPECT_EQ(key_of(scene_of("", spin)), "objective.terminal[0].quantity");
+  EXPECT_EQ(key_of(scene_of(solid, place, "free_spin: [other]\n")), "free_spin[0]");
+  EXPECT_EQ(key_of(scene_of(solid, place, "free_spin: [nobody]\n")), "free_spin[0]");
+}
+
 TEST(LoadSceneFile, ReadsTheProblems) {
   Scene expected;
   expected.name = "two_balls";

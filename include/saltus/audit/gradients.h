@@ -18,9 +18,10 @@ struct ModelGradient {
   std::string contact;
   std::string reason;  // why there is none: the model cannot take the scene, or its rollout fails, and where
   int num_steps = 0;   // K of the control's shape
+  bool spins = false;  // the scene has discs that spin
   // Of the scene, in the units of the gradient: with the duration for time, entries by position, by velocity per time
-  // and by force times mass per time squared have one unit.
-  double duration = 1, mass = 1, loss_scale = 1;
+  // by force times mass per time squared, and by angle per length have one unit.
+  double duration = 1, mass = 1, length = 1, loss_scale = 1;
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times

@@ -42,6 +42,9 @@ namespace saltus {
 //           too.
 //       Iterations end, and a step that they do not bring to its result says so (StepInput::Fail).
 // and may have kTapedFrom (dynamics/island_derivative.h), and
+//   using Spinning = ...                                  the model in its place where discs spin as the scene says;
+//       its kRotation is kSpin. Without, it does not take such scenes.
+//   static constexpr bool kLinearRotation = true          in free flight the rotation has the same Jacobian everywhere
 //   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
 //   template <typename Visit> void VisitOptions(const Visit& visit)

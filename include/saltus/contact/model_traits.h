@@ -37,7 +37,7 @@ struct ModelTraits {
   // What discs do to each other depends on their relative motion only, and momentum is conserved: spares their
   // derivatives a pass. A model that claims it and is not so gets a wrong gradient.
   bool relative = false;
-  bool spins = false;  // discs turn, and friction turns them: kRotation > 0
+  bool spins = false;  // discs turn by its source, whatever the scene says of their inertia, and friction turns them
 };
 
 // A number of a model's own that users may set, as in --contact=ncp:kappa=1e-6.

@@ -13,7 +13,12 @@
 
 namespace saltus {
 
-// State of one disc. A model that spins discs keeps kRotation more numbers, whose meaning is its own.
+// What the rotation of a disc is in models of scenes with discs that spin: angle, rad, and angular velocity, rad/s. Of
+// discs that cannot spin both are zero.
+inline constexpr int kSpin = 2;
+
+// State of one disc. A model that spins discs keeps kRotation more numbers: those above if they are kSpin, else their
+// meaning is its own.
 template <typename T, int kRotation>
 struct BodyState {
   static constexpr int kSize = 4 + kRotation;
@@ -34,6 +39,7 @@ struct BodyConstants {
   T inverse_mass;  // 1/kg; 0 if fixed
   Base<T> radius;  // m
   bool fixed = false;
+  T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it does not spin as the scene says
 };
 
 template <typename T>
@@ -96,6 +102,7 @@ struct StepInput {
   std::span<const WallExtent> extents = {};  // where each of them counts, if given
   int table = -1;                            // which of them is the table that discs slide on; -1: none
   S slowing = S(0);                          // m/s^2, by which it slows them
+  std::span<const T> torque = {};            // N m, on the discs; none if empty
 
   // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
   // may depend on values only.
@@ -136,12 +143,21 @@ struct StepInput {
     if (body.fixed) return Vec2<T>(T(S(0)), T(S(0)));
     return {force[i][0] * body.inverse_mass + gravity[0], force[i][1] * body.inverse_mass + gravity[1]};
   }
+  // Angular acceleration of disc i by its torque, rad/s^2; zero if it does not spin.
+  T AngularAcceleration(int i) const { return torque.empty() ? T(S(0)) : T(torque[i] * bodies[i].inverse_inertia); }
   // Distance of the centres (or of centre and plane) at which the two touch, m.
   S ContactDistance(const Candidate& c) const { return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius); }
   T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
   T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
   // 1 / (1/m_a + 1/m_b), kg.
   T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
+  // The same along the tangent, where discs that spin give way by turning: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
+  T TangentialMass(const Candidate& c) const {
+    const auto turning = [&](int i) { return T(bodies[i].radius * bodies[i].radius * bodies[i].inverse_inertia); };
+    T mobility = InverseMassA(c) + InverseMassB(c) + turning(c.a);
+    if (!c.plane) mobility += turning(c.b);
+    return Divide(S(1), mobility);
+  }
 };
 
 // Distance and normal of a candidate when the discs are where `position(i)` says.
@@ -166,6 +182,15 @@ template <typename T, typename VelocityOf>
 Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
   if (c.plane) return velocity(c.a);
   return velocity(c.a) - velocity(c.b);
+}
+
+// Calls apply(i, change) with what an impulse along the tangent (t = Perpendicular(n), on a) changes of the angular
+// velocities.
+template <typename T, typename Apply>
+void ApplyTurn(const StepInput<T>& in, const Candidate& c, const T& tangential, const Apply& apply) {
+  const auto turn = [&](int i) { apply(i, T(-tangential * in.bodies[i].radius * in.bodies[i].inverse_inertia)); };
+  turn(c.a);
+  if (!c.plane) turn(c.b);
 }
 
 // Calls apply(i, change) with impulse / m_a for disc a and -impulse / m_b for disc b.

@@ -20,7 +20,7 @@ struct ExactRun {
   bool ok = false;
   std::string reason;  // if not ok
   double loss = 0;
-  std::vector<double> end;  // final state, B x 4
+  std::vector<double> end;  // final state, in the shape of an initial state
   std::vector<Event> events;
   std::vector<Candidate> contacts;  // of the events, by indices of the scene
   // Of the events: the control interval, and the time since its start, s.
@@ -37,9 +37,9 @@ struct ExactRun {
   std::vector<Tie> ambiguous;
   std::optional<LossSpread> spread;
 };
-// Shapes: initial is B x 4; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that sum up to
-// the horizon), or equally long if there are none. Wrong shapes, numbers that are not finite and a wrong scene are a
-// reason.
+// Shapes: initial as in simulator.h; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that
+// sum up to the horizon), or equally long if there are none. Wrong shapes, numbers that are not finite and a wrong
+// scene are a reason.
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations = {});
 

@@ -22,7 +22,8 @@ std::string BeyondTerminalCost(const Scene& scene);
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size);
 void TerminalGradient(const Objective& objective, std::span<const double> x, int body_size, std::span<double> gradient);
 
-// The terminal terms as least squares: loss = |r(x)|^2, without a half. Two rows a term.
+// The terminal terms as least squares: loss = |r(x)|^2, without a half. Two rows a term, one if it is of
+// spin.
 // Precondition: objective.IsSumOfSquares().
 int NumTerminalResiduals(const Objective& objective);
 void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,

@@ -2,11 +2,12 @@
 //
 // Decision variables z, by Scene::optimize:
 //   control    the whole control, K x C x 2
-//   velocity   the initial velocities of Scene::free, in that order, 2 each
+//   velocity   the initial velocities of Scene::free, in that order, 2 each; then the angular velocities of
+//              Scene::free_spin
 //   position   the initial positions of Scene::free, likewise
 //   none       empty
 // if the final time is free, followed by it; or, whatever the scene optimizes, the whole initial state: the positions
-// of all discs that move, then their velocities.
+// of all discs that move, then their velocities; then angle and angular velocity of those that spin.
 #pragma once
 
 #include <Eigen/Core>
@@ -74,7 +75,7 @@ class SingleShooting {
   // False as above.
   bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
 
-  // The initial state (B x 4) and the control (K x C x 2) that z stands for.
+  // The initial state and the control (K x C x 2) that z stands for.
   std::vector<double> InitialStateAt(std::span<const double> z) const;
   std::vector<double> ControlAt(std::span<const double> z) const;
   // Whether the last variable is the final time; then the lengths of the steps, else nothing.

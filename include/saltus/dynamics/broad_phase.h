@@ -5,7 +5,8 @@
 // around its position before the step ends, for any of the integrators. A pair is a candidate if its gap is no larger
 // than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::push_gap). Where
 // impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is bounded by the kinetic
-// energy of all discs that it can meet, and candidates are extended until they no longer grow.
+// energy of all discs that it can meet, that of their spin included, and candidates are extended until they no longer
+// grow.
 //
 // Few discs are compared all with all. Of many, a list of near pairs is kept (Verlet 1967), found with a uniform grid:
 // all pairs whose gap is at most `skin` more than that. It stands as long as no disc can have moved by more than half
@@ -32,6 +33,7 @@ class BroadPhase {
     double radius;
     double mass;
     bool fixed;
+    double gyration2 = 0;  // m^2, square of the radius of gyration of a disc that spins; else 0
   };
   struct Options {
     double dt;               // s
@@ -50,13 +52,15 @@ class BroadPhase {
   // Overwrites `candidates`: discs by index pairs, then discs against planes. Returns for how many steps, this one
   // included, the list stands, at least 1: one if there are candidates; otherwise as long as no disc can have met
   // another while the accelerations stay within their bounds. `x` has [p_x p_y v_x v_y ...] of each disc, `stride`
-  // numbers from one disc to the next. Discs that are not finite meet nothing.
+  // numbers from one disc to the next; of one that spins, its angular velocity is the sixth. Discs that are not finite
+  // meet nothing.
   template <typename S>
   int Find(const S* x, int stride, std::vector<Candidate>* candidates);
 
  private:
   struct Motion {
     Vec2d p, v;
+    double turning = 0;  // m/s, radius of gyration times angular velocity
   };
 
   int num_planes() const { return static_cast<int>(walls_.size()) - parts_.num_parts(); }

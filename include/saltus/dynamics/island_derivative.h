@@ -28,8 +28,11 @@ class IslandDerivative {
   using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
   // Columns of the Jacobian for n discs: their states, the forces on them and, if asked for, restitution, friction,
-  // stiffness, damping and their masses. Rows: their next states.
-  static int NumColumns(int n, bool with_parameters) { return n * (kSize + 2) + (with_parameters ? 4 + n : 0); }
+  // stiffness, damping, their masses and, if they spin as the scene says, their inverse moments of inertia. Rows: their
+  // next states.
+  static int NumColumns(int n, bool with_parameters) {
+    return n * (kSize + 2) + (with_parameters ? 4 + (kRotation == kSpin ? 2 : 1) * n : 0);
+  }
 
   // before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
   void ApplyTranspose(const M& model, const StepInput<S>& in, std::span<const State> x,
@@ -183,7 +186,11 @@ class IslandDerivative {
       bodies_[i].inverse_mass.a = body.inverse_mass;
       bodies_[i].radius = body.radius;
       bodies_[i].fixed = body.fixed;
+      bodies_[i].inverse_inertia.a = body.inverse_inertia;
     }
+    torque_.clear();
+    for (const S torque : in.torque) torque_.emplace_back(torque);
+    jets_.torque = torque_;
     jets_.h = in.h;
     jets_.gravity = in.gravity;
     jets_.contact.restitution.a = in.contact.restitution;
@@ -221,7 +228,9 @@ class IslandDerivative {
     column -= 2 * n;
     ContactConstants<Jet>& c = jets_.contact;
     Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
-    return column < 4 ? *contact[column] : bodies_[column - 4].mass;
+    if (column < 4) return *contact[column];
+    column -= 4;
+    return column < n ? bodies_[column].mass : bodies_[column - n].inverse_inertia;
   }
 
   // All columns at once: the step on a tape, and one sweep back.
@@ -254,6 +263,10 @@ class IslandDerivative {
       bodies[i].radius = body.radius;
       bodies[i].fixed = body.fixed;
     }
+    for (std::size_t i = 0; kRotation == kSpin && i < n; ++i) {
+      vary(bodies[i].inverse_inertia, in.bodies[i].inverse_inertia);
+    }
+    const std::vector<Taped> torque(in.torque.begin(), in.torque.end());
     const StepInput<Taped> taped{.h = in.h,
                                  .gravity = in.gravity,
                                  .contact = contact,
@@ -262,7 +275,11 @@ class IslandDerivative {
                                  .force = force,
                                  .candidates = in.candidates,
                                  .scratch = in.scratch,
-                                 .solved = in.solved};
+                                 .solved = in.solved,
+                                 .extents = in.extents,
+                                 .table = in.table,
+                                 .slowing = in.slowing,
+                                 .torque = torque};
     if (in.solved != nullptr) in.solved->Rewind();
     model.Step(taped, std::span<const BodyState<Taped, kRotation>>(from), std::span<BodyState<Taped, kRotation>>(to));
     std::vector<std::pair<int, double>> cotangents;
@@ -302,6 +319,7 @@ class IslandDerivative {
   std::vector<JetState> x_, next_;
   std::vector<Vec2<Jet>> force_;
   std::vector<BodyConstants<Jet>> bodies_;
+  std::vector<Jet> torque_;
   StepInput<Jet> jets_;  // kept: it is large to set up
   std::vector<double> published_;
 };

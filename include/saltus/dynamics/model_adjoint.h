@@ -79,6 +79,8 @@ class ModelAdjoint {
     }
   }
 
+  // Whether flights are pulled back through the states on the way: those with a rotation whose Jacobian depends on it.
+  static constexpr bool NeedsStates() { return kRotation > 0 && !kLinear; }
   bool AnyRotation() const {
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       for (int j = 4; j < kSize; ++j) {
@@ -94,14 +96,20 @@ class ModelAdjoint {
     for (int i = 0; out_.parameters != nullptr && i < scene_.num_bodies(); ++i) {
       out_.parameters->gravity += double(scene_.bodies[i].mass) * out_.parameters->force[i];
     }
-    for (std::size_t i = 0; i < out_.initial.size(); ++i) {
+    const std::size_t moves = out_.initial.empty() ? 0 : 4 * static_cast<std::size_t>(scene_.num_bodies());
+    for (std::size_t i = 0; i < moves; ++i) {
       out_.initial[i] = scene_.fixed[i / 4] ? 0.0 : double(lambda_[i / 4 * kSize + i % 4]);
+    }
+    for (std::size_t j = 0; moves + j < out_.initial.size(); ++j) {
+      const bool spins = scene_.bodies[j / 2].inverse_inertia > S(0);
+      out_.initial[moves + j] = spins ? double(lambda_[j / 2 * kSize + 4 + j % 2]) : 0.0;
     }
   }
 
  private:
   // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
   // those of the published programs to the last digits.
+  static constexpr bool kLinear = requires { requires M::kLinearRotation; };
   static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
 
@@ -110,6 +118,7 @@ class ModelAdjoint {
     parameters->gravity.setZero();
     parameters->mass.assign(scene_.num_bodies(), 0.0);
     parameters->force.assign(scene_.num_bodies(), Vec2d::Zero());
+    parameters->inertia.assign(kRotation == kSpin ? scene_.num_bodies() : 0, 0.0);
   }
 
   static void GatherStates(std::span<const int> island, int first, int end, const RolloutRecord<State>& record,
@@ -208,6 +217,12 @@ class ModelAdjoint {
     for (std::size_t i = 0; i < island.size(); ++i) {
       if (!scene_.fixed[island[i]]) parameters.mass[island[i]] += gradient[4 + i];
     }
+    if constexpr (kRotation == kSpin) {
+      for (std::size_t i = 0; i < island.size(); ++i) {
+        const S inverse = scene_.bodies[island[i]].inverse_inertia;
+        parameters.inertia[island[i]] -= gradient[4 + island.size() + i] * inverse * inverse;
+      }
+    }
   }
 
   // A constant force acts in every step as the step's own force does.
@@ -242,6 +257,11 @@ class ModelAdjoint {
     Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
     if (cotangent.isZero(S(0))) return;
     RotationMatrix jacobian = RotationMatrix::Zero();
+    if constexpr (kLinear) {
+      jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], AtRest<M, S>());
+      for (int j = 0; j < steps; ++j) cotangent = (jacobian.transpose() * cotangent).eval();
+      return;
+    }
     const State* at = nullptr;  // where `jacobian` is; a disc that does not spin keeps it
     for (int j = k + steps - 1; j >= k; --j) {
       const State& x = trajectory->At(j)[i];

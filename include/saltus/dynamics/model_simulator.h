@@ -36,7 +36,8 @@ class ModelSimulator final : public Simulator {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
   static_assert(sizeof(State) == kSize * sizeof(S));
-  static_assert(M::kTraits.spins == (kRotation > 0), "a model has the trait `spins` if discs have a rotation");
+  static_assert(M::kTraits.spins == (kRotation > 0) || kRotation == kSpin,
+                "a model has the trait `spins` if discs have a rotation of its own");
 
   ModelSimulator(const Scene& scene, Precision precision, M model = {})
       : Simulator(scene, precision, M::kTraits.grid_steps),
@@ -65,7 +66,7 @@ class ModelSimulator final : public Simulator {
   }
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
-    CHECK_EQ(static_cast<int>(initial.size()), 4 * num_bodies());
+    CHECK_EQ(static_cast<int>(initial.size()), initial_size());
     CHECK_EQ(static_cast<int>(control.size()), control_size());
     control_.Resize(control.size());
     trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
@@ -109,7 +110,7 @@ class ModelSimulator final : public Simulator {
 
   void AdjointInto(std::span<const double> cotangent, const SensitivityView& out) override {
     CHECK_EQ(static_cast<int>(cotangent.size()), state_size());
-    CHECK(out.initial.empty() || static_cast<int>(out.initial.size()) == 4 * num_bodies());
+    CHECK(out.initial.empty() || static_cast<int>(out.initial.size()) == initial_size());
     CHECK(out.control.empty() || static_cast<int>(out.control.size()) == control_size());
     CHECK(out.factor == 0 || out.addend.size() == out.control.size());
     adjoint_.Begin(num_steps_, cotangent, out);
@@ -187,7 +188,7 @@ class ModelSimulator final : public Simulator {
   std::optional<FlightOver> FreeFlightOver(double h) const override { return DifferentiateByLength<M, S>(model_, h); }
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
-    CHECK_EQ(static_cast<int>(initial.size()), 4 * num_bodies());
+    CHECK_EQ(static_cast<int>(initial.size()), initial_size());
     CHECK_EQ(static_cast<int>(x.size()), state_size());
     std::vector<State> state(num_bodies());
     Expand(initial, state.data());
@@ -211,6 +212,10 @@ class ModelSimulator final : public Simulator {
       x[i] = AtRest<M, S>();
       x[i].p = Vec2<S>(S(from[0]), S(from[1]));
       if (!typed_.fixed[i]) x[i].v = Vec2<S>(S(from[2]), S(from[3]));
+    }
+    const std::size_t moves = 4 * static_cast<std::size_t>(num_bodies());
+    if constexpr (kRotation == kSpin) {
+      for (std::size_t j = 0; moves + j < initial.size(); ++j) x[j / 2].rotation[j % 2] = S(initial[moves + j]);
     }
   }
 
@@ -246,7 +251,7 @@ class ModelSimulator final : public Simulator {
   // Makes sure that what the adjoint through window w needs is in memory. Its touches are begin..end-1.
   void Reload(int w, int begin, int end) {
     const bool forgotten = !all_recorded_ && begin < end && record_.first_with_states() != begin;
-    const bool turns = kRotation > 0 && !trajectory_.Holds(w) && (begin < end || adjoint_.AnyRotation());
+    const bool turns = adjoint_.NeedsStates() && !trajectory_.Holds(w) && (begin < end || adjoint_.AnyRotation());
     if (!forgotten && !turns) return;
     if (forgotten) record_.ForgetStates(begin);
     RunWindow(w, [&](int k) {

@@ -27,6 +27,10 @@ std::string WhyModelNotApplicable(const Scene& scene) {
   if (!M::kTraits.event_driven && scene.table) {
     return "discs slide on a table: this model has no friction with what they lie on";
   }
+  if (scene.Spins()) {
+    if constexpr (requires { typename M::Spinning; }) return WhyModelNotApplicable<typename M::Spinning>(scene);
+    if constexpr (M::kRotation != kSpin) return "discs that spin: this model does not turn them";
+  }
   if constexpr (requires { M::WhyNot(scene); }) return M::WhyNot(scene);
   return "";
 }
@@ -61,6 +65,9 @@ M WithOptions(std::span<const OptionValue> values) {
 template <ContactModel M>
 std::unique_ptr<Simulator> MakeModelSimulator(const Scene& scene, Precision precision,
                                               std::span<const OptionValue> options) {
+  if constexpr (requires { typename M::Spinning; }) {
+    if (scene.Spins()) return MakeModelSimulator<typename M::Spinning>(scene, precision, options);
+  }
   const M model = WithOptions<M>(options);
   if constexpr (!M::kTraits.double_engine) {
     if (precision == Precision::kFloat) return std::make_unique<ModelSimulator<M, float>>(scene, precision, model);

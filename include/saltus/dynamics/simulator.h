@@ -5,7 +5,9 @@
 // Shapes. A scene has B discs, C of them controlled. A model takes K steps of length step(): K = scene.steps, divided
 // by the grid steps that one step of the model covers. A body's state is [p_x p_y v_x v_y rotation...], of body_size()
 // numbers; the state of the scene is that of all discs in scene order, state_size() = B * body_size() numbers.
-// A control is K x C x 2 forces in N, row by row. The initial state is B x 4: [p_x p_y v_x v_y] of each disc.
+// A control is K x C x 2 forces in N, row by row. The initial state is B x 4: [p_x p_y v_x v_y] of each disc; if the
+// scene has discs that spin, B x 2 more follow: [angle, angular velocity] of each. The rotation in a body's state is
+// the same two numbers then.
 #pragma once
 
 #include <Eigen/Core>
@@ -56,20 +58,21 @@ struct ParameterGradient {
   double stiffness = 0;
   double damping = 0;
   Vec2d gravity = Vec2d::Zero();
-  std::vector<double> mass;  // B; 0 for fixed discs
-  std::vector<Vec2d> force;  // B; with respect to a constant force on the disc; 0 for fixed discs
+  std::vector<double> mass;     // B; 0 for fixed discs; at the moment of inertia that the disc has
+  std::vector<Vec2d> force;     // B; with respect to a constant force on the disc; 0 for fixed discs
+  std::vector<double> inertia;  // B, if the scene has discs that spin; 0 for the others
 };
 
 // Derivatives of one number with respect to all that determines a rollout.
 struct Sensitivity {
-  std::vector<double> initial;   // B x 4; 0 for fixed discs
+  std::vector<double> initial;   // as the initial state; 0 for fixed discs and what cannot spin
   std::vector<double> control;   // K x C x 2
   ParameterGradient parameters;  // if asked for
 };
 
 // Where to write a sensitivity. What is empty or null is not wanted, and costs nothing.
 struct SensitivityView {
-  std::span<double> initial;                // B x 4
+  std::span<double> initial;                // as the initial state
   std::span<double> control;                // K x C x 2
   ParameterGradient* parameters = nullptr;  // its vectors are resized
   // Added to the sensitivity to the control: factor * addend (K x C x 2), such as the gradient of another function.
@@ -83,7 +86,8 @@ struct SensitivityView {
 class StepLinearization {
  public:
   // Discs that are stepped together. Columns of A: their states; of B: the forces on them; of P: restitution, friction,
-  // stiffness, damping and their masses (only if parameters were asked for).
+  // stiffness, damping, their masses and, if the scene has discs that spin, their inverse moments of inertia (only if
+  // parameters were asked for).
   struct Island {
     std::vector<int> bodies;
     Eigen::MatrixXd A, B, P;
@@ -114,6 +118,9 @@ struct FlightOver {
   StepLinearization::FreeFlight flight, by_time;
 };
 
+// Numbers of the initial state of a scene.
+int InitialSize(const Scene& scene);
+
 class Simulator {
  public:
   virtual ~Simulator() = default;
@@ -127,9 +134,10 @@ class Simulator {
   double step() const { return scene_.duration / num_steps_; }
   virtual int body_size() const = 0;
   int state_size() const { return num_bodies() * body_size(); }
+  int initial_size() const { return InitialSize(scene_); }
   int control_size() const { return num_steps_ * num_controlled() * 2; }
 
-  // Runs all K steps from `initial` (B x 4) under `control` (K x C x 2). False if a state is not finite, if the
+  // Runs all K steps from `initial` under `control` (K x C x 2). False if a state is not finite, if the
   // iterations of a step do not arrive, or if the model breaks its contract (contact_model.h); then neither Adjoint nor
   // states after that step may be asked for. False too if it was stopped; then nothing may.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
@@ -176,7 +184,7 @@ class Simulator {
   // Free flight in one step of any length h > 0, s; nothing if the model takes lengths without derivatives only.
   virtual std::optional<FlightOver> FreeFlightOver(double h) const = 0;
 
-  // The full state that belongs to `initial` (B x 4): rotation at its start value, fixed discs at rest.
+  // The full state that belongs to `initial`: rotation that is not in it at its start value, fixed discs at rest.
   virtual void ExpandInitial(std::span<const double> initial, std::span<double> x) const = 0;
 
   // The force on every disc (B x 2) in step k of a control (K x C x 2); zero on discs that are not controlled.
@@ -199,7 +207,12 @@ class Simulator {
   int tie_order_ = 0;
 };
 
-// The scene's own initial state (B x 4), and its initial control held over K steps (K x C x 2).
+// A state of a scene with so many bodies, of a model whose bodies have no rotation or the scene's, in the shape of an
+// initial state; and back.
+std::vector<double> ToInitial(std::span<const double> state, int num_bodies);
+std::vector<double> ToState(std::span<const double> initial, int num_bodies);
+
+// The scene's own initial state, and its initial control held over K steps (K x C x 2).
 std::vector<double> InitialState(const Scene& scene);
 std::vector<double> InitialControl(const Scene& scene, int num_steps);
 

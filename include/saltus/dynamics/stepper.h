@@ -142,6 +142,7 @@ class Stepper {
     std::vector<BroadPhase::Disc> discs;
     for (const BodyConstants<S>& body : scene.bodies) {
       discs.push_back({double(body.radius), double(body.mass), body.fixed});
+      if (body.inverse_inertia > S(0)) discs.back().gyration2 = 1 / (double(body.inverse_inertia) * double(body.mass));
     }
     return {scene.wall_parts,
             std::move(discs),

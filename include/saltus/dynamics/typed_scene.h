@@ -25,6 +25,7 @@ struct TypedScene {
     for (const Body& body : scene.bodies) {
       const S mass = S(body.mass);
       bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
+      if (body.Spins()) bodies.back().inverse_inertia = S(1) / S(body.MomentOfInertia());
       fixed.push_back(body.fixed);
     }
     if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);

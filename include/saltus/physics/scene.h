@@ -19,7 +19,16 @@ inline constexpr double kSmallestPositive = 1e-24;
 inline constexpr int kMaxSteps = 10'000'000;
 inline constexpr double kOverlapTolerance = 1e-12;  // of the scene's length (units.h), allowed at the start
 
-// A disc. A fixed disc never moves: its velocity is zero, and its mass is not used.
+// A disc's moment of inertia: none, it cannot spin; that of a solid disc, m r^2 / 2; or a given number.
+struct Inertia {
+  enum class Kind { kNone, kSolid, kGiven };
+  Kind kind = Kind::kNone;
+  double moment = 0;  // kg m^2, > 0, if given; else not used
+
+  bool operator==(const Inertia&) const = default;
+};
+
+// A disc. A fixed disc never moves: its velocity is zero, its mass is not used, and it cannot spin.
 struct Body {
   std::string name;   // [A-Za-z0-9_.-]+
   double radius = 0;  // m, > 0
@@ -27,6 +36,15 @@ struct Body {
   bool fixed = false;
   Vec2d position = Vec2d::Zero();  // m
   Vec2d velocity = Vec2d::Zero();  // m/s
+  Inertia inertia = {};
+  double angle = 0;             // rad, counter-clockwise; zero if it cannot spin
+  double angular_velocity = 0;  // rad/s, counter-clockwise; likewise
+
+  bool Spins() const { return inertia.kind != Inertia::Kind::kNone; }
+  // kg m^2. Precondition: it spins.
+  double MomentOfInertia() const {
+    return inertia.kind == Inertia::Kind::kSolid ? 0.5 * mass * radius * radius : inertia.moment;
+  }
 
   bool operator==(const Body&) const = default;
 };
@@ -100,20 +118,24 @@ struct Control {
 
 // One term of the loss at the final time T.
 struct TerminalTerm {
-  enum class Quantity { kPosition, kVelocity };
+  enum class Quantity { kPosition, kVelocity, kAngle, kAngularVelocity };
   int body = 0;
   Quantity quantity = Quantity::kPosition;
   // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
   std::optional<int> component = std::nullopt;
-  Vec2d target = Vec2d::Zero();  // m or m/s; not used with a component
-  double weight = 1;             // any sign with a component, else >= 0
-  bool hard = false;             // a constraint, q(T) = target: no part of the loss, and no component or weight
+  // m or m/s; not used with a component. Of an angle or angular velocity its first entry, rad or rad/s; the other is 0.
+  Vec2d target = Vec2d::Zero();
+  double weight = 1;  // any sign with a component, else >= 0
+  bool hard = false;  // a constraint, q(T) = target: no part of the loss, and no component or weight
+
+  // True if it is of an angle or an angular velocity, which is one number and has no component.
+  bool IsOfSpin() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
 
   bool operator==(const TerminalTerm&) const = default;
 };
 
-// weight * the integral of |q(t) - r(t)|^2 dt: r goes straight from target to target, and is constant outside their
-// times.
+// weight * the integral of |q(t) - r(t)|^2 dt, with q a position or a velocity: r goes straight from target to target,
+// and is constant outside their times.
 struct RunningTerm {
   int body = 0;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
@@ -124,7 +146,7 @@ struct RunningTerm {
   bool operator==(const RunningTerm&) const = default;
 };
 
-// weight * |q(time) - target|^2; or a constraint, q(time) = target.
+// weight * |q(time) - target|^2; or a constraint, q(time) = target. Of a position or a velocity too.
 struct ViaTerm {
   int body = 0;
   double time = 0;  // s, in (0, duration)
@@ -173,6 +195,7 @@ struct Units {
 
   double speed() const { return length / time; }
   double acceleration() const { return speed() / time; }
+  double moment_of_inertia() const { return mass * length * length; }
   double force() const { return mass * acceleration(); }
 
   bool operator==(const Units&) const = default;
@@ -211,11 +234,15 @@ struct Scene {
   // For kVelocity and kPosition: whose, at least one; else not used. Indices of bodies that are not fixed, without
   // repetition.
   std::vector<int> free;
+  // For kVelocity: whose angular velocities too. Indices of bodies that spin, without repetition.
+  std::vector<int> free_spin = {};
   Units units = {};  // SI in every scene that users give
 
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
+  // True if there is a disc that spins.
+  bool Spins() const;
   // True if there are walls that end: segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 

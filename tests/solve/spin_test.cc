@@ -1,0 +1,319 @@
+// Discs that spin above the contact models: what takes them and what does not, gradients, units, and the optimum of a
+// control that can spin a disc only by the wall (data/spin_references.json).
+#include <gmock/gmock.h>
+
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "rescaled_scene.h"
+#include "saltus/audit/audit.h"
+#include "saltus/control/certificate.h"
+#include "saltus/control/exact_run.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/dynamics/registry.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+namespace {
+
+using ::testing::HasSubstr;
+
+Body Spinning(const char* name, double radius, double mass, const Vec2d& position, const Vec2d& velocity, double spin) {
+  return {.name = name,
+          .radius = radius,
+          .mass = mass,
+          .position = position,
+          .velocity = velocity,
+          .inertia = {Inertia::Kind::kSolid},
+          .angular_velocity = spin};
+}
+
+// Two discs that meet, and a wall.
+Scene Pair() {
+  Scene scene;
+  scene.name = "pair";
+  scene.duration = 1.2;
+  scene.steps = 480;
+  scene.bodies = {Spinning("a", 0.1, 1, {0, 0}, {3, 0.5}, 20), Spinning("b", 0.15, 2, {1, 0.25}, {-0.5, 0}, -10)};
+  scene.planes = {{"wall", {0, 1}, {0, -1}}};
+  scene.contact = {.restitution = 0.9, .friction = 0.2};
+  using Quantity = TerminalTerm::Quantity;
+  scene.objective.terminal = {{.body = 0, .target = {0.3, -1}},
+                              {.body = 0, .quantity = Quantity::kAngle, .target = {25, 0}, .weight = 0.01},
+                              {.body = 1, .quantity = Quantity::kAngularVelocity, .target = {-4, 0}, .weight = 0.1},
+                              {.body = 1, .quantity = Quantity::kVelocity, .target = {1, 1}}};
+  scene.optimize = Optimize::kVelocity;
+  scene.free = {0, 1};
+  scene.free_spin = {1};
+  return scene;
+}
+
+// A disc at rest that is pushed, and can be spun by the wall only.
+Scene SpinControl(int steps) {
+  Scene scene;
+  scene.name = "spin_control";
+  scene.steps = steps;
+  scene.bodies = {Spinning("disc", 0.1, 1, {0, 0}, {0, 0}, 0)};
+  scene.planes = {{"wall", {1, 0}, {-1, 0}}};
+  scene.contact = {.restitution = 0.8, .friction = 0.5};
+  scene.control = {{0}, {{3, 2}}};
+  scene.objective.terminal = {
+      {.body = 0, .target = {0.2, 0.8}},
+      {.body = 0, .quantity = TerminalTerm::Quantity::kAngularVelocity, .target = {-12, 0}, .weight = 0.01}};
+  scene.objective.effort = 0.05;
+  scene.optimize = Optimize::kControl;
+  return scene;
+}
+
+std::vector<std::string> ModelsThatSpin(const Scene& scene) {
+  std::vector<std::string> names;
+  for (const ModelTraits& traits : AllContactModels()) {
+    if (WhyNotApplicable(traits.name, scene).empty()) names.emplace_back(traits.name);
+  }
+  return names;
+}
+
+std::vector<double> EndOf(const Contact& contact, const Scene& scene) {
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
+  EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
+      << contact.name() << ": " << simulator->WhyFailed();
+  std::vector<double> end(simulator->state_size());
+  simulator->GetState(simulator->num_steps(), end);
+  return end;
+}
+
+TEST(SpinModels, TakeTheSceneOrSayWhyNot) {
+  const Scene scene = Pair();
+  EXPECT_THAT(ModelsThatSpin(scene), ::testing::IsSupersetOf({"event", "compliant_brax", "pbd_brax"}));
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string why = WhyNotApplicable(traits.name, scene);
+    if (why.empty() || !traits.friction) continue;
+    EXPECT_THAT(why, HasSubstr("spin")) << traits.name;
+  }
+}
+
+TEST(SpinModels, SpinOnNothing) {
+  Scene scene = Pair();
+  scene.planes.clear();
+  scene.bodies[1].position = {0, 9};
+  scene.bodies[0].angular_velocity = 2;
+  scene.bodies[0].angle = 0.25;
+  for (const std::string& name : ModelsThatSpin(scene)) {
+    const std::vector<double> end = EndOf(name, scene);
+    // A model may take the sine of the half angle of a step for that angle.
+    const double slack = scene.duration * scene.dt() * 2;
+    EXPECT_NEAR(end[5], 2, slack) << name;
+    EXPECT_NEAR(end[4], 0.25 + 2 * scene.duration, slack) << name;
+  }
+}
+
+TEST(SpinModels, MirroredSceneMirrored) {
+  Scene scene = Pair();
+  scene.bodies[0].angular_velocity = 4;
+  Scene mirrored = scene;
+  for (Body& body : mirrored.bodies) {
+    body.position[0] *= -1;
+    body.velocity[0] *= -1;
+    body.angular_velocity *= -1;
+  }
+  for (const std::string& name : ModelsThatSpin(scene)) {
+    const std::vector<double> end = EndOf(name, scene), other = EndOf(name, mirrored);
+    for (int i = 0; i < 12; ++i) {
+      const int j = i % 6;
+      const bool turns = j == 0 || j == 2 || j > 3;
+      EXPECT_NEAR(other[i], turns ? -end[i] : end[i], 1e-9) << name << " " << i;
+    }
+  }
+}
+
+// The loss by all of the initial state, spin included, against differences.
+TEST(SpinModels, GradientsAgreeWithDifferences) {
+  Scene scene = Pair();
+  scene.bodies[0].angular_velocity = 4;
+  for (const std::string& name : ModelsThatSpin(scene)) {
+    SingleShooting shooting(MakeSimulator(name, scene, Precision::kDouble), SingleShooting::Variables::kInitialState);
+    ASSERT_EQ(shooting.num_variables(), 12);
+    std::vector<double> z = shooting.initial_guess(), gradient(z.size());
+    double loss = 0;
+    ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data()));
+    for (std::size_t i = 0; i < z.size(); ++i) {
+      const double width = 1e-6;
+      double losses[2];
+      for (const int side : {0, 1}) {
+        std::vector<double> moved = z;
+        moved[i] += side == 0 ? -width : width;
+        ASSERT_TRUE(shooting.Evaluate(moved, &losses[side], nullptr));
+      }
+      const double difference = (losses[1] - losses[0]) / (2 * width);
+      EXPECT_NEAR(gradient[i], difference, 1e-6 * std::max(1.0, std::abs(difference))) << name << " " << i;
+    }
+  }
+}
+
+TEST(SpinModels, VelocityAndSpinAreVariables) {
+  SingleShooting shooting(MakeSimulator("event", Pair(), Precision::kDouble));
+  EXPECT_EQ(shooting.initial_guess(), (std::vector<double>{3, 0.5, -0.5, 0, -10}));
+  const std::vector<double> initial = shooting.InitialStateAt(std::vector<double>{1, 2, 3, 4, 5});
+  EXPECT_EQ(initial, (std::vector<double>{0, 0, 1, 2, 1, 0.25, 3, 4, 0, 20, 0, 5}));
+}
+
+// By powers of two: the same motion bit by bit.
+TEST(SpinUnits, ChangeNoBit) {
+  Scene scene = Pair();
+  scene.bodies[0].inertia = {Inertia::Kind::kGiven, 0.0042};
+  const std::vector<double> end = EndOf("event", scene);
+  const ModelGradient gradient = ComputeGradient("event", scene, Precision::kDouble);
+  for (const Rescaling& by : UnitRescalings()) {
+    const Scene rescaled = Rescaled(scene, by);
+    const std::vector<double> other = EndOf("event", rescaled);
+    const double sizes[] = {by.length, by.length, by.speed(), by.speed(), 1, 1 / by.time};
+    for (int i = 0; i < 12; ++i) EXPECT_EQ(other[i], end[i] * sizes[i % 6]) << by.name << " " << i;
+    const ModelGradient moved = ComputeGradient("event", rescaled, Precision::kDouble);
+    ASSERT_TRUE(moved.ok()) << moved.reason;
+    EXPECT_EQ(moved.loss, gradient.loss * by.loss) << by.name;
+    for (std::size_t i = 0; i < gradient.gradient.initial.size(); ++i) {
+      const double size = i < 8 ? sizes[i % 4] : sizes[4 + i % 2];
+      EXPECT_EQ(moved.gradient.initial[i], gradient.gradient.initial[i] * by.loss / size) << by.name << " " << i;
+    }
+    const double moment = by.mass * by.length * by.length;
+    for (int i = 0; i < 2; ++i) {
+      EXPECT_EQ(moved.gradient.parameters.inertia[i], gradient.gradient.parameters.inertia[i] * by.loss / moment);
+    }
+  }
+}
+
+TEST(SpinExactRun, IsTheRolloutWhateverTheIntervals) {
+  Scene scene = Pair();
+  scene.steps = 12;
+  const std::vector<double> end = EndOf("event", scene);
+  const ExactRun run = SimulateExactly(scene, InitialState(scene), {});
+  ASSERT_TRUE(run.ok) << run.reason;
+  EXPECT_EQ(run.end, ToInitial(end, 2));
+  EXPECT_EQ(ToState(run.end, 2), end);
+  const ExactRun parts = SimulateExactly(scene, InitialState(scene), {}, {0.1, 0.5, 0.6});
+  ASSERT_TRUE(parts.ok) << parts.reason;
+  for (std::size_t i = 0; i < run.end.size(); ++i) EXPECT_NEAR(parts.end[i], run.end[i], 1e-12) << i;
+  EXPECT_NEAR(parts.loss, run.loss, 1e-12);
+  const std::vector<double> short_of(8, 0.0);
+  EXPECT_THAT(SimulateExactly(scene, short_of, {}).reason, HasSubstr("expected 12"));
+}
+
+TEST(SpinAudit, ExactGradientIsRightAndSpinCounts) {
+  const Scene scene = Pair();
+  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  ASSERT_TRUE(exact);
+  const ModelAudit audit = AuditModel("event", scene, Precision::kDouble, exact);
+  EXPECT_EQ(audit.verdict, Verdict::kRight) << audit.Why();
+  ModelGradient wrong = *exact;
+  wrong.gradient.initial.back() += 1;
+  EXPECT_GT(CompareGradients(wrong, *exact).relative, 1e-4);
+  // Friction spins their discs, and those of the exact gradient too.
+  EXPECT_EQ(WhyNotComparable("compliant_brax", scene), "");
+  const ModelAudit brax = AuditModel("compliant_brax", scene, Precision::kDouble, exact);
+  ASSERT_TRUE(brax.gradient.ok()) << brax.gradient.reason;
+  EXPECT_TRUE(IsWrong(brax.verdict)) << brax.Why();
+}
+
+const nlohmann::json& Reference() {
+  static const nlohmann::json references = [] {
+    std::ifstream file(SALTUS_SOURCE_DIR "/data/spin_references.json");
+    return nlohmann::json::parse(file);
+  }();
+  return references["s5"];
+}
+double Number(const char* key) { return std::stod(Reference()[key].get<std::string>()); }
+
+// The optimal control is linear before the impact and after it; its integral from 0 to t.
+Vec2d IntegralOfOptimum(double t) {
+  const double s = Number("time");
+  const auto point = [](const char* key) {
+    const nlohmann::json& at = Reference()[key];
+    return Vec2d(std::stod(at[0].get<std::string>()), std::stod(at[1].get<std::string>()));
+  };
+  const Vec2d start = point("force_0"), before = point("force_before"), after = point("force_after");
+  const double early = std::min(t, s), late = std::max(t - s, 0.0);
+  return early * start + 0.5 * early * early / s * (before - start) + (late - 0.5 * late * late / (1 - s)) * after;
+}
+
+// Its means over intervals that end at `ends`.
+std::vector<double> MeansOfOptimum(const std::vector<double>& ends) {
+  std::vector<double> control;
+  double begin = 0;
+  for (const double end : ends) {
+    const Vec2d mean = (IntegralOfOptimum(end) - IntegralOfOptimum(begin)) / (end - begin);
+    control.insert(control.end(), {mean[0], mean[1]});
+    begin = end;
+  }
+  return control;
+}
+
+// On intervals of which one ends at the impact, the loss is off by their length squared.
+TEST(SpinOptimum, LossConvergesToTheExactOne) {
+  const double s = Number("time"), exact = Number("loss");
+  const auto loss_on = [&](int parts) {
+    std::vector<double> ends, durations;
+    for (int k = 1; k <= 2 * parts; ++k) {
+      ends.push_back(k <= parts ? k * s / parts : s + (k - parts) * (1 - s) / parts);
+      durations.push_back(k <= parts ? s / parts : (1 - s) / parts);
+    }
+    const Scene scene = SpinControl(2 * parts);
+    const ExactRun run = SimulateExactly(scene, InitialState(scene), MeansOfOptimum(ends), durations);
+    EXPECT_TRUE(run.ok) << run.reason;
+    return run.loss;
+  };
+  const double coarse = loss_on(160), fine = loss_on(320), finest = loss_on(640);
+  EXPECT_NEAR((coarse - exact) / (fine - exact), 4, 0.01);
+  EXPECT_NEAR((fine - exact) / (finest - exact), 4, 0.01);
+  EXPECT_NEAR(finest + (finest - fine) / 3, exact, 1e-9);
+}
+
+// On a grid whose step with the impact has one force before and after it, by its length. From the optimum's means: on
+// the way there are kinks where the impact passes a node.
+TEST(SpinOptimum, SolversConvergeToIt) {
+  const double exact = Number("loss");
+  for (const char* solver : {"ceres_lm", "ceres_lbfgs", "gd"}) {
+    for (const int steps : {60, 240}) {
+      Scene scene = SpinControl(steps);
+      std::vector<double> ends;
+      for (int k = 1; k <= steps; ++k) ends.push_back(k * scene.dt());
+      const ControlGuess guess{MeansOfOptimum(ends), {}};
+      const SolveReport report =
+          Solve(solver, {scene, "event"}, {.iterations = 100, .learning_rate = 0.02 * steps, .guess = guess});
+      ASSERT_FALSE(report.losses.empty()) << solver << ": " << report.reason;
+      EXPECT_LE(report.final_loss, report.initial_loss + 1e-12) << solver;
+      EXPECT_GE(report.final_loss, exact) << solver;
+      EXPECT_LE(report.final_loss, exact + 0.1 / steps) << solver << " " << steps;
+    }
+  }
+}
+
+TEST(SpinOptimum, FoundFromAwayBeatsWhatNeverTouchesTheWall) {
+  for (const char* solver : {"ceres_lm", "ceres_lbfgs"}) {
+    const SolveReport report = Solve(solver, {SpinControl(120), "event"}, {.iterations = 300});
+    EXPECT_LT(report.final_loss, 0.58) << solver;
+    EXPECT_GE(report.final_loss, Number("loss")) << solver;
+    EXPECT_LT(report.final_loss, Number("without_wall"));
+  }
+}
+
+TEST(SpinSolvers, RefuseWhatTheyCannot) {
+  const Scene scene = SpinControl(40);
+  for (const char* solver : {"ceres_event", "ceres_phases", "hmp", "mode_search"}) {
+    const SolveReport report = Solve(solver, {scene, "event"}, {});
+    EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver;
+    EXPECT_THAT(report.reason, HasSubstr("spin")) << solver;
+  }
+  const Certificate certificate = Certify(scene, InitialState(scene), InitialControl(scene, scene.steps));
+  EXPECT_EQ(certificate.verdict, Certificate::Verdict::kNotApplicable);
+  EXPECT_THAT(certificate.reason, HasSubstr("spin"));
+  // Terms on the way are integrated by arcs that know no spin.
+  Scene on_the_way = scene;
+  on_the_way.objective.running = {{.body = 0, .times = {0}, .targets = {{0, 0}}}};
+  EXPECT_FALSE(SimulateExactly(on_the_way, InitialState(scene), InitialControl(scene, scene.steps)).ok);
+  const SolveReport report = Solve("gd", {on_the_way, "event"}, {.iterations = 3});
+  EXPECT_NE(report.termination, Termination::kConverged);
+}
+
+}  // namespace
+}  // namespace saltus
