@@ -273,7 +273,8 @@ TEST(LoadSceneFile, ReadsTheOneBallProblems) {
 TEST(WriteScene, RoundTripsEveryKeyAndEveryProblem) {
   const Scene everything = SceneOf(ParseScene(kEverything, "test.yaml"));
   EXPECT_EQ(SceneOf(ParseScene(WriteScene(everything), "written")), everything);
-  for (const char* name : {"bounce_once", "ground_wall", "two_balls", "single_collision", "multiple_collisions"}) {
+  for (const char* name :
+       {"bounce_once", "ground_wall", "two_balls", "single_collision", "multiple_collisions", "back_spin"}) {
     SCOPED_TRACE(name);
     const Scene scene = SceneOf(LoadSceneFile(ProblemPath(name)));
     EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);

@@ -13,6 +13,7 @@
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
@@ -295,6 +296,26 @@ TEST(SpinOptimum, FoundFromAwayBeatsWhatNeverTouchesTheWall) {
     EXPECT_GE(report.final_loss, Number("loss")) << solver;
     EXPECT_LT(report.final_loss, Number("without_wall"));
   }
+}
+
+// Thrown away from the hand, it comes back to it: two solvers agree how. Without spin it cannot.
+TEST(SpinProblem, BallComesBack) {
+  const Scene scene = ProblemScene("back_spin");
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  const SolveReport other = Solve("ceres_lbfgs", {scene, "event"}, {.iterations = 100});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, other.final_loss, 1e-9);
+  for (std::size_t i = 0; i < report.initial_state.size(); ++i) {
+    EXPECT_NEAR(report.initial_state[i], other.initial_state[i], 1e-6) << i;
+  }
+  EXPECT_GT(report.initial_state[2], 0.5);
+  const std::vector<double> end = SimulateExactly(scene, report.initial_state, {}).end;
+  EXPECT_LT(end[2], -1.4);
+  EXPECT_NEAR(end[0], 0, 0.01);
+  Scene plain = scene;
+  plain.bodies[0].angular_velocity = 0;
+  plain.free_spin.clear();
+  EXPECT_GT(Solve("ceres_lm", {plain, "event"}, {.iterations = 100}).final_loss, 10 * report.final_loss);
 }
 
 TEST(SpinSolvers, RefuseWhatTheyCannot) {
