@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-# usage: engines/report.py STUDY.json OUTPUT.html [--picture=FILE.svg]
-# A page of what engines/study.py measured, and one figure of it for the README.
+# usage: engines/report.py STUDY.json OUTPUT.html [--tasks=FILE.csv] [--picture=FILE.svg]
+# A page of what engines/study.py and engines/tasks.py measured, and one figure of it for the README.
 import argparse
 import html
 import json
@@ -8,6 +8,8 @@ import pathlib
 
 from check import HERE, engines, how_to_get
 from figures import class_diagram, error_by_step, error_by_width, scans
+from task_table import task_summary, task_table
+from tasks import read as read_tasks
 from verdict import gradient_errors, loss_errors, of_contact, of_gradient, of_motion, relative_error
 
 STYLE = """
@@ -34,6 +36,7 @@ th { background: var(--raised); }
 .warning { background: var(--warning-paper); color: var(--warning); }
 .faint { color: var(--faint); }
 td:nth-child(9) { min-width: 11rem; }
+.tasks .faint { font-weight: normal; }
 .panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(14rem, 1fr)); gap: .5rem; }
 .panels svg, figure svg { width: 100%; height: auto; }
 figure { margin: 1rem 0; max-width: 60rem; }
@@ -94,7 +97,21 @@ def summary(rows, studies, exact):
             f"{html.escape(', '.join(bad_motion)) or 'none'}.</p>")
 
 
-def page(known, rows):
+# What was found of each engine on each task; empty without such a table.
+def all_tasks(rows, found):
+    if not found:
+        return ""
+    return f"""<h2>All tasks</h2>
+<p>Verdict, by the gradient at 1, 2, 4 and 8 times the steps of the task (<code>engines/tasks.py --check</code> has
+<code>saltus_audit --simulate</code> judge them too); the error of the loss, at the task's own steps, and whether it goes to
+0 with finer ones; the error of the gradient by the start of the first disc, by differences narrower and wider than what
+moves in a step. On task 1 the ball strikes the ground exactly between two steps: engines jump there, and narrow
+differences see the jump. {html.escape(task_summary(found))}</p>
+{task_table(rows, found)}
+"""
+
+
+def page(known, rows, tasks):
     studies, exact = known["engines"], known["exact"]
     measured = [row for row in rows if "by_step" in studies.get(row["id"], {})]
     panels = "".join(f"<div>{panel}</div>" for panel in scans(measured, known))
@@ -115,7 +132,7 @@ Class: from a head-on impact at 3 m/s, seen from outside, at 240 and 2400 steps:
 that a step gives back as velocity. Last column: a disc strikes a tilted plane at 3 m/s, with restitution 0.5 and friction
 0.2; it should rebound at 1.5 m/s and go on along the plane at 3.1 m/s.</p>
 {table(rows, studies, exact, known["steps"][-1])}
-<h2>The loss, from one start to the next</h2>
+{all_tasks(rows, tasks)}<h2>The loss, from one start to the next</h2>
 <p>Loss against the start of the striker, -2 +- 0.02 m; grey is exact. The gradient is the slope: where a curve is a
 staircase, the slope of the stairs is what differences at a small width and automatic differentiation see.</p>
 <div class="panels">{panels}</div>
@@ -137,11 +154,12 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("study", type=pathlib.Path)
     parser.add_argument("output", type=pathlib.Path)
+    parser.add_argument("--tasks", type=pathlib.Path, help="the table of engines/tasks.py")
     parser.add_argument("--picture", type=pathlib.Path, help="write the scans of a few engines there, as SVG")
     arguments = parser.parse_args()
     known = json.loads(arguments.study.read_text())
     rows = engines()
-    arguments.output.write_text(page(known, rows), encoding="utf-8")
+    arguments.output.write_text(page(known, rows, read_tasks(arguments.tasks) if arguments.tasks else []), encoding="utf-8")
     if arguments.picture:
         from figures import picture
         arguments.picture.write_text(picture(rows, known), encoding="utf-8")
