@@ -7,6 +7,7 @@
 
 #include <cmath>
 
+#include "dynamics/conformance.h"
 #include "identify/generated_problem.h"
 #include "identify/segment_motion.h"
 #include "saltus/control/objective.h"
@@ -103,6 +104,32 @@ TEST(NeuralEvent, BeginsAsEvent) {
     const LossAndGradient learned = Evaluate(LearnedContact(law), scene);
     EXPECT_NEAR(learned.loss, exact.loss, 1e-9) << law.name;
     for (int i = 0; i < 4; ++i) EXPECT_NEAR(learned.gradient.initial[i], exact.gradient.initial[i], 1e-8) << law.name;
+  }
+}
+
+// What every contact model must do, but for the restitution of the scene.
+TEST(NeuralEvent, ConformsAsAContactModel) {
+  using namespace conformance;  // NOLINT
+  for (const ImpactLaw& law : {Bent(RestitutionNetwork(3, 4, 0.7)), Bent(ImpulseNetwork(3, 4, 0.7, 0.2))}) {
+    const Contact contact = LearnedContact(law);
+    const Model model{*FindContactModel(contact),
+                      [&](const Scene& scene) { return MakeSimulator(contact, scene, Precision::kDouble); },
+                      [&](const Scene& scene) { return WhyNotApplicable(contact, scene); }};
+    for (const auto& check : {&CheckFreeFlight,
+                              &CheckNeighbours,
+                              &CheckMomentum,
+                              &CheckSeparation,
+                              &CheckOverlap,
+                              &CheckFixedDiscs,
+                              &CheckDegenerateStates,
+                              &CheckGroupsApart}) {
+      EXPECT_EQ(check(model), "") << law.name;
+    }
+    // Whose friction is the scene's, and large enough to stick.
+    if (!law.HasFriction()) EXPECT_EQ(CheckSeveralAtOnce(model), "");
+    EXPECT_EQ(CheckDerivative(model, FourDiscs(0.3)), "") << law.name;
+    EXPECT_EQ(CheckSymmetries(model, FourDiscs(0.3)), "") << law.name;
+    EXPECT_EQ(CheckDeterminism(model, FourDiscs(0.3)), "") << law.name;
   }
 }
 
