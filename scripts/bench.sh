@@ -15,9 +15,9 @@ mkdir -p "$output"
 
 cmake --preset bench
 cmake --build --preset bench -j "$(nproc)" \
-  --target simulation_benchmark solver_benchmark time_to_solution_benchmark bench_report gradient_cost
+  --target simulation_benchmark solver_benchmark time_to_solution_benchmark lasting_contact_benchmark bench_report gradient_cost
 results=()
-for benchmark in simulation solver time_to_solution; do
+for benchmark in simulation solver time_to_solution lasting_contact; do
   "build/bench/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
     --benchmark_out_format=json "$@"
   results+=("$output/$benchmark.json")
