@@ -118,6 +118,7 @@ class TestThreads:
             assert future.result()["termination"] == "interrupted"
 
 
+@pytest.mark.skipif("libasan" in os.environ.get("LD_PRELOAD", ""), reason="AddressSanitizer keeps what is freed")
 def test_memory_does_not_grow(two_balls):
     """10^6 calls, each of which counts references; warmed up first."""
     simulation = saltus.Simulation(two_balls.replace(steps=4), "direct_toi")
