@@ -8,6 +8,7 @@
 
 #include "output/npz.h"
 #include "run_program.h"
+#include "saltus/physics/geometry.h"
 
 namespace saltus {
 namespace {
@@ -65,6 +66,33 @@ TEST(SolutionStates, StatesAreThoseOfTheRollout) {
       EXPECT_NEAR(found, expected, 1e-12);
     }
   }
+}
+
+// Angle and angular velocity come after position and velocity, and a solution's spin is where another run begins.
+TEST(SolutionStates, DiscsThatSpinHaveSixNumbers) {
+  const std::string spin = "--solver=ceres_lm --iterations=60" + Scene("back_spin");
+  const json document = Solve("--contact=event,compliant_brax --states " + spin);
+  for (const json& run : document["runs"]) {
+    const json &states = run["states"], &last = run["final_state"];
+    ASSERT_EQ(last[0].size(), 6u);
+    ASSERT_EQ(run["exact_final_state"][0].size(), 6u);
+    EXPECT_EQ(states.back(), last);
+    EXPECT_EQ(states[0][0][5], run["angular_velocity"][0]);
+    const json& exact = run["exact_states"];
+    for (int j = 0; j < 6; ++j) {
+      EXPECT_NEAR(exact.back()[0][j].get<double>(), run["exact_final_state"][0][j].get<double>(), 1e-9) << j;
+    }
+  }
+  const json& found = document["runs"][0];
+  const double spun = found["angular_velocity"][0], end = found["final_state"][0][5];
+  const Vec2d miss(found["final_state"][0][0], found["final_state"][0][1].get<double>() - 1);
+  const Vec2d slow(found["final_state"][0][2].get<double>() + 1.5, found["final_state"][0][3].get<double>() - 1);
+  EXPECT_NEAR(found["final_loss"], miss.squaredNorm() + 0.1 * slow.squaredNorm() + 1e-5 * end * end, 1e-12);
+  const std::string from = " --warm_start=" + Write("spin.json", found);
+  const json again = Solve("--contact=event " + spin + from)["runs"][0];
+  EXPECT_EQ(again["initial_loss"], found["final_loss"]);
+  EXPECT_EQ(again["iterations"], 0);
+  EXPECT_NEAR(again["angular_velocity"][0], spun, 1e-12);
 }
 
 TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
