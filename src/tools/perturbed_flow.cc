@@ -91,7 +91,8 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
   if (exact == nullptr) return {};
   const int exact_size = exact->body_size();
   std::vector<double> y(exact->state_size());
-  for (int i = 0; i < scene.num_bodies(); ++i) std::copy_n(&x[i * size], std::min(size, exact_size), &y[i * exact_size]);
+  for (int i = 0; i < scene.num_bodies(); ++i)
+    std::copy_n(&x[i * size], std::min(size, exact_size), &y[i * exact_size]);
   PerturbedFlows flows{Follow(*simulator, x, place, begin, end), Follow(*exact, y, place, begin, end)};
   return flows.model.times.empty() || flows.exact.times.empty() ? PerturbedFlows() : flows;
 }
