@@ -271,7 +271,9 @@ void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
   group_size_.assign(n, 0);
   for (int i = 0; i < n; ++i) {
     if (discs_[i].fixed) continue;
-    const double fastest = std::hypot(now_[i].v.norm(), now_[i].turning) + acceleration_[i] * options_.dt;
+    const double speed = now_[i].v.norm();
+    const double all = now_[i].turning == 0 ? speed : std::hypot(speed, now_[i].turning);
+    const double fastest = all + acceleration_[i] * options_.dt;
     energy_[Root(i)] += discs_[i].mass * fastest * fastest;
     ++group_size_[Root(i)];
   }
