@@ -85,7 +85,8 @@ class EventQueue : protected EventMotion<T, kRotation> {
     return std::min(std::ldexp(kSlowSpeed, beyond), kLargestSlowSpeed);
   }
 
-  double limit_;  // s, events after it are left to the next step
+  double limit_;     // s, events after it are left to the next step
+  int impacts_ = 0;  // in this step
 
  private:
   // Of two events at the same time. What ends an arc that was cut there comes before the arc's end.
@@ -93,8 +94,8 @@ class EventQueue : protected EventMotion<T, kRotation> {
     return pairs_[q].stopping || (pairs_[other].waits && !pairs_[q].waits && !pairs_[q].held);
   }
 
-  // How often pair q has met in this step, and its discs have met others. With friction piles come to rest by
-  // themselves.
+  // How often pair q has met since there are many impacts, and its discs have met others. With friction piles come to
+  // rest by themselves.
   int Crowding(int q) const {
     if (Value(in_.contact.friction) > 0) return 0;
     const Candidate& c = CandidateOf(q);

@@ -97,7 +97,7 @@ class EventStep : private EventQueue<T, kRotation> {
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
       Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopClosing, Discs::FirstClosingOf, Discs::TimeOnEdge,
       Discs::IsTable, Discs::Slide, Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime,
-      Discs::SlowSpeed;
+      Discs::SlowSpeed, Discs::impacts_;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -234,6 +234,7 @@ class EventStep : private EventQueue<T, kRotation> {
   }
 
   void CountImpact(int q) {
+    if (++impacts_ <= kManyImpacts) return;
     const Candidate& c = CandidateOf(q);
     ++pairs_[q].impacts;
     ++discs_[c.a].impacts;
@@ -314,7 +315,7 @@ class EventStep : private EventQueue<T, kRotation> {
     trial_.tied = tied_;
     trial_.discs = discs_;
     trial_.pairs = pairs_;
-    const int order = order_;
+    const int order = order_, impacts = impacts_;
     const std::size_t touches = in_.touches != nullptr ? in_.touches->size() : 0;
     bool matters = false, choice = true;
     for (int k = 1; k <= NumTieOrders(static_cast<int>(tied_.size())) && choice && !matters; ++k) {
@@ -328,6 +329,7 @@ class EventStep : private EventQueue<T, kRotation> {
       discs_ = trial_.discs;
       pairs_ = trial_.pairs;
       order_ = order;
+      impacts_ = impacts;
       if (in_.touches != nullptr) in_.touches->resize(touches);
     }
     tied_ = trial_.tied;
