@@ -126,7 +126,9 @@ TEST(NeuralEvent, ConformsAsAContactModel) {
       EXPECT_EQ(check(model), "") << law.name;
     }
     // Whose friction is the scene's, and large enough to stick.
-    if (!law.HasFriction()) EXPECT_EQ(CheckSeveralAtOnce(model), "");
+    if (!law.HasFriction()) {
+      EXPECT_EQ(CheckSeveralAtOnce(model), "");
+    }
     EXPECT_EQ(CheckDerivative(model, FourDiscs(0.3)), "") << law.name;
     EXPECT_EQ(CheckSymmetries(model, FourDiscs(0.3)), "") << law.name;
     EXPECT_EQ(CheckDeterminism(model, FourDiscs(0.3)), "") << law.name;

@@ -330,8 +330,9 @@ TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
   for (const auto& row : solved->rows) {
     const std::string& kind = row[*solved->Find("kind")];
     EXPECT_EQ(row[*solved->Find("problems")], kind == "all" ? "3" : kind == "pair" ? "2" : "1");
-    if (kind == "all")
+    if (kind == "all") {
       EXPECT_NEAR(std::stod(row[*solved->Find("solved")]), parts.at(row[*solved->Find("solver")]), 1e-9);
+    }
   }
   EXPECT_EQ(solved->rows.back()[*solved->Find("kind")], "all");
   const Outcome both = RunCommand(SALTUS_BINARY_DIR "/bin/saltus_sweep --sweep=seed=1,2 " + Scene("two_balls"));
