@@ -79,7 +79,7 @@ TEST(SweepSpec, ErrorsNamePlaceAndExpectation) {
   } cases[] = {
       {"", "character 1", "an option"},
       {"stiffness", "character 10", "expected '='"},
-      {"colour=1", "found 'colour'", "one of contact, solver, precision, stiffness"},
+      {"colour=1", "found 'colour'", "one of contact, solver, precision, seed, stiffness"},
       {"striker.colour=1", "character 1", "<body>.<field>"},
       {"target.force_x=1", "character 1", "<body>.<field>"},  // not controlled
       {"stiffness=1,", "character 13", "a number"},
