@@ -64,8 +64,13 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
   }
   const auto failed = std::count_if(
       solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
-  tiles.push_back({std::to_string(solved.runs.size() - failed) + " of " + std::to_string(solved.runs.size()),
-                   request.solvers.empty() ? "simulations that ran" : "runs that are an answer",
+  const auto refused = std::count_if(solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) {
+    return run.report.termination == Termination::kNotApplicable;
+  });
+  const auto taken = static_cast<std::ptrdiff_t>(solved.runs.size()) - refused;
+  const std::string what = request.solvers.empty() ? "simulations that ran" : "runs that are an answer";
+  tiles.push_back({std::to_string(taken - failed) + " of " + std::to_string(taken),
+                   what + (refused > 0 ? "; " + std::to_string(refused) + " refused the scene" : ""),
                    failed == 0 ? Tone::kGood : Tone::kWarning});
   return tiles;
 }
