@@ -18,6 +18,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr double kPositionQuantum = 1e-7;  // of the drawing's size
 constexpr double kOtherQuantum = 1e-6;     // of the largest velocity or force
+constexpr double kAngleQuantum = 1e-5;     // rad
 constexpr size_t kMostTouches = 20000;     // of a motion; more are not seen
 constexpr size_t kMostNamed = 6;           // in words
 
@@ -159,6 +160,7 @@ Json TouchesToJson(const ReplayMotion& motion) {
 Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double speed) {
   CHECK(!motion.times.empty());
   CHECK_EQ(motion.states.size(), motion.times.size() * discs * 4);
+  CHECK(motion.angles.empty() || motion.angles.size() == motion.times.size() * discs);
   CHECK_EQ(motion.control.size(), motion.ends.size() * motion.pushed.size() * 2);
   const double position = kPositionQuantum * size, velocity = kOtherQuantum * speed;
   const double force = kOtherQuantum * Largest(motion.control, 0, 2);
@@ -170,6 +172,7 @@ Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double 
           {"arcs", motion.arcs},
           {"times", Base64(motion.times)},
           {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
+          {"angles", motion.angles.empty() ? Json() : Pack(motion.angles, discs, {kAngleQuantum})},
           {"touches", TouchesToJson(motion)},
           {"pushed", motion.pushed},
           {"ends", Base64(motion.ends)},

@@ -1,9 +1,9 @@
 // Motions of discs that a reader plays in a web page: what is drawn, and the element that carries it.
 //
 // The data stand in the page as JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
-// velocities and forces 1e-6 of the largest); each column is written as its second differences, which free flight makes
-// 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where discs fly, at most 4 or
-// so where they do not. Times are written in full.
+// velocities and forces 1e-6 of the largest, of angles 1e-5 rad); each column is written as its second differences,
+// which free flight makes 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where
+// discs fly, at most 4 or so where they do not. Times are written in full.
 #pragma once
 
 #include <array>
@@ -45,9 +45,10 @@ struct ReplayMotion {
   bool shown = true;          // at first; the reader may change it
   std::string colour = "#000000";
   Dash dash = Dash::kSolid;
-  std::vector<double> times;   // s, never falling; at least one
-  std::vector<double> states;  // times.size() x discs x 4: p_x p_y v_x v_y
-  bool arcs = false;           // positions in between are cubics by velocities, not straight lines
+  std::vector<double> times;        // s, never falling; at least one
+  std::vector<double> states;       // times.size() x discs x 4: p_x p_y v_x v_y
+  std::vector<double> angles = {};  // times.size() x discs, rad; empty if no disc turns
+  bool arcs = false;                // positions in between are cubics by velocities, not straight lines
   std::vector<ReplayTouch> touches;
   std::vector<int> pushed;      // discs with a force on them
   std::vector<double> control;  // K x pushed x 2, N

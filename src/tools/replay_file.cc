@@ -40,14 +40,17 @@ void SetStyles(std::vector<ReplayMotion>* motions, std::vector<std::string> mode
 void Thin(size_t most_rows, size_t width, ReplayMotion* motion) {
   const size_t rows = motion->times.size(), stride = (rows + most_rows - 1) / most_rows;
   if (stride < 2) return;
-  std::vector<double> times, states;
+  std::vector<double> times, states, angles;
+  const size_t discs = motion->angles.size() / rows;
   for (size_t k = 0; k < rows; ++k) {
     if (k % stride != 0 && k + 1 != rows) continue;
     times.push_back(motion->times[k]);
     states.insert(states.end(), motion->states.begin() + k * width, motion->states.begin() + (k + 1) * width);
+    angles.insert(angles.end(), motion->angles.begin() + k * discs, motion->angles.begin() + (k + 1) * discs);
   }
   motion->times = std::move(times);
   motion->states = std::move(states);
+  motion->angles = std::move(angles);
   motion->arcs = false;
   motion->remark += (motion->remark.empty() ? "" : "; ") + std::string("every ") + std::to_string(stride) +
                     (stride == 2   ? "nd"

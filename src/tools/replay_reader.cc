@@ -15,6 +15,7 @@ namespace saltus {
 namespace {
 
 constexpr size_t kState = 4;
+constexpr size_t kTurning = 6;  // with angle and angular velocity
 
 // Of such a model the exact motion is its own.
 bool IsExact(const std::string& contact) {
@@ -202,9 +203,11 @@ class Reader {
         for (size_t j = 0; j < kState; ++j) {
           motion->states.push_back(j < body.size() ? NumberIn(body[j], row) : 0);
         }
+        if (body.size() >= kTurning) motion->angles.push_back(NumberIn(body[kState], row));
       }
     }
     if (numbers < kState) DifferenceVelocities(motion);
+    if (kState * motion->angles.size() != motion->states.size()) motion->angles.clear();
   }
 
   // Velocities as the differences of positions across the neighbouring states.
@@ -351,6 +354,7 @@ class Reader {
     const size_t per_disc = static_cast<size_t>(shape[2]);
     for (size_t i = 0; i < numbers.size(); i += per_disc) {
       for (size_t j = 0; j < kState; ++j) motion->states.push_back(j < per_disc ? numbers[i + j] : 0);
+      if (per_disc >= kTurning) motion->angles.push_back(numbers[i + kState]);
     }
     if (per_disc < kState) DifferenceVelocities(motion);
   }

@@ -21,8 +21,8 @@ struct ReplayFile {
 //   planes   [{ "name", "point", "normal" }]          default none, as of segments, polygons and arcs, which are as in
 //                                                     scene files
 //   times    n numbers that do not fall, s
-//   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; what follows is
-//            not looked at
+//   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; of discs
+//            that spin angle and angular velocity follow, and what follows then is not looked at
 //   touches  [{ "a", "b", "begin", "end", "impulse" }], default none; end (begin) and impulse ([0, 0]) may be missing
 //
 // and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of

@@ -61,6 +61,7 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
                       .pushed = {},
                       .control = {},
                       .ends = {}};
+  for (size_t i = 0; i < motion.rotations.size(); i += 2) replay.angles.push_back(motion.rotations[i]);
   for (const TouchSpan& touch : motion.touches) {
     replay.touches.push_back(
         {touch.contact.a, touch.contact.b, touch.contact.plane, touch.begin, touch.end, Pair(touch.impulse)});

@@ -267,6 +267,26 @@ class Pages(unittest.TestCase):
             for name, gap in touches:
                 self.assertAlmostEqual(gap, 0, delta=2e-6, msg=name)
 
+    # A disc that nothing touches turns at a constant speed; its spoke is drawn.
+    def test_discs_that_spin_turn(self):
+        text = BALL.replace("FRICTION", "0.2").replace("gravity: [0, -8]", "gravity: [0, 0]").replace("steps: 7", "steps: 8")
+        scene = self.write("turns.yaml", text.replace("velocity: [3, 0]", "velocity: [3, 0], inertia: solid, "
+                                                      "angle: 0.5, angular_velocity: 7"))
+        folder, done = self.solve(scene, "--contact=event,compliant_brax", "--solver=none", "--states", "--json")
+        page = os.path.join(self.folder, "turns.html")
+        run("saltus_replay", self.write("turns.json", done.stdout), f"--output={page}")
+        for path in (os.path.join(folder, "report.html"), page):
+            self.open(path)
+            for time in (0.0, 0.3, 0.77, 1.0):
+                angles = self.js("return saltusReplays[0].motions.map((motion) => motion.angleAt(arguments[0], 0))", time)
+                self.assertGreaterEqual(len(angles), 2)
+                for angle in angles:
+                    self.assertAlmostEqual(angle, 0.5 + 7 * time, delta=2e-5)
+            picture = "saltusReplays[0].seek(0.5); return document.querySelector('.replay canvas').toDataURL()"
+            turning = self.js(picture)
+            self.js("for (const motion of saltusReplays[0].motions) motion.angles = null")
+            self.assertNotEqual(self.js(picture), turning)
+
     def test_reports_of_eight_scenes(self):
         gas = run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout
         rest = BALL.replace("FRICTION", "0.3").replace("restitution: 0.5", "restitution: 0").replace("[0, 1.25]", "[0, 0.25]")

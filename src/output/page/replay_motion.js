@@ -9,6 +9,7 @@ class Motion {
     this.discs = discs;
     this.times = doublesOf(data.times);
     this.states = unpack(data.states, this.times.length, 4 * discs.length);
+    this.angles = data.angles && unpack(data.angles, this.times.length, discs.length);  // rad; null if none turns
     this.touches = data.touches.map(([a, b, wall, begin, end, x, y]) => ({a, b, wall, begin, end, impulse: [x, y]}));
     this.pushed = data.pushed;
     this.ends = doublesOf(data.ends);  // of the control's intervals, s
@@ -54,6 +55,14 @@ class Motion {
     }
     if (this.arcs) this.bend(from, width, step, part, out);
     return out;
+  }
+
+  // The angle of a disc, rad: turning at a constant speed between two rows.
+  angleAt(time, disc) {
+    const row = this.rowAt(time), width = this.discs.length, angle = this.angles[row * width + disc];
+    const step = row + 1 < this.times.length ? this.times[row + 1] - this.times[row] : 0;
+    const part = step > 0 ? Math.min(Math.max((time - this.times[row]) / step, 0), 1) : 0;
+    return part === 0 ? angle : angle + part * (this.angles[(row + 1) * width + disc] - angle);
   }
 
   // Positions on the cubic that positions and velocities at both ends determine: on a parabola, that parabola.

@@ -183,6 +183,7 @@ class View {
     const x = motion.stateAt(time, this.scratch);
     if (options.trails) this.drawTrails(context, motion, time);
     this.drawDiscs(context, motion, x, first);
+    if (motion.angles) this.drawSpokes(context, motion, x, time);
     if (options.touches) this.drawTouches(context, motion, x, time, options);
     if (options.velocities) {
       const unit = 0.14 * this.extent / (this.replay.fastest || 1);
@@ -258,6 +259,20 @@ class View {
       });
       this.paint(context, fixed ? FAINT : motion.colour, first, 2, DASHES[motion.dash]);
     }
+  }
+
+  // From the centre of each disc to the point of its rim that began to the right.
+  drawSpokes(context, motion, x, time) {
+    context.beginPath();
+    this.replay.discs.forEach((disc, i) => {
+      if (disc.fixed) return;
+      const angle = motion.angleAt(time, i), px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
+      context.moveTo(px, py);
+      context.lineTo(px + this.scale * disc.radius * Math.cos(angle), py - this.scale * disc.radius * Math.sin(angle));
+    });
+    context.strokeStyle = motion.colour;
+    context.lineWidth = 2;
+    context.stroke();
   }
 
   // Where discs have been; of many discs only lately.
