@@ -14,8 +14,7 @@ using enum Certificate::Verdict;
 std::string MeaningOfStationary(const Certificate& certificate) {
   const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
   if (!certificate.curvature) {
-    return "to first order no change of " + which +
-           " lowers the loss; with so many impacts its curvature was not looked at";
+    return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
   }
   switch (certificate.curvature->kind) {
     case Curvature::Kind::kMinimum:
