@@ -1,26 +1,42 @@
-// Names that the targets refer to, in place of the solvers and contact models behind them: readers want no more, and
-// those would take long to compile.
+// Names that the targets refer to, in place of the solvers, contact models and flags behind them: readers want no more,
+// and those would take long to compile.
 #include "dynamics/registry_entry.h"
 #include "saltus/solve/solver.h"
+#include "tools/program.h"
 
 namespace saltus {
 
 const std::vector<SolverEntry>& AllSolvers() {
   static const std::vector<SolverEntry>& solvers =
-      *new std::vector<SolverEntry>{{.name = "gd", .summary = ""}, {.name = "ceres_lm", .summary = ""}};
+      *new std::vector<SolverEntry>{{.name = "gd", .summary = "", .why_not = nullptr, .solve = nullptr},
+                                    {.name = "ceres_lm", .summary = "", .why_not = nullptr, .solve = nullptr}};
   return solvers;
 }
 
+std::string WhyNotValid(const SearchOptions&) { return ""; }
+
+void ApplySceneFlags(Scene*) {}
+
+namespace {
+
+ContactEntry Named(const char* name, std::vector<ListedOption> options) {
+  ModelTraits traits = {};
+  traits.name = name;
+  return {traits, std::move(options), [](const Scene&) { return std::string(); }, nullptr};
+}
+
+}  // namespace
+
 template <>
-RegistryEntry EntryOf<0>() {
-  return {{.name = "direct"}, {}, [](const Scene&) { return std::string(); }, nullptr};
+ContactEntry EntryOf<0>() {
+  return Named("direct", {});
 }
 
 template <>
-RegistryEntry EntryOf<1>() {
+ContactEntry EntryOf<1>() {
   const ListedOption kappa = {{"kappa", "a number", 1e-12, 1, true}, 1e-6, false};
   const ListedOption substeps = {{"substeps", "a whole number", 1, 1000}, 10, true};
-  return {{.name = "ncp"}, {kappa, substeps}, [](const Scene&) { return std::string(); }, nullptr};
+  return Named("ncp", {kappa, substeps});
 }
 
 }  // namespace saltus
