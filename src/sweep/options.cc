@@ -24,9 +24,13 @@ Surrogate& SurrogateOf(Request* request) {
   return *request->options.surrogate;
 }
 
+uint64_t NotNegative(const char* name, double value) {
+  if (value < 0) throw InputError(std::string(name) + " must not be negative");
+  return static_cast<uint64_t>(value);
+}
+
 void TakeControlProblem(double seed, Request* request) {
-  if (seed < 0) throw InputError("seed must not be negative");
-  request->scene = ControlProblem(static_cast<uint64_t>(seed));
+  request->scene = ControlProblem(NotNegative("seed", seed));
   ApplySceneFlags(&request->scene);
 }
 
@@ -46,13 +50,13 @@ constexpr NumberOption kNumbers[] = {
     {"search_seconds", kReal, [](double value, Request* r) { r->options.search_options.seconds = value; }},
     {"search_memory",
      kInteger,
-     [](double value, Request* r) { r->options.search_options.memory = static_cast<size_t>(value) << 20; }},
+     [](double value, Request* r) { r->options.search_options.memory = NotNegative("search_memory", value) << 20; }},
     {"search_starts",
      kInteger,
      [](double value, Request* r) { r->options.search_options.starts = static_cast<int>(value); }},
     {"search_seed",
      kInteger,
-     [](double value, Request* r) { r->options.search_options.seed = static_cast<uint64_t>(value); }},
+     [](double value, Request* r) { r->options.search_options.seed = NotNegative("search_seed", value); }},
     {"surrogate_sigma", kReal, [](double value, Request* r) { SurrogateOf(r).sigma = value; }},
     {"surrogate_samples", kInteger, [](double value, Request* r) { SurrogateOf(r).samples = static_cast<int>(value); }},
     {"surrogate_seed", kInteger, [](double value, Request* r) { SurrogateOf(r).seed = static_cast<int>(value); }},

@@ -170,6 +170,9 @@ TEST(SweepOptions, ChangeWhatTheyName) {
     EXPECT_EQ(value(), 77) << name;
   }
   EXPECT_THROW(SetSweepOption("learning_rate", -1.0, &request), InputError);
+  for (const char* name : {"seed", "search_seed", "search_memory"}) {
+    EXPECT_THROW(SetSweepOption(name, -1.0, &request), InputError) << name;
+  }
 }
 
 TEST(SweepStudy, CombinesBlocksWithTheLastFastest) {
