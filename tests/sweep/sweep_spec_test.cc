@@ -169,10 +169,11 @@ TEST(SweepOptions, ChangeWhatTheyName) {
     SetSweepOption(name, 77.0, &request);
     EXPECT_EQ(value(), 77) << name;
   }
-  EXPECT_THROW(SetSweepOption("learning_rate", -1.0, &request), InputError);
   for (const char* name : {"seed", "search_seed", "search_memory"}) {
-    EXPECT_THROW(SetSweepOption(name, -1.0, &request), InputError) << name;
+    Request other = request;
+    EXPECT_THROW(SetSweepOption(name, -1.0, &other), InputError) << name;
   }
+  EXPECT_THROW(SetSweepOption("learning_rate", -1.0, &request), InputError);
 }
 
 TEST(SweepStudy, CombinesBlocksWithTheLastFastest) {
