@@ -1,6 +1,4 @@
 // Every contact model of the registry against what all of them must do; and the checks against seeded faults.
-#include "dynamics/conformance.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -10,8 +8,9 @@
 #include "contact/direct.h"
 #include "contact/lcp_pgs.h"
 #include "contact/pbd_warp.h"
-#include "saltus/dynamics/model_simulator.h"
+#include "dynamics/conformance.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/internal/model_simulator.h"
 #include "test_scenes.h"
 
 namespace saltus::conformance {
