@@ -1,4 +1,6 @@
 // Every contact model of the registry against what all of them must do; and the checks against seeded faults.
+#include "dynamics/conformance.h"
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -8,7 +10,7 @@
 #include "contact/direct.h"
 #include "contact/lcp_pgs.h"
 #include "contact/pbd_warp.h"
-#include "dynamics/conformance.h"
+#include "dynamics/conformance_derivatives.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/internal/model_simulator.h"
 #include "test_scenes.h"
