@@ -9,7 +9,7 @@
 
 #include "contact/contact_system.h"
 #include "saltus/contact/step_input.h"
-#include "saltus/physics/taped.h"
+#include "saltus/internal/taped.h"
 
 namespace saltus::internal {
 

@@ -12,36 +12,21 @@
 #include <type_traits>
 #include <vector>
 
+#include "contact/event_changes.h"
 #include "contact/event_press.h"
-#include "contact/event_queue.h"
 #include "contact/event_ties.h"
-#include "contact/impact.h"
 
 namespace saltus::internal {
 
-template <typename T>
-struct ImpactNumbers {
-  T restitution, friction;
-};
-
-// Those of the scene, whatever the relative velocity w and the normal of the impact.
-template <typename T>
-struct SceneLaw {
-  const StepInput<T>& in;
-  ImpactNumbers<T> At(const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
-    return {in.contact.restitution, in.contact.friction};
-  }
-};
-
 // `Law` says which restitution and friction an impact has; contacts that last have those of `in`.
 template <typename T, int kRotation, typename Law>
-class EventStep : private EventQueue<T, kRotation> {
+class EventStep : private EventChanges<T, kRotation, Law> {
  public:
-  using typename EventQueue<T, kRotation>::State;
-  using typename EventQueue<T, kRotation>::Disc;
+  using typename EventChanges<T, kRotation, Law>::State;
+  using typename EventChanges<T, kRotation, Law>::Disc;
 
   EventStep(const StepInput<T>& in, const Law& law, std::span<const State> x)
-      : EventQueue<T, kRotation>(in, x), law_(law), tied_(in.scratch), trial_(in.scratch), group_(in) {
+      : Discs(in, law, x), tied_(in.scratch), trial_(in.scratch), group_(in) {
     group_.SetDiscs(discs_);
   }
 
@@ -91,13 +76,14 @@ class EventStep : private EventQueue<T, kRotation> {
 
  private:
   using Group = PressedGroup<T, kRotation>;
-  using Discs = EventQueue<T, kRotation>;
+  using Discs = EventChanges<T, kRotation, Law>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::IsDirty, Discs::ForEachPairOf,
       Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
       Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopClosing, Discs::FirstClosingOf, Discs::TimeOnEdge,
       Discs::IsTable, Discs::Slide, Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime,
-      Discs::SlowSpeed, Discs::impacts_;
+      Discs::SlowSpeed, Discs::impacts_, Discs::Fail, Discs::MoveTo, Discs::Release, Discs::Stop, Discs::Impact,
+      Discs::order_, Discs::inelastic_, Discs::failed_;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -108,11 +94,6 @@ class EventStep : private EventQueue<T, kRotation> {
     std::pmr::vector<Disc> discs, outcome;
     std::pmr::vector<Pair> pairs;
   };
-
-  void Fail(std::string_view why) {
-    failed_ = true;
-    in_.Fail(why);
-  }
 
   void Resolve(int q) {
     const Candidate& c = CandidateOf(q);
@@ -170,87 +151,6 @@ class EventStep : private EventQueue<T, kRotation> {
       }
     }
     return false;
-  }
-
-  SALTUS_FLATTEN void MoveTo(int i, const T& time) {
-    if (!Moves(i)) return;
-    Disc& disc = discs_[i];
-    const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
-    if constexpr (kRotation == kSpin) {
-      const T s = time - disc.t;
-      disc.turn = {disc.turn.AngleAfter(s), disc.turn.SpeedAfter(s), disc.turn.acceleration};
-    }
-    disc.p = p;
-    disc.v = v;
-    disc.t = time;
-    disc.moved = disc.dirty = true;
-    disc.order = order_;
-    disc.arc_end = kNever;
-  }
-
-  // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
-  void Release(int i, const T& time) {
-    if (!Moves(i)) return;
-    MoveTo(i, time);
-    discs_[i].a = in_.Acceleration(i);
-    if constexpr (kRotation == kSpin) discs_[i].turn.acceleration = in_.AngularAcceleration(i);
-    Slide(i);
-    ForEachPairOf(i, [&](int q) {
-      const Candidate& c = CandidateOf(q);
-      if (!pairs_[q].held) return;
-      pairs_[q].held = false;
-      pairs_[q].released = order_;
-      Release(c.a, time);
-      if (!c.plane) Release(c.b, time);
-    });
-  }
-
-  void Stop(int i) {
-    const T time = discs_[i].t + Divide(Length(discs_[i].v), in_.slowing);
-    MoveTo(i, time);
-    discs_[i].v = Vec2<T>(T(0.0), T(0.0));
-    Slide(i);
-  }
-
-  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
-  // of a contact at rest, friction included, sum up to that of a plastic impact.
-  SALTUS_FLATTEN void Impact(int q, const T& time, bool pressed) {
-    const Candidate& c = CandidateOf(q);
-    Release(c.a, time);
-    if (!c.plane) Release(c.b, time);
-    const Separation<T> at = LastSeparation(c);
-    const Vec2<T> w = LastRelativeVelocity(c);
-    const ImpactNumbers<T> law = law_.At(at.normal, w);
-    const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
-    const T bounce = inelastic_ || last ? T(1.0) : T(law.restitution + 1.0);
-    const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
-    ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-    if constexpr (kRotation == kSpin) {
-      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { discs_[i].turn.speed += change; });
-    }
-    SlideOn(c);
-    CountImpact(q);
-    Report(c, impact.mode, time, ContactKind::kImpact);
-  }
-
-  void CountImpact(int q) {
-    if (++impacts_ <= kManyImpacts) return;
-    const Candidate& c = CandidateOf(q);
-    ++pairs_[q].impacts;
-    ++discs_[c.a].impacts;
-    if (!c.plane) ++discs_[c.b].impacts;
-  }
-
-  auto MakeImpactOf(const Candidate& c, const Vec2<T>& normal, const Vec2<T>& w, const T& bounce,
-                    const T& friction) const {
-    if constexpr (kRotation == kSpin) {
-      const T sliding = AlongSurface<kRotation>(
-          in_, c, T(Dot(Perpendicular(normal), w)), [&](auto i) { return discs_[i].turn.speed; });
-      return MakeImpact<T>(
-          normal, T(Dot(normal, w)), sliding, in_.EffectiveMass(c), in_.TangentialMass(c), bounce, friction, kHeadOn);
-    } else {
-      return MakeImpact<T>(normal, w, in_.EffectiveMass(c), bounce, friction, kHeadOn);
-    }
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the
@@ -484,11 +384,8 @@ class EventStep : private EventQueue<T, kRotation> {
     ForEachPairBeside(c, [&](int other) { Gather(other, time); });
   }
 
-  const Law law_;
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
-  int order_ = 0;
-  bool inelastic_ = false, failed_ = false;
   Group group_;
 };
 

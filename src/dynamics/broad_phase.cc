@@ -1,4 +1,4 @@
-#include "saltus/dynamics/broad_phase.h"
+#include "saltus/internal/broad_phase.h"
 
 #include <algorithm>
 #include <cmath>

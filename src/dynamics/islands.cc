@@ -1,4 +1,4 @@
-#include "saltus/dynamics/islands.h"
+#include "saltus/internal/islands.h"
 
 #include <algorithm>
 #include <tuple>

@@ -1,4 +1,4 @@
-#include "saltus/dynamics/part_grid.h"
+#include "saltus/internal/part_grid.h"
 
 #include <limits>
 

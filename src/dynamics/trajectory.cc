@@ -1,4 +1,4 @@
-#include "saltus/dynamics/trajectory.h"
+#include "saltus/internal/trajectory.h"
 
 #include <cmath>
 

@@ -2,21 +2,15 @@
 #include <glog/logging.h>
 #include <yaml-cpp/yaml.h>
 
-#include <charconv>
 #include <string>
 #include <vector>
 
 #include "io/scene_reader.h"
+#include "physics/number_text.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
 namespace {
-
-// The shortest decimal that reads back as the same number.
-std::string ToText(double value) {
-  char text[32];
-  return {text, std::to_chars(text, text + sizeof(text), value).ptr};
-}
 
 YAML::Emitter& operator<<(YAML::Emitter& out, const Vec2d& vector) {
   return out << YAML::Flow << YAML::BeginSeq << ToText(vector[0]) << ToText(vector[1]) << YAML::EndSeq;

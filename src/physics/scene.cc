@@ -3,16 +3,16 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <string_view>
 #include <unordered_map>
 
+#include "physics/number_text.h"
 #include "physics/polygon.h"
+#include "physics/scene_overlap.h"
 #include "physics/units.h"
-#include "saltus/physics/walls.h"
 
 namespace saltus {
 namespace {
@@ -29,11 +29,6 @@ constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive numb
 constexpr Range kAboveZero{std::numeric_limits<double>::min(), kLargestMagnitude, "a positive number, up to 1e24"};
 constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e24"};
 constexpr Range kFraction{0, 1, "a number from 0 to 1"};
-
-std::string ToText(double value) {
-  char text[32];
-  return {text, std::to_chars(text, text + sizeof(text), value).ptr};
-}
 
 // The path of a number in the scene file; text only if it is needed.
 struct Key {
@@ -81,7 +76,7 @@ class Rules {
     CheckFree();
     CheckFreeSpin();
     CheckNoContact();
-    if (all_ && !error_) CheckOverlap();  // meaningful for finite numbers only
+    if (all_ && !error_) return FindOverlap(scene_);  // meaningful for finite numbers only
     return error_;
   }
 
@@ -394,67 +389,8 @@ class Rules {
            "found bodies, expected none: angular velocities are optimized with optimize: velocity");
   }
 
-  void CheckOverlap() {
-    tolerance_ = kOverlapTolerance * NaturalUnits(scene_).length;
-    for (std::size_t i = 0; i < scene_.bodies.size(); ++i) {
-      for (std::size_t j = 0; j < i && !error_; ++j) CheckApart(i, j);
-      for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
-      if (error_) return;
-    }
-    if (scene_.HasEdges()) CheckEdges();
-  }
-
-  void CheckApart(std::size_t i, std::size_t j) {
-    const Body& a = scene_.bodies[i];
-    const Body& b = scene_.bodies[j];
-    if (a.fixed && b.fixed) return;
-    const Vec2d apart = a.position - b.position;
-    const double contact_distance = a.radius + b.radius;
-    if (std::abs(apart[0]) >= contact_distance) return;  // spares most pairs of a large scene the square root
-    Overlap(i, At("bodies", j).ToString() + " (" + b.name + ")", contact_distance - std::hypot(apart[0], apart[1]));
-  }
-
-  void CheckAbove(std::size_t i, std::size_t j) {
-    const Body& body = scene_.bodies[i];
-    const Plane& plane = scene_.planes[j];
-    if (body.fixed) return;
-    const Vec2d normal = plane.normal / std::hypot(plane.normal[0], plane.normal[1]);
-    const double height = Dot(normal, Vec2d(body.position - plane.point));
-    Overlap(i, At("planes", j).ToString() + " (" + plane.name + ")", body.radius - height);
-  }
-
-  void CheckEdges() {
-    const std::vector<WallPart> parts = WallPartsOf(scene_);
-    for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
-      const Body& body = scene_.bodies[i];
-      if (body.fixed) continue;
-      for (std::size_t p = scene_.planes.size(); p < parts.size(); ++p) {
-        if (!parts[p].extent.Covers(body.position)) continue;
-        Overlap(i, parts[p].name, body.radius - parts[p].LeastDistance(body.position));
-      }
-      for (const EdgePolygon& polygon : scene_.polygons) {
-        const bool solid = IsInside(body.position, polygon.points) == (polygon.solid == EdgePolygon::Solid::kInside);
-        Expect(!solid, At("bodies", i, "position"), [&] {
-          return "found a point in what is solid of the polygon " + polygon.name + ", expected one outside it";
-        });
-      }
-    }
-  }
-
-  void Overlap(std::size_t body, const std::string& other, double depth) {
-    // Positions are rounded when they are written; a difference of two, and its length, by as much again.
-    const double rounding =
-        8 * std::numeric_limits<double>::epsilon() * scene_.bodies[body].position.cwiseAbs().maxCoeff();
-    const double tolerance = std::max(tolerance_, rounding);
-    Expect(depth <= tolerance, At("bodies", body, "position"), [&] {
-      return "found an overlap of " + ToText(depth) + " m with " + other + " at the start, expected at most " +
-             ToText(tolerance) + " m";
-    });
-  }
-
   const Scene& scene_;
   const bool all_;
-  double tolerance_ = 0;                        // m, of overlaps
   std::unordered_map<std::string, Key> names_;  // of bodies and planes
   std::optional<SceneError> error_;
 };

@@ -1,4 +1,4 @@
-#include "saltus/physics/taped.h"
+#include "saltus/internal/taped.h"
 
 namespace saltus {
 

@@ -6,10 +6,10 @@
 #include <charconv>
 #include <iostream>
 #include <optional>
-#include <sstream>
 
 #include "output/interrupt.h"
 #include "physics/units.h"
+#include "tools/command_line.h"
 #include "tools/identify_tables.h"
 #include "tools/recording_npz.h"
 
@@ -31,13 +31,6 @@ namespace {
 
 constexpr int kLawUnits = 4, kMostLawUnits = 16;
 constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
-
-std::vector<std::string> SplitNames(const std::string& list) {
-  std::vector<std::string> names;
-  std::stringstream stream(list);
-  for (std::string name; std::getline(stream, name, ',');) names.push_back(name);
-  return names;
-}
 
 RobustLoss LossFromFlag() {
   if (FLAGS_loss == "none") return RobustLoss::kNone;
@@ -83,7 +76,7 @@ IdentifyOptions OptionsFromFlags(const Request& request) {
 std::vector<Recording> ReadRecordings(const Scene& scene) {
   if (FLAGS_recording.empty()) throw InputError("--recording=FILE is needed; -h lists all flags");
   std::vector<Recording> recordings;
-  for (const std::string& path : SplitNames(FLAGS_recording)) {
+  for (const std::string& path : SplitAtCommas(FLAGS_recording)) {
     auto loaded = path.ends_with(".npz") ? LoadRecordingNpz(path, scene) : LoadRecording(path, scene);
     if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
     recordings.push_back(std::get<Recording>(std::move(loaded)));

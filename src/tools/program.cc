@@ -14,7 +14,6 @@
 #include <filesystem>
 #include <iostream>
 #include <new>
-#include <sstream>
 #include <thread>
 
 #include "io/file.h"
@@ -23,6 +22,7 @@
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
 #include "solve/control_guess.h"
+#include "tools/command_line.h"
 #include "tools/program_flags.h"
 #include "tools/saved_solution.h"
 #include "tools/surrogate_flags.h"
@@ -69,13 +69,6 @@ extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); no
 namespace saltus {
 namespace {
 
-std::vector<std::string> Split(const std::string& list) {
-  std::vector<std::string> items;
-  std::stringstream stream(list);
-  for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
-  return items;
-}
-
 template <typename Entries>
 std::vector<std::string> NameList(const Entries& entries) {
   std::vector<std::string> names;
@@ -114,7 +107,7 @@ std::vector<std::string> ReadContacts(const std::string& value) {
     for (const ModelTraits& model : AllContactModels()) contacts.emplace_back(model.name);
     return contacts;
   }
-  for (const std::string& contact : Split(value)) {
+  for (const std::string& contact : SplitAtCommas(value)) {
     const std::string wrong = WhatIsWrongWith(contact);
     if (!wrong.empty()) {
       const std::string name = contact.substr(0, contact.find(':'));
@@ -136,7 +129,7 @@ std::vector<std::string> ReadNames(const char* flag, const std::string& value, c
     for (const auto& entry : entries) names.emplace_back(entry.name);
     return names;
   }
-  for (const std::string& name : Split(value)) {
+  for (const std::string& name : SplitAtCommas(value)) {
     const bool known =
         std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
     if (!known) {
@@ -153,70 +146,6 @@ std::vector<std::string> ReadNames(const char* flag, const std::string& value, c
 double Finite(const char* flag, double value) {
   if (!std::isfinite(value)) throw InputError("--" + std::string(flag) + " must be a finite number");
   return value;
-}
-
-constexpr size_t kMostFlagBytes = 1 << 20;
-constexpr int kDeepestFlagFile = 16;
-
-// gflags reads flag files to their end, whatever they are, and files that name themselves until it crashes.
-void CheckFlagFile(const std::string& argument, int depth) {
-  static constexpr char kFlag[] = "-flagfile=";
-  const size_t dash = argument.find_first_not_of(" \t");
-  if (dash == std::string::npos) return;
-  const size_t start = argument.compare(dash, 2, "--") == 0 ? dash + 1 : dash;
-  if (argument.compare(start, sizeof kFlag - 1, kFlag) != 0) return;
-  for (const std::string& path : Split(argument.substr(start + sizeof kFlag - 1))) {
-    if (depth == kDeepestFlagFile) throw InputError("--flagfile=" + path + ": flag files that name each other?");
-    std::error_code unknown;
-    if (std::filesystem::is_fifo(path, unknown)) continue;  // can be read only once
-    const StatusOr<std::string> text = ReadFile(path, kMostFlagBytes);
-    if (!text.ok()) throw InputError("--flagfile=" + text.status().message());
-    std::stringstream lines(*text);
-    for (std::string line; std::getline(lines, line);) CheckFlagFile(line, depth + 1);
-  }
-}
-
-void CheckFlagFiles(int argc, char** argv) {
-  for (int i = 1; i < argc; ++i) {
-    const std::string argument = argv[i];
-    if (argument == "--") return;
-    const bool apart = (argument == "--flagfile" || argument == "-flagfile") && i + 1 < argc;
-    CheckFlagFile(apart ? argument + "=" + argv[i + 1] : argument, 0);
-  }
-}
-
-// gflags ends the program at the first flag that it does not know. Here it is said which program has it. Those that
-// --undefok allows to be unknown are left to gflags.
-void CheckFlagNames(int argc, char** argv, const Program& program) {
-  std::vector<std::string> unknown;
-  for (int i = 1; i < argc; ++i) {
-    std::string name = argv[i];
-    if (name == "--") break;
-    if (name.size() < 2 || name[0] != '-') continue;
-    name.erase(0, name[1] == '-' ? 2 : 1);
-    const bool has_value = name.find('=') != std::string::npos;
-    name = name.substr(0, name.find('='));
-    std::replace(name.begin(), name.end(), '-', '_');
-    if (name == "undefok") return;
-    gflags::CommandLineFlagInfo info;
-    const bool known = gflags::GetCommandLineFlagInfo(name.c_str(), &info);
-    const bool negated = name.starts_with("no") && gflags::GetCommandLineFlagInfo(name.c_str() + 2, &info);
-    if (known && !has_value && info.type != "bool") ++i;  // the value stands apart
-    if (!known && !negated) unknown.push_back(name);
-  }
-  if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
-}
-
-// Whatever way a flag was given: what the program would ignore is an error.
-void RefuseFlagsOfOthers(const Program& program) {
-  for (const Program& other : AllPrograms()) {
-    for (const std::string& name : FlagNames(other)) {
-      gflags::CommandLineFlagInfo info;
-      if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
-      const std::string why = WhyNoFlagOf(program, name);
-      if (!why.empty()) throw InputError(why);
-    }
-  }
 }
 
 SearchOptions SearchFromFlags() {
@@ -309,8 +238,7 @@ int RunMain(int argc, char** argv, const Program& program, const std::function<i
   gflags::SetVersionString(SALTUS_VERSION);
   google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
   const int code = RunBody([&] {
-    CheckFlagFiles(argc, argv);
-    CheckFlagNames(argc, argv, program);
+    CheckCommandLine(argc, argv, program);
     gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
     RefuseFlagsOfOthers(program);
     if (FLAGS_h || FLAGS_help || FLAGS_helpshort) {

@@ -5,7 +5,7 @@
 
 #include "contact/event.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/model_simulator.h"
+#include "saltus/internal/model_simulator.h"
 
 namespace saltus::testing {
 

@@ -11,7 +11,7 @@
 
 #include "contact/event_run.h"
 #include "exact/exact_scenes.h"
-#include "saltus/dynamics/island_derivative.h"
+#include "saltus/internal/island_derivative.h"
 
 namespace saltus {
 namespace {

@@ -10,8 +10,9 @@
 #include "contact/direct.h"
 #include "contact/lcp_pgs.h"
 #include "contact/pbd_warp.h"
-#include "saltus/dynamics/model_simulator.h"
+#include "dynamics/conformance_derivatives.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/internal/model_simulator.h"
 #include "test_scenes.h"
 
 namespace saltus::conformance {

@@ -6,9 +6,9 @@
 
 #include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/broad_phase.h"
-#include "saltus/dynamics/islands.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/internal/broad_phase.h"
+#include "saltus/internal/islands.h"
 
 namespace saltus {
 namespace {

@@ -4,7 +4,7 @@
 #include <array>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/model_simulator.h"
+#include "saltus/internal/model_simulator.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -1,5 +1,5 @@
 // Models that break their contract, and steps that do not arrive, fail and say which model, which step and what.
-#include "saltus/dynamics/step_contract.h"
+#include "saltus/internal/step_contract.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -8,8 +8,8 @@
 
 #include "contact/direct.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/internal/model_simulator.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -1,5 +1,5 @@
 // Derivatives of a tape against those of Jets.
-#include "saltus/physics/taped.h"
+#include "saltus/internal/taped.h"
 
 #include <gtest/gtest.h>
 

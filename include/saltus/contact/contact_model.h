@@ -41,7 +41,7 @@ namespace saltus {
 //         - derivatives pass through the step: a value without them makes the gradient wrong, which the audit finds
 //           too.
 //       Iterations end, and a step that they do not bring to its result says so (StepInput::Fail).
-// and may have kTapedFrom (dynamics/island_derivative.h), and
+// and may have kTapedFrom (internal/island_derivative.h), and
 //   using Spinning = ...                                  the model in its place where discs spin as the scene says;
 //       its kRotation is kSpin. Without, it does not take such scenes.
 //   static constexpr bool kLinearRotation = true          in free flight the rotation has the same Jacobian everywhere

@@ -12,8 +12,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "saltus/dynamics/model_simulator.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/internal/model_simulator.h"
 
 namespace saltus {
 namespace internal {

@@ -12,13 +12,13 @@
 #include <type_traits>
 #include <vector>
 
-#include "saltus/dynamics/free_flight.h"
-#include "saltus/dynamics/island_derivative.h"
-#include "saltus/dynamics/rollout_record.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/dynamics/stepper.h"
-#include "saltus/dynamics/trajectory.h"
-#include "saltus/dynamics/typed_scene.h"
+#include "saltus/internal/free_flight.h"
+#include "saltus/internal/island_derivative.h"
+#include "saltus/internal/rollout_record.h"
+#include "saltus/internal/stepper.h"
+#include "saltus/internal/trajectory.h"
+#include "saltus/internal/typed_scene.h"
 
 namespace saltus {
 

@@ -22,7 +22,7 @@
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
-#include "saltus/dynamics/part_grid.h"
+#include "saltus/internal/part_grid.h"
 #include "saltus/physics/walls.h"
 
 namespace saltus {

@@ -11,13 +11,13 @@
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
-#include "saltus/dynamics/broad_phase.h"
-#include "saltus/dynamics/islands.h"
-#include "saltus/dynamics/rollout_record.h"
-#include "saltus/dynamics/scratch_memory.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/dynamics/step_contract.h"
-#include "saltus/dynamics/typed_scene.h"
+#include "saltus/internal/broad_phase.h"
+#include "saltus/internal/islands.h"
+#include "saltus/internal/rollout_record.h"
+#include "saltus/internal/scratch_memory.h"
+#include "saltus/internal/step_contract.h"
+#include "saltus/internal/typed_scene.h"
 
 namespace saltus {
 

@@ -5,7 +5,7 @@
 // their positions, velocities or accelerations, as in free flight; that saves the pass of the last one.
 //
 // The transposed Jacobian of a crowd needs no pass a disc: models that say from how many discs on (kTapedFrom) are run
-// once, on a tape (physics/taped.h).
+// once, on a tape (taped.h).
 #pragma once
 
 #include <Eigen/Core>
@@ -14,8 +14,8 @@
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
-#include "saltus/dynamics/free_flight.h"
-#include "saltus/physics/taped.h"
+#include "saltus/internal/free_flight.h"
+#include "saltus/internal/taped.h"
 
 namespace saltus {
 

@@ -1,0 +1,132 @@
+// What an event of the event-driven model (event.h) does to its discs: they are moved to its instant, let go, stopped,
+// or given an impulse.
+#pragma once
+
+#include <span>
+#include <string_view>
+
+#include "contact/event_queue.h"
+#include "contact/impact.h"
+
+namespace saltus::internal {
+
+template <typename T>
+struct ImpactNumbers {
+  T restitution, friction;
+};
+
+// Those of the scene, whatever the relative velocity w and the normal of the impact.
+template <typename T>
+struct SceneLaw {
+  const StepInput<T>& in;
+  ImpactNumbers<T> At(const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
+    return {in.contact.restitution, in.contact.friction};
+  }
+};
+
+// `Law` says which restitution and friction an impact has.
+template <typename T, int kRotation, typename Law>
+class EventChanges : protected EventQueue<T, kRotation> {
+ protected:
+  using Discs = EventQueue<T, kRotation>;
+  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::ForEachPairOf, Discs::Moves, Discs::CandidateOf,
+      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::Report, Discs::Slide, Discs::SlideOn, Discs::impacts_;
+  using typename Discs::State, typename Discs::Disc;
+
+  EventChanges(const StepInput<T>& in, const Law& law, std::span<const State> x) : Discs(in, x), law_(law) {}
+
+  void Fail(std::string_view why) {
+    failed_ = true;
+    in_.Fail(why);
+  }
+
+  SALTUS_FLATTEN void MoveTo(int i, const T& time) {
+    if (!Moves(i)) return;
+    Disc& disc = discs_[i];
+    const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
+    if constexpr (kRotation == kSpin) {
+      const T s = time - disc.t;
+      disc.turn = {disc.turn.AngleAfter(s), disc.turn.SpeedAfter(s), disc.turn.acceleration};
+    }
+    disc.p = p;
+    disc.v = v;
+    disc.t = time;
+    disc.moved = disc.dirty = true;
+    disc.order = order_;
+    disc.arc_end = kNever;
+  }
+
+  // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
+  void Release(int i, const T& time) {
+    if (!Moves(i)) return;
+    MoveTo(i, time);
+    discs_[i].a = in_.Acceleration(i);
+    if constexpr (kRotation == kSpin) discs_[i].turn.acceleration = in_.AngularAcceleration(i);
+    Slide(i);
+    ForEachPairOf(i, [&](int q) {
+      const Candidate& c = CandidateOf(q);
+      if (!pairs_[q].held) return;
+      pairs_[q].held = false;
+      pairs_[q].released = order_;
+      Release(c.a, time);
+      if (!c.plane) Release(c.b, time);
+    });
+  }
+
+  void Stop(int i) {
+    const T time = discs_[i].t + Divide(Length(discs_[i].v), in_.slowing);
+    MoveTo(i, time);
+    discs_[i].v = Vec2<T>(T(0.0), T(0.0));
+    Slide(i);
+  }
+
+  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
+  // of a contact at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN void Impact(int q, const T& time, bool pressed) {
+    const Candidate& c = CandidateOf(q);
+    Release(c.a, time);
+    if (!c.plane) Release(c.b, time);
+    const Separation<T> at = LastSeparation(c);
+    const Vec2<T> w = LastRelativeVelocity(c);
+    const ImpactNumbers<T> law = law_.At(at.normal, w);
+    const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
+    const T bounce = inelastic_ || last ? T(1.0) : T(law.restitution + 1.0);
+    const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
+    ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    if constexpr (kRotation == kSpin) {
+      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { discs_[i].turn.speed += change; });
+    }
+    SlideOn(c);
+    CountImpact(q);
+    Report(c, impact.mode, time, ContactKind::kImpact);
+  }
+
+  int order_ = 0;           // number of the event
+  bool inelastic_ = false;  // impacts have no restitution
+  bool failed_ = false;
+
+ private:
+  void CountImpact(int q) {
+    if (++impacts_ <= kManyImpacts) return;
+    const Candidate& c = CandidateOf(q);
+    ++pairs_[q].impacts;
+    ++discs_[c.a].impacts;
+    if (!c.plane) ++discs_[c.b].impacts;
+  }
+
+  auto MakeImpactOf(const Candidate& c, const Vec2<T>& normal, const Vec2<T>& w, const T& bounce,
+                    const T& friction) const {
+    if constexpr (kRotation == kSpin) {
+      const T sliding = AlongSurface<kRotation>(
+          in_, c, T(Dot(Perpendicular(normal), w)), [&](auto i) { return discs_[i].turn.speed; });
+      return MakeImpact<T>(
+          normal, T(Dot(normal, w)), sliding, in_.EffectiveMass(c), in_.TangentialMass(c), bounce, friction, kHeadOn);
+    } else {
+      return MakeImpact<T>(normal, w, in_.EffectiveMass(c), bounce, friction, kHeadOn);
+    }
+  }
+
+  const Law law_;
+};
+
+}  // namespace saltus::internal

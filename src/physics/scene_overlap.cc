@@ -1,0 +1,97 @@
+#include "physics/scene_overlap.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "physics/number_text.h"
+#include "physics/polygon.h"
+#include "physics/units.h"
+#include "saltus/physics/walls.h"
+
+namespace saltus {
+namespace {
+
+class OverlapSearch {
+ public:
+  explicit OverlapSearch(const Scene& scene)
+      : scene_(scene), tolerance_(kOverlapTolerance * NaturalUnits(scene).length) {}
+
+  std::optional<SceneError> Run() {
+    for (std::size_t i = 0; i < scene_.bodies.size(); ++i) {
+      for (std::size_t j = 0; j < i && !error_; ++j) CheckApart(i, j);
+      for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
+      if (error_) return error_;
+    }
+    if (scene_.HasEdges()) CheckEdges();
+    return error_;
+  }
+
+ private:
+  static std::string Path(const char* list, std::size_t index, const std::string& name) {
+    return list + ('[' + std::to_string(index) + "] (") + name + ")";
+  }
+
+  void Refuse(std::size_t body, const std::string& message) {
+    if (!error_) error_ = SceneError{"bodies[" + std::to_string(body) + "].position", message};
+  }
+
+  void CheckApart(std::size_t i, std::size_t j) {
+    const Body& a = scene_.bodies[i];
+    const Body& b = scene_.bodies[j];
+    if (a.fixed && b.fixed) return;
+    const Vec2d apart = a.position - b.position;
+    const double contact_distance = a.radius + b.radius;
+    if (std::abs(apart[0]) >= contact_distance) return;  // spares most pairs of a large scene the square root
+    Overlap(i, Path("bodies", j, b.name), contact_distance - std::hypot(apart[0], apart[1]));
+  }
+
+  void CheckAbove(std::size_t i, std::size_t j) {
+    const Body& body = scene_.bodies[i];
+    const Plane& plane = scene_.planes[j];
+    if (body.fixed) return;
+    const Vec2d normal = plane.normal / std::hypot(plane.normal[0], plane.normal[1]);
+    const double height = Dot(normal, Vec2d(body.position - plane.point));
+    Overlap(i, Path("planes", j, plane.name), body.radius - height);
+  }
+
+  void CheckEdges() {
+    const std::vector<WallPart> parts = WallPartsOf(scene_);
+    for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[i];
+      if (body.fixed) continue;
+      for (std::size_t p = scene_.planes.size(); p < parts.size(); ++p) {
+        if (!parts[p].extent.Covers(body.position)) continue;
+        Overlap(i, parts[p].name, body.radius - parts[p].LeastDistance(body.position));
+      }
+      for (const EdgePolygon& polygon : scene_.polygons) {
+        const bool solid = IsInside(body.position, polygon.points) == (polygon.solid == EdgePolygon::Solid::kInside);
+        if (!solid) continue;
+        Refuse(i, "found a point in what is solid of the polygon " + polygon.name + ", expected one outside it");
+      }
+    }
+  }
+
+  void Overlap(std::size_t body, const std::string& other, double depth) {
+    // Positions are rounded when they are written; a difference of two, and its length, by as much again.
+    const double rounding =
+        8 * std::numeric_limits<double>::epsilon() * scene_.bodies[body].position.cwiseAbs().maxCoeff();
+    const double tolerance = std::max(tolerance_, rounding);
+    if (depth <= tolerance) return;
+    Refuse(body,
+           "found an overlap of " + ToText(depth) + " m with " + other + " at the start, expected at most " +
+               ToText(tolerance) + " m");
+  }
+
+  const Scene& scene_;
+  const double tolerance_;  // m
+  std::optional<SceneError> error_;
+};
+
+}  // namespace
+
+std::optional<SceneError> FindOverlap(const Scene& scene) { return OverlapSearch(scene).Run(); }
+
+}  // namespace saltus
