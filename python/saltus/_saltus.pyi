@@ -111,6 +111,21 @@ def solve(
     memory_limit: float,
     keep_iterates: bool,
 ) -> tuple[dict[str, Any], BaseException | None]: ...
+def identify(
+    scene: Scene,
+    recordings: Sequence[str | dict[str, Any]],
+    unknown: str,
+    contact: Any,
+    *,
+    law: str,
+    loss: str,
+    loss_scale: float,
+    segment: float,
+    known_start: bool,
+    starts: int,
+    threads: int,
+    status: Any,
+) -> tuple[dict[str, Any], BaseException | None]: ...
 def contact_models() -> dict[str, str]: ...
 def solvers() -> dict[str, str]: ...
 def style(contact: str) -> dict[str, Any]: ...
