@@ -115,8 +115,9 @@ def _brief(value: Any) -> str:
 
 
 class Rollout(Result):
-    """A motion: ``states`` (K + 1, B, 4 or more) with [p_x p_y v_x v_y ...] of each disc, ``times`` (K + 1) in s,
-    ``loss``, ``events``, ``steps_with_contact``."""
+    """A motion: ``states`` (K + 1, B, 4) with [p_x p_y v_x v_y] of each disc, ``times`` (K + 1) in s, ``loss``,
+    ``events``, ``steps_with_contact``. In scenes with discs that spin states are (K + 1, B, 6), with the angle in rad and
+    the angular velocity in rad/s behind; models that turn discs by themselves add numbers of their own."""
 
     _kind = "rollout"
 
@@ -136,13 +137,13 @@ class Rollout(Result):
 
     @property
     def final_state(self) -> Floats:
-        """(B, 4 or more)"""
+        """(B, 4 or more), as one of ``states``."""
         return np.asarray(self._states[-1])
 
 
 class Gradient(Result):
     """A loss and its gradient by everything: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2),
-    ``.parameters``."""
+    ``.parameters``; in scenes with discs that spin ``.angle`` and ``.angular_velocity`` (B,) too."""
 
     _kind = "gradient"
 
