@@ -13,6 +13,15 @@ void Computation::StopCurrent(std::exception_ptr error) {
   if (current_ != nullptr) current_->StopFor(std::move(error));
 }
 
+py::object Computation::StoppedBy() const {
+  try {
+    Rethrow();
+  } catch (const py::error_already_set& error) {
+    return error.value();
+  }
+  return py::none();
+}
+
 bool Computation::Stopped() {
   if (stopped_) return true;
   if (std::this_thread::get_id() != caller_) return false;

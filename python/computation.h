@@ -35,7 +35,9 @@ class Computation {
   void Rethrow() const {
     if (error_) std::rethrow_exception(error_);
   }
-  // Both.
+  // The exception of Python's that has stopped it, or None.
+  py::object StoppedBy() const;
+  // Runs and throws.
   template <typename Compute>
   void RunOrThrow(const Compute& compute) {
     Run(compute);

@@ -38,6 +38,7 @@ void BindBatch(py::module_* module);
 void BindEndState(py::module_* module);
 void BindSolve(py::module_* module);
 void BindAudit(py::module_* module);
+void BindIdentify(py::module_* module);
 void BindContact(py::module_* module);
 
 }  // namespace saltus::python

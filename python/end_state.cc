@@ -18,10 +18,11 @@ class EndState {
     simulator_->set_stop(user_.stop());
   }
 
-  Shape InitialShape() const { return {scene_.num_bodies(), 4}; }
+  // Of scenes with discs that spin as all states are here: angle and angular velocity of a disc behind its velocity.
+  Shape InitialShape() const { return {scene_.num_bodies(), InitialSize(scene_) / scene_.num_bodies()}; }
   Shape ControlShape() const { return {simulator_->num_steps(), scene_.num_controlled(), 2}; }
   Shape FinalShape() const { return {scene_.num_bodies(), simulator_->body_size()}; }
-  Array Initial() const { return ToArray(InitialState(scene_), InitialShape()); }
+  Array Initial() const { return ToArray(ToState(InitialState(scene_), scene_.num_bodies()), InitialShape()); }
   Array Control() const { return ToArray(InitialControl(scene_, simulator_->num_steps()), ControlShape()); }
 
   Array Evaluate(const py::object& initial, const py::object& control) {
@@ -42,7 +43,8 @@ class EndState {
   py::tuple PullBack(const py::object& initial, const py::object& control, const py::object& cotangent) {
     const Motion motion = Read(initial, control);
     const Array by_final = ReadArray(cotangent, "cotangent", FinalShape());
-    Array by_initial(InitialShape()), by_control(ControlShape());
+    std::vector<double> by_initial(InitialSize(scene_));
+    Array by_control(ControlShape());
     std::string failure;
     Computation computation;
     computation.Run([&] {
@@ -50,12 +52,12 @@ class EndState {
       failure = Simulate(motion);
       if (!failure.empty()) return;
       SensitivityView out;
-      out.initial = MutableView(by_initial);
+      out.initial = by_initial;
       out.control = MutableView(by_control);
       simulator_->AdjointInto(View(by_final), out);
     });
     Check(computation, failure);
-    return py::make_tuple(by_initial, by_control);
+    return py::make_tuple(ToArray(ToState(by_initial, scene_.num_bodies()), InitialShape()), by_control);
   }
 
  private:
@@ -65,9 +67,9 @@ class EndState {
   };
 
   Motion Read(const py::object& initial, const py::object& control) const {
-    Motion motion{ToVector(ReadArray(initial, "initial", InitialShape())),
+    Motion motion{ToInitial(View(ReadArray(initial, "initial", InitialShape())), scene_.num_bodies()),
                   ToVector(ReadArray(control, "control", ControlShape()))};
-    motion.initial = ConvertStates(std::move(motion.initial), scene_.units, near_.units);
+    motion.initial = ConvertInitial(std::move(motion.initial), scene_.num_bodies(), scene_.units, near_.units);
     return motion;
   }
 

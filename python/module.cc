@@ -11,4 +11,5 @@ PYBIND11_MODULE(_saltus, module) {
   BindEndState(&module);
   BindSolve(&module);
   BindAudit(&module);
+  BindIdentify(&module);
 }

@@ -11,7 +11,7 @@
 namespace saltus::python {
 
 // How the decision variables of `scene` are arranged for a model that takes `num_steps`: (K, C, 2) for a control, (F,
-// 2) for velocities and positions of F discs; flat with a free final time behind.
+// 2) for velocities and positions of F discs; flat with a free final time or angular velocities behind.
 Shape VariablesShape(const SingleShooting& shooting);
 
 // Positions among the decision variables, from the scene's origin to that of the computation. `z` as it is if there are

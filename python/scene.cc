@@ -4,7 +4,6 @@
 
 #include "arrays.h"
 #include "convert.h"
-#include "saltus/dynamics/simulator.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus::python {
@@ -13,12 +12,7 @@ namespace {
 Scene ParseOrThrow(const std::string& text, const std::string& name) {
   std::variant<Scene, SceneFileError> parsed = ParseScene(text, name);
   const auto* error = std::get_if<SceneFileError>(&parsed);
-  if (error == nullptr) {
-    if (std::get<Scene>(parsed).Spins()) {
-      throw py::value_error(name + ": discs that spin (inertia), which the programs take and this module does not");
-    }
-    return std::get<Scene>(std::move(parsed));
-  }
+  if (error == nullptr) return std::get<Scene>(std::move(parsed));
   const py::object type = py::module_::import("saltus._scene").attr("SceneError");
   const py::object raised = type(error->file, error->line, error->key, error->message);
   PyErr_SetObject(type.ptr(), raised.ptr());
@@ -57,28 +51,41 @@ std::vector<int> AllBodies(const Scene& scene) {
   return bodies;
 }
 
-// The same scene from another start: positions and velocities (B x 2), or those it has if None. With `by_control` its
-// decision variables are the control, whatever they were.
-Scene StartingAt(Scene scene, const py::object& position, const py::object& velocity, bool by_control) {
+// The same scene from another start: positions and velocities (B x 2), angles and angular velocities (B), or those it
+// has if None. With `by_control` its decision variables are the control, whatever they were.
+Scene StartingAt(Scene scene, const py::object& position, const py::object& velocity, const py::object& angle,
+                 const py::object& angular_velocity, bool by_control) {
   if (by_control) scene.optimize = Optimize::kControl;
-  const Shape shape = {scene.num_bodies(), 2};
+  const int bodies = scene.num_bodies();
   const auto set = [&](const py::object& given, const char* name, Vec2d Body::*member) {
     if (given.is_none()) return;
-    const Array read = ReadArray(given, name, shape);
-    for (int i = 0; i < scene.num_bodies(); ++i) scene.bodies[i].*member = {read.data()[2 * i], read.data()[2 * i + 1]};
+    const Array read = ReadArray(given, name, {bodies, 2});
+    for (int i = 0; i < bodies; ++i) scene.bodies[i].*member = {read.data()[2 * i], read.data()[2 * i + 1]};
+  };
+  const auto turn = [&](const py::object& given, const char* name, double Body::*member) {
+    if (given.is_none()) return;
+    const Array read = ReadArray(given, name, {bodies});
+    for (int i = 0; i < bodies; ++i) scene.bodies[i].*member = read.data()[i];
   };
   set(position, "position", &Body::position);
   set(velocity, "velocity", &Body::velocity);
+  turn(angle, "angle", &Body::angle);
+  turn(angular_velocity, "angular_velocity", &Body::angular_velocity);
   if (const std::optional<SceneError> error = Validate(scene)) throw py::value_error(error->ToString());
   return scene;
 }
 
-Array PositionsOf(const Scene& scene, int offset) {
-  const std::vector<double> initial = InitialState(scene);
+Array VectorsOf(const Scene& scene, Vec2d Body::*member) {
   Array array(Shape{scene.num_bodies(), 2});
   for (int i = 0; i < scene.num_bodies(); ++i) {
-    for (int j = 0; j < 2; ++j) array.mutable_data()[2 * i + j] = initial[4 * i + offset + j];
+    std::copy_n((scene.bodies[i].*member).data(), 2, array.mutable_data() + 2 * i);
   }
+  return array;
+}
+
+Array NumbersOf(const Scene& scene, double Body::*member) {
+  Array array(Shape{scene.num_bodies()});
+  for (int i = 0; i < scene.num_bodies(); ++i) array.mutable_data()[i] = scene.bodies[i].*member;
   return array;
 }
 
@@ -98,10 +105,20 @@ void BindScene(py::module_* module) {
       .def_property_readonly("optimize", [](const Scene& scene) { return OptimizeToString(scene.optimize); })
       .def_property_readonly("bodies", [](const Scene& scene) { return NamesOf(scene, AllBodies(scene)); })
       .def_property_readonly("controlled", [](const Scene& scene) { return NamesOf(scene, scene.control.bodies); })
-      .def_property_readonly("position", [](const Scene& scene) { return PositionsOf(scene, 0); })
-      .def_property_readonly("velocity", [](const Scene& scene) { return PositionsOf(scene, 2); });
-  module->def(
-      "starting_at", &StartingAt, py::arg("scene"), py::arg("position"), py::arg("velocity"), py::arg("by_control"));
+      .def_property_readonly("position", [](const Scene& scene) { return VectorsOf(scene, &Body::position); })
+      .def_property_readonly("velocity", [](const Scene& scene) { return VectorsOf(scene, &Body::velocity); })
+      .def_property_readonly("spins", &Scene::Spins)
+      .def_property_readonly("angle", [](const Scene& scene) { return NumbersOf(scene, &Body::angle); })
+      .def_property_readonly("angular_velocity",
+                             [](const Scene& scene) { return NumbersOf(scene, &Body::angular_velocity); });
+  module->def("starting_at",
+              &StartingAt,
+              py::arg("scene"),
+              py::arg("position"),
+              py::arg("velocity"),
+              py::arg("angle"),
+              py::arg("angular_velocity"),
+              py::arg("by_control"));
 }
 
 }  // namespace saltus::python

@@ -30,7 +30,7 @@ SingleShooting MakeShooting(const Contact& contact, const Scene& near, const std
 
 Shape VariablesShape(const SingleShooting& shooting) {
   const Scene& scene = shooting.scene();
-  if (shooting.has_duration()) return {shooting.num_variables()};
+  if (shooting.has_duration() || !scene.free_spin.empty()) return {shooting.num_variables()};
   if (scene.optimize == Optimize::kControl) return {shooting.simulator().num_steps(), scene.num_controlled(), 2};
   return {shooting.num_variables() / 2, 2};
 }

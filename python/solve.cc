@@ -89,13 +89,7 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   const Precision arithmetic = ReadPrecision(precision);
   computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
-  py::object stopped_by = py::none();
-  try {
-    computation.Rethrow();
-  } catch (py::error_already_set& error) {
-    stopped_by = error.value();
-  }
-  return py::make_tuple(RunToPython(scene, run), stopped_by);
+  return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
 }
 
 py::dict SolverSummaries() {

@@ -12,6 +12,7 @@ packages=(
   libgtest-dev libgmock-dev libbenchmark-dev
   python3-dev pybind11-dev python3-numpy # the Python module
   python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch and mypy are skipped without
+  python3-nbclient python3-ipykernel # the example notebook
   "$@"
 )
 

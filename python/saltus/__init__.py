@@ -12,6 +12,7 @@ Scenes          load_scene, Scene, SceneError
 Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict or the path of a file
 Many of them    Simulation (one scene, evaluated again and again), Batch (many points, on all cores)
 Optimisation    solve, solvers
+Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Of your own     audit(scene, simulate=...), and ContactModel for a contact model in Python
 Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
@@ -19,12 +20,14 @@ Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.p
 Results         Result: the keys of the programs' JSON; save, load_result
 
 Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
-model takes K steps. A state is (B, 4 or more): [p_x p_y v_x v_y ...] of each disc. A control is (K, C, 2), forces in N
-held over each step. Numbers are those of the programs saltus_solve and saltus_audit, bit by bit.
+model takes K steps. A state is (B, 4): [p_x p_y v_x v_y] of each disc; in scenes with discs that spin (B, 6), with angle and
+angular velocity behind. A control is (K, C, 2), forces in N held over each step. Numbers are those of the programs
+(saltus_solve, saltus_audit, saltus_identify), bit by bit.
 """
 
+from ._identify import identify
 from ._own import ContactModel
-from ._results import Audit, Gradient, Result, Rollout, Run, WrongGradient, load_result
+from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient, load_result
 from ._saltus import __version__
 from ._scene import Scene, SceneError, load_scene
 from ._simulate import Batch, EndState, Simulation, linearize, loss_and_gradient, rollout
@@ -35,6 +38,7 @@ __all__ = [
     "Batch",
     "ContactModel",
     "EndState",
+    "Fit",
     "Gradient",
     "Result",
     "Rollout",
@@ -46,6 +50,7 @@ __all__ = [
     "__version__",
     "audit",
     "contact_models",
+    "identify",
     "linearize",
     "load_result",
     "load_scene",

@@ -115,8 +115,9 @@ def _brief(value: Any) -> str:
 
 
 class Rollout(Result):
-    """A motion: ``states`` (K + 1, B, 4 or more) with [p_x p_y v_x v_y ...] of each disc, ``times`` (K + 1) in s,
-    ``loss``, ``events``, ``steps_with_contact``."""
+    """A motion: ``states`` (K + 1, B, 4) with [p_x p_y v_x v_y] of each disc, ``times`` (K + 1) in s, ``loss``,
+    ``events``, ``steps_with_contact``. In scenes with discs that spin states are (K + 1, B, 6), with the angle in rad and
+    the angular velocity in rad/s behind; models that turn discs by themselves add numbers of their own."""
 
     _kind = "rollout"
 
@@ -136,13 +137,13 @@ class Rollout(Result):
 
     @property
     def final_state(self) -> Floats:
-        """(B, 4 or more)"""
+        """(B, 4 or more), as one of ``states``."""
         return np.asarray(self._states[-1])
 
 
 class Gradient(Result):
     """A loss and its gradient by everything: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2),
-    ``.parameters``."""
+    ``.parameters``; in scenes with discs that spin ``.angle`` and ``.angular_velocity`` (B,) too."""
 
     _kind = "gradient"
 
@@ -198,11 +199,44 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
     return f"{item['contact']}: the gradient is {verdict}" + (f" ({why})" if why else "")
 
 
+class Fit(Result):
+    """Parameters found in recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
+    ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
+    if one was learned, ..."""
+
+    _kind = "fit"
+
+    @property
+    def estimates(self) -> dict[str, float]:
+        """The value of each parameter, by name; NaN where the recordings do not determine it."""
+        return {item["name"]: float("nan") if item["value"] is None else item["value"] for item in self._parameters}
+
+    @property
+    def _parameters(self) -> list[dict[str, Any]]:
+        return list(self._data.get("parameters", []))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        reason = self._data.get("reason")
+        rows = [("contact", self._data["contact"]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
+        for item in self._parameters:
+            if item["value"] is None:
+                with_others = f" with {', '.join(item['with'])}" if "with" in item else ""
+                rows.append((item["name"], item["determination"] + with_others))
+            else:
+                low, high = item["interval"]
+                rows.append((item["name"], f"{item['value']:.7g} +- {item['standard_error']:.3g}, {low:.6g} to {high:.6g}"))
+        keys = ("misfit", "sigma", "samples", "impacts", "seconds")
+        rows += [(key, _brief(self._data[key])) for key in keys if key in self._data]
+        if self._data.get("outliers"):
+            rows.append(("outliers", str(len(self._data["outliers"]))))
+        return rows
+
+
 class WrongGradient(AssertionError):
     """A gradient that is not right, with the audit's reasons."""
 
 
-_KINDS = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit)}
+_KINDS = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit, Fit)}
 
 
 def load_result(path: str | os.PathLike[str]) -> Result:

@@ -31,6 +31,12 @@ class Scene:
     def position(self) -> _Array: ...
     @property
     def velocity(self) -> _Array: ...
+    @property
+    def spins(self) -> bool: ...
+    @property
+    def angle(self) -> _Array: ...
+    @property
+    def angular_velocity(self) -> _Array: ...
 
 class Contact:
     def __init__(self, name: str, answerer: Any) -> None: ...
@@ -81,7 +87,12 @@ class EndState:
     def vjp(self, initial: ArrayLike, control: ArrayLike, cotangent: ArrayLike) -> tuple[_Array, _Array]: ...
 
 def starting_at(
-    scene: Scene, position: ArrayLike | None, velocity: ArrayLike | None, by_control: bool
+    scene: Scene,
+    position: ArrayLike | None,
+    velocity: ArrayLike | None,
+    angle: ArrayLike | None,
+    angular_velocity: ArrayLike | None,
+    by_control: bool,
 ) -> Scene: ...
 def gradient(scene: Scene, contact: Any, precision: str, control: ArrayLike | None) -> dict[str, Any]: ...
 def audit(
@@ -110,6 +121,21 @@ def solve(
     threads: int,
     memory_limit: float,
     keep_iterates: bool,
+) -> tuple[dict[str, Any], BaseException | None]: ...
+def identify(
+    scene: Scene,
+    recordings: Sequence[str | dict[str, Any]],
+    unknown: str,
+    contact: Any,
+    *,
+    law: str,
+    loss: str,
+    loss_scale: float,
+    segment: float,
+    known_start: bool,
+    starts: int,
+    threads: int,
+    status: Any,
 ) -> tuple[dict[str, Any], BaseException | None]: ...
 def contact_models() -> dict[str, str]: ...
 def solvers() -> dict[str, str]: ...

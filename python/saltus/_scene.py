@@ -40,7 +40,8 @@ class Scene(_saltus.Scene):
     file (SI units, radians, vectors ``[x, y]``), validated with the same messages.
 
     Attributes: ``name``, ``duration`` (s), ``steps``, ``dt`` (s), ``optimize``, ``bodies`` and ``controlled`` (names),
-    ``position`` (B, 2) in m and ``velocity`` (B, 2) in m/s at the start.
+    ``position`` (B, 2) in m and ``velocity`` (B, 2) in m/s at the start; ``spins``, whether there are discs that spin (a
+    body has an ``inertia``), and their ``angle`` (B,) in rad and ``angular_velocity`` (B,) in rad/s.
 
     Raises SceneError.
     """
@@ -48,11 +49,13 @@ class Scene(_saltus.Scene):
     def __init__(self, data: Mapping[str, Any] | None = None, /, **keys: Any):
         merged = {**(data or {}), **keys}
         super().__init__(json.dumps(merged, default=_plain, ensure_ascii=False), "scene")
+        self._made = True
 
     @classmethod
     def _of_text(cls, text: bytes | str, name: str) -> "Scene":
         scene = cls.__new__(cls)
         _saltus.Scene.__init__(scene, text, name)
+        scene._made = True
         return scene
 
     def to_dict(self) -> dict[str, Any]:
@@ -86,6 +89,8 @@ class Scene(_saltus.Scene):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
+        if "_made" not in self.__dict__:  # tracebacks show what could not be made, too
+            return "<saltus.Scene that is none>"
         return f"<saltus.Scene {self.name}: {len(self.bodies)} discs, {self.steps} steps of {self.dt:g} s>"
 
 

@@ -19,8 +19,8 @@ class Simulation(_saltus.Simulation):
 
     ``Simulation(scene, contact="event", *, precision="double", memory_limit=1024)``; memory_limit is in MiB, for the
     states of a rollout. The decision variables z are what the scene optimizes, in the shape ``shape``: a control
-    (K, C, 2) in N, or velocities or positions (F, 2) of the discs that are free; flat with the final time behind where
-    that is free. A flat array of as many numbers will do, None is the initial guess.
+    (K, C, 2) in N, or velocities or positions (F, 2) of the discs that are free; flat with the final time or the angular
+    velocities behind where these are free. A flat array of as many numbers will do, None is the initial guess.
 
     Attributes: ``scene``, ``contact``, ``shape``, ``num_variables``, ``num_steps`` (K), ``initial_guess``.
 
@@ -31,9 +31,9 @@ class Simulation(_saltus.Simulation):
     ``residuals(z=None)``
         What is squared and summed up in the loss but for the effort, (R,), and its Jacobian (R, num_variables).
     ``rollout(z=None, out=None)``
-        A dict with states (K + 1, B, 4 or more; in `out` if given), times (K + 1), loss, events.
+        A dict with states (K + 1, B, 4 or 6; in `out` if given), times (K + 1), loss, events.
     ``step(state, force=None)``
-        The state (B, 4 or more) after one step, under forces (C, 2); None is the scene's.
+        The state (B, 4 or 6) after one step, under forces (C, 2); None is the scene's.
     ``linearize(state, force=None)``
         The derivatives of that step by state, (S, S) with S the size of a state, and by force, (S, C, 2).
 
@@ -71,11 +71,12 @@ class Batch(_saltus.Batch):
 class EndState(_saltus.EndState):
     """The final state as a function of the initial state and the control, for automatic differentiation elsewhere.
 
-    ``EndState(scene, contact="event", *, precision="double")``; ``initial`` (B, 4) and ``control`` (K, C, 2) are the
-    scene's own.
+    ``EndState(scene, contact="event", *, precision="double")``; ``initial`` (B, 4; 6 with discs that spin) and
+    ``control`` (K, C, 2) are the scene's own.
 
     ``end(initial, control)``
-        The final state (B, 4 or more): [p_x p_y v_x v_y ...] of each disc.
+        The final state, as `initial`: [p_x p_y v_x v_y] of each disc, and [angle angular_velocity] in scenes with discs
+        that spin.
     ``end.vjp(initial, control, cotangent)``
         The gradients of sum(cotangent * end(initial, control)) by initial state and control, by one adjoint; the motion
         is not simulated again if it is that of the last call. 0 for fixed discs.
@@ -87,12 +88,12 @@ class EndState(_saltus.EndState):
         super().__init__(as_scene(scene), as_contact(contact), precision=precision)
 
 
-def _start(scene: SceneLike, position: Any, velocity: Any, by_control: bool) -> _saltus.Scene:
+def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool) -> _saltus.Scene:
     """The scene from another start; with `by_control` as if its control were what it optimizes."""
     read = as_scene(scene)
-    if position is None and velocity is None and not by_control:
+    if not by_control and all(given is None for given in start):
         return read
-    return _saltus.starting_at(read, position, velocity, by_control)
+    return _saltus.starting_at(read, *start, by_control)
 
 
 def rollout(
@@ -102,17 +103,20 @@ def rollout(
     control: ArrayLike | None = None,
     position: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
+    angle: ArrayLike | None = None,
+    angular_velocity: ArrayLike | None = None,
     precision: str = "double",
     memory_limit: float = 1024,
 ) -> Rollout:
     """Simulates a scene.
 
     control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's.
-    position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's.
+    position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's. angle, angular_velocity:
+    (B,), rad and rad/s, of discs that spin; 0 for the others.
 
     Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
     """
-    given = _start(scene, position, velocity, control is not None)
+    given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
     found = simulation.rollout(control)
     return Rollout({"scene": given.name, "contact": simulation.contact, **found})
@@ -125,16 +129,19 @@ def loss_and_gradient(
     control: ArrayLike | None = None,
     position: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
+    angle: ArrayLike | None = None,
+    angular_velocity: ArrayLike | None = None,
     precision: str = "double",
 ) -> Gradient:
-    """The loss of a motion and its gradient by all that determines it: position, velocity, control and parameters.
+    """The loss of a motion and its gradient by all that determines it: position, velocity, control and parameters; with
+    discs that spin angle and angular velocity too.
 
     Arguments as those of `rollout`. To evaluate a scene many times by what it optimizes, use Simulation, which spares
     the set-up. Scenes with hard, running or via terms or a free final time are refused: Simulation takes them.
 
     Raises as rollout.
     """
-    given = _start(scene, position, velocity, control is not None)
+    given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))
 
 
@@ -145,6 +152,8 @@ def linearize(
     control: ArrayLike | None = None,
     position: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
+    angle: ArrayLike | None = None,
+    angular_velocity: ArrayLike | None = None,
     precision: str = "double",
 ) -> tuple[Floats, Floats]:
     """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
@@ -152,7 +161,7 @@ def linearize(
     Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors
     as those of `rollout`.
     """
-    given = _start(scene, position, velocity, control is not None)
+    given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision)
     states = simulation.rollout(control)["states"]
     rows: list[Any] = [None] * simulation.num_steps if control is None else list(

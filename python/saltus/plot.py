@@ -38,13 +38,17 @@ def _draw_planes(ax: Any, planes: Sequence[Mapping[str, Any]]) -> None:
 
 
 def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
-    """The paths of all discs, with the discs at start and end, and the planes."""
+    """The paths of all discs, with the discs at start and end (a spoke shows the angle of those that spin), and the
+    planes."""
     data = as_scene(scene).to_dict()
     ax = _axes(ax, "x (m)", "y (m)")
-    for body, path in zip(data["bodies"], np.moveaxis(motion.positions, 1, 0)):
-        (line,) = ax.plot(*path.T, label=body["name"])
-        for place, opacity in ((path[0], 0.15), (path[-1], 0.45)):
-            ax.add_patch(plt.Circle(tuple(place), body["radius"], color=line.get_color(), alpha=opacity))
+    for body, path in zip(data["bodies"], np.moveaxis(np.asarray(motion["states"]), 1, 0)):
+        (line,) = ax.plot(*path[:, :2].T, label=body["name"])
+        for state, opacity in ((path[0], 0.15), (path[-1], 0.45)):
+            ax.add_patch(plt.Circle(tuple(state[:2]), body["radius"], color=line.get_color(), alpha=opacity))
+            if "inertia" in body:
+                rim = state[:2] + body["radius"] * np.array([np.cos(state[4]), np.sin(state[4])])
+                ax.plot(*zip(state[:2], rim), color=line.get_color(), linewidth=1)
     ax.autoscale_view()
     ax.set_aspect("equal")
     _draw_planes(ax, data.get("planes", []))
@@ -74,7 +78,8 @@ def losses(runs: Run | Sequence[Run], ax: Any = None) -> Any:
     for run in [runs] if isinstance(runs, Run) else runs:
         look = {**style(run["contact"]), "markevery": max(1, len(run["losses"]) // 8)}
         ax.plot(run.losses, label=f"{run['contact']} {run['solver']}", **look)
-    ax.legend(frameon=False)
+    beside = {"loc": "upper left", "bbox_to_anchor": (1, 1)} if len(ax.lines) > 5 else {}
+    ax.legend(frameon=False, **beside)
     return ax
 
 

@@ -53,7 +53,8 @@ class EndState:
     """The final state of a scene under a contact model, as a function of torch.
 
     ``EndState(scene, contact="event", *, precision="double")``; ``end(initial, control)`` takes tensors (B, 4) and
-    (K, C, 2) and returns one (B, 4 or more). ``initial`` and ``control`` are the scene's own, as new tensors.
+    (K, C, 2) and returns one (B, 4); with discs that spin they are (B, 6). ``initial`` and ``control`` are the scene's
+    own, as new tensors.
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):

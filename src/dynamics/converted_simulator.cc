@@ -72,6 +72,7 @@ class ConvertedSimulator final : public Simulator {
     ConvertFlight(&linearization->free);
     for (double& inverse_mass : linearization->inverse_mass) inverse_mass *= to_inner_.mass;
     for (StepLinearization::Island& island : linearization->islands) ConvertIsland(&island);
+    for (Eigen::MatrixXd& turn : linearization->rotation) ConvertTurn(&turn);
   }
 
   std::optional<FlightOver> FreeFlightOver(double h) const override {
@@ -159,6 +160,16 @@ class ConvertedSimulator final : public Simulator {
                                : column == 3 ? Damping()
                                : mass        ? to_inner_.mass
                                              : 1 / to_inner_.moment_of_inertia;
+    }
+  }
+
+  // Of a flying disc, rotation' by rotation.
+  void ConvertTurn(Eigen::MatrixXd* turn) const {
+    for (Eigen::Index row = 0; row < turn->rows(); ++row) {
+      for (Eigen::Index column = 0; column < turn->cols(); ++column) {
+        (*turn)(row, column) *=
+            FactorOf(to_outer_, 4 + row, body_size()) * FactorOf(to_inner_, 4 + column, body_size());
+      }
     }
   }
 

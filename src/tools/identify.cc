@@ -2,16 +2,13 @@
 
 #include <gflags/gflags.h>
 
-#include <algorithm>
-#include <charconv>
 #include <iostream>
 #include <optional>
 
 #include "output/interrupt.h"
-#include "physics/units.h"
 #include "tools/command_line.h"
+#include "tools/identify_input.h"
 #include "tools/identify_tables.h"
-#include "tools/recording_npz.h"
 
 DEFINE_string(recording, "", "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own start");
 DEFINE_string(unknown, "restitution",
@@ -29,38 +26,16 @@ DEFINE_int32(starts, 12, "fits from different starts, at most");
 namespace saltus {
 namespace {
 
-constexpr int kLawUnits = 4, kMostLawUnits = 16;
-constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
-
-RobustLoss LossFromFlag() {
-  if (FLAGS_loss == "none") return RobustLoss::kNone;
-  if (FLAGS_loss == "huber") return RobustLoss::kHuber;
-  if (FLAGS_loss == "cauchy") return RobustLoss::kCauchy;
-  throw InputError("--loss=" + FLAGS_loss + "; expected none, huber or cauchy");
-}
-
-// A network that begins as the scene's law.
-std::optional<ImpactLaw> LawFromFlag(const Scene& scene) {
-  if (FLAGS_law.empty()) return std::nullopt;
-  const std::size_t colon = std::min(FLAGS_law.find(':'), FLAGS_law.size());
-  const std::string kind = FLAGS_law.substr(0, colon), width = FLAGS_law.substr(std::min(colon + 1, FLAGS_law.size()));
-  int units = colon == FLAGS_law.size() ? kLawUnits : 0;
-  std::from_chars(width.data(), width.data() + width.size(), units);
-  const bool whole = colon == FLAGS_law.size() || width == std::to_string(units);
-  if ((kind != "network" && kind != "impulse") || !whole || units < 1 || units > kMostLawUnits) {
-    throw InputError("--law=" + FLAGS_law + "; expected network or impulse, and maybe :N with N in 1.." +
-                     std::to_string(kMostLawUnits));
-  }
-  const double speed = NaturalUnits(scene).speed();
-  const double restitution = std::clamp(scene.contact.restitution, kInside, 1 - kInside);
-  if (kind == "network") return RestitutionNetwork(units, speed, restitution);
-  return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
-}
-
 IdentifyOptions OptionsFromFlags(const Request& request) {
   IdentifyOptions options;
-  options.law = LawFromFlag(request.scene);
-  options.loss = LossFromFlag();
+  if (!FLAGS_law.empty()) {
+    auto law = ParseLaw(FLAGS_law, request.scene);
+    if (const auto* wrong = std::get_if<std::string>(&law)) throw InputError("--law=" + FLAGS_law + "; " + *wrong);
+    options.law = std::get<ImpactLaw>(std::move(law));
+  }
+  const std::optional<RobustLoss> loss = ParseRobustLoss(FLAGS_loss);
+  if (!loss) throw InputError("--loss=" + FLAGS_loss + "; expected none, huber or cauchy");
+  options.loss = *loss;
   if (!(FLAGS_loss_scale > 0)) throw InputError("--loss_scale must be positive");
   if (!(FLAGS_segment >= 0)) throw InputError("--segment must not be negative");
   if (FLAGS_starts < 1) throw InputError("--starts must be at least 1");
@@ -77,7 +52,7 @@ std::vector<Recording> ReadRecordings(const Scene& scene) {
   if (FLAGS_recording.empty()) throw InputError("--recording=FILE is needed; -h lists all flags");
   std::vector<Recording> recordings;
   for (const std::string& path : SplitAtCommas(FLAGS_recording)) {
-    auto loaded = path.ends_with(".npz") ? LoadRecordingNpz(path, scene) : LoadRecording(path, scene);
+    auto loaded = LoadAnyRecording(path, scene);
     if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
     recordings.push_back(std::get<Recording>(std::move(loaded)));
   }

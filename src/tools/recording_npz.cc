@@ -5,8 +5,6 @@
 #include <cstdint>
 #include <vector>
 
-#include "output/npz.h"
-
 namespace saltus {
 namespace {
 
@@ -58,7 +56,7 @@ class NpzReader {
     return time->shape[0];
   }
 
-  // n x width numbers; a scalar stands for n of them. Empty if the array is not there.
+  // n x width numbers; a scalar stands for n rows of one. Empty if the array is not there.
   std::vector<double> Numbers(const std::string& name, int width, bool needed = true) const {
     const NpyArray* array = Find(name, needed);
     if (array == nullptr) return {};
@@ -68,7 +66,7 @@ class NpzReader {
       if (!std::isfinite(number)) Fail(name + ": found a number that is not finite");
     }
     const int64_t n = NumRows();
-    if (array->shape.empty()) return std::vector<double>(static_cast<std::size_t>(n), numbers->front());
+    if (array->shape.empty() && width == 1) return std::vector<double>(static_cast<std::size_t>(n), numbers->front());
     const std::vector<int64_t> shape = width == 1 ? std::vector<int64_t>{n} : std::vector<int64_t>{n, width};
     if (array->shape != shape) Fail(name + ": expected " + std::to_string(n) + (width == 1 ? "" : " x 2") + " numbers");
     return *numbers;
@@ -97,16 +95,21 @@ class NpzReader {
 
 }  // namespace
 
-std::variant<Recording, RecordingError> LoadRecordingNpz(const std::string& path, const Scene& scene) {
-  const StatusOr<NpzArrays> arrays = ReadNpz(path);
-  if (!arrays.ok()) return RecordingError{path, 0, arrays.status().message()};
+std::variant<Recording, RecordingError> RecordingFromArrays(const NpzArrays& arrays, const std::string& name,
+                                                            const Scene& scene) {
   try {
-    Recording recording = NpzReader(path, scene, *arrays).Read();
+    Recording recording = NpzReader(name, scene, arrays).Read();
     if (const auto error = CheckRecording(scene, &recording)) return *error;
     return recording;
   } catch (const RecordingError& error) {
     return error;
   }
+}
+
+std::variant<Recording, RecordingError> LoadRecordingNpz(const std::string& path, const Scene& scene) {
+  const StatusOr<NpzArrays> arrays = ReadNpz(path);
+  if (!arrays.ok()) return RecordingError{path, 0, arrays.status().message()};
+  return RecordingFromArrays(*arrays, path, scene);
 }
 
 }  // namespace saltus

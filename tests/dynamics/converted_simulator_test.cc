@@ -97,6 +97,27 @@ TEST_P(InNaturalUnitsTest, LinearizationsAreTheSame) {
   }
 }
 
+// A disc that flies turns by its angular velocity times the step, in radians and seconds, whatever its natural units.
+TEST(InNaturalUnits, AngularVelocityTurnsForTheWholeStep) {
+  Scene scene;
+  scene.name = "turning";
+  scene.duration = 1.5;
+  scene.steps = 100;
+  scene.bodies = {{"disc", 0.1, 1.0}};
+  scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
+  scene.bodies[0].velocity = {8, 0};
+  const auto simulator = MakeSimulator("event", scene, Precision::kDouble);
+  ASSERT_NE(NaturalUnits(scene).time, 1);
+  const std::vector<double> x = ToState(InitialState(scene), 1), force(2, 0.0);
+  StepLinearization linearization;
+  simulator->Linearize(x, force, false, &linearization);
+  ASSERT_EQ(linearization.flying.size(), 1u);
+  Eigen::MatrixXd A, B, expected = Eigen::MatrixXd::Identity(6, 6);
+  linearization.ToDense(&A, &B);
+  expected(0, 2) = expected(1, 3) = expected(4, 5) = scene.dt();
+  EXPECT_TRUE(A.isApprox(expected, 1e-15)) << A;
+}
+
 INSTANTIATE_TEST_SUITE_P(Models, InNaturalUnitsTest,
                          testing::Values("direct_toi", "compliant_warp", "pbd_brax", "event"),
                          [](const auto& test) { return std::string(test.param); });

@@ -132,10 +132,17 @@ TEST(IdentifyProgram, ReadsArchivesToo) {
 
 TEST(IdentifyProgram, WrongInputIsRefusedWithItsPlace) {
   const std::string recording = " --recording=" + DropRecording(), wrong = PathOf("wrong.csv");
+  const std::string scalar = PathOf("scalar.npz");
+  ASSERT_TRUE(WriteNpz(scalar,
+                       {{"time", {{2}, std::vector<double>{0.1, 0.2}}},
+                        {"body", {{2}, std::vector<std::string>(2, "ball")}},
+                        {"position", {{}, std::vector<double>{1}}}})
+                  .ok());
   std::ofstream(wrong) << "time,body,x,y\n0.1,ball,0,1\n0.2,bal,0,1\n";
   const std::pair<std::string, std::string> cases[] = {
       {"", "--recording=FILE is needed"},
       {" --recording=" + wrong, "wrong.csv:3: body: found 'bal', expected one of ball"},
+      {" --recording=" + scalar, "scalar.npz: position: expected 2 x 2 numbers"},
       {" --recording=/no/such/file.csv", "/no/such/file.csv"},
       {recording + " --unknown=bounce", "--unknown: found 'bounce', expected some of restitution"},
       {recording + " --law=network:x", "--law=network:x; expected network or impulse"},

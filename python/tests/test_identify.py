@@ -1,0 +1,188 @@
+"""Parameters from recordings: what was put in comes out, as from the program, and what is wrong is refused."""
+
+import os
+import pathlib
+import signal
+import threading
+
+import numpy as np
+import pytest
+from conftest import run_program, without
+
+import saltus
+
+RADIUS, GRAVITY, RESTITUTION, SIGMA = 0.05, 9.81, 0.8, 1e-4
+
+
+@pytest.fixture
+def scene():
+    """A ball above the ground; its restitution is wrong."""
+    return saltus.Scene(
+        name="drop", duration=1.0, steps=60, gravity=[0, -GRAVITY], optimize="none",
+        bodies=[{"name": "ball", "radius": RADIUS, "mass": 0.2, "position": [0, 1]}],
+        planes=[{"name": "floor", "point": [0, 0], "normal": [0, 1]}],
+        contact={"restitution": 0.5}, objective={"terminal": []},
+    )
+
+
+def height_at(time):
+    """Of the centre, dropped from 1 m: free fall and one impact."""
+    impact = np.sqrt(2 * (1 - RADIUS) / GRAVITY)
+    after = time - impact
+    return np.where(
+        time < impact,
+        1 - 0.5 * GRAVITY * time**2,
+        RADIUS + RESTITUTION * GRAVITY * impact * after - 0.5 * GRAVITY * after**2,
+    )
+
+
+@pytest.fixture
+def recording():
+    time = 0.02 * np.arange(40) + 0.007
+    noise = np.where(np.arange(40) % 2, -SIGMA, SIGMA)
+    position = np.stack([noise, height_at(time) + noise], axis=1)
+    return {"time": time, "body": ["ball"] * 40, "position": position, "sigma": SIGMA}
+
+
+def write_csv(recording, path):
+    rows = zip(recording["time"], recording["body"], recording["position"])
+    lines = [f"{time!r},{body},{x!r},{y!r},{recording['sigma']!r}" for time, body, (x, y) in rows]
+    path.write_text("\n".join(["time,body,x,y,sigma", *lines]))
+    return path
+
+
+class TestFits:
+    def test_the_restitution_of_a_ball(self, scene, recording):
+        told = []
+        fit = saltus.identify(scene, recording, status=told.append)
+        assert fit["verdict"] == "fits" and fit["impacts"] == 1 and told
+        # Samples after the impact leave the restitution to a few 1e-5.
+        (item,) = fit["parameters"]
+        assert abs(fit.estimates["restitution"] - RESTITUTION) < 4 * item["standard_error"] < 2e-3
+        assert "restitution" in repr(fit) and "<table>" in fit._repr_html_()
+
+    def test_what_is_not_determined_has_no_value(self, scene, recording):
+        fit = saltus.identify(scene, recording, ["restitution", "mass.ball"])
+        assert np.isnan(fit.estimates["mass.ball"]) and "not determined" in repr(fit)
+
+    def test_a_law_of_impact(self, scene, recording):
+        fit = saltus.identify(scene, recording, law="network:2")
+        assert fit["law"]["impacts"] == 1
+        point = fit["law"]["curve"][0]
+        assert point["speed"] == pytest.approx(np.sqrt(2 * GRAVITY * (1 - RADIUS)), rel=1e-3)
+        assert point["restitution"] == pytest.approx(RESTITUTION, abs=1e-3)
+
+    @pytest.mark.parametrize(
+        "contact, options",
+        [("event", {}), ("toi_velocity", {"loss": "cauchy", "loss_scale": 3, "segment": 0.5, "starts": 2}),
+         ("event", {"known_start": True, "loss": "none"})],
+    )
+    def test_numbers_are_those_of_the_program(self, scene, recording, tmp_path, contact, options):
+        printed, fit = self.printed_and_found(scene, [write_csv(recording, tmp_path / "a.csv")], contact, options, tmp_path)
+        assert without(fit.to_dict(), "seconds") == without(printed, "seconds")
+        # The same as arrays, but for names.
+        arrays = saltus.identify(scene, recording, ["restitution", "gravity.y"], contact, threads=1, **options)
+        assert arrays["parameters"] == fit["parameters"] and arrays["cost"] == fit["cost"]
+
+    def test_several_recordings(self, scene, recording, tmp_path):
+        """Ceres orders their starts by addresses, so that sums are rounded one way or another."""
+        later = {key: value if key == "sigma" else value[3:] for key, value in recording.items()}
+        np.savez(tmp_path / "later.npz", **later)
+        paths = [write_csv(recording, tmp_path / "a.csv"), tmp_path / "later.npz"]
+        printed, fit = self.printed_and_found(scene, paths, "event", {}, tmp_path)
+        assert (fit["samples"], len(fit["segments"])) == (printed["samples"], 2) == (77, 2)
+        arrays = saltus.identify(scene, [recording, later], "restitution,gravity.y")
+        for found in (fit.estimates, arrays.estimates):
+            assert found == pytest.approx({item["name"]: item["value"] for item in printed["parameters"]}, rel=1e-9)
+
+    @staticmethod
+    def printed_and_found(scene, paths, contact, options, directory):
+        scene.save(directory / "drop.yaml")
+        printed = run_program(
+            "saltus_identify", f"--scene={directory / 'drop.yaml'}", f"--recording={','.join(map(str, paths))}",
+            "--unknown=restitution,gravity.y", f"--contact={contact}", "--threads=1",
+            *(f"--{key}={str(value).lower()}" for key, value in options.items()),
+        )["fits"][0]
+        return printed, saltus.identify(scene, paths, "restitution,gravity.y", contact, threads=1, **options)
+
+    def test_is_saved_with_all_digits(self, scene, recording, tmp_path):
+        fit = saltus.identify(scene, recording)
+        fit.save(tmp_path / "fit.json")
+        read = saltus.load_result(tmp_path / "fit.json")
+        assert type(read) is saltus.Fit and read.to_dict() == fit.to_dict()
+
+    def test_indices_of_bodies(self, scene, recording):
+        by_index = {**recording, "body": np.zeros(40, dtype=np.int32)}
+        assert saltus.identify(scene, by_index)["parameters"] == saltus.identify(scene, recording)["parameters"]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        "change, error, words",
+        [
+            ({"position": np.zeros((40, 3))}, ValueError, r"recordings\[0\].*position: expected 40 x 2 numbers"),
+            ({"position": 0.0}, ValueError, r"position: expected 40 x 2 numbers"),
+            ({"position": np.full((40, 2), np.nan)}, ValueError, "position: found a number that is not finite"),
+            ({"body": ["bal"] * 40}, ValueError, "body of row 0: found 'bal'"),
+            ({"body": [1.5] * 40}, TypeError, r"recordings\[0\]\['body'\]: found dtype float64, expected names"),
+            ({"time": ["now"] * 40}, TypeError, r"recordings\[0\]\['time'\]: found dtype <U3, expected real numbers"),
+            ({"time": np.zeros(40)}, ValueError, "found 'ball' again at time 0"),
+            ({"sigma": -1.0}, ValueError, "sigma of row 0: expected a number > 0"),
+            ({"weight": 1.0}, ValueError, "found the array 'weight', expected time, body, position"),
+        ],
+    )
+    def test_recordings(self, scene, recording, change, error, words):
+        with pytest.raises(error, match=words):
+            saltus.identify(scene, {**recording, **change})
+
+    def test_no_recordings(self, scene, recording):
+        with pytest.raises(TypeError, match=r"recordings\[1\]: found int, expected the path"):
+            saltus.identify(scene, [recording, 3])
+        with pytest.raises(ValueError, match="none.csv"):
+            saltus.identify(scene, pathlib.Path("none.csv"))
+        with pytest.raises(ValueError, match="recording"):
+            saltus.identify(scene, [])
+
+    @pytest.mark.parametrize(
+        "wrong, words",
+        [
+            ({"unknown": "bounce"}, "unknown: found 'bounce', expected some of restitution"),
+            ({"unknown": "restitution", "law": "network"}, "'restitution' beside a law"),
+            ({"law": "network:x"}, "law: found 'network:x', expected network or impulse"),
+            ({"loss": "tukey"}, "loss: found 'tukey', expected none, huber or cauchy"),
+            ({"loss_scale": 0}, "loss_scale"),
+            ({"segment": -1}, "segment"),
+            ({"starts": 0}, "starts"),
+            ({"threads": -1}, "threads"),
+            ({"contact": "evnt"}, "contact"),
+            ({"contact": "direct", "law": "network"}, "direct"),
+        ],
+    )
+    def test_options(self, scene, recording, wrong, words):
+        with pytest.raises(ValueError, match=words):
+            saltus.identify(scene, recording, **wrong)
+
+    def test_contacts_in_python(self, scene, recording):
+        with pytest.raises(TypeError, match="contact: found type, expected the name of a contact model"):
+            saltus.identify(scene, recording, contact=saltus.ContactModel)
+
+    def test_a_callback_that_fails(self, scene, recording):
+        def fail(text):
+            raise ZeroDivisionError("mine")
+
+        with pytest.raises(ZeroDivisionError, match="mine") as caught:
+            saltus.identify(scene, recording, status=fail)
+        assert caught.value.fit["verdict"] == "interrupted"
+
+
+def test_ctrl_c_keeps_what_it_has(scene):
+    """A model without derivatives for Ceres to descend on, many samples and starts: it takes long."""
+    time = np.linspace(0.01, 0.99, 2000)
+    noise = np.random.default_rng(1).normal(size=(2000, 2))  # no motion fits
+    recording = {"time": time, "body": ["ball"] * 2000, "position": noise, "sigma": SIGMA}
+    timer = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        saltus.identify(scene.replace(steps=30_000), recording, ["restitution", "gravity"], "ncp", starts=1000)
+    timer.join()
+    assert caught.value.fit["verdict"] == "interrupted"
