@@ -80,6 +80,7 @@ ImpactLaw MakeNetwork(const char* name, int width, int inputs, double speed, con
     for (int j = 0; j < inputs; ++j) law.parameters.push_back(j == i % inputs || inputs == 1 ? 2.0 : 0.5);
     law.parameters.push_back(-2 * bend);
   }
+  law.learned_last = static_cast<int>(law.parameters.size());
   for (const double output : outputs) {
     law.parameters.insert(law.parameters.end(), width, 0.0);
     law.parameters.push_back(output);
@@ -104,6 +105,7 @@ std::string WhatIsWrongWith(const ImpactLaw& law) {
     return wrong("found " + std::to_string(outputs) + " residuals, expected the restitution and maybe the friction");
   }
   if (!(law.spread > 0)) return wrong("expected a spread above zero");
+  if (law.learned_last < 0 || law.learned_last > blocks[1]) return wrong("found learned_last beyond the parameters");
   if (!std::isfinite(EvaluateLaw(law, 0, 0).restitution)) {
     return wrong("found no restitution in [0, 1] and friction >= 0 at the speeds 0");
   }

@@ -206,19 +206,39 @@ class Identification {
     return point;
   }
 
+  // The weights of a network follow valleys that bend, along which a fit creeps. So it is tried with those that bend
+  // the law held until the others are found, and with all from the beginning; the better one is kept.
   FitResult FitFrom(const FitPoint& start, const std::string& name) {
+    FitResult all = FitAlong(start, name, {});
+    const std::vector<bool> last = LearnedLast();
+    if (last.empty() || Interrupted()) return all;
+    FitResult some = FitAlong(start, name + ", weights that bend last", last);
+    if (some.ok) some = MinimizeFrom(problem_, some.point, options_.loss_scale);
+    Count(some);
+    return some.ok && (!all.ok || some.cost < all.cost) ? some : all;
+  }
+
+  // With more and more of the samples. Unknowns in `held` stay as they are.
+  FitResult FitAlong(const FitPoint& start, const std::string& name, const std::vector<bool>& held) {
     FitResult fit;
     fit.point = start;
     for (const double share : kHorizons) {
       at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
-      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale);
+      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale, held);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
       if (Interrupted()) break;
     }
     return fit;
+  }
+
+  std::vector<bool> LearnedLast() const {
+    if (!options_.law || options_.law->learned_last == 0) return {};
+    std::vector<bool> held(problem_.unknowns.size(), false);
+    std::fill_n(held.begin() + problem_.num_plain, options_.law->learned_last, true);
+    return held;
   }
 
   void Count(const FitResult& fit) {

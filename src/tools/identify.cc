@@ -17,6 +17,7 @@ DEFINE_string(unknown, "restitution",
 DEFINE_string(law, "",
               "learns the law of impact: network (restitution by the speed of approach) or impulse (friction too, by "
               "approach and sliding), each with :N hidden units (default :4)");
+DEFINE_string(law_beside, "", "CSV (speed, restitution) of a law that is known, to stand beside the learned one");
 DEFINE_string(loss, "huber", "of a sample's residual: none (squares), huber or cauchy");
 DEFINE_double(loss_scale, 2, "sigmas beyond which a sample counts less");
 DEFINE_double(segment, 0, "s, > 0: recordings are cut into segments of this length, each with its own start");
@@ -101,7 +102,7 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   if (law.rows().empty()) return;
   const std::string path = directory + "/" + scene.name + "_law";
   WriteTextFile(path + ".csv", law.ToCsv());
-  const Status drawn = WriteFigure(LawFigure(identified), path + ".svg", path + ".png");
+  const Status drawn = WriteFigure(LawFigure(*LawOf(identified), identified.known_law), path + ".svg", path + ".png");
   if (!drawn.ok()) throw OutputError(drawn.message());
 }
 
@@ -124,6 +125,8 @@ Identified IdentifyAll(const Request& request) {
   Identified identified;
   identified.recordings = ReadRecordings(request.scene);
   identified.contacts = IsGiven("contact") ? request.contacts : std::vector<std::string>{"event"};
+  if (!FLAGS_law_beside.empty() && FLAGS_law.empty()) throw InputError("--law_beside: expected --law with it");
+  if (!FLAGS_law_beside.empty()) identified.known_law = ReadKnownLaw(FLAGS_law_beside);
   const std::vector<Unknown> unknowns = ReadUnknowns(request.scene);
   IdentifyOptions options = OptionsFromFlags(request);
   Progress progress(

@@ -1,11 +1,13 @@
 // Parameters of a scene from recordings of its motion, and how they are told.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "saltus/identify/identify.h"
 #include "tools/json_output.h"
+#include "tools/known_law.h"
 #include "tools/program.h"
 
 namespace saltus {
@@ -15,6 +17,7 @@ struct Identified {
   std::vector<Recording> recordings;
   std::vector<std::string> contacts;
   std::vector<IdentifyReport> reports;  // of each contact model that was begun
+  std::optional<KnownLaw> known_law = std::nullopt;
 };
 
 Json IdentifiedToJson(const Scene& scene, const Identified& identified);

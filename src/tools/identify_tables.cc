@@ -79,9 +79,8 @@ Panel LawPanel(const LearnedLaw& learned, const std::string& quantity, double La
   Panel panel;
   panel.x.label = "speed of approach (m/s)";
   panel.y.label = quantity;
-  Series mean{.label = "learned", .x = {}, .y = {}}, low{.label = "95 % confidence", .x = {}, .y = {}};
-  low.colour = "#999999";
-  low.dash = Dash::kDashed;
+  Series mean{.label = "learned", .x = {}, .y = {}, .colour = "#D55E00", .width = 3};
+  Series low{.label = "95 % confidence", .x = {}, .y = {}, .colour = "#999999"};
   Series high = low;
   for (const LawPoint& at : learned.curve) {
     for (Series* series : {&mean, &low, &high}) series->x.push_back(at.speed);
@@ -89,11 +88,23 @@ Panel LawPanel(const LearnedLaw& learned, const std::string& quantity, double La
     low.y.push_back(at.*value - 1.96 * at.*error);
     high.y.push_back(at.*value + 1.96 * at.*error);
   }
-  panel.series = {mean, low, high};
+  panel.series = {low, high, mean};
   return panel;
 }
 
-// Null if none was learned.
+Series KnownLawSeries(const LearnedLaw& learned, const KnownLaw& known) {
+  Series series{.label = "known", .x = {}, .y = {}, .dash = Dash::kDashed};
+  for (const LawPoint& at : learned.curve) {
+    const std::optional<double> restitution = known.At(at.speed);
+    if (!restitution) continue;
+    series.x.push_back(at.speed);
+    series.y.push_back(*restitution);
+  }
+  return series;
+}
+
+}  // namespace
+
 const LearnedLaw* LawOf(const Identified& identified) {
   for (const IdentifyReport& report : identified.reports) {
     if (report.law && !report.law->curve.empty()) return &*report.law;
@@ -101,33 +112,36 @@ const LearnedLaw* LawOf(const Identified& identified) {
   return nullptr;
 }
 
-}  // namespace
-
 Table LawTable(const Identified& identified) {
-  Table table({{"speed", 4},
-               {"sliding", 4},
-               {"restitution", 5},
-               {"standard error", 2},
-               {"friction", 5},
-               {"standard error of friction", 2}});
+  const std::optional<KnownLaw>& known = identified.known_law;
+  std::vector<Column> columns = {{"speed", 4},
+                                 {"sliding", 4},
+                                 {"restitution", 5},
+                                 {"standard error", 2},
+                                 {"friction", 5},
+                                 {"standard error of friction", 2}};
+  if (known) columns.push_back({"known restitution", 5});
+  Table table(columns);
   const LearnedLaw* learned = LawOf(identified);
   if (learned == nullptr) return table;
   const bool friction = learned->law.HasFriction();
   for (const LawPoint& at : learned->curve) {
-    table.AddRow({at.speed,
-                  at.sliding,
-                  at.restitution,
-                  at.restitution_error,
-                  friction ? Cell(at.friction) : Cell(),
-                  friction ? Cell(at.friction_error) : Cell()});
+    std::vector<Cell> row = {at.speed,
+                             at.sliding,
+                             at.restitution,
+                             at.restitution_error,
+                             friction ? Cell(at.friction) : Cell(),
+                             friction ? Cell(at.friction_error) : Cell()};
+    if (known) row.emplace_back(known->At(at.speed));
+    table.AddRow(std::move(row));
   }
   return table;
 }
 
-Figure LawFigure(const Identified& identified) {
-  const LearnedLaw& learned = *LawOf(identified);
+Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
   Figure figure;
   figure.panels = {LawPanel(learned, "restitution", &LawPoint::restitution, &LawPoint::restitution_error)};
+  if (known) figure.panels[0].series.push_back(KnownLawSeries(learned, *known));
   if (learned.law.HasFriction()) {
     figure.panels.push_back(LawPanel(learned, "friction", &LawPoint::friction, &LawPoint::friction_error));
   }

@@ -257,6 +257,23 @@ TEST(Identify, LearnsALawOfImpactFromNoisyRecordings) {
   EXPECT_EQ(constant.verdict, FitVerdict::kContradicted);
 }
 
+// The more weights, the longer are the valleys in which they move: however many, the fit is as good as by the law that
+// made the recordings.
+TEST(Identify, WideNetworksAreLearnedToo) {
+  const std::vector<Recording> recordings = Drops(LearnedContact(SofteningLaw(0.9, 0.12)), DropScene());
+  const IdentifyReport best = Identify("event", DropScene(), recordings, {}, {.law = SofteningLaw(0.7, 0.02)});
+  ASSERT_EQ(best.verdict, FitVerdict::kFits) << best.reason;
+  for (const int width : {2, 4, 6}) {
+    const IdentifyReport report =
+        Identify("event", DropScene(), recordings, {}, {.law = RestitutionNetwork(width, 8, 0.5)});
+    ASSERT_TRUE(report.law.has_value()) << report.reason;
+    EXPECT_LT(report.cost, 1.04 * best.cost) << width;
+    for (const LawPoint& at : report.law->curve) {
+      EXPECT_NEAR(at.restitution, TrueRestitution(at.speed), 4 * at.restitution_error + 2e-3) << at.speed;
+    }
+  }
+}
+
 TEST(Identify, LearnsTheParametersOfAUsersLaw) {
   const std::vector<Recording> recordings = Drops(LearnedContact(SofteningLaw(0.9, 0.12)), DropScene(), 1e-4);
   const IdentifyReport report =
@@ -289,6 +306,9 @@ TEST(ImpactLaw, WhatMakesNoSenseIsRefused) {
   EXPECT_THAT(WhatIsWrongWith(law), HasSubstr("expected 2 speeds and 2 parameters"));
   EXPECT_THAT(WhatIsWrongWith(ConstantLaw(1.5)), HasSubstr("found no restitution in [0, 1]"));
   EXPECT_THAT(WhatIsWrongWith(ImpactLaw{}), HasSubstr("found no function"));
+  law = ConstantLaw(0.5);
+  law.learned_last = 2;
+  EXPECT_THAT(WhatIsWrongWith(law), HasSubstr("learned_last"));
   EXPECT_EQ(WhatIsWrongWith(ConstantLaw(0.5)), "");
   const std::vector<Recording> recordings = Drops("event", DropScene());
   const auto reason = [&](const Contact& contact, const std::vector<Unknown>& unknowns) {

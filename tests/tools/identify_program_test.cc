@@ -112,6 +112,65 @@ TEST(IdentifyProgram, LearnsTheLawOfImpact) {
   EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.svg").good());
 }
 
+constexpr char kDrops[] = SALTUS_SOURCE_DIR "/problems/drops/";
+
+std::string TextOf(const std::string& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+// The problem that comes with saltus: what the network has learned, beside the law that made the recordings.
+TEST(IdentifyProgram, LearnsTheLawOfTheDropsThatAreShipped) {
+  const std::string folder = kDrops;
+  std::string recordings;
+  for (const char* number : {"1", "2", "3", "4"}) {
+    recordings += (recordings.empty() ? "" : ",") + folder + "drop_" + number + ".csv";
+  }
+  const Outcome outcome = RunProgram("saltus_identify --progress=none --law=network:3 --scene=" + folder +
+                                     "drops.yaml --law_beside=" + folder + "law.csv --recording=" + recordings +
+                                     " --output_dir=" + PathOf("drops"));
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  std::istringstream law(TextOf(PathOf("drops") + "/drops_law.csv"));
+  std::string line;
+  ASSERT_TRUE(std::getline(law, line));
+  EXPECT_EQ(line, "speed,sliding,restitution,standard error,friction,standard error of friction,known restitution");
+  int compared = 0;
+  for (double speed, sliding, restitution, error; std::getline(law, line);) {
+    ASSERT_EQ(std::sscanf(line.c_str(), "%lf,%lf,%lf,%lf,", &speed, &sliding, &restitution, &error), 4) << line;
+    const double truth = 0.9 / (1 + 0.12 * speed);
+    EXPECT_NEAR(restitution, truth, 4 * error + 2e-3) << speed;
+    const std::string known = line.substr(line.rfind(',') + 1);
+
+    EXPECT_NEAR(std::stod(known), truth, 2e-4);  // of straight lines between its points
+    ++compared;
+  }
+  EXPECT_GT(compared, 15);
+}
+
+TEST(IdentifyProgram, TheDropsAreWhatTheirProgramWrites) {
+  const std::string written = PathOf("written");
+  ASSERT_EQ(RunProgram("record_drops " + written).exit_code, 0);
+  for (const char* name : {"drop_1.csv", "drop_2.csv", "drop_3.csv", "drop_4.csv", "law.csv"}) {
+    EXPECT_EQ(TextOf(written + "/" + name), TextOf(kDrops + std::string(name))) << name;
+  }
+}
+
+TEST(IdentifyProgram, AKnownLawThatIsWrongIsRefusedWithItsLine) {
+  const std::string path = PathOf("known.csv");
+  const auto errors = [&](const std::string& text) {
+    std::ofstream(path) << text;
+    const Outcome outcome = RunProgram("saltus_identify --law=network --law_beside=" + path + DropScene() +
+                                       "--recording=" + DropRecording());
+    EXPECT_EQ(outcome.exit_code, 2);
+    return outcome.errors;
+  };
+  EXPECT_THAT(errors("speed,e\n1,0.5\n"), HasSubstr("expected the columns speed and restitution"));
+  EXPECT_THAT(errors("speed,restitution\n1,0.5\n1,0.4\n"), HasSubstr("known.csv:3: speed: expected speeds"));
+  EXPECT_THAT(errors("speed,restitution\n1,0.5\n2,1.4\n"), HasSubstr("known.csv:3: restitution: expected a number"));
+  EXPECT_THAT(errors("speed,restitution\n1,x\n"), HasSubstr("known.csv:2: restitution: found 'x'"));
+  EXPECT_THAT(errors("speed,restitution\n1,0.5\n"), HasSubstr("fewer than two rows"));
+}
+
 TEST(IdentifyProgram, ReadsArchivesToo) {
   std::vector<double> time, position;
   for (int i = 0; i < 40; ++i) {

@@ -36,6 +36,9 @@ struct ImpactLaw {
   // Where it is learned: each parameter has a normal prior of this standard deviation around its start, so that what
   // the data leave open stays where it was. > 0.
   double spread = 10;
+  // The first so many of the parameters are learned after the others, from their start: those of which the law is no
+  // linear function, such as the bends of a network.
+  int learned_last = 0;
 
   bool HasFriction() const;
 };
