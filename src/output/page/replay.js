@@ -4,6 +4,7 @@ const OPTIONS = [
   ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
   ['impulses', 'impulses'], ['names', 'names'], ['apart', 'side by side'],
 ];
+const VALUES = ['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'];
 const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End';
 
 function element(name, attributes = {}, ...children) {
@@ -75,9 +76,8 @@ class Replay {
     this.values = element('tbody');
     this.player.append(element('details', {class: 'values', ontoggle: () => this.updateValues()},
       element('summary', {}, 'Positions and velocities at this time'),
-      element('div', {class: 'scroll', tabindex: 0}, element('table', {},
-        element('thead', {}, element('tr', {}, ...['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'].map(
-          (name) => element('th', {scope: 'col'}, name)))), this.values))));
+      element('div', {class: 'scroll', tabindex: 0}, element('table', {class: 'below-40'},
+        element('thead', {}, element('tr', {}, ...VALUES.map((name) => element('th', {scope: 'col'}, name)))), this.values))));
     this.stills = element('div', {class: 'stills'});
     this.figure.querySelector('.replay-here').replaceWith(this.player, this.stills);
   }
@@ -153,8 +153,12 @@ class Replay {
     const discs = this.discs.slice(0, VALUES_OF_AT_MOST);
     for (const motion of this.motions) {
       discs.forEach((disc, i) => {
-        const cells = [0, 1, 2, 3].map(() => element('td', {class: 'number'}));
-        this.values.append(element('tr', {}, element('td', {}, motion.label), element('td', {}, disc.name), ...cells));
+        const row = VALUES.map((name) => element('td', {'data-label': name})), cells = row.slice(2);
+        row[0].append(motion.label);
+        row[1].append(disc.name);
+        row.slice(0, 2).forEach((cell) => cell.classList.add('key'));
+        cells.forEach((cell) => cell.classList.add('number'));
+        this.values.append(element('tr', {}, ...row));
         this.cells.push({motion, i, cells});
       });
     }
