@@ -2,6 +2,7 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cctype>
 #include <utility>
 
@@ -13,7 +14,8 @@
 namespace saltus {
 namespace {
 
-constexpr size_t kTallTable = 60;  // rows from which on a table scrolls in the page
+constexpr size_t kTallTable = 60;  // rows from which on a table scrolls in the page,
+constexpr int kTallText = 100;     // and lines from which on a text is folded
 
 // Escaped text with `code` set as such; a backquote without a partner stays one.
 std::string Inline(std::string_view text) {

@@ -243,6 +243,26 @@ class Pages(unittest.TestCase):
         self.assertEqual(self.js("return document.querySelectorAll('.stills img').length"), 6)
         self.assert_quiet()
 
+    # Discs that are too many for a path each: there is a disc where one is, and about their areas are covered.
+    def test_many_discs_are_drawn(self):
+        scene = self.write("many.yaml", run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout)
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        drawn, discs, covered, area = self.js("""
+            const [replay] = saltusReplays, {view, discs, options} = replay, {canvas} = view, state = new Float64Array(400);
+            Object.assign(options, {touches: false, names: false, trails: false});
+            replay.walls.length = replay.targets.length = 0;
+            replay.seek(0.6 * replay.duration);
+            replay.motions[0].stateAt(replay.time, state);
+            const {data} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+            const alphaAt = (x, y) => data[4 * (canvas.width * Math.floor(view.toY(y)) + Math.floor(view.toX(x))) + 3];
+            const covered = data.filter((value, i) => i % 4 === 3 && value > 0).length;
+            const area = discs.reduce((sum, {radius}) => sum + Math.PI * (view.scale * radius + 0.5) ** 2, 0);
+            return [discs.filter((_, i) => alphaAt(state[4 * i], state[4 * i + 1]) > 0).length, discs.length, covered, area];""")
+        self.assertEqual((drawn, discs), (100, 100))
+        self.assertAlmostEqual(covered / area, 1, delta=0.2)
+        self.assert_quiet()
+
     # Walls that end: what is solid is filled, and where discs touch them is a disc's radius away.
     def test_walls_that_end_are_drawn(self):
         scene = self.write("edges.yaml", EDGES)
