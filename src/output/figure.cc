@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "figure_script.h"
+#include "figure_text.h"
 #include "gnuplot.h"
 #include "io/file.h"
 #include "output/table.h"
@@ -68,11 +69,15 @@ void ReplaceSpan(std::string_view begin, std::string_view end, const std::string
 
 std::string Title(const Figure& figure) { return figure.title.empty() ? figure.panels.front().title : figure.title; }
 
-// Gives gnuplot's SVG unique ids, a title of its own, fonts that every machine has and markers that are not too thin.
+// Gives gnuplot's SVG unique ids, a title and a text of its own, fonts that every machine has and markers that are not
+// too thin.
 std::string Finish(std::string svg, const Figure& figure, const std::string& prefix) {
   svg.erase(0, svg.find("<svg"));
-  ReplaceSpan("<title>Gnuplot</title>", "</desc>", "<title>" + EscapeHtml(Title(figure)) + "</title>", &svg);
-  ReplaceSpan("<svg", ">", "<svg role=\"img\"" + svg.substr(4, svg.find('>') - 3), &svg);
+  const std::string title = Title(figure);
+  const std::string element = title.empty() ? "" : "<title>" + EscapeHtml(title) + "</title>";
+  ReplaceSpan("<title>Gnuplot</title>", "</desc>", element, &svg);
+  const std::string text = " role=\"img\" aria-label=\"" + EscapeHtml(internal::DescribeFigure(figure)) + "\"";
+  svg.insert(std::string_view("<svg").size(), text);
   const std::string id = prefix + "-";
   const std::string font = std::string("font-family=\"") + internal::kFont;
   const std::string fonts = font + ", Arial, Helvetica, sans-serif\"";

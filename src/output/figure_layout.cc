@@ -103,6 +103,7 @@ Layout LayOut(const Figure& figure) {
     const double left = static_cast<double>(i % columns) * cell;
     const double top = layout.height - title - static_cast<double>(i / columns) * figure.panel_height;
     const double above = figure.panels[i].title.empty() ? kTopMargin : kPanelTitle;
+    layout.panels.push_back({left, left + cell, top - figure.panel_height, top});
     layout.plots.push_back(
         {left + kLeftMargin, left + cell - kRightMargin, top - figure.panel_height + kBottomMargin, top - above});
   }

@@ -20,7 +20,8 @@ inline constexpr double kLegendText = 44;
 struct Layout {
   double width = 0;
   double height = 0;
-  std::vector<Box> plots;  // the area inside the axes, per panel
+  std::vector<Box> panels;  // with title and labels
+  std::vector<Box> plots;   // the area inside the axes, per panel
   Box legend;
   int legend_columns = 0;  // 0 without a legend
 };

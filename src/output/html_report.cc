@@ -2,15 +2,20 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cctype>
 #include <utility>
 
+#include "figure_text.h"
 #include "io/file.h"
 #include "replay_page.h"
 #include "report_style.h"
 
 namespace saltus {
 namespace {
+
+constexpr size_t kTallTable = 60;  // rows from which on a table scrolls in the page,
+constexpr int kTallText = 100;     // and lines from which on a text is folded
 
 // Escaped text with `code` set as such; a backquote without a partner stays one.
 std::string Inline(std::string_view text) {
@@ -71,9 +76,7 @@ void HtmlReport::AddList(const std::vector<std::string>& items) {
   body_ += "</ul>\n";
 }
 
-void HtmlReport::AddPreformatted(std::string_view text) {
-  body_ += "<pre tabindex=\"0\">" + EscapeHtml(text) + "</pre>\n";
-}
+void HtmlReport::AddPreformatted(std::string_view text) { body_ += "<pre>" + EscapeHtml(text) + "</pre>\n"; }
 
 void HtmlReport::AddTiles(const std::vector<Tile>& tiles) {
   body_ += "<dl class=\"tiles\">\n";
@@ -94,14 +97,18 @@ void HtmlReport::AddLinks(const std::vector<Link>& links) {
 }
 
 void HtmlReport::AddTable(const Table& table, std::string_view caption, bool folded) {
-  const std::string scroll = "<div class=\"scroll\" tabindex=\"0\">" + table.ToHtml() + "</div>";
+  const std::string tall = table.rows().size() > kTallTable ? " tall" : "";
+  const std::string scroll = "<div class=\"scroll" + tall + "\" tabindex=\"0\">" + table.ToHtml() + "</div>";
   AddFigureElement("Table", ++tables_, caption, scroll, folded);
 }
 
 Status HtmlReport::AddFigure(const Figure& figure, std::string_view caption, bool folded) {
-  const StatusOr<std::string> svg = RenderSvg(figure, "figure" + std::to_string(figures_ + 1));
+  const std::string id = "figure" + std::to_string(figures_ + 1);
+  const StatusOr<std::string> svg = RenderSvg(figure, id);
   if (!svg.ok()) return svg.status();
-  const std::string plot = "<div class=\"plot\">" + *svg + "</div>";
+  std::string plot = "<div class=\"plot\">" + *svg + "</div>";
+  const std::string parts = internal::FigureParts(figure, id);
+  if (!parts.empty()) plot = "<div class=\"plots\">" + plot + "<div class=\"plot parts\">" + parts + "</div></div>";
   AddFigureElement("Figure", ++figures_, caption, plot, folded);
   return Status();
 }

@@ -42,8 +42,8 @@ class HtmlReport {
   // Precondition: targets are as Link says.
   void AddLinks(const std::vector<Link>& links);
 
-  // Tables and figures are numbered. Long tables scroll under their header line. A folded part shows its caption only,
-  // until opened.
+  // Tables and figures are numbered. Long tables scroll under their header line; in what is too narrow for
+  // a table its rows are cards. A folded part shows its caption only, until opened.
   void AddTable(const Table& table, std::string_view caption, bool folded = false);
 
   // Draws the figure; an error if gnuplot is missing or fails, and the report is then as it was.

@@ -1,5 +1,7 @@
 #include "report_style.h"
 
+#include "cards.h"
+
 namespace saltus::internal {
 namespace {
 
@@ -34,7 +36,7 @@ p, li { max-width: 46rem; overflow-wrap: break-word; }
 code, pre { font: .875em/1.5 ui-monospace, "SFMono-Regular", Menlo, Consolas, "Liberation Mono", monospace; }
 code { background: var(--raised); border-radius: 4px; padding: .1em .3em; }
 pre { background: var(--raised); border: 1px solid var(--line); border-radius: 8px; padding: .9rem 1rem;
-  overflow-x: auto; }
+  white-space: pre-wrap; overflow-wrap: anywhere; }
 nav { font-size: .875rem; line-height: 1.4; padding: 1rem 1.25rem 0; max-width: 76rem; margin: 0 auto; }
 nav ol { list-style: none; margin: .6rem 0 0; padding: 0; }
 nav li { margin: .35rem 0; }
@@ -65,13 +67,21 @@ figure { margin: 1.5rem 0 2rem; }
 figcaption, figure summary { color: var(--faint); font-size: .9rem; line-height: 1.5; margin: .5rem 0; }
 figcaption b, figure summary b { color: var(--ink); }
 .plot { border: 1px solid var(--line); border-radius: 8px; padding: .5rem; overflow-x: auto; }
-.plot svg { display: block; width: 100%; min-width: 34rem; height: auto; }
-.scroll { overflow: auto; max-height: 80vh; border: 1px solid var(--line); border-radius: 8px; }
+.plot svg { display: block; width: 100%; height: auto; }
+.plots { container-type: inline-size; }
+.plot.parts { display: none; }
+.plot.parts svg.legend { display: inline-block; max-width: 100%; vertical-align: top; }
+@container (max-width: 34rem) {
+  .plots > .plot { display: none; }
+  .plots > .plot.parts { display: block; }
+}
+.scroll { overflow: auto; border: 1px solid var(--line); border-radius: 8px; }
+.scroll.tall { max-height: 80vh; }
 table { border-collapse: separate; border-spacing: 0; width: 100%; font-size: .875rem; line-height: 1.4;
   font-variant-numeric: tabular-nums; }
 th, td { padding: .42rem .75rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
 td.long { min-width: 13rem; }
-th { position: sticky; top: 0; background: var(--raised); font-weight: 600; white-space: nowrap; z-index: 1; }
+th { position: sticky; top: 0; background: var(--raised); font-weight: 600; z-index: 1; }
 tbody tr:last-child td { border-bottom: 0; }
 tbody tr:hover td:not(.good):not(.warning):not(.bad) { background: var(--raised); }
 .number { text-align: right; white-space: nowrap; }
@@ -81,7 +91,6 @@ td.bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
 td.muted { color: var(--faint); }
 @media (max-width: 48rem) {
   table { font-size: .8rem; }
-  th { white-space: normal; }
   th, td { padding: .3rem .4rem; }
   td.long { min-width: 9rem; }
 }
@@ -89,7 +98,7 @@ td.muted { color: var(--faint); }
   nav { display: none; }
   body { display: block; font-size: 11pt; }
   main { max-width: none; padding: 0; }
-  .scroll { max-height: none; overflow: visible; }
+  .scroll, .scroll.tall { max-height: none; overflow: visible; }
   th { position: static; }
   figure, tr { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
@@ -105,8 +114,8 @@ constexpr char kDarkPlots[] = R"(
 }  // namespace
 
 std::string ReportStyle() {
-  return std::string(":root {") + kLight + "}" + kLayout + "@media screen and (prefers-color-scheme: dark) {\n:root {" +
-         kDark + "}" + kDarkPlots + "}\n";
+  return std::string(":root {") + kLight + "}" + kLayout + CardsStyle() +
+         "@media screen and (prefers-color-scheme: dark) {\n:root {" + kDark + "}" + kDarkPlots + "}\n";
 }
 
 }  // namespace saltus::internal

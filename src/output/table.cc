@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <functional>
 
+#include "cards.h"
 #include "io/file.h"
 
 namespace saltus {
@@ -183,26 +184,31 @@ std::string Table::ToCsv() const {
 }
 
 std::string Table::ToHtml() const {
-  std::vector<std::string> alignment;
-  for (size_t j = 0; j < columns_.size(); ++j) alignment.emplace_back(IsNumeric(j) ? "number" : "");
+  const std::vector<TextColumn> shown = MeasureText();
+  std::vector<size_t> least;
+  for (const TextColumn& column : shown) least.push_back(column.least);
   const auto open = [](const std::string& tag, const std::string& classes) {
     return "<" + tag + (classes.empty() ? "" : " class=\"" + classes + "\"") + ">";
   };
-  std::string html = "<table>\n<thead><tr>";
-  for (size_t j = 0; j < columns_.size(); ++j) {
-    html += open("th scope=\"col\"", alignment[j]) + EscapeHtml(columns_[j].header) + "</th>";
+  const auto alignment = [](const TextColumn& column) { return std::string(column.right ? "number" : ""); };
+  std::string html = open("table", internal::CardsClass(least)) + "\n<thead><tr>";
+  for (const TextColumn& column : shown) {
+    html += open("th scope=\"col\"", alignment(column)) + EscapeHtml(columns_[column.index].header) + "</th>";
   }
   html += "</tr></thead>\n<tbody>\n";
   for (size_t i = 0; i < rows_.size(); ++i) {
     html += "<tr>";
-    for (size_t j = 0; j < columns_.size(); ++j) {
+    for (const TextColumn& column : shown) {
+      const size_t j = column.index;
       const std::string text = Display(i, j);
-      std::string classes = alignment[j];
+      std::string classes = alignment(column);
       const std::string_view length = DisplayWidth(text) > kLongText ? "long" : "";
-      for (const std::string_view name : {ToneName(rows_[i][j].tone()), length}) {
+      const std::string_view key = j < keys_ ? "key" : "";
+      for (const std::string_view name : {ToneName(rows_[i][j].tone()), length, key}) {
         if (!name.empty()) classes += (classes.empty() ? "" : " ") + std::string(name);
       }
-      html += open("td", classes) + EscapeHtml(text) + "</td>";
+      const std::string label = " data-label=\"" + EscapeHtml(columns_[j].header) + "\"";
+      html += open("td" + label, classes) + EscapeHtml(text) + "</td>";
     }
     html += "</tr>\n";
   }

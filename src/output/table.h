@@ -84,8 +84,8 @@ class Table {
   // RFC 4180 with a header line; lines end in a bare line feed.
   std::string ToCsv() const;
 
-  // A <table> element; cells have the classes "number", "long" (text of more than 40 characters) and
-  // that of their tone where these apply.
+  // A <table> element of the columns with content. Cells have the classes "number", "long" (more than 40 characters),
+  // "key" and that of their tone where these apply, and their column's header as data-label.
   std::string ToHtml() const;
 
   // Aligned columns without those that have no content. If they are too wide, texts are wrapped, and columns that still

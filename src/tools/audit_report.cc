@@ -19,6 +19,8 @@ namespace {
 constexpr size_t kMostMotions = 24;    // in a replay
 constexpr size_t kShownMotions = 4;    // of these, at first
 constexpr size_t kMostWrongSteps = 6;  // drawn
+constexpr size_t kModelsAbreast = 8;   // columns of gradients
+constexpr size_t kManyNumbers = 1000;  // of a table that opens when asked
 
 MotionInput StartOf(const Scene& scene) { return {InitialState(scene), InitialControl(scene, scene.steps), {}}; }
 
@@ -139,8 +141,9 @@ void AddAuditSections(const Request& request, const AuditReport& audit, HtmlRepo
   report->AddTiles(TilesOf(audit));
   report->AddTable(VerdictTable(audit), "Verdicts on the gradients of the loss at the start.");
   Table gradients = GradientTable(request, audit);
-  if (gradients.columns().size() > 12) gradients = gradients.Transposed("entry", audit.reference ? 2 : 1);
-  report->AddTable(gradients, "Gradients.");
+  const size_t entries = gradients.columns().size(), models = gradients.rows().size();
+  if (entries > 12 && models <= kModelsAbreast) gradients = gradients.Transposed("entry", audit.reference ? 2 : 1);
+  report->AddTable(gradients, "Gradients.", /*folded=*/entries * models > kManyNumbers);
   const Table plateaus = PlateauTable(audit);
   if (!plateaus.rows().empty()) report->AddTable(plateaus, "Differences of the loss of every width.");
   AddMotions(request, audit, report);

@@ -18,6 +18,8 @@ Figure SmallFigure() {
   Figure figure;
   figure.title = "Curve";
   figure.panels.resize(1);
+  figure.panels[0].x.label = "time (s)";
+  figure.panels[0].y.label = "loss";
   figure.panels[0].series.push_back(Series::ForModel("lcp", {0, 1, 2}, {3, 1, 2}));
   return figure;
 }
@@ -67,9 +69,16 @@ TEST(HtmlReportTest, TablesAndFiguresAreNumberedAndCaptioned) {
   const std::string html = FullReport().Render();
   EXPECT_THAT(html, HasSubstr("<b>Table 1.</b> Audits of <code>lcp</code></figcaption>"));
   EXPECT_THAT(html, HasSubstr("<details><summary><b>Table 2.</b> All of it</summary>"));
-  EXPECT_THAT(html, HasSubstr("<td class=\"bad\">wrong</td>"));
+  EXPECT_THAT(html, HasSubstr("<td data-label=\"verdict\" class=\"bad\">wrong</td>"));
   EXPECT_THAT(html, HasSubstr("<b>Figure 1.</b> A curve</figcaption>"));
   EXPECT_THAT(html, HasSubstr("<details><summary><b>Figure 2.</b> The curve again</summary>"));
+}
+
+TEST(HtmlReportTest, FiguresHaveATextAndPartsForNarrowScreens) {
+  const std::string html = FullReport().Render();
+  EXPECT_THAT(html, HasSubstr("aria-label=\"Curve. loss against time (s); lcp from (0, 3) to (2, 2).\""));
+  EXPECT_EQ(Matches(html, "<use href=\"#(figure1-gnuplot_canvas)\"").size(), 2);  // the panel and its legend
+  EXPECT_THAT(Matches(html, "\\sid=[\"'](figure1-gnuplot_canvas)[\"']"), testing::SizeIs(1));
 }
 
 TEST(HtmlReportTest, IdsAreUniqueAndContentsLeadThere) {

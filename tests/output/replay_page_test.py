@@ -129,6 +129,19 @@ class Pages(unittest.TestCase):
         self.browser.get("file://" + path)
         self.assert_quiet()
 
+    # Nothing is cut off, and nothing has to be scrolled sideways; figures have a text.
+    def assert_fits(self, path):
+        for width in (400, 1000, 1600):
+            self.open(path, width)
+            self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
+            wide = self.js("""
+                for (const part of document.querySelectorAll('details')) part.open = true;
+                return [...document.querySelectorAll('.scroll, .plot, pre')].filter((part) => part.scrollWidth > part.clientWidth)
+                    .map((part) => `${part.className}: ${part.textContent.slice(0, 80)}`)""")
+            self.assertEqual(wide, [], width)
+        texts = self.js("return [...document.querySelectorAll('svg[role=img]')].map((svg) => svg.getAttribute('aria-label'))")
+        self.assertTrue(all(texts), texts)
+
     def assert_quiet(self):
         self.assertEqual(self.browser.get_log("browser"), [])
 
@@ -230,6 +243,26 @@ class Pages(unittest.TestCase):
         self.assertEqual(self.js("return document.querySelectorAll('.stills img').length"), 6)
         self.assert_quiet()
 
+    # Discs that are too many for a path each: there is a disc where one is, and about their areas are covered.
+    def test_many_discs_are_drawn(self):
+        scene = self.write("many.yaml", run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout)
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        drawn, discs, covered, area = self.js("""
+            const [replay] = saltusReplays, {view, discs, options} = replay, {canvas} = view, state = new Float64Array(400);
+            Object.assign(options, {touches: false, names: false, trails: false});
+            replay.walls.length = replay.targets.length = 0;
+            replay.seek(0.6 * replay.duration);
+            replay.motions[0].stateAt(replay.time, state);
+            const {data} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+            const alphaAt = (x, y) => data[4 * (canvas.width * Math.floor(view.toY(y)) + Math.floor(view.toX(x))) + 3];
+            const covered = data.filter((value, i) => i % 4 === 3 && value > 0).length;
+            const area = discs.reduce((sum, {radius}) => sum + Math.PI * (view.scale * radius + 0.5) ** 2, 0);
+            return [discs.filter((_, i) => alphaAt(state[4 * i], state[4 * i + 1]) > 0).length, discs.length, covered, area];""")
+        self.assertEqual((drawn, discs), (100, 100))
+        self.assertAlmostEqual(covered / area, 1, delta=0.2)
+        self.assert_quiet()
+
     # Walls that end: what is solid is filled, and where discs touch them is a disc's radius away.
     def test_walls_that_end_are_drawn(self):
         scene = self.write("edges.yaml", EDGES)
@@ -309,27 +342,23 @@ class Pages(unittest.TestCase):
                 page = os.path.join(folder, "report.html")
                 self.assertLess(os.path.getsize(page), 6e6)
                 self.assert_valid(page)
-                for width in (400, 1000, 1600):
-                    self.open(page, width)
-                    self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width, width)
+                self.assert_fits(page)
                 self.assertGreater(self.js("return document.querySelectorAll('table').length"), 0)
                 if name != "failed":
                     self.assertEqual(self.js("return saltusReplays.length"), 1)
 
     def test_reports_of_audits_and_sweeps(self):
         scene = f"--scene={PROBLEMS}/two_balls.yaml"
-        for program, flags in (("saltus_audit", ["--contact=direct_toi,event"]),
+        for program, flags in (("saltus_audit", ["--contact=direct_toi,event"]), ("saltus_audit", ["--contact=all"]),
                                ("saltus_sweep", ["--contact=event", "--solver=none", "--sweep=steps=10,20,40"])):
-            with self.subTest(program):
+            with self.subTest(f"{program} {flags[0]}"):
                 folder = tempfile.mkdtemp(dir=self.folder)
                 done = run(program, scene, f"--output_dir={folder}", "--progress=plain", *flags)
                 page = os.path.join(folder, "report.html")
                 printed = done.stdout if program == "saltus_audit" else done.stderr
                 self.assertEqual(printed.splitlines()[-1], page)
                 self.assert_valid(page)
-                for width in (400, 1600):
-                    self.open(page, width)
-                    self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
+                self.assert_fits(page)
                 self.assertEqual(self.js("return window.saltusReplays ? saltusReplays.length : 0"),
                                  1 if program == "saltus_audit" else 0)
 

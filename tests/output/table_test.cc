@@ -136,13 +136,13 @@ TEST(TableTest, MarkdownEscapesMarkupAndAlignsNumbers) {
 TEST(TableTest, HtmlEscapesAndMarksCells) {
   const std::string html = Sample().ToHtml();
   EXPECT_THAT(html, HasSubstr("<th scope=\"col\" class=\"number\">loss</th>"));
-  EXPECT_THAT(html, HasSubstr("<td class=\"number\">2.059</td>"));
-  EXPECT_THAT(html, HasSubstr("<td class=\"good\">match</td>"));
-  EXPECT_THAT(html, HasSubstr("<td class=\"bad\">a|b &lt;c&gt;, &quot;d&quot;</td>"));
-  EXPECT_THAT(html, HasSubstr("<td class=\"number\"></td>"));
+  EXPECT_THAT(html, HasSubstr("<td data-label=\"loss\" class=\"number\">2.059</td>"));
+  EXPECT_THAT(html, HasSubstr("<td data-label=\"verdict\" class=\"good\">match</td>"));
+  EXPECT_THAT(html, HasSubstr("<td data-label=\"verdict\" class=\"bad\">a|b &lt;c&gt;, &quot;d&quot;</td>"));
+  EXPECT_THAT(html, HasSubstr("<td data-label=\"loss\" class=\"number\"></td>"));
   Table table({{"note"}});
   table.AddRow({Cell(std::string(41, 'x')).With(Tone::kMuted)});
-  EXPECT_THAT(table.ToHtml(), HasSubstr("<td class=\"muted long\">xxx"));
+  EXPECT_THAT(table.ToHtml(), HasSubstr("<td data-label=\"note\" class=\"muted long key\">xxx"));
 }
 
 TEST(TableTest, CsvQuotesAsRfc4180Asks) {

@@ -4,6 +4,7 @@ const OPTIONS = [
   ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
   ['impulses', 'impulses'], ['names', 'names'], ['apart', 'side by side'],
 ];
+const VALUES = ['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'];
 const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End';
 
 function element(name, attributes = {}, ...children) {
@@ -34,7 +35,8 @@ class Replay {
     this.memory = 0.04 * this.duration;
     this.impacts = [...new Set(this.motions.flatMap(({touches}) => touches.map(({begin}) => begin)))].sort((a, b) => a - b);
     this.options = {
-      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest > 0, touches: true, impulses: true,
+      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest > 0, touches: true,
+      impulses: this.discs.length <= MANY_DISCS,
       names: true, apart: false,
     };
     this.time = 0;
@@ -42,6 +44,7 @@ class Replay {
     this.build(data.summary);
     this.view = new View(this.canvas, this);
     this.updateValueRows();
+    this.redraw();
     new ResizeObserver(() => this.redraw()).observe(this.stage);
     window.addEventListener('beforeprint', () => this.makeStills());
     this.seek(0);
@@ -73,11 +76,11 @@ class Replay {
     this.player = element('div', {class: 'player', title: KEYS, onkeydown: (event) => this.press(event)},
       this.stage, buttons, element('div', {class: 'line'}, this.slider, this.ticks), this.buildLegend(), this.buildOptions());
     this.values = element('tbody');
-    this.player.append(element('details', {class: 'values', ontoggle: () => this.updateValues()},
+    this.valuesPart = element('details', {class: 'values', ontoggle: () => this.updateValues()},
       element('summary', {}, 'Positions and velocities at this time'),
-      element('div', {class: 'scroll', tabindex: 0}, element('table', {},
-        element('thead', {}, element('tr', {}, ...['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'].map(
-          (name) => element('th', {scope: 'col'}, name)))), this.values))));
+      element('div', {class: 'scroll', tabindex: 0}, element('table', {class: 'below-40'},
+        element('thead', {}, element('tr', {}, ...VALUES.map((name) => element('th', {scope: 'col'}, name)))), this.values)));
+    this.player.append(this.valuesPart);
     this.stills = element('div', {class: 'stills'});
     this.figure.querySelector('.replay-here').replaceWith(this.player, this.stills);
   }
@@ -117,15 +120,19 @@ class Replay {
     this.slider.value = this.time;
     this.slider.setAttribute('aria-valuetext', `${number(this.time)} s`);
     this.clock.value = `${this.time.toFixed(4)} s`;
-    this.redraw();
+    this.drawFrame();
   }
 
-  redraw() {
-    if (!this.view) return;
-    this.view.resize(this.options);
+  drawFrame() {
     this.view.draw(this.time, this.options);
-    this.drawTicks();
     this.updateValues();
+  }
+
+  // Where its size may be another.
+  redraw() {
+    this.view.resize(this.options);
+    this.drawTicks();
+    this.drawFrame();
   }
 
   // A row of impacts for each motion, under the slider.
@@ -153,8 +160,12 @@ class Replay {
     const discs = this.discs.slice(0, VALUES_OF_AT_MOST);
     for (const motion of this.motions) {
       discs.forEach((disc, i) => {
-        const cells = [0, 1, 2, 3].map(() => element('td', {class: 'number'}));
-        this.values.append(element('tr', {}, element('td', {}, motion.label), element('td', {}, disc.name), ...cells));
+        const row = VALUES.map((name) => element('td', {'data-label': name})), cells = row.slice(2);
+        row[0].append(motion.label);
+        row[1].append(disc.name);
+        row.slice(0, 2).forEach((cell) => cell.classList.add('key'));
+        cells.forEach((cell) => cell.classList.add('number'));
+        this.values.append(element('tr', {}, ...row));
         this.cells.push({motion, i, cells});
       });
     }
@@ -162,7 +173,7 @@ class Replay {
   }
 
   updateValues() {
-    if (!this.cells || !this.player.querySelector('.values').open) return;
+    if (!this.valuesPart.open) return;
     let last = null;
     for (const {motion, i, cells} of this.cells) {
       if (motion !== last) motion.stateAt(this.time, this.state);

@@ -1,7 +1,8 @@
 // Draws motions on a canvas, for white paper; on a dark screen the style sheet inverts it.
 const INK = '#24292f', FAINT = '#8b949e', GROUND = '#d8dee4', FORCE = '#0b6e4f', IMPULSE = '#b3261e';
 const DASHES = {solid: [], dashed: [6, 4], dotted: [2, 3], dashdotted: [7, 3, 2, 3]};
-const MANY_DISCS = 60;
+const MANY_DISCS = 60, AGES = 5;
+const ARROW = 0.14;  // of the scene's extent, the longest
 
 class View {
   constructor(canvas, replay) {
@@ -10,7 +11,7 @@ class View {
     this.bounds = this.boundsOf(replay);
     this.extent = Math.hypot(this.bounds.right - this.bounds.left, this.bounds.top - this.bounds.bottom);
     this.scratch = new Float64Array(4 * replay.discs.length);
-    this.pictures = new Map();
+    this.stamped = new StampedDiscs();
   }
 
   // All that discs, walls that end, targets and the visible motions reach.
@@ -48,19 +49,20 @@ class View {
     return shown.map((motion, i) => ({motions: [motion], columns, rows, column: i % columns, row: Math.floor(i / columns)}));
   }
 
-  // The canvas as high as its cells are, at most as the window.
+  // The canvas as high as its cells are, at most as the window. Asks for sizes, which takes time: not in every frame.
   resize(options) {
     const width = this.canvas.clientWidth || 600, [cell] = this.cells(width, options);
     const most = Math.max(220, 0.72 * window.innerHeight);
     const height = Math.min(cell.rows * Math.max(160, this.aspect * width / cell.columns), cell.rows > 1 ? 2 * most : most);
     const ratio = window.devicePixelRatio || 1;
     this.canvas.style.height = `${height}px`;
+    Object.assign(this, {width, height});
     if (this.canvas.width === Math.round(width * ratio) && this.canvas.height === Math.round(height * ratio)) return;
     this.canvas.width = Math.round(width * ratio);
     this.canvas.height = Math.round(height * ratio);
   }
 
-  draw(time, options, width = this.canvas.clientWidth, height = this.canvas.clientHeight) {
+  draw(time, options, width = this.width, height = this.height) {
     const context = this.canvas.getContext('2d');
     const ratio = this.canvas.width / Math.max(width, 1);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -82,6 +84,7 @@ class View {
     context.clip();
     this.drawWalls(context, x, y, w, h);
     this.drawTargets(context);
+    if (this.replay.discs.length > MANY_DISCS) this.drawManyDiscs(context, cell.motions, time, x, y, w, h);
     cell.motions.forEach((motion, i) => this.drawMotion(context, motion, time, options, i === 0));
     context.restore();
     if (cell.columns * cell.rows > 1) {
@@ -182,52 +185,43 @@ class View {
   drawMotion(context, motion, time, options, first) {
     const x = motion.stateAt(time, this.scratch);
     if (options.trails) this.drawTrails(context, motion, time);
-    this.drawDiscs(context, motion, x, first);
+    if (this.replay.discs.length <= MANY_DISCS) this.drawDiscs(context, motion, x, first);
     if (motion.angles) this.drawSpokes(context, motion, x, time);
     if (options.touches) this.drawTouches(context, motion, x, time, options);
+    const {discs, fastest, strongest} = this.replay;
+    const arrow = (i, unit, ax, ay) => [x[4 * i], x[4 * i + 1], unit * ax, unit * ay];
     if (options.velocities) {
-      const unit = 0.14 * this.extent / (this.replay.fastest || 1);
-      this.replay.discs.forEach((disc, i) => {
-        if (!disc.fixed) this.arrow(context, x[4 * i], x[4 * i + 1], unit * x[4 * i + 2], unit * x[4 * i + 3], motion.colour);
-      });
+      const unit = ARROW * this.extent / (fastest || 1), moving = discs.map((_, i) => i).filter((i) => !discs[i].fixed);
+      this.drawArrows(context, moving.map((i) => arrow(i, unit, x[4 * i + 2], x[4 * i + 3])), motion.colour);
     }
     if (options.forces) {
-      const unit = 0.14 * this.extent / (this.replay.strongest || 1);
-      for (const [i, fx, fy] of motion.forcesAt(time)) this.arrow(context, x[4 * i], x[4 * i + 1], unit * fx, unit * fy, FORCE);
+      const unit = ARROW * this.extent / (strongest || 1);
+      this.drawArrows(context, motion.forcesAt(time).map(([i, fx, fy]) => arrow(i, unit, fx, fy)), FORCE);
     }
-    if (options.names && first && this.replay.discs.length <= MANY_DISCS) {
-      this.replay.discs.forEach((disc, i) => {
+    if (options.names && first && discs.length <= MANY_DISCS) {
+      discs.forEach((disc, i) => {
         this.text(context, disc.name, this.toX(x[4 * i]), this.toY(x[4 * i + 1]) - this.scale * disc.radius - 5);
       });
     }
   }
 
-  // Many discs as copies of one picture for each radius: a path of a thousand circles is slow to fill.
-  drawManyDiscs(context, motion, x, first) {
-    const ratio = window.devicePixelRatio || 1;
-    this.replay.discs.forEach((disc, i) => {
-      const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
-      if (!Number.isFinite(px + py)) return;
-      const picture = this.pictureOf(Math.max(this.scale * disc.radius, 1), disc.fixed ? FAINT : motion.colour, first, ratio);
-      const size = picture.width / ratio;
-      context.drawImage(picture, px - size / 2, py - size / 2, size, size);
+  // Into the box, which is in pixels of the page.
+  drawManyDiscs(context, motions, time, x, y, w, h) {
+    const {discs} = this.replay, ratio = context.getTransform().a, [left, top] = [Math.round(ratio * x), Math.round(ratio * y)];
+    const positions = this.scratch, originX = ratio * this.toX(0), originY = ratio * this.toY(0), scale = ratio * this.scale;
+    this.stamped.begin(this.canvas.width, this.canvas.height);
+    motions.forEach((motion, i) => {
+      motion.stateAt(time, positions);
+      for (const fixed of [true, false]) {
+        const colour = fixed ? FAINT : motion.colour;
+        this.stamped.style(`${colour} ${i === 0}`, (stamp, radius) => this.paint(stamp, colour, i === 0, radius > 6 * ratio ? 2 * ratio : ratio, []));
+        for (let j = 0; j < discs.length; ++j) {
+          if (discs[j].fixed !== fixed) continue;
+          this.stamped.add(originX + scale * positions[4 * j], originY - scale * positions[4 * j + 1], Math.max(scale * discs[j].radius, 1));
+        }
+      }
     });
-  }
-
-  pictureOf(radius, colour, first, ratio) {
-    const key = `${radius.toFixed(1)} ${colour} ${first}`;
-    if (!this.pictures.has(key)) {
-      if (this.pictures.size > 500) this.pictures.clear();
-      const picture = document.createElement('canvas'), size = 2 * Math.ceil(ratio * (radius + 2));
-      picture.width = picture.height = size;
-      const context = picture.getContext('2d');
-      context.scale(ratio, ratio);
-      context.beginPath();
-      context.arc(size / ratio / 2, size / ratio / 2, radius, 0, 2 * Math.PI);
-      this.paint(context, colour, first, radius > 6 ? 2 : 1, []);
-      this.pictures.set(key, picture);
-    }
-    return this.pictures.get(key);
+    this.stamped.drawOn(context, left, top, Math.round(ratio * w), Math.round(ratio * h));
   }
 
   paint(context, colour, first, width, dash) {
@@ -245,10 +239,6 @@ class View {
   // All discs of a motion as one path; those that are fixed grey. Ghosts are outlines.
   drawDiscs(context, motion, x, first) {
     const discs = this.replay.discs;
-    if (discs.length > MANY_DISCS) {
-      this.drawManyDiscs(context, motion, x, first);
-      return;
-    }
     for (const fixed of [true, false]) {
       context.beginPath();
       discs.forEach((disc, i) => {
@@ -300,50 +290,67 @@ class View {
   }
 
   // Where two touch. A ring that widens, no blinking; and the impulse on the first disc, or on the second if that one
-  // is fixed.
+  // is fixed. Drawn by age, the oldest first and faintest.
   drawTouches(context, motion, x, time, options) {
-    const discs = this.replay.discs, unit = 0.14 * this.extent / (this.replay.hardest || 1);
-    for (const touch of motion.touchesAt(time, this.replay.memory)) {
-      const {a, b, wall} = touch, other = wall ? this.replay.walls[b] : discs[b];
-      const ax = x[4 * a], ay = x[4 * a + 1];
-      let px, py;
-      if (wall) {
-        [px, py] = this.contactWith(other, ax, ay);
-      } else {
-        const share = discs[a].radius / (discs[a].radius + other.radius);
-        px = ax + share * (x[4 * b] - ax);
-        py = ay + share * (x[4 * b + 1] - ay);
-      }
+    const ages = Array.from({length: AGES}, () => []);
+    for (const touch of motion.touchesAt(time, this.replay.memory)) ages[Math.min(Math.floor(AGES * touch.age), AGES - 1)].push(touch);
+    for (let age = AGES - 1; age >= 0; --age) {
+      if (ages[age].length === 0) continue;
+      context.globalAlpha = 1 - 0.8 * age / AGES;
       context.beginPath();
-      context.arc(this.toX(px), this.toY(py), 4 + 8 * touch.age, 0, 2 * Math.PI);
-      context.globalAlpha = 1 - 0.8 * touch.age;
+      for (const touch of ages[age]) this.traceRing(context, touch, x);
       context.strokeStyle = IMPULSE;
       context.lineWidth = 2.5;
       context.stroke();
-      if (options.impulses) {
-        const moved = discs[a].fixed && !wall, sign = moved ? -1 : 1, at = moved ? b : a;
-        this.arrow(context, x[4 * at], x[4 * at + 1], sign * unit * touch.impulse[0], sign * unit * touch.impulse[1], IMPULSE);
-      }
-      context.globalAlpha = 1;
+      if (options.impulses) this.drawArrows(context, ages[age].map((touch) => this.impulseArrow(touch, x)), IMPULSE);
     }
+    context.globalAlpha = 1;
   }
 
-  arrow(context, px, py, dx, dy, colour) {
-    const x = this.toX(px), y = this.toY(py), tipX = this.toX(px + dx), tipY = this.toY(py + dy);
-    const length = Math.hypot(tipX - x, tipY - y);
-    if (!(length > 2)) return;
-    const head = Math.min(7, length / 2), ux = (tipX - x) / length, uy = (tipY - y) / length;
+  traceRing(context, {a, b, wall, age}, x) {
+    const {discs, walls} = this.replay, ax = x[4 * a], ay = x[4 * a + 1];
+    let px, py;
+    if (wall) {
+      [px, py] = this.contactWith(walls[b], ax, ay);
+    } else {
+      const share = discs[a].radius / (discs[a].radius + discs[b].radius);
+      px = ax + share * (x[4 * b] - ax);
+      py = ay + share * (x[4 * b + 1] - ay);
+    }
+    const radius = 4 + 8 * age, left = this.toX(px), top = this.toY(py);
+    context.moveTo(left + radius, top);
+    context.arc(left, top, radius, 0, 2 * Math.PI);
+  }
+
+  impulseArrow({a, b, wall, impulse}, x) {
+    const moved = this.replay.discs[a].fixed && !wall, at = moved ? b : a;
+    const unit = (moved ? -1 : 1) * ARROW * this.extent / (this.replay.hardest || 1);
+    return [x[4 * at], x[4 * at + 1], unit * impulse[0], unit * impulse[1]];
+  }
+
+  // Arrows from (x, y), as long as (dx, dy): all shafts, then all heads.
+  drawArrows(context, arrows, colour) {
+    const tips = [];
     context.beginPath();
-    context.moveTo(x, y);
-    context.lineTo(tipX - head * ux, tipY - head * uy);
+    for (const [px, py, dx, dy] of arrows) {
+      const x = this.toX(px), y = this.toY(py), tipX = this.toX(px + dx), tipY = this.toY(py + dy);
+      const length = Math.hypot(tipX - x, tipY - y);
+      if (!(length > 2)) continue;
+      const head = Math.min(7, length / 2), hx = head * (tipX - x) / length, hy = head * (tipY - y) / length;
+      context.moveTo(x, y);
+      context.lineTo(tipX - hx, tipY - hy);
+      tips.push([tipX, tipY, hx, hy]);
+    }
     context.strokeStyle = colour;
     context.lineWidth = 2;
     context.stroke();
     context.beginPath();
-    context.moveTo(tipX, tipY);
-    context.lineTo(tipX - head * (ux + 0.5 * uy), tipY - head * (uy - 0.5 * ux));
-    context.lineTo(tipX - head * (ux - 0.5 * uy), tipY - head * (uy + 0.5 * ux));
-    context.closePath();
+    for (const [x, y, hx, hy] of tips) {
+      context.moveTo(x, y);
+      context.lineTo(x - hx - 0.5 * hy, y - hy + 0.5 * hx);
+      context.lineTo(x - hx + 0.5 * hy, y - hy - 0.5 * hx);
+      context.closePath();
+    }
     context.fillStyle = colour;
     context.fill();
   }
