@@ -6,7 +6,10 @@
 // correction in T carries the derivatives.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
+#include <memory_resource>
+#include <vector>
 
 #include "contact/event_contacts.h"
 #include "contact/event_rows.h"
@@ -19,7 +22,7 @@ class PressedGroup : public PressedContacts<T, kRotation> {
   using Pressed = PressedContacts<T, kRotation>;
   using typename Pressed::Contact;
 
-  explicit PressedGroup(const StepInput<T>& in) : Pressed(in), rows_(in) {}
+  explicit PressedGroup(const StepInput<T>& in) : Pressed(in), rows_(in), before_(in.scratch) {}
 
   // To be called before anything else.
   void Clear() {
@@ -28,6 +31,23 @@ class PressedGroup : public PressedContacts<T, kRotation> {
   }
   // As of PressedContacts.
   bool SolveForces() { return Pressed::SolveForces(rows_.inverse_mass()); }
+
+  // Closes the contacts that are found to press. Friction was found against sliding as it was before what closes was
+  // stopped: where that turns slow sliding round, the two stop, and the forces are those from there. False if they are
+  // not found.
+  bool Close() {
+    const bool slowly = SlidesSlowly();
+    if (slowly) before_.assign(discs_.begin(), discs_.end());
+    ProjectPositions();
+    ProjectVelocities();
+    if (!slowly || !StickReversed()) return true;
+    std::ranges::copy(before_, discs_.begin());
+    ProjectVelocities();
+    if (!SolveForces()) return false;
+    ProjectPositions();
+    ProjectVelocities();
+    return true;
+  }
 
   // Makes the gaps and the velocities across closed contacts zero. An overlap beyond the tolerance stays, unless it
   // comes from drift. Values, which are mere remainders, change along the normals. Derivatives change as a small
@@ -146,6 +166,26 @@ class PressedGroup : public PressedContacts<T, kRotation> {
   using Row = typename ForceRows<T, kRotation>::Row;
   using Pressed::in_, Pressed::discs_, Pressed::contacts_, Pressed::wedged_, Pressed::ValueOf;
   static constexpr bool kDerivatives = !std::is_same_v<T, double>;
+
+  // Whether there is friction against sliding so slow that stopping what closes might turn it round.
+  bool SlidesSlowly() const {
+    return std::ranges::any_of(contacts_, [&](const Contact& contact) {
+      return contact.closed && contact.mode == ContactMode::kSlip && contact.force.sliding != 0 &&
+             std::abs(this->SlidingSpeed(contact)) <= kLargestSlowSpeed;
+    });
+  }
+  // Makes the closed contacts stick that slide to where their friction pushes. True if there are any.
+  bool StickReversed() {
+    bool any = false;
+    for (Contact& contact : contacts_) {
+      if (!contact.closed || contact.mode != ContactMode::kSlip) continue;
+      const double sliding = this->SlidingSpeed(contact);
+      if (std::abs(sliding) <= kStickSpeed || sliding * contact.force.sliding > 0) continue;
+      contact.mode = ContactMode::kStick;
+      any = true;
+    }
+    return any;
+  }
 
   template <typename Add>
   void AddRowsOfClosed(const Add& add) {
@@ -297,6 +337,7 @@ class PressedGroup : public PressedContacts<T, kRotation> {
   }
 
   ForceRows<T, kRotation> rows_;
+  std::pmr::vector<typename Pressed::Disc> before_;  // until what closes was stopped
 };
 
 }  // namespace saltus::internal

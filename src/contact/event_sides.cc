@@ -237,10 +237,13 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
     // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
     const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;
     sides->AddOneSided(c, Quantity::kVelocity, slides);
-    sides->AddOneSided(c, Quantity::kVelocity, slides + friction * (1 + restitution) * normal);
+    const PressingContact& force = contact.force;
+    const double give = force.tangential_mass > 0 ? force.mass / force.tangential_mass : 1;  // as discs that spin turn
+    const double stopped = friction * (1 + restitution) * give;  // along the tangent, of the speed of an impact
+    sides->AddOneSided(c, Quantity::kVelocity, slides + stopped * normal);
     const Vec2d a = start.discs[c.a].a - (c.plane ? Vec2d(0, 0) : start.discs[c.b].a);
     const bool alone = group.contacts().size() == 1;
-    const bool slips = restitution == 0 || Dot(slides, a) >= -friction * (1 + restitution) * Dot(normal, a);
+    const bool slips = restitution == 0 || Dot(slides, a) >= -stopped * Dot(normal, a);
     if (alone && slips) continue;
     sides->AddNone(c, Quantity::kPosition, normal);
     // Moved along another disc by h, it is h^2 / (2 R) off it, and falls back at a speed that is proportional to h.

@@ -259,19 +259,19 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     group_.Clear();
     Join(q, time);
     while (Grow(time)) continue;
-    if (!group_.SolveForces()) return Fail("the forces of contacts at rest are not found");
+    if (!group_.SolveForces() || !group_.Close()) return Fail("the forces of contacts at rest are not found");
     if (group_.RollsAround()) {
       return Fail("discs that spin press against each other or a wall that bends: with friction that is not resolved");
     }
-    group_.ProjectPositions();
-    group_.ProjectVelocities();
     group_.SetAccelerations(T(0.0));
-    const T arc = Arc(time, arc_end);
+    T arc = Arc(time, arc_end);
     // The second time with the end that the first has found.
     const int passes = EndsExactly() ? 2 : 1;
     for (int pass = 0; pass < passes && Value(arc) > 0; ++pass) {
       group_.SetAccelerations(arc);
-      if (pass == 1 && group_.OpenPulling()) pass = -1;
+      const bool meets = MeetsOnArc(Value(time), Value(arc));
+      if (meets) arc *= 0.5;
+      if (meets || (pass == 1 && group_.OpenPulling())) pass = -1;
     }
     for (const auto& contact : group_.contacts()) Hold(contact, time, Value(arc));
   }
@@ -318,6 +318,16 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     if (!EndsExactly()) return T(step == kNever ? 0.0 : left / std::ceil(4 * left / step));
     if (Value(arc_end) - now < step) return arc_end - time;
     return (now + left / std::max(1.0, std::ceil(left / step))) - time;
+  }
+
+  // Whether discs that move around each other meet on their arc what they only touched, and was not pressed, before.
+  bool MeetsOnArc(double time, double arc) const {
+    if (arc <= kNodeMargin * in_.h) return false;
+    return std::ranges::any_of(group_.contacts(), [&](const auto& contact) {
+      if (contact.closed) return false;
+      const Candidate& c = CandidateOf(contact.pair);
+      return ApproachAt(c, time + arc).gap < std::min(ApproachAt(c, time).gap, 0.0) - kLargestDrift;
+    });
   }
 
   void Hold(const typename Group::Contact& contact, const T& time, double arc) {

@@ -21,11 +21,13 @@ constexpr double kTolerance = 1e-9;  // of the scene's length, energy or momentu
 
 struct Differences {
   double width;      // m, m/s, N
+  double finest;     // likewise: of the last that are taken
   double smooth;     // how well extrapolations must agree, of the size of the derivative
   double agreement;  // and the gradient with them
 };
-constexpr Differences kAtImpacts{4e-6, 1e-6, 1e-5};
-constexpr Differences kAtRest{4e-3, 1e-2, 2e-2};
+constexpr Differences kAtImpacts{4e-6, 4e-9, 1e-6, 1e-5};
+constexpr Differences kAtRest{4e-3, 4e-10, 1e-2, 2e-2};
+constexpr double kLargestChange = 1e3;        // of a loss
 constexpr double kSmallestDerivative = 1e-3;  // what the tolerances are at least relative to
 
 Vec2d PositionOf(std::span<const double> x, int i) { return {x[4 * i], x[4 * i + 1]}; }
@@ -224,9 +226,8 @@ class SceneCheck {
   // By differences at four widths, extrapolated. What must first come to rest again takes a time that grows like the
   // root of the width.
   Side Slope(const std::vector<double>& initial, const std::vector<double>& control, double sign, double loss,
-             double size, const Differences& differences, double of_width) {
+             double size, const Differences& differences, double width) {
     std::array<double, 4> slopes;
-    double width = of_width * differences.width;
     for (double& slope : slopes) {
       std::vector<double> x = initial_, u = control_;
       for (size_t i = 0; i < x.size(); ++i) x[i] += sign * width * initial[i];
@@ -299,10 +300,16 @@ class SceneCheck {
       return std::abs(*side.slope - slope) <= differences.agreement * (size + std::abs(*side.slope));
     };
     const auto take = [&](double sign) {
-      const Side side = Slope(initial, control, sign, loss, size, differences, 1);
+      const auto slope_at = [&](double width) { return Slope(initial, control, sign, loss, size, differences, width); };
+      Side side = slope_at(differences.width);
       // What disagrees by chance does not do so again.
-      return !side.slope || agrees(side) ? side : Slope(initial, control, sign, loss, size, differences, 0.3);
+      if (side.slope && !agrees(side)) side = slope_at(0.3 * differences.width);
+      if (!side.slope || agrees(side)) return side;
+      // The first impacts may be so slow, or the motion so sensitive, that all this was another motion.
+      const Side finest = slope_at(differences.finest);
+      return finest.slope && agrees(finest) ? finest : side;
     };
+    if (size * differences.finest > kLargestChange) return Count(about + "left out: too large for any difference");
     const std::array<Side, 2> sides = {take(1), one_sided ? Side{{}, "no derivative"} : take(-1)};
     int agree = 0, disagree = 0;
     for (const Side& side : sides) {

@@ -22,8 +22,10 @@ inline constexpr char kFailure[] = "FAILED ";
 // h, h/2, h/4, h/8, and extrapolated; where extrapolations disagree, other events happen within the difference, and
 // nothing is compared on that side. Neither is a side on which discs would overlap at the start. Where a derivative
 // exists from one side only (event_sides.h), the direction is to that side. Differences that disagree are taken again,
-// at 0.3 h. Where contact lasts, velocities below the model's threshold are cut off, and what was moved takes its time
-// to come to rest: there h and the tolerances are larger, and widths h, h/4, h/16, h/64.
+// at 0.3 h; and, as slow impacts or a chaotic motion let a derivative hold very near only, at a very small h. A
+// gradient so large that not even these show it is left out. Where contact lasts, velocities below the model's
+// threshold are cut off, and what was moved takes its time to come to rest: there h and the tolerances are larger, and
+// widths h, h/4, h/16, h/64.
 //
 // A gradient that disagrees is a failure, unless several impacts of one disc at the same time, or a grazing one, leave
 // the derivative undefined: such are counted by that reason.

@@ -177,6 +177,39 @@ TEST(EventRest, SlidingAlongDiscsDoesNoWork) {
 }
 
 // In a pile what stops one pair makes the next close.
+// The lower disc touches the wall and is not pressed against it; as the upper one is pushed along it, their normal
+// turns, and then it is.
+TEST(EventRest, AWallThatIsTouchedIsMetAsNormalsTurn) {
+  Scene scene = Dropped(0.4, 0, 0, 0.02, 3);
+  scene.bodies = {{.name = "lower", .radius = 0.125, .mass = 0.84, .position = {0, 0.125}},
+                  {.name = "upper", .radius = 0.125, .mass = 1.6, .position = {0, 0.375}}};
+  scene.planes.push_back({"wall", {-0.125, 0}, {1, 0}});
+  scene.control = {{1}, {Vec2d(1.26, -1.1)}};
+  EventRun run(scene);
+  for (int k = 0; k <= scene.steps; ++k) {
+    const std::vector<double> x = run.State(k);
+    EXPECT_GT(x[0], -1e-10) << k;
+    EXPECT_GT(Vec2d(x[4] - x[0], x[5] - x[1]).norm() - 0.25, -1e-10) << k;
+  }
+  EXPECT_GT(run.End()[6], 1e-3);
+}
+
+// Two discs, one of them on the ground, close so slowly that they do not bounce, and that turns the slow sliding of the
+// one round. Held by friction, they stay.
+TEST(EventRest, FrictionDoesNotPushWhereSlidingIsTurnedRound) {
+  Scene scene = Dropped(0, 0.5, 0, 1, 10);
+  scene.bodies = {{.name = "light", .radius = 0.1, .mass = 1, .position = {0, 0.1}, .velocity = {5e-7, 0}},
+                  {.name = "heavy", .radius = 0.1, .mass = 10, .position = {0.2, 0.1}, .velocity = {-4e-7, 0}}};
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.control = {{0, 1}, {Vec2d(3, 0), Vec2d(-3, 98)}};
+  EventRun run(scene);
+  const std::vector<double> end = run.End();
+  EXPECT_NEAR(end[0], 0, 1e-9);
+  EXPECT_NEAR(end[4], 0.2, 1e-9);
+  EXPECT_NEAR(end[2], 0, 1e-12);
+  EXPECT_NEAR(end[6], 0, 1e-12);
+}
+
 TEST(EventRest, APileWithoutFrictionSettles) {
   testing::RandomScenes random(2);
   Scene scene = Dropped(0.5, 0, 0, 0.7, 34);

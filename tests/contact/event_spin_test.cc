@@ -11,6 +11,7 @@
 
 #include "contact/event_run.h"
 #include "exact/exact_scenes.h"
+#include "saltus/contact/event_sides.h"
 #include "saltus/internal/island_derivative.h"
 
 namespace saltus {
@@ -313,6 +314,39 @@ TEST(EventSpinDifferences, DropsOntoTheContactOnWhichItRolls) {
       }
     }
   }
+}
+
+// On a slope, about to slip: an impact stops the sliding of its rim unless that is fast enough, of which only a third
+// of the disc's mass is a part. Velocities down the slope alone have the derivative of slipping.
+TEST(EventSpinDifferences, AboutToSlip) {
+  Scene scene = OnGround({0, 0}, 0, 0.1);
+  const double angle = std::atan(0.32);
+  const Vec2d normal(std::sin(angle), std::cos(angle));
+  scene.planes[0].normal = normal;
+  scene.bodies[0].position = 0.1 * normal;
+  scene.contact.restitution = 0.8;
+  scene.duration = 1;
+  using Quantity = OneSided::Quantity;
+  using Side = OneSided::Side;
+  EXPECT_EQ(OneSidedDerivatives(scene),
+            (std::vector<OneSided>{{0, Quantity::kPosition, 0, Side::kNone},
+                                   {0, Quantity::kPosition, 1, Side::kNone},
+                                   {0, Quantity::kVelocity, 0, Side::kAbove},
+                                   {0, Quantity::kVelocity, 1, Side::kNone}}));
+  SpinRun run(scene);
+  const std::vector<double> start = InitialState(scene), end = run.End();
+  const auto slope = [&](int c, double by) {
+    std::vector<double> moved = start;
+    moved[c] += by;
+    EXPECT_TRUE(run.simulator.Rollout(moved, run.control));
+    const double there = run.End()[0];
+    EXPECT_TRUE(run.simulator.Rollout(start, run.control));
+    return (there - end[0]) / by;
+  };
+  const double by_x = run.GradientOf(0).initial[2], by_y = run.GradientOf(0).initial[3];
+  EXPECT_NEAR(slope(2, 1e-3), by_x, 1e-3);
+  EXPECT_GT(std::abs(slope(2, -1e-3) - by_x), 1e-2);
+  for (const double by : {1e-3, -1e-3}) EXPECT_GT(std::abs(slope(3, by) - by_y), 1e-2) << by;
 }
 
 TEST(EventSpinConformance, SpinsOnNothing) {
