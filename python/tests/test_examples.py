@@ -1,9 +1,12 @@
 """The example notebook runs, prints what is stored in it, and says what it should."""
 
+import os
 import pathlib
 import re
 
 import pytest
+
+import saltus
 
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
 
@@ -23,6 +26,9 @@ def test_own_simulator(tmp_path, monkeypatch):
         pytest.importorskip(package, reason=f"python3-{package} is not installed")
     for variable in ("JUPYTER_RUNTIME_DIR", "IPYTHONDIR"):
         monkeypatch.setenv(variable, str(tmp_path / variable))
+    # Debian's kernel is its own Python, whatever runs this.
+    here = str(pathlib.Path(saltus.__file__).parents[1])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
     notebook = nbformat.read(EXAMPLES / "own_simulator.ipynb", as_version=4)
     stored = printed_in(notebook)
     nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
