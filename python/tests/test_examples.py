@@ -1,4 +1,4 @@
-"""The example notebook runs, prints what is stored in it, and says what it should."""
+"""The example notebook and that of the README run, and say what they should."""
 
 import os
 import pathlib
@@ -9,6 +9,7 @@ import pytest
 import saltus
 
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
+README = pathlib.Path(__file__).parents[2] / "README.md"
 
 
 def printed_in(notebook):
@@ -40,3 +41,11 @@ def test_own_simulator(tmp_path, monkeypatch):
     assert "WrongGradient: mine: the gradient is wrong" in printed
     optimised, optimum = map(float, re.search(r"-> (\S+); the optimum is (\S+)", printed).groups())
     assert optimum < optimised < optimum + 0.05
+
+
+def test_ten_lines_of_the_readme(monkeypatch):
+    text = README.read_text(encoding="utf-8")
+    code, said = re.search(r"```python\n(import numpy as np, saltus .*?)\n# WrongGradient: (.*?) \.\.\.\n```", text, re.S).groups()
+    monkeypatch.chdir(README.parent)
+    with pytest.raises(saltus.WrongGradient, match=re.escape(said)):
+        exec(code, {})  # pylint: disable=exec-used
