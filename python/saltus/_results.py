@@ -187,16 +187,19 @@ class Audit(Result):
         rows = [("scene", f"{self._data['scene']}, {self._data['steps']} steps, {self._data['precision']}")]
         for item in self._data["audits"]:
             error = f", relative error {item['relative_error']:.3g}" if item.get("relative_error") is not None else ""
-            why = item.get("why") or item.get("reason")
-            text = item.get("verdict", item.get("termination", ""))
-            rows.append((item["contact"], f"{text}{error}{': ' + why if why else ''}"))
+            rows.append((item["contact"], f"{item.get('verdict', item.get('termination', ''))}{error}{_why(item)}"))
         return rows
 
 
+def _why(item: Mapping[str, Any]) -> str:
+    """The class of a model and the reasons of its verdict, after a colon; empty without any."""
+    reasons = [item.get("class"), item.get("why") or item.get("reason")]
+    text = "; ".join(reason for reason in reasons if reason)
+    return f": {text}" if text else ""
+
+
 def _why_wrong(item: Mapping[str, Any]) -> str:
-    verdict = item.get("verdict", item.get("termination", "no verdict"))
-    why = item.get("why") or item.get("reason")
-    return f"{item['contact']}: the gradient is {verdict}" + (f" ({why})" if why else "")
+    return f"{item['contact']}: the gradient is {item.get('verdict', item.get('termination', 'not judged'))}{_why(item)}"
 
 
 class Fit(Result):

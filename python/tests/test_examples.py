@@ -1,11 +1,15 @@
-"""The example notebook runs, prints what is stored in it, and says what it should."""
+"""The example notebook and that of the README run, and say what they should."""
 
+import os
 import pathlib
 import re
 
 import pytest
 
+import saltus
+
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
+README = pathlib.Path(__file__).parents[2] / "README.md"
 
 
 def printed_in(notebook):
@@ -23,6 +27,9 @@ def test_own_simulator(tmp_path, monkeypatch):
         pytest.importorskip(package, reason=f"python3-{package} is not installed")
     for variable in ("JUPYTER_RUNTIME_DIR", "IPYTHONDIR"):
         monkeypatch.setenv(variable, str(tmp_path / variable))
+    # Debian's kernel is its own Python, whatever runs this.
+    here = str(pathlib.Path(saltus.__file__).parents[1])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
     notebook = nbformat.read(EXAMPLES / "own_simulator.ipynb", as_version=4)
     stored = printed_in(notebook)
     nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
@@ -34,3 +41,11 @@ def test_own_simulator(tmp_path, monkeypatch):
     assert "WrongGradient: mine: the gradient is wrong" in printed
     optimised, optimum = map(float, re.search(r"-> (\S+); the optimum is (\S+)", printed).groups())
     assert optimum < optimised < optimum + 0.05
+
+
+def test_ten_lines_of_the_readme(monkeypatch):
+    text = README.read_text(encoding="utf-8")
+    code, said = re.search(r"```python\n(import numpy as np, saltus .*?)\n# WrongGradient: (.*?) \.\.\.\n```", text, re.S).groups()
+    monkeypatch.chdir(README.parent)
+    with pytest.raises(saltus.WrongGradient, match=re.escape(said)):
+        exec(code, {})  # pylint: disable=exec-used

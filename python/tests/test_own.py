@@ -7,7 +7,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import SOURCE, run_program
+from conftest import BIN, SOURCE, run_program
 
 import saltus
 
@@ -274,19 +274,23 @@ class TestEngines:
         assert found["keep"] == pytest.approx(1, abs=0.05) and found["e"] == pytest.approx(1, abs=0.05)
 
     @pytest.mark.parametrize(
-        "package, driver, flag", [("dartpy", "dart", ""), ("siconos", "siconos", ""), ("siconos", "siconos", "--events")]
+        "package, driver, flag",
+        [("ode", "ode", ""), ("dartpy", "dart", ""), ("siconos", "siconos", ""), ("siconos", "siconos", "--events")],
     )
     def test_verdicts_are_those_of_the_command_line(self, two_balls, tmp_path, monkeypatch, package, driver, flag):
-        pytest.importorskip(package, reason=f"python3-{package} is not installed")
+        pytest.importorskip(package, reason=f"python3-{'pyode' if package == 'ode' else package} is not installed")
+        program = {"ode": str(BIN.parent / "engines" / "ode"), "dart": f"{sys.executable} {SOURCE}/engines/dart.py",
+                   "siconos": f"{sys.executable} {SOURCE}/engines/siconos_drive.py"}[driver]
+        if driver == "ode" and not os.path.exists(program):
+            pytest.skip("the driver engines/ode.cc is not built (SALTUS_BUILD_ENGINES)")
         monkeypatch.syspath_prepend(os.path.join(os.path.dirname(__file__), os.pardir, "examples"))
         import engines
 
         scene = two_balls.replace(steps=12)
         scene.save(tmp_path / "scene.yaml")
-        simulate = engines.siconos(bool(flag)) if driver == "siconos" else engines.dart()
+        simulate = engines.siconos(bool(flag)) if driver == "siconos" else getattr(engines, driver)()
         found = saltus.audit(scene, simulate=simulate, name=driver).of(driver)
-        script = SOURCE / "engines" / ("siconos_drive.py" if driver == "siconos" else "dart.py")
-        command = f"{driver}={sys.executable} {script} {flag}".strip()
+        command = f"{driver}={program} {flag}".strip()
         there = run_program("saltus_audit", f"--scene={tmp_path / 'scene.yaml'}", f"--simulate={command}")["audits"][0]
         assert (found["verdict"], found["class"], found["motion"]) == (there["verdict"], there["class"], there["motion"])
         assert found["loss"] == pytest.approx(there["loss"], rel=1e-9)
