@@ -26,6 +26,9 @@ void TimeToSolution(benchmark::State& state, const char* solver, int steps) {
 BENCHMARK_CAPTURE(TimeToSolution, hmp / 480, "hmp", 480)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(TimeToSolution, ceres_event / 480, "ceres_event", 480)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(TimeToSolution, ceres_event / 4800, "ceres_event", 4800)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(TimeToSolution, ceres_phases / 480, "ceres_phases", 480)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(TimeToSolution, ceres_phases / 1000, "ceres_phases", 1000)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(TimeToSolution, ceres_phases / 4800, "ceres_phases", 4800)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(TimeToSolution, mode_search / 480, "mode_search", 480)->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(TimeToSolution, gd / 480, "gd", 480)->Unit(benchmark::kMillisecond);
 

@@ -12,6 +12,8 @@ constexpr double kGrowth = 10;  // of the weights, from solve to solve
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
+// Damping would only slow down what is nearly linear.
+constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 // Relative change of the cost that ends a solve: the first ones only prepare the next. The last one leaves conditions
 // of first order open by its root.
 constexpr double kTolerances[] = {1e-3, 1e-6, 3e-14};
@@ -145,8 +147,6 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   Watch watch([&] { return !options.callback || options.callback(Cost()); });
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  // Damping would only slow down what is nearly linear.
-  ceres_options.initial_trust_region_radius = 1e8;
   ceres_options.max_trust_region_radius = 1e16;
   ceres_options.logging_type = ceres::SILENT;
   ceres_options.gradient_tolerance = 0;
@@ -156,6 +156,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   Summary result;
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = kTolerances[std::min<size_t>(round, std::size(kTolerances) - 1)];
+    ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
     ceres_options.max_num_iterations = options.iterations - watch.iterations();
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, &problem_, &summary);

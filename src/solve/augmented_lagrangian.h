@@ -36,6 +36,7 @@ class AugmentedLagrangian {
     int rounds = 16;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
     double tolerance = 1e-9;                                 // largest violation of a row
+    double radius = 1e8;                                     // of the trust region at first, after the first solve
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve

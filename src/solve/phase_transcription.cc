@@ -14,7 +14,10 @@
 namespace saltus {
 namespace {
 
-constexpr int kStride = 4;             // derivatives in one pass
+constexpr int kStride = 4;  // derivatives in one pass
+// Steps of a phase. Along a longer one open defects add up and weigh more, and damping, whose part in a motion of the
+// whole phase grows with its square, would take more iterations.
+constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a step of mean length, below which its effort is not smaller
 
 template <typename Function>
@@ -383,7 +386,10 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
   }
 }
 
-AugmentedLagrangian::Summary PhaseTranscription::Minimize(const AugmentedLagrangian::Options& options) {
+AugmentedLagrangian::Summary PhaseTranscription::Minimize(AugmentedLagrangian::Options options) {
+  const double length = std::max(1.0, double(*std::max_element(steps_.begin(), steps_.end())) / kShortPhase);
+  options.equality_weight *= length;
+  options.radius *= length * length;
   return problem_.Minimize(options);
 }
 

@@ -47,7 +47,7 @@ class PhaseTranscription {
                      const Simulator* flight = nullptr);
   PhaseTranscription(const PhaseTranscription&) = delete;
 
-  AugmentedLagrangian::Summary Minimize(const AugmentedLagrangian::Options& options);
+  AugmentedLagrangian::Summary Minimize(AugmentedLagrangian::Options options);
 
   // The times of the cuts, and the final time.
   std::vector<double> CutTimes() const;

@@ -85,10 +85,39 @@ TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
 INSTANTIATE_TEST_SUITE_P(All, ConstrainedOptimum, testing::ValuesIn(References()),
                          [](const auto& test) { return TestName(test.param); });
 
-TEST(CeresPhases, TakesAtMostTwentyIterationsFromThePapersGuess) {
-  const SolveReport report = Solve("ceres_phases", {ProblemScene("two_balls"), "event"}, {});
-  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LE(report.iterations, 20);
+// The least loss with n equal forces before an impact at a free time s, and then none. On the diagonal, the least
+// effort that brings the striker to the contact with speed v follows from the moments of its forces; the best v is a
+// quotient.
+double OptimumOfGrid(double n) {
+  const double goal = std::sqrt(2.0), way = goal - 0.4, effort = 0.1;
+  const auto loss = [&](double s) {
+    const double a = s, b = s * s / 2, c = s * s * s / 3 * (1 - 0.25 / (n * n)), det = a * c - b * b, rest = 1 - s;
+    const double v = (effort * b * way / det + goal * rest) / (effort * c / det + rest * rest);
+    const double miss = v * rest - goal;
+    return effort * (c * v * v - 2 * b * v * way + a * way * way) / det + miss * miss;
+  };
+  double low = 0.5, high = 0.9;
+  for (int i = 0; i < 200; ++i) {
+    const double x = low + (high - low) / 3, y = high - (high - low) / 3;
+    (loss(x) < loss(y) ? high : low) = loss(x) < loss(y) ? y : x;
+  }
+  return loss(low);
+}
+
+// With as many iterations whatever the number of steps.
+TEST(CeresPhases, TakesAtMostTwentyIterationsToTheOptimumOfTheGrid) {
+  EXPECT_NEAR(OptimumOfGrid(331), 1.396542849742, 1e-12);
+  EXPECT_NEAR(OptimumOfGrid(1e7), 1.396542160123197, 1e-12);
+  for (const int steps : {480, 1000, 4800}) {
+    Scene scene = ProblemScene("two_balls");
+    scene.steps = steps;
+    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_LE(report.iterations, 20) << steps;
+    const auto same = [&](double h) { return std::abs(h - report.durations[0]) < 1e-6 * h; };
+    const auto n = std::find_if_not(report.durations.begin(), report.durations.end(), same) - report.durations.begin();
+    EXPECT_NEAR(report.final_loss, OptimumOfGrid(n), 1e-9) << n << " of " << steps;
+  }
 }
 
 // The launch off ground and wall to a target, by velocity, and by where it starts; also as single shooting finds it.
