@@ -298,6 +298,43 @@ TEST(SpinOptimum, FoundFromAwayBeatsWhatNeverTouchesTheWall) {
   }
 }
 
+TEST(SpinProblem, BankShotNeedsSideSpin) {
+  const Scene scene = ProblemScene("bank_shot");
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  const ExactRun shot = SimulateExactly(scene, report.initial_state, {});
+  // By the cushion, past the ball in the way, and into the corner.
+  ASSERT_EQ(shot.events.size(), 2u);
+  EXPECT_EQ(shot.events[0].b, "cushion");
+  EXPECT_EQ(shot.events[1].b, "object");
+  EXPECT_NEAR(shot.end[4], 0.95, 0.01);
+  EXPECT_NEAR(shot.end[5], -0.35, 0.01);
+  Scene plain = scene;
+  plain.free_spin.clear();
+  plain.bodies[0].angular_velocity = 0;
+  plain.bodies[0].velocity = {1, 0.8};  // from where a shot without spin finds that way too
+  const SolveReport without = Solve("ceres_lm", {plain, "event"}, {.iterations = 100});
+  ASSERT_EQ(without.termination, Termination::kConverged) << without.reason;
+  EXPECT_GT(without.final_loss, 3 * report.final_loss);
+}
+
+// Walls that end and a table, of discs that do not spin: all is at rest where it shall be.
+TEST(EdgeProblem, CarromShotGoesThroughTheGate) {
+  const Scene scene = ProblemScene("carrom_gate");
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 1e-3 * report.initial_loss);
+  const ExactRun shot = SimulateExactly(scene, report.initial_state, {});
+  for (const Event& event : shot.events) EXPECT_TRUE(event.b.find("left") && event.b.find("right")) << event.b;
+  for (const int entry : {2, 3, 6, 7}) EXPECT_EQ(shot.end[entry], 0) << entry;
+  EXPECT_NEAR(shot.end[4], 0.65, 0.002);
+  EXPECT_NEAR(shot.end[5], 0.25, 0.002);
+  // On its way to the coin it is between the ends of the gate, by more than its radius.
+  const double y = report.initial_state[3] / report.initial_state[2] * 0.22, radius = scene.bodies[0].radius;
+  EXPECT_GT(y, 0.0 + radius);
+  EXPECT_LT(y, 0.07 - radius);
+}
+
 // Thrown away from the hand, it comes back to it: two solvers agree how. Without spin it cannot.
 TEST(SpinProblem, BallComesBack) {
   const Scene scene = ProblemScene("back_spin");
