@@ -289,8 +289,6 @@ const char* MeaningOf(ContactClass contact_class) {
 ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop) {
   ContactRecognition refused;
   refused.words = WhyNotApplicable(contact, scene);
-  if (refused.words.empty() && scene.Spins())
-    refused.words = "discs that spin: classes are of contacts that turn nothing";
   if (!refused.words.empty()) return refused;
   const Scene natural = InNaturalUnits(scene);
   const std::optional<Encounter> encounter = FindEncounter(contact, natural, stop);

@@ -1,7 +1,7 @@
 // Springs and dampers that resist overlap, with Coulomb friction, as the forces of Warp's examples (Macklin 2022).
 //
-// With n, the gap g_n = d - r_a - r_b and the relative velocity w = s n + w_t at the start of the step there is a
-// contact iff g_n < 0. Then
+// With n, the gap g_n = d - r_a - r_b and the relative velocity w = s n + w_t (of discs that spin, that of the points
+// of contact, where F acts) at the start of the step there is a contact iff g_n < 0. Then
 //
 //   f_n = k_n g_n + k_d min(s, 0)                             N, <= 0
 //   F   = -f_n n - mu |f_n| w_t / |w_t|                       force on a, -F on b; no friction if |w_t| <= 1e-6 m/s
@@ -16,11 +16,13 @@
 #include <memory_resource>
 #include <vector>
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct CompliantWarp {
+template <int kTurn>
+struct CompliantWarpOf {
   static constexpr ModelTraits kTraits = {.name = "compliant_warp",
                                           .summary = "spring, damper and Coulomb friction at the start of the step",
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
@@ -28,7 +30,8 @@ struct CompliantWarp {
                                           .rebound = Rebound::kEmergent,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   static constexpr int kTapedFrom = 12;  // discs
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -41,15 +44,15 @@ struct CompliantWarp {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     using S = Base<T>;
-    std::pmr::vector<Vec2<T>> acceleration(in.scratch);
+    std::pmr::vector<Twist<T, kTurn>> acceleration(in.scratch);
     acceleration.reserve(x.size());
-    for (int i = 0; i < static_cast<int>(x.size()); ++i) acceleration.push_back(in.Acceleration(i));
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) acceleration.push_back(AccelerationOf<kTurn>(in, i));
 
     for (const Candidate& c : in.candidates) {
       const Separation<T> at = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; });
       const T gap = at.distance - in.ContactDistance(c);
       if (!(gap < S(0))) continue;
-      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return x[i].v; });
+      const Vec2<T> w = ContactVelocity<kTurn>(in, c, at.normal, [&](int i) { return TwistOf(x[i]); });
       const T s = Dot(at.normal, w);
       const T normal_force = in.contact.stiffness * gap + in.contact.damping * MinOf(T(S(0)), s);
       Vec2<T> force = Scale(T(-normal_force), at.normal);
@@ -61,10 +64,14 @@ struct CompliantWarp {
                 !(in.contact.friction > S(0)) ? ContactMode::kFrictionless
                 : slides                      ? ContactMode::kSlip
                                               : ContactMode::kStick);
-      ApplyImpulse(in, c, force, [&](int i, const Vec2<T>& change) { acceleration[i] += change; });
+      PushContact<kTurn>(in, c, at.normal, force, [&](int i, const auto& change) { acceleration[i] += change; });
     }
-    for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler<T>(in.h, acceleration[i], x[i]);
+    for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler(in.h, acceleration[i], x[i]);
   }
+};
+
+struct CompliantWarp : CompliantWarpOf<0> {
+  using Spinning = CompliantWarpOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -3,7 +3,8 @@
 // A group is a set of contacts connected by moving discs. Its rows are directions in which contacts push: first the
 // normals of all contacts, then, with friction, the tangents, in the same order. An impulse along a row acts on disc a,
 // and its opposite on disc b. With J the matrix of all rows, A = J M^-1 J^T is how impulses change velocities. A scene
-// without friction has no tangents, so these models' derivative by friction is zero there.
+// without friction has no tangents, so these models' derivative by friction is zero there. Of discs that spin (kTurn),
+// rows and velocities are those of the points of contact.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,6 +15,7 @@
 #include <vector>
 
 #include "contact/lcp_solver.h"
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
@@ -25,7 +27,7 @@ struct GapContact {
   T gap;  // m
 };
 
-template <typename T>
+template <typename T, int kTurn = 0>
 class ContactGroup {
  public:
   using S = Base<T>;
@@ -55,21 +57,33 @@ class ContactGroup {
   T Along(int row, const VelocityOf& velocity) const {
     return Dot(Direction(row), RelativeVelocity<T>(candidate(row), velocity));
   }
+  // The same when they have the twists that `twist(i)` says.
+  template <typename TwistOfDisc>
+  T AlongTwists(int row, const TwistOfDisc& twist) const {
+    const T along = Along(row, [&](int i) -> Vec2<T> { return twist(i).v; });
+    if constexpr (kTurn == kSpin) {
+      if (!IsNormal(row)) return along + AlongByTurning(*in_, candidate(row), [&](int i) -> T { return twist(i).w; });
+    }
+    return along;
+  }
 
   // Entry of A, 1/kg.
   T Coupling(int row, int column) const {
     const auto [by_a, by_b] = Signs(row, column);
     T mobility = in_->InverseMassA(candidate(row)) * by_a;
     if (by_b != S(0)) mobility += in_->InverseMassB(candidate(row)) * by_b;
-    return row == column ? mobility : T(mobility * Dot(Direction(row), Direction(column)));
+    const T coupling = row == column ? mobility : T(mobility * Dot(Direction(row), Direction(column)));
+    if constexpr (kTurn == kSpin) return coupling + CouplingByTurning(row, column);
+    return coupling;
   }
   S CouplingValue(int row, int column) const {
     const auto [by_a, by_b] = Signs(row, column);
     S mobility = Value(in_->InverseMassA(candidate(row))) * by_a;
     if (by_b != S(0)) mobility += Value(in_->InverseMassB(candidate(row))) * by_b;
-    if (row == column) return mobility;
     const Vec2<T>&n = Direction(row), &m = Direction(column);
-    return mobility * (Value(n[0]) * Value(m[0]) + Value(n[1]) * Value(m[1]));
+    const S aligned = row == column ? S(1) : Value(n[0]) * Value(m[0]) + Value(n[1]) * Value(m[1]);
+    if constexpr (kTurn == kSpin) return mobility * aligned + Value(CouplingByTurning(row, column));
+    return mobility * aligned;
   }
   Matrix CouplingValues() const {
     Matrix values(size(), size());
@@ -86,6 +100,14 @@ class ContactGroup {
       ApplyImpulse(*in_, candidate(row), Scale(impulse[row], Direction(row)), apply);
     }
   }
+  // The same with apply(disc, change of its twist).
+  template <typename Apply>
+  void PushTwists(std::span<const T> impulse, const Apply& apply) const {
+    for (int row = 0; row < size(); ++row) {
+      PushContact<kTurn>(
+          *in_, candidate(row), contact(NormalOf(row)).normal, Scale(impulse[row], Direction(row)), apply);
+    }
+  }
 
  private:
   // How an impulse along `column` acts on discs a and b of `row`, seen along `row`.
@@ -93,6 +115,22 @@ class ContactGroup {
     const Candidate &i = candidate(row), &j = candidate(column);
     const auto sign = [&](int disc) { return j.a == disc ? S(1) : !j.plane && j.b == disc ? S(-1) : S(0); };
     return {sign(i.a), i.plane ? S(0) : -sign(i.b)};
+  }
+
+  // What the discs of both rows, if those are tangents, add to their coupling by turning: an impulse turns both of its
+  // discs the same way, whichever it pushes.
+  T CouplingByTurning(int row, int column) const {
+    T coupling = T(S(0));
+    if (IsNormal(row) || IsNormal(column)) return coupling;
+    const Candidate &i = candidate(row), &j = candidate(column);
+    const auto add = [&](int disc) {
+      if (disc != j.a && (j.plane || disc != j.b)) return;
+      const auto& body = in_->bodies[disc];
+      coupling += body.radius * body.radius * body.inverse_inertia;
+    };
+    add(i.a);
+    if (!i.plane) add(i.b);
+    return coupling;
   }
 
   const StepInput<T>* in_;
@@ -103,9 +141,9 @@ class ContactGroup {
 
 // The pairs whose gap is `active`, by group, when the discs are where `position(i)` says. The order of groups is that
 // of their first contacts.
-template <typename T, typename PositionOf, typename Active>
-std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int num_discs, const PositionOf& position,
-                                                    const Active& active) {
+template <int kTurn = 0, typename T, typename PositionOf, typename Active>
+std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& in, int num_discs,
+                                                           const PositionOf& position, const Active& active) {
   const std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
   std::size_t num_contacts = 0;
   std::pmr::vector<int> parent(num_discs, in.scratch);
@@ -121,7 +159,7 @@ std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int 
     contacts[num_contacts++] = {c, at.normal, gap};
     if (!c.plane && !in.bodies[c.a].fixed && !in.bodies[c.b].fixed) parent[root(c.a)] = root(c.b);
   }
-  std::pmr::vector<ContactGroup<T>> groups(in.scratch);
+  std::pmr::vector<ContactGroup<T, kTurn>> groups(in.scratch);
   std::pmr::vector<int> group_of(num_discs, -1, in.scratch);
   groups.reserve(num_contacts);
   for (const GapContact<T>& contact : contacts.first(num_contacts)) {
@@ -137,19 +175,20 @@ std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, int 
 }
 
 // The same when they are where the states `x` say.
-template <typename T, typename Active>
-std::pmr::vector<ContactGroup<T>> FindContactGroups(const StepInput<T>& in, std::span<const BodyState<T, 0>> x,
-                                                    const Active& active) {
-  return FindContactGroups(
+template <typename T, int kTurn, typename Active>
+std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& in,
+                                                           std::span<const BodyState<T, kTurn>> x,
+                                                           const Active& active) {
+  return FindContactGroups<kTurn>(
       in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, active);
 }
 
 // Lets those discs of a group fly freely that no reported contact has. For models that step groups in several
 // substeps, or to the end of an iteration: what that leaves in such a disc is rounding.
 template <typename M, typename T>
-void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGroup<T>& group,
-                       std::span<const char> reported, std::span<const BodyState<T, 0>> x,
-                       std::span<BodyState<T, 0>> next) {
+void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGroup<T, M::kRotation>& group,
+                       std::span<const char> reported, std::span<const BodyState<T, M::kRotation>> x,
+                       std::span<BodyState<T, M::kRotation>> next) {
   std::pmr::vector<char> pushed(x.size(), 0, in.scratch);
   const auto for_each_disc = [&](const Candidate& c, const auto& visit) {
     visit(c.a);
@@ -167,9 +206,10 @@ void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGrou
 
 // Impulses x with A x + c = 0 in clamping rows and x = +-mu x_n in tangents at a bound: derivatives by one Newton
 // correction of the given values within the given classes. `c` has one entry a row.
-template <typename T>
-std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const T> c,
-                                      const typename ContactGroup<T>::Vector& values,
+template <typename T, int kTurn>
+std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup<T, kTurn>& group,
+                                      std::type_identity_t<std::span<const T>> c,
+                                      const typename ContactGroup<T, kTurn>::Vector& values,
                                       std::span<const LcpClass> classes) {
   using S = Base<T>;
   const int n = group.size();
@@ -193,7 +233,7 @@ std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup
       if (classes[i] == LcpClass::kClamping) clamping.push_back(i);
     }
     const int m = static_cast<int>(clamping.size());
-    typename ContactGroup<T>::Matrix Q(m, m);
+    typename ContactGroup<T, kTurn>::Matrix Q(m, m);
     std::pmr::vector<T> residual(in.scratch);
     for (int i = 0; i < m; ++i) {
       T velocity = c[clamping[i]];
@@ -207,7 +247,7 @@ std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup
       }
     }
     if (m > 0) {
-      const typename ContactGroup<T>::Matrix inverse = Q.completeOrthogonalDecomposition().pseudoInverse();
+      const typename ContactGroup<T, kTurn>::Matrix inverse = Q.completeOrthogonalDecomposition().pseudoInverse();
       for (int i = 0; i < m; ++i) {
         for (int j = 0; j < m; ++j) x[clamping[i]] -= inverse(i, j) * residual[j];
       }

@@ -5,6 +5,8 @@
 //
 //   f   = argmin |f - a|^2  over  f_n >= 0, |f_t| <= mu f_n         m/s, solved in closed form
 //   P   = (1 + e) m_eff (f_n n + f_t t)             impulse on a, -P on b
+//         Of discs that spin w_t is that of the points of contact, and the distance that of energy: with m_t the mass
+//         along t, argmin (f_n - a_n)^2 + m_eff/m_t (f_t - m_t/m_eff a_t)^2
 //   v'  = v + h (u/m + g) + P/m
 //   p'  = p + h v  [+ min(tau - h, 0) P/m]           with time of impact
 //   tau = (d' - r_a - r_b) / min(-1e-3, s)           time left after the impact
@@ -16,12 +18,13 @@
 // Extended beyond them: masses, fixed discs, friction between discs.
 #pragma once
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-template <bool kTimeOfImpact>
-struct Convex {
+template <bool kTimeOfImpact, int kTurn>
+struct ConvexOf {
   static constexpr ModelTraits kTraits = {
       .name = kTimeOfImpact ? "convex_toi" : "convex",
       .summary = kTimeOfImpact ? "impulse by a cone program, position corrected by the time of impact"
@@ -30,16 +33,14 @@ struct Convex {
       .published_jacobian = true,
       .compared = true,
       .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = x.v + Scale(in.h, in.Acceleration(i));
-    next.p = x.p + Scale(in.h, x.v);
-    return next;
+    return ExplicitEuler(in, i, x);
   }
 
   template <typename T>
@@ -51,13 +52,15 @@ struct Convex {
       const Separation<T> at = SeparationAt(in, c, predicted);
       const T overlap = at.distance - in.ContactDistance(c);
       if (!(overlap < S(0))) continue;
+      const auto twist = [&](int i) { return TwistOf(x[i]); };
       const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return x[i].v; });
       const T s = Dot(at.normal, w);
       if (!(s < S(0))) continue;
 
       const Vec2<S> n(Value(at.normal[0]), Value(at.normal[1]));
       const Vec2<S> t = Perpendicular(n);
-      const Projection<T> f = ProjectOnCone<T>(-Dot(n, w), -Dot(t, w), in.contact.friction);
+      const Vec2<T> frozen = n.template cast<T>();
+      const Projection<T> f = Solve<T>(in, c, -Dot(n, w), -Dot(t, ContactVelocity<kTurn>(in, c, frozen, twist)));
       in.Report(c, f.mode);
       const T scale = (in.contact.restitution + S(1)) * in.EffectiveMass(c);
       const Vec2<T> impulse = Scale(scale, Vec2<T>(Scale(f.normal, n) + Scale(f.tangential, t)));
@@ -66,10 +69,8 @@ struct Convex {
         const T time_left = Divide(overlap, MinOf(T(S(-1e-3)), s));
         lever = MinOf(T(time_left - in.h), T(S(0)));
       }
-      ApplyImpulse(in, c, impulse, [&](int i, const Vec2<T>& dv) {
-        next[i].v += dv;
-        next[i].p += Scale(lever, dv);
-      });
+      PushContact<kTurn>(
+          in, c, frozen, impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, lever, &next[i]); });
     }
   }
 
@@ -80,6 +81,26 @@ struct Convex {
     ContactMode mode;
   };
 
+  template <typename T>
+  static Projection<T> Solve(const StepInput<T>& in, const Candidate& c, const T& a_n, const T& a_t) {
+    if constexpr (kTurn == kSpin) {
+      return ProjectOnCone(a_n, a_t, in.contact.friction, T(Divide(in.EffectiveMass(c), in.TangentialMass(c))));
+    } else {
+      return ProjectOnCone(a_n, a_t, in.contact.friction);
+    }
+  }
+
+  // The point of the cone |f_t| <= mu f_n where (f_n - a_n)^2 + ratio (f_t - a_t / ratio)^2 is least. Precondition: as
+  // below.
+  template <typename T>
+  static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu, const T& ratio) {
+    using S = Base<T>;
+    const T size = SafeAbs(a_t), stuck = Divide(a_t, ratio);
+    if (mu > S(0) && SafeAbs(stuck) <= mu * a_n) return {a_n, stuck, ContactMode::kStick};
+    const T normal = Divide(T(a_n + mu * size), T(S(1) + mu * mu * ratio));
+    return {normal, T(mu * SignOf(a_t) * normal), mu > S(0) ? ContactMode::kSlip : ContactMode::kFrictionless};
+  }
+
   // The point of the cone |f_t| <= mu f_n that is nearest to (a_n, a_t). Precondition: a_n > 0.
   template <typename T>
   static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu) {
@@ -89,6 +110,11 @@ struct Convex {
     const T normal = Divide(T(a_n + mu * size), T(S(1) + mu * mu));
     return {normal, T(mu * SignOf(a_t) * normal), mu > S(0) ? ContactMode::kSlip : ContactMode::kFrictionless};
   }
+};
+
+template <bool kTimeOfImpact>
+struct Convex : ConvexOf<kTimeOfImpact, 0> {
+  using Spinning = ConvexOf<kTimeOfImpact, kSpin>;
 };
 
 }  // namespace saltus

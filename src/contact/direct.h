@@ -12,12 +12,13 @@
 // Friction is not defined. Momentum is conserved; normal velocities separate with restitution e exactly.
 #pragma once
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
 template <bool kTimeOfImpact>
-struct Direct {
+struct DirectRule {
   static constexpr ModelTraits kTraits = {
       .name = kTimeOfImpact ? "direct_toi" : "direct",
       .summary = kTimeOfImpact ? "direct velocity impulse, position corrected by the time of impact"
@@ -60,6 +61,11 @@ struct Direct {
       });
     }
   }
+};
+
+template <bool kTimeOfImpact>
+struct Direct : DirectRule<kTimeOfImpact> {
+  using Spinning = SpinsFreely<DirectRule<kTimeOfImpact>>;
 };
 
 }  // namespace saltus

@@ -3,7 +3,7 @@
 // velocities z of the iteration before,
 //
 //   l := max(0, l + alpha (-phi - l/k) / (1/k + h_s^2 / m_eff))                            along n
-//   s := s + alpha (-w_t - s/k_f) / (1/k_f + h_s / m_eff), within +-mu l                   along t
+//   s := s + alpha (-w_t - s/k_f) / (1/k_f + h_s / m_eff), within +-mu l                   along t; m_eff with spin
 //   z := v_f + h_s M^-1 sum over contacts of (l n + s t)
 //
 // from forces of zero; the limit is that of primal_descent. With gauss_seidel=1 z follows every contact at once. With
@@ -21,7 +21,14 @@
 
 namespace saltus {
 
-struct DualDescent : SpringDescent {
+template <int kTurn>
+struct DualDescentOf : SpringDescent<kTurn> {
+  using Shared = SpringDescent<kTurn>;
+  using Shared::alpha, Shared::implicit, Shared::iterations;
+  template <typename T>
+  using State = Shared::template State<T>;
+  template <typename T>
+  using Problem = SpringStep<T, kTurn>;
   static constexpr ModelTraits kTraits = {.name = "dual_descent",
                                           .summary = "implicit springs by descent in their forces",
                                           .source = "Macklin et al. 2020",
@@ -36,7 +43,7 @@ struct DualDescent : SpringDescent {
   bool incremental = false;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    VisitSharedOptions(visit);
+    this->VisitSharedOptions(visit);
     visit(ModelOption{"gauss_seidel", "1: contacts one after the other, else all at once", 0, 1}, gauss_seidel);
     visit(ModelOption{"incremental", "1: adds changes of forces along directions of their own iteration", 0, 1},
           incremental);
@@ -44,8 +51,8 @@ struct DualDescent : SpringDescent {
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    StepBy<T>(
-        in, /*exponent=*/2, !implicit, x, next, [&]<typename U>(const SpringStep<U>& problem, auto z, auto touched) {
+    this->template StepBy<T>(
+        in, /*exponent=*/2, !implicit, x, next, [&]<typename U>(const Problem<U>& problem, auto z, auto touched) {
           Descend<U>(problem, z, touched);
         });
   }
@@ -58,7 +65,7 @@ struct DualDescent : SpringDescent {
   };
 
   template <typename T>
-  void Descend(const SpringStep<T>& problem, std::span<T> z, std::span<char> touched) const {
+  void Descend(const Problem<T>& problem, std::span<T> z, std::span<char> touched) const {
     std::vector<Forces<T>> forces(problem.contacts.size(), Forces<T>{T(0.0), T(0.0)});
     std::vector<T> seen(z.begin(), z.end());
     for (int iteration = 0; iteration < iterations; ++iteration) {
@@ -70,10 +77,16 @@ struct DualDescent : SpringDescent {
         if (!at.pressed && !(forces[c].normal > 0.0)) continue;
         touched[c] = 1;
         any = true;
+        const T before = forces[c].tangential;
         const Vec2<T> change = Update(problem, side, at, &forces[c]);
         problem.Apply(side, change, [&](int disc, const Vec2<T>& by) {
-          for (int j = 0; j < 2; ++j) z[2 * disc + j] += by[j];
+          for (int j = 0; j < 2; ++j) z[Problem<T>::kUnknowns * disc + j] += by[j];
         });
+        if constexpr (kTurn == kSpin) {
+          problem.Turn(side, T(forces[c].tangential - before), [&](int disc, const T& by) {
+            z[Problem<T>::kUnknowns * disc + 2] += by;
+          });
+        }
       }
       if (!any) return;
     }
@@ -81,8 +94,8 @@ struct DualDescent : SpringDescent {
 
   // The change of the force on disc a.
   template <typename T>
-  Vec2<T> Update(const SpringStep<T>& problem, const typename SpringStep<T>::Side& side,
-                 const typename SpringStep<T>::At& at, Forces<T>* forces) const {
+  Vec2<T> Update(const Problem<T>& problem, const typename Problem<T>::Side& side, const typename Problem<T>::At& at,
+                 Forces<T>* forces) const {
     const Forces<T> before = *forces;
     T mobility = problem.discs[side.a].inverse_mass;
     if (side.b >= 0) mobility += problem.discs[side.b].inverse_mass;
@@ -92,6 +105,13 @@ struct DualDescent : SpringDescent {
         MaxOf(T(0.0), T(before.normal + Divide(T(alpha * miss), T(give + problem.h * problem.h * mobility))));
     if (problem.friction > 0.0) {
       const T slip = -at.sliding - before.tangential / problem.drag;
+      if constexpr (kTurn == kSpin) {
+        for (const int disc : {side.a, side.b}) {
+          if (disc < 0) continue;
+          const auto& body = problem.discs[disc];
+          mobility += body.radius * body.radius * body.inverse_inertia;
+        }
+      }
       const T wanted = before.tangential + Divide(T(alpha * slip), T(1 / problem.drag + problem.h * mobility));
       const T bound = problem.friction * forces->normal;
       forces->tangential = MaxOf(T(-bound), MinOf(wanted, bound));
@@ -103,6 +123,10 @@ struct DualDescent : SpringDescent {
     forces->applied = Scale(forces->normal, at.normal) + Scale(forces->tangential, at.tangent);
     return forces->applied - before.applied;
   }
+};
+
+struct DualDescent : DualDescentOf<0> {
+  using Spinning = DualDescentOf<kSpin>;
 };
 
 }  // namespace saltus

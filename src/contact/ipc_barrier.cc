@@ -107,9 +107,7 @@ bool StaysBeyondRange(const Energy& energy) {
   return true;
 }
 
-}  // namespace internal
-
-std::string IpcBarrier::WhyNot(const Scene& scene) {
+std::string WhyNoBarrier(const Scene& scene) {
   if (scene.HasEdges())
     return "walls end: this model keeps gaps open within a step to what is nearest at its start only";
   for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -130,4 +128,5 @@ std::string IpcBarrier::WhyNot(const Scene& scene) {
   return "";
 }
 
+}  // namespace internal
 }  // namespace saltus

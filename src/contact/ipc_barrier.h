@@ -16,6 +16,9 @@
 // Newton's method from q with a positive definite Hessian and a line search that stops short of any contact along the
 // step, so no gap ever closes. Derivatives: one Newton correction with the exact Hessian, lagged terms included.
 //
+// Of discs that spin d_c is the way of the points of contact along each other, and E has the ways r dtheta of their
+// rims too, with masses I/r^2.
+//
 // There is no restitution parameter: what comes out depends on the integrator and the substeps; implicit Euler damps,
 // to a plastic impact in the stiff limit, and as the step goes to zero it becomes elastic. Bodies rebound up to `range`
 // before they touch. A scene in which bodies touch from the start has no finite energy. A substep that does not
@@ -38,14 +41,17 @@ namespace saltus {
 
 namespace internal {
 
-// E of one group of discs, and its gradient. Unknowns: the positions of its moving discs.
+// E of one group of discs, and its gradient. Unknowns: the positions of its moving discs, and the ways of the rims of
+// those that spin, from q on.
 template <typename T>
 struct BarrierEnergy {
   using Scalar = T;
   struct Disc {
     Vec2<T> q, target;  // x^
     T mass;
-    int unknown;  // index of x_x; -1 if fixed
+    int unknown;                               // index of x_x; -1 if fixed
+    int rim = -1;                              // index of the way of its rim, r times the angle; -1 if it does not spin
+    T rim_target = T(0.0), rim_mass = T(0.0);  // m, without contact; I / r^2, kg
   };
   struct Side {
     int a, b;  // discs; b < 0 at a plane
@@ -75,7 +81,11 @@ struct BarrierEnergy {
   T Slid(std::span<const T> x, const Side& side) const {
     Vec2<T> moved = Position(x, side.a) - discs[side.a].q;
     if (side.b >= 0) moved -= Position(x, side.b) - discs[side.b].q;
-    return Dot(side.tangent, moved);
+    T slid = Dot(side.tangent, moved);
+    for (const int disc : {side.a, side.b}) {
+      if (disc >= 0 && discs[disc].rim >= 0) slid -= x[discs[disc].rim];
+    }
+    return slid;
   }
 
   // The gradient of E.
@@ -83,6 +93,7 @@ struct BarrierEnergy {
     for (const Disc& disc : discs) {
       if (disc.unknown < 0) continue;
       for (int j = 0; j < 2; ++j) F[disc.unknown + j] = disc.mass * (x[disc.unknown + j] - disc.target[j]);
+      if (disc.rim >= 0) F[disc.rim] = disc.rim_mass * (x[disc.rim] - disc.rim_target);
     }
     for (const Side& side : contacts) {
       const Separation<T> at = SeparationAt(x, side);
@@ -90,7 +101,11 @@ struct BarrierEnergy {
       if (Value(side.friction) > 0) {
         const T slid = Slid(x, side);
         const T y = MinOf(Divide(SafeAbs(slid), slip), T(1.0));
-        pull += Scale(T(friction_weight * SignOf(slid) * side.friction * y * (2.0 - y)), side.tangent);
+        const T rub = friction_weight * SignOf(slid) * side.friction * y * (2.0 - y);
+        pull += Scale(rub, side.tangent);
+        for (const int disc : {side.a, side.b}) {
+          if (disc >= 0 && discs[disc].rim >= 0) F[discs[disc].rim] -= rub;
+        }
       }
       for (const int disc : {side.a, side.b}) {
         if (disc < 0 || discs[disc].unknown < 0) continue;
@@ -105,6 +120,7 @@ struct BarrierEnergy {
     for (const Disc& disc : discs) {
       if (disc.unknown < 0) continue;
       for (int j = 0; j < 2; ++j) energy += 0.5 * disc.mass * std::pow(x[disc.unknown + j] - disc.target[j], 2);
+      if (disc.rim >= 0) energy += 0.5 * disc.rim_mass * std::pow(x[disc.rim] - disc.rim_target, 2);
     }
     for (const Side& side : contacts) {
       const double gap = SeparationAt(x, side).distance - side.touching;
@@ -130,7 +146,10 @@ struct BarrierEnergy {
     const auto number = [](const T& x) { return U(Value(x)); };
     const auto vector = [&](const Vec2<T>& x) { return Vec2<U>(number(x[0]), number(x[1])); };
     BarrierEnergy<U> out{kappa, range, slip, barrier_weight, friction_weight, {}, {}, num_unknowns};
-    for (const Disc& d : discs) out.discs.push_back({vector(d.q), vector(d.target), number(d.mass), d.unknown});
+    for (const Disc& d : discs) {
+      out.discs.push_back(
+          {vector(d.q), vector(d.target), number(d.mass), d.unknown, d.rim, number(d.rim_target), number(d.rim_mass)});
+    }
     for (const Side& s : contacts) {
       out.contacts.push_back({s.a, s.b, s.plane, s.touching, vector(s.tangent), number(s.friction)});
     }
@@ -141,12 +160,16 @@ struct BarrierEnergy {
 // The minimiser of E, found from x; false if it is not reached.
 bool MinimizeBarrierEnergy(const BarrierEnergy<double>& energy, Eigen::VectorXd* x);
 
+// Why a scene has no gaps to keep; empty if it has.
+std::string WhyNoBarrier(const Scene& scene);
+
 // True if no pair comes within `range` of contact on the straight way from q to the targets.
 bool StaysBeyondRange(const BarrierEnergy<double>& energy);
 
 }  // namespace internal
 
-struct IpcBarrier {
+template <int kTurn>
+struct IpcBarrierOf {
   static constexpr double kRange = 0.01;  // m
   static constexpr ModelTraits kTraits = {.name = "ipc_barrier",
                                           .summary = "logarithmic barrier, implicit substeps, lagged friction",
@@ -158,9 +181,12 @@ struct IpcBarrier {
                                           .push_gap = kRange,
                                           .allocates = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   enum class Integrator { kImplicitEuler, kTrapezoidal };
 
@@ -182,7 +208,7 @@ struct IpcBarrier {
   }
 
   // Bodies that touch from the start have no gap to keep.
-  static std::string WhyNot(const Scene& scene);
+  static std::string WhyNot(const Scene& scene) { return internal::WhyNoBarrier(scene); }
 
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
@@ -195,7 +221,7 @@ struct IpcBarrier {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
     const auto groups = FindContactGroups(in, x, [](const T&) { return true; });
-    for (const ContactGroup<T>& group : groups) {
+    for (const Group<T>& group : groups) {
       std::pmr::vector<int> discs(in.scratch);
       for (int i = 0; i < group.num_contacts(); ++i) {
         const Candidate& c = group.contact(i).candidate;
@@ -206,7 +232,7 @@ struct IpcBarrier {
       for (const int disc : discs) next[disc] = x[disc];
       std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
       for (int substep = 0; substep < substeps; ++substep) Advance<T>(in, group, discs, next, reported);
-      FlyUnlessReported<IpcBarrier, T>(*this, in, group, reported, x, next);
+      FlyUnlessReported<IpcBarrierOf, T>(*this, in, group, reported, x, next);
     }
   }
 
@@ -226,11 +252,17 @@ struct IpcBarrier {
     } else {
       x->p += Scale(H(0.5 * h), Vec2<T>(before + x->v));
     }
+    if constexpr (kTurn == kSpin) {
+      const T spin = x->rotation[1];
+      x->rotation[1] += h * in.AngularAcceleration(i);
+      const T mean = integrator == Integrator::kImplicitEuler ? x->rotation[1] : T(0.5 * (spin + x->rotation[1]));
+      x->rotation[0] += h * mean;
+    }
   }
 
   template <typename T>
-  void Advance(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const int> discs,
-               std::span<State<T>> state, std::span<char> reported) const {
+  void Advance(const StepInput<T>& in, const Group<T>& group, std::span<const int> discs, std::span<State<T>> state,
+               std::span<char> reported) const {
     const internal::BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
     const internal::BarrierEnergy<double> values = energy.template Cast<double>();
     const std::span<const double> found = in.Solved([&] { return Minimize(in, values); });
@@ -252,11 +284,22 @@ struct IpcBarrier {
       const Vec2<T> mean(Divide(T(p[0] - s.p[0]), h), Divide(T(p[1] - s.p[1]), h));
       s.v = integrator == Integrator::kImplicitEuler ? mean : Vec2<T>(Scale(2.0, mean) - s.v);
       s.p = p;
+      if constexpr (kTurn == kSpin) TurnBy<T>(in, discs[i], solution, energy.discs[i].rim, &s);
     }
   }
 
+  // Takes over the way of a disc's rim in a substep; without one it flies on.
   template <typename T>
-  internal::BarrierEnergy<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const int> discs,
+  void TurnBy(const StepInput<T>& in, int disc, std::span<const T> solution, int rim, State<T>* s) const {
+    const double h = SubstepLength(in);
+    const T turn = rim < 0 ? T(h * s->rotation[1]) : Divide(solution[rim], in.bodies[disc].radius);
+    const T mean = Divide(turn, h);
+    s->rotation[0] += turn;
+    s->rotation[1] = integrator == Integrator::kImplicitEuler ? mean : T(2.0 * mean - s->rotation[1]);
+  }
+
+  template <typename T>
+  internal::BarrierEnergy<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const int> discs,
                                   std::span<const State<T>> state) const {
     using Energy = internal::BarrierEnergy<T>;
     const double h = SubstepLength(in);
@@ -270,6 +313,14 @@ struct IpcBarrier {
       place[disc] = static_cast<int>(energy.discs.size());
       energy.discs.push_back({state[disc].p, flying.p, in.bodies[disc].mass, fixed ? -1 : energy.num_unknowns});
       if (!fixed) energy.num_unknowns += 2;
+      if constexpr (kTurn == kSpin) {
+        const auto& body = in.bodies[disc];
+        if (!(Value(body.inverse_inertia) > 0)) continue;
+        auto& last = energy.discs.back();
+        last.rim = energy.num_unknowns++;
+        last.rim_target = body.radius * (flying.rotation[0] - state[disc].rotation[0]);
+        last.rim_mass = Divide(1.0, T(body.radius * body.radius * body.inverse_inertia));
+      }
     }
     for (int i = 0; i < group.num_contacts(); ++i) {
       const Candidate& c = group.contact(i).candidate;
@@ -304,12 +355,13 @@ struct IpcBarrier {
     Eigen::VectorXd x(energy.size());
     for (const auto& disc : energy.discs) {
       if (disc.unknown >= 0) x.segment<2>(disc.unknown) = disc.q;
+      if (disc.rim >= 0) x[disc.rim] = 0;
     }
     return x;
   }
 
   template <typename T>
-  void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::BarrierEnergy<double>& energy,
+  void Report(const StepInput<T>& in, const Group<T>& group, const internal::BarrierEnergy<double>& energy,
               const Eigen::VectorXd& x, std::span<char> reported) const {
     const Eigen::VectorXd start = Start(energy);
     const std::span<const double> from(start.data(), start.size()), at(x.data(), x.size());
@@ -328,6 +380,10 @@ struct IpcBarrier {
                                              : ContactMode::kStick);
     }
   }
+};
+
+struct IpcBarrier : IpcBarrierOf<0> {
+  using Spinning = IpcBarrierOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -18,6 +18,9 @@
 // -e for every bouncing contact. X is I without a bounce; it knows neither masses nor friction. Without friction
 // momentum and restitution hold exactly for a single contact that bounces.
 //
+// Discs that spin: rows, Lambda and M have their angular velocities, tangents the arms of the points of contact. X is
+// that of the normals, so it knows no spin.
+//
 // The option complementarity_aware makes reverse sweeps take a search direction that is no gradient. With l' the
 // cotangent after the step and l = (l_p, l_v, l_u) that before it, per group:
 //
@@ -36,11 +39,13 @@
 #include <vector>
 
 #include "contact/lcp_solver.h"
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct Lcp {
+template <int kTurn>
+struct LcpOf {
   static constexpr ModelTraits kTraits = {.name = "lcp",
                                           .summary = "linear complementarity problem with the published Jacobian",
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
@@ -48,7 +53,8 @@ struct Lcp {
                                           .published_jacobian = true,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -64,10 +70,7 @@ struct Lcp {
 
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = x.v + Scale(in.h, in.Acceleration(i));
-    next.p = x.p + Scale(in.h, x.v);
-    return next;
+    return ExplicitEuler(in, i, x);
   }
 
   template <typename T>
@@ -82,8 +85,9 @@ struct Lcp {
     }
   }
 
-  // The source's Jacobian of the step. A is (4 n) x (4 n) over [p_x p_y v_x v_y] of each disc, B is (4 n) x (2 n) over
-  // the forces. Fixed discs have the identity in A and nothing else.
+  // The source's Jacobian of the step. A is (4 n) x (4 n) over [p_x p_y v_x v_y] of each disc (with kTurn (6 n) x (6
+  // n), angle and angular velocity following), B is (4 n) x (2 n) over the forces. Fixed discs have the identity in A
+  // and nothing else.
   void Linearize(const StepInput<double>& in, std::span<const State<double>> x, Eigen::Ref<Eigen::MatrixXd> A,
                  Eigen::Ref<Eigen::MatrixXd> B) const;
 
@@ -101,6 +105,7 @@ struct Lcp {
     T rhs;              // m/s
     int normal;         // the normal row of the contact, as an index into the group
     bool bounced;
+    bool tangent = false;
   };
   // Contacts that are connected by moving discs, in the order of candidates; tangents follow their normals.
   template <typename T>
@@ -174,7 +179,7 @@ struct Lcp {
   static void AddRows(const StepInput<T>& in, const Candidate& c, const Separation<T>& at,
                       std::span<const State<T>> flying, Group<T>* group) {
     using S = Base<T>;
-    const Vec2<T> velocity = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return flying[i].v; });
+    const Vec2<T> velocity = ContactVelocity<kTurn>(in, c, at.normal, [&](int i) { return TwistOf(flying[i]); });
     const int normal = static_cast<int>(group->size());
     T rhs = -Dot(at.normal, velocity);
     const T bounce = in.contact.restitution * rhs;
@@ -183,7 +188,7 @@ struct Lcp {
     group->push_back({c, at.normal, at.distance, rhs, normal, bounced});
     if (!HasFriction(in)) return;
     const Vec2<T> tangent = Perpendicular(at.normal);
-    group->push_back({c, tangent, at.distance, T(-Dot(tangent, velocity)), normal, false});
+    group->push_back({c, tangent, at.distance, T(-Dot(tangent, velocity)), normal, false, true});
   }
 
   // Entry of Lambda: the change of velocity along `i` by a unit impulse along `j`.
@@ -195,7 +200,18 @@ struct Lcp {
     };
     T mobility = in.InverseMassA(i.candidate) * sign_in_j(i.candidate.a);
     if (!i.candidate.plane) mobility -= in.InverseMassB(i.candidate) * sign_in_j(i.candidate.b);
-    return mobility * Dot(i.direction, j.direction);
+    T coupling = mobility * Dot(i.direction, j.direction);
+    if constexpr (kTurn == kSpin) {
+      // An impulse along a tangent turns both of its discs the same way.
+      const auto add = [&](int disc) {
+        const auto& body = in.bodies[disc];
+        if (sign_in_j(disc) != S(0)) coupling += body.radius * body.radius * body.inverse_inertia;
+      };
+      if (!i.tangent || !j.tangent) return coupling;
+      add(i.candidate.a);
+      if (!i.candidate.plane) add(i.candidate.b);
+    }
+    return coupling;
   }
 
   template <int kMaxRows, typename T>
@@ -273,6 +289,12 @@ struct Lcp {
       if (!group[i].candidate.plane) momentum[group[i].candidate.b] -= impulse;
     }
     for (size_t i = 0; i < next.size(); ++i) next[i].v += Scale(in.bodies[i].inverse_mass, momentum[i]);
+    if constexpr (kTurn == kSpin) {
+      for (size_t i = 0; i < group.size(); ++i) {
+        if (!group[i].tangent) continue;
+        ApplyTurn(in, group[i].candidate, x[i], [&](int disc, const T& dw) { next[disc].rotation[1] += dw; });
+      }
+    }
   }
 
   // The blocks of one group's published Jacobian, written over those of free flight. Without bounces, X = I.
@@ -284,6 +306,10 @@ struct Lcp {
   // The classes that the loss would rather have.
   static std::vector<LcpClass> PreferredClasses(const StepInput<double>& in, const Group<double>& group,
                                                 const Eigen::VectorXd& cotangent);
+};
+
+struct Lcp : LcpOf<0> {
+  using Spinning = LcpOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -12,6 +12,8 @@
 // below eps. By default the problem is solved anew for each r; the source solves it once with the whole rest of the
 // step (force_once), which applies too much force in steps with an impact.
 //
+// Of discs that spin w' along t is that of the points of contact, and the second line has a row each for their turning.
+//
 // Derivatives: implicit function theorem at the solution; r and the contacts are constants, so the impact happens at a
 // fixed time: the trajectory is nearly exact and the gradient is not. The source's backward pass uses the transposed
 // of the complementarity block (released_backward): right without friction, wrong with. Momentum is conserved.
@@ -29,21 +31,24 @@ namespace saltus {
 
 namespace internal {
 
-// The conditions of one group, with dense rows. Unknowns: v' of its moving discs, then multipliers z, then slacks s.
-template <typename T>
+// The conditions of one group, with dense rows. Unknowns: v' of its moving discs (with kTurn, each followed by the
+// speed of the rim, r w), then multipliers z, then slacks s.
+template <typename T, int kTurn>
 struct KktEquations {
   using Scalar = T;
   struct Push {  // of a row on a moving disc
     int unknown;
     Vec2<T> direction;
     T inverse_mass;
+    double rim = 0;           // with kTurn, -1 in tangents: by how much the speed of the rim, the next unknown, counts
+    T rim_mobility = T(0.0);  // r^2 / I, 1/kg
   };
 
   double kappa = 1;
   T friction;
   bool has_friction = false;
   bool transposed = false;              // the source's backward pass
-  std::vector<T> free_velocity;         // 2 per moving disc
+  std::vector<T> free_velocity;         // 2 per moving disc, 3 with kTurn
   std::vector<std::vector<Push>> rows;  // per contact: n, then t if there is friction
   std::vector<T> rebound;               // e n . w, per contact
 
@@ -55,7 +60,10 @@ struct KktEquations {
 
   T Speed(std::span<const T> v, int row) const {
     T speed = T(0.0);
-    for (const Push& push : rows[row]) speed += Dot(push.direction, Vec2<T>(v[push.unknown], v[push.unknown + 1]));
+    for (const Push& push : rows[row]) {
+      speed += Dot(push.direction, Vec2<T>(v[push.unknown], v[push.unknown + 1]));
+      if constexpr (kTurn == kSpin) speed += push.rim * v[push.unknown + 2];
+    }
     return speed;
   }
 
@@ -65,6 +73,7 @@ struct KktEquations {
     const auto apply = [&](int row, const T& impulse) {
       for (const Push& push : rows[row]) {
         for (int j = 0; j < 2; ++j) F[push.unknown + j] -= push.inverse_mass * push.direction[j] * impulse;
+        if constexpr (kTurn == kSpin) F[push.unknown + 2] -= push.rim * push.rim_mobility * impulse;
       }
     };
     for (int c = 0; c < num_contacts(); ++c) {
@@ -96,9 +105,9 @@ struct KktEquations {
   }
 
   template <typename U>
-  KktEquations<U> Cast() const {
+  KktEquations<U, kTurn> Cast() const {
     const auto number = [](const T& x) { return U(Value(x)); };
-    KktEquations<U> out;
+    KktEquations<U, kTurn> out;
     out.kappa = kappa;
     out.friction = number(friction);
     out.has_friction = has_friction;
@@ -108,8 +117,11 @@ struct KktEquations {
     for (const std::vector<Push>& row : rows) {
       out.rows.emplace_back();
       for (const Push& push : row) {
-        out.rows.back().push_back(
-            {push.unknown, Vec2<U>(number(push.direction[0]), number(push.direction[1])), number(push.inverse_mass)});
+        out.rows.back().push_back({push.unknown,
+                                   Vec2<U>(number(push.direction[0]), number(push.direction[1])),
+                                   number(push.inverse_mass),
+                                   push.rim,
+                                   number(push.rim_mobility)});
       }
     }
     return out;
@@ -118,7 +130,8 @@ struct KktEquations {
 
 }  // namespace internal
 
-struct LcpKkt {
+template <int kTurn>
+struct LcpKktOf {
   static constexpr ModelTraits kTraits = {.name = "lcp_kkt",
                                           .summary = "complementarity by an interior point, impacts by halved steps",
                                           .source = "lcp-physics (de Avila Belbute-Peres et al. 2018)",
@@ -127,9 +140,12 @@ struct LcpKkt {
                                           .allocates = true,
                                           .accuracy = 1e-9,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   double eps = 1e-4;        // m, gap from which on a pair is a contact
   double tolerance = 1e-6;  // m, overlap that a step may leave; less than eps
@@ -153,14 +169,14 @@ struct LcpKkt {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    std::pmr::vector<ContactGroup<T>> groups = FindContactGroups(in, x, [](const T&) { return true; });
-    for (const ContactGroup<T>& group : groups) {
+    std::pmr::vector<Group<T>> groups = FindContactGroups(in, x, [](const T&) { return true; });
+    for (const Group<T>& group : groups) {
       Members members(group, x.size(), in.scratch);
       if (Overlap<T>(in, group, next) <= tolerance && !AnyContact<T>(in, group, x)) continue;
       for (const int disc : members.discs) next[disc] = x[disc];
       std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
       Advance<T>(in, group, members, next, reported);
-      FlyUnlessReported<LcpKkt, T>(*this, in, group, reported, x, next);
+      FlyUnlessReported<LcpKktOf, T>(*this, in, group, reported, x, next);
     }
   }
 
@@ -186,7 +202,7 @@ struct LcpKkt {
     return Value(SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; }).distance) - in.ContactDistance(c);
   }
   template <typename T>
-  static double Overlap(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x) {
+  static double Overlap(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x) {
     double deepest = 0;
     for (int i = 0; i < group.num_contacts(); ++i) {
       deepest = std::max(deepest, -Gap(in, group.contact(i).candidate, x));
@@ -194,7 +210,7 @@ struct LcpKkt {
     return deepest;
   }
   template <typename T>
-  bool AnyContact(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x) const {
+  bool AnyContact(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x) const {
     for (int i = 0; i < group.num_contacts(); ++i) {
       if (Gap(in, group.contact(i).candidate, x) <= eps) return true;
     }
@@ -203,9 +219,9 @@ struct LcpKkt {
 
   // The whole step of one group; not a number if kMaxSubsteps do not get to its end.
   template <typename T>
-  void Advance(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members, std::span<State<T>> x,
+  void Advance(const StepInput<T>& in, const Group<T>& group, const Members& members, std::span<State<T>> x,
                std::span<char> reported) const {
-    std::pmr::vector<Vec2<T>> velocity(members.discs.size(), in.scratch);
+    std::pmr::vector<Twist<T, kTurn>> velocity(members.discs.size(), in.scratch);
     std::pmr::vector<int> touching(in.scratch);
     double rest = in.h;
     for (int substep = 0; substep < kMaxSubsteps && rest > 0; ++substep) {
@@ -219,11 +235,11 @@ struct LcpKkt {
       FreeVelocities<T>(in, members, x, force_once ? rest : length, velocity);
       if (!touching.empty()) {
         const Eigen::VectorXd z = Eigen::Map<const Eigen::VectorXd>(&found[1], found.size() - 1);
-        const internal::KktEquations<T> equations = Pose<T>(in, group, members, touching, x, velocity);
+        const internal::KktEquations<T, kTurn> equations = Pose<T>(in, group, members, touching, x, velocity);
         Report(in, group, equations, touching, z, reported);
         Eigen::MatrixXd jacobian;
         if constexpr (!std::is_same_v<T, double>) {
-          internal::KktEquations<double> values = equations.template Cast<double>();
+          internal::KktEquations<double, kTurn> values = equations.template Cast<double>();
           values.transposed = released_backward;
           jacobian = LinearizeByUnknowns(values, z).jacobian;
         }
@@ -231,8 +247,12 @@ struct LcpKkt {
       }
       for (std::size_t i = 0; i < members.discs.size(); ++i) {
         State<T>& disc = x[members.discs[i]];
-        disc.v = velocity[i];
-        disc.p += Scale(length, velocity[i]);
+        disc.v = velocity[i].v;
+        disc.p += Scale(length, velocity[i].v);
+        if constexpr (kTurn == kSpin) {
+          disc.rotation[1] = velocity[i].w;
+          disc.rotation[0] += length * velocity[i].w;
+        }
       }
       rest -= length;
     }
@@ -243,9 +263,9 @@ struct LcpKkt {
 
   // The length of the next substep and, if anything touches, the unknowns of its equations.
   template <typename T>
-  Eigen::VectorXd FindSubstep(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members,
+  Eigen::VectorXd FindSubstep(const StepInput<T>& in, const Group<T>& group, const Members& members,
                               std::span<const int> touching, std::span<const State<T>> x, double rest) const {
-    std::pmr::vector<Vec2<T>> velocity(members.discs.size(), in.scratch);
+    std::pmr::vector<Twist<T, kTurn>> velocity(members.discs.size(), in.scratch);
     std::pmr::vector<State<T>> tried(x.begin(), x.end(), in.scratch);
     const double overlap = std::max(tolerance, Overlap<T>(in, group, x));
     Eigen::VectorXd z(0);
@@ -259,7 +279,7 @@ struct LcpKkt {
         }
       }
       for (std::size_t i = 0; i < members.discs.size(); ++i) {
-        tried[members.discs[i]].p = x[members.discs[i]].p + Scale(length, velocity[i]);
+        tried[members.discs[i]].p = x[members.discs[i]].p + Scale(length, velocity[i].v);
       }
       if (Overlap<T>(in, group, tried) <= overlap || halving == kMaxHalvings) break;
     }
@@ -270,7 +290,7 @@ struct LcpKkt {
 
   // Not a number if the iteration does not converge.
   template <typename T>
-  Eigen::VectorXd Solve(const StepInput<T>& in, internal::KktEquations<double> equations) const {
+  Eigen::VectorXd Solve(const StepInput<T>& in, internal::KktEquations<double, kTurn> equations) const {
     Eigen::VectorXd z = Eigen::VectorXd::Ones(equations.size());
     for (int i = 0; i < equations.num_velocities(); ++i) z[i] = equations.free_velocity[i];
     PathOptions path;
@@ -285,27 +305,30 @@ struct LcpKkt {
 
   template <typename T>
   static void FreeVelocities(const StepInput<T>& in, const Members& members, std::span<const State<T>> x, double length,
-                             std::span<Vec2<T>> velocity) {
+                             std::span<Twist<T, kTurn>> velocity) {
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       const int disc = members.discs[i];
-      velocity[i] = x[disc].v + Scale(length, in.Acceleration(disc));
+      State<T> next = x[disc];
+      Accelerate(length, AccelerationOf<kTurn>(in, disc), &next);
+      velocity[i] = TwistOf(next);
     }
   }
 
   // Those of the moving discs from the unknowns of the equations.
   template <typename T>
   static void TakeVelocities(const StepInput<T>& in, const Members& members, const std::vector<T>& unknowns,
-                             std::span<Vec2<T>> velocity) {
+                             std::span<Twist<T, kTurn>> velocity) {
     int next = 0;
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       if (in.bodies[members.discs[i]].fixed) continue;
-      velocity[i] = {unknowns[next], unknowns[next + 1]};
+      velocity[i].v = {unknowns[next], unknowns[next + 1]};
       next += 2;
+      if constexpr (kTurn == kSpin) velocity[i].w = Divide(unknowns[next++], in.bodies[members.discs[i]].radius);
     }
   }
 
   template <typename T>
-  static void Report(const StepInput<T>& in, const ContactGroup<T>& group, const internal::KktEquations<T>& equations,
+  static void Report(const StepInput<T>& in, const Group<T>& group, const internal::KktEquations<T, kTurn>& equations,
                      std::span<const int> touching, const Eigen::VectorXd& z, std::span<char> reported) {
     for (std::size_t k = 0; k < touching.size(); ++k) {
       const int first = equations.num_velocities() + static_cast<int>(k) * equations.per_contact();
@@ -322,17 +345,20 @@ struct LcpKkt {
   }
 
   template <typename T>
-  static internal::KktEquations<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, const Members& members,
-                                        std::span<const int> touching, std::span<const State<T>> x,
-                                        std::span<const Vec2<T>> free_velocity) {
-    internal::KktEquations<T> equations;
+  static internal::KktEquations<T, kTurn> Pose(const StepInput<T>& in, const Group<T>& group, const Members& members,
+                                               std::span<const int> touching, std::span<const State<T>> x,
+                                               std::span<const Twist<T, kTurn>> free_velocity) {
+    internal::KktEquations<T, kTurn> equations;
     equations.friction = in.contact.friction;
     equations.has_friction = group.friction();
     std::pmr::vector<int> unknown(members.discs.size(), -1, in.scratch);
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       if (in.bodies[members.discs[i]].fixed) continue;
       unknown[i] = equations.num_velocities();
-      for (int j = 0; j < 2; ++j) equations.free_velocity.push_back(free_velocity[i][j]);
+      for (int j = 0; j < 2; ++j) equations.free_velocity.push_back(free_velocity[i].v[j]);
+      if constexpr (kTurn == kSpin) {
+        equations.free_velocity.push_back(in.bodies[members.discs[i]].radius * free_velocity[i].w);
+      }
     }
     for (const int contact : touching) {
       const Candidate& c = group.contact(contact).candidate;
@@ -345,6 +371,14 @@ struct LcpKkt {
       };
       add_row(n);
       if (equations.has_friction) add_row(Perpendicular(n));
+      if constexpr (kTurn == kSpin) {
+        for (auto& push : equations.rows.back()) {
+          if (!equations.has_friction) break;
+          const auto& body = in.bodies[push.unknown == unknown[members.place[c.a]] ? c.a : c.b];
+          push.rim = -1;
+          push.rim_mobility = body.radius * body.radius * body.inverse_inertia;
+        }
+      }
       const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return x[i].v; });
       equations.rebound.push_back(in.contact.restitution * Dot(n, w));
     }
@@ -353,6 +387,10 @@ struct LcpKkt {
 
   static constexpr int kMaxSubsteps = 1000;
   static constexpr int kMaxHalvings = 60;
+};
+
+struct LcpKkt : LcpKktOf<0> {
+  using Spinning = LcpKktOf<kSpin>;
 };
 
 }  // namespace saltus

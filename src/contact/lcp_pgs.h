@@ -57,8 +57,8 @@ class GaussSeidelSweeps {
   std::vector<Update> updates_;  // row by row, sweep by sweep
 };
 
-template <bool kAdjoint>
-struct LcpPgs {
+template <bool kAdjoint, int kTurn>
+struct LcpPgsOf {
   static constexpr ModelTraits kTraits = {
       .name = kAdjoint ? "lcp_pgs_adjoint" : "lcp_pgs",
       .summary = kAdjoint ? "projected Gauss-Seidel, differentiated by reverse sweeps"
@@ -68,9 +68,12 @@ struct LcpPgs {
       .rebound = Rebound::kEmergent,
       .allocates = true,
       .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   int sweeps = 50;
   double erp = 0.1;  // part of the overlap that a step corrects
@@ -91,25 +94,22 @@ struct LcpPgs {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
     const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap < 0.0; });
-    for (const ContactGroup<T>& group : groups) {
+    for (const Group<T>& group : groups) {
       std::pmr::vector<T> b(in.scratch);
       for (int row = 0; row < group.size(); ++row) {
-        const T speed = group.Along(row, [&](int i) -> const Vec2<T>& { return next[i].v; });
+        const T speed = group.AlongTwists(row, [&](int i) { return TwistOf(next[i]); });
         b.push_back(group.IsNormal(row)
                         ? T(-(in.contact.restitution + 1.0) * speed - Divide(T(erp * group.contact(row).gap), in.h))
                         : T(-speed));
       }
-      group.Push(Impulses(in, group, b), [&](int i, const Vec2<T>& change) {
-        next[i].v += change;
-        next[i].p += Scale(in.h, change);
-      });
+      group.PushTwists(Impulses(in, group, b),
+                       [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
     }
   }
 
  private:
   template <typename T>
-  std::pmr::vector<T> Impulses(const StepInput<T>& in, const ContactGroup<T>& group,
-                               const std::pmr::vector<T>& b) const {
+  std::pmr::vector<T> Impulses(const StepInput<T>& in, const Group<T>& group, const std::pmr::vector<T>& b) const {
     const int n = group.size();
     std::pmr::vector<T> A(in.scratch);
     Eigen::MatrixXd A_values(n, n);
@@ -146,7 +146,7 @@ struct LcpPgs {
   }
 
   template <typename T>
-  static void Update(const StepInput<T>& in, const ContactGroup<T>& group, const std::pmr::vector<T>& A,
+  static void Update(const StepInput<T>& in, const Group<T>& group, const std::pmr::vector<T>& A,
                      const std::pmr::vector<T>& b, int i, std::pmr::vector<T>* x) {
     const int n = group.size();
     T rest = b[i];
@@ -163,7 +163,7 @@ struct LcpPgs {
   }
 
   template <typename T>
-  static void Report(const StepInput<T>& in, const ContactGroup<T>& group, const GaussSeidelSweeps& solution) {
+  static void Report(const StepInput<T>& in, const Group<T>& group, const GaussSeidelSweeps& solution) {
     for (int i = 0; i < group.num_contacts(); ++i) {
       if (solution.ClassOf(i) == SweepClass::kOff) continue;
       ContactMode mode = ContactMode::kFrictionless;
@@ -174,6 +174,11 @@ struct LcpPgs {
       in.Report(group.contact(i).candidate, mode);
     }
   }
+};
+
+template <bool kAdjoint>
+struct LcpPgs : LcpPgsOf<kAdjoint, 0> {
+  using Spinning = LcpPgsOf<kAdjoint, kSpin>;
 };
 
 }  // namespace saltus

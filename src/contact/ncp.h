@@ -14,6 +14,9 @@
 // With kRestitution, contacts whose gap would be closed after a free step obey Newton's law instead of the second line,
 //   s = n . w(v') + e n . w(v), n at q, and open ones carry no impulse: impacts have the scene's restitution.
 //
+// Of discs that spin w_t is that of the points of contact, and the equations have a row each for what p_t makes of the
+// angular velocities.
+//
 // Values by Newton's method along the path; derivatives by the implicit function theorem at kappa, or at a larger
 // kappa_grad, which is another point's derivative and therefore biased. Everything is differentiated. As the
 // force acts at any distance, all discs are coupled in every step; with kRestitution, those whose gaps close. A step
@@ -32,15 +35,16 @@ namespace saltus {
 
 namespace internal {
 
-// The equations of one group. Unknowns: v' of its moving discs, then per contact p_n, s and, with friction, p_t, b,
-// w_t.
-template <typename T, bool kRestitution>
+// The equations of one group. Unknowns: v' of its moving discs (with kTurn, each followed by the speed of its rim, r
+// w), then per contact p_n, s and, with friction, p_t, b, w_t.
+template <typename T, bool kRestitution, int kTurn>
 struct NcpEquations {
   using Scalar = T;
   struct Disc {
     Vec2<T> p, v, flying;  // flying: v' without contact
     T inverse_mass;
-    int unknown;  // index of v'_x; -1 if fixed
+    int unknown;                                   // index of v'_x; -1 if fixed
+    T flying_rim = T(0.0), rim_mobility = T(0.0);  // r w without contact, m/s; r^2 / I, 1/kg
   };
   struct Side {
     int a, b;  // discs; b < 0 at a plane
@@ -64,6 +68,14 @@ struct NcpEquations {
     if (disc < 0 || discs[disc].unknown < 0) return Vec2<T>(T(0.0), T(0.0));
     return {z[discs[disc].unknown], z[discs[disc].unknown + 1]};
   }
+  // How fast the points of contact slide by spin.
+  T SlidingBySpin(std::span<const T> z, const Side& side) const {
+    T sliding = T(0.0);
+    for (const int disc : {side.a, side.b}) {
+      if (disc >= 0 && discs[disc].unknown >= 0) sliding -= z[discs[disc].unknown + 2];
+    }
+    return sliding;
+  }
   Separation<T> SeparationAfter(std::span<const T> z, const Side& side) const {
     const auto position = [&](int i) -> Vec2<T> { return discs[i].p + Scale(h, Velocity(z, i)); };
     if (side.b < 0) return Separate<T>(position(side.a), side.plane);
@@ -74,6 +86,7 @@ struct NcpEquations {
     for (const Disc& disc : discs) {
       if (disc.unknown < 0) continue;
       for (int j = 0; j < 2; ++j) F[disc.unknown + j] = z[disc.unknown + j] - disc.flying[j];
+      if constexpr (kTurn == kSpin) F[disc.unknown + 2] = z[disc.unknown + 2] - disc.flying_rim;
     }
     for (std::size_t i = 0; i < contacts.size(); ++i) {
       const Side& side = contacts[i];
@@ -97,12 +110,16 @@ struct NcpEquations {
         F[at + 2] = (friction * p_n + p_t) * (b + w_t) - kappa;
         F[at + 3] = (friction * p_n - p_t) * (b - w_t) - kappa;
         F[at + 4] = Dot(tangent, w) - w_t;
+        if constexpr (kTurn == kSpin) F[at + 4] += SlidingBySpin(z, side);
         impulse += Scale(p_t, tangent);
       }
       for (const int disc : {side.a, side.b}) {
         if (disc < 0 || discs[disc].unknown < 0) continue;
         const T factor = disc == side.a ? T(-discs[disc].inverse_mass) : discs[disc].inverse_mass;
         for (int j = 0; j < 2; ++j) F[discs[disc].unknown + j] += factor * impulse[j];
+        if constexpr (kTurn == kSpin) {
+          if (has_friction) F[discs[disc].unknown + 2] += discs[disc].rim_mobility * z[at + 2];
+        }
       }
     }
   }
@@ -122,17 +139,23 @@ struct NcpEquations {
   }
 
   template <typename U>
-  NcpEquations<U, kRestitution> Cast() const {
+  NcpEquations<U, kRestitution, kTurn> Cast() const {
     const auto number = [](const T& x) { return U(Value(x)); };
     const auto vector = [&](const Vec2<T>& x) { return Vec2<U>(number(x[0]), number(x[1])); };
-    NcpEquations<U, kRestitution> out;
+    NcpEquations<U, kRestitution, kTurn> out;
     out.h = h;
     out.restitution = number(restitution);
     out.friction = number(friction);
     out.has_friction = has_friction;
     out.kappa = kappa;
     for (const Disc& d : discs) {
-      out.discs.push_back({vector(d.p), vector(d.v), vector(d.flying), number(d.inverse_mass), d.unknown});
+      out.discs.push_back({vector(d.p),
+                           vector(d.v),
+                           vector(d.flying),
+                           number(d.inverse_mass),
+                           d.unknown,
+                           number(d.flying_rim),
+                           number(d.rim_mobility)});
     }
     for (const Side& s : contacts) out.contacts.push_back({s.a, s.b, s.plane, s.touching, vector(s.normal)});
     out.num_velocities = num_velocities;
@@ -142,8 +165,8 @@ struct NcpEquations {
 
 }  // namespace internal
 
-template <bool kRestitution>
-struct Ncp {
+template <bool kRestitution, int kTurn>
+struct NcpOf {
   static constexpr ModelTraits kTraits = {
       .name = kRestitution ? "ncp_restitution" : "ncp",
       .summary = kRestitution ? "interior point with Newton's restitution at velocity level"
@@ -155,9 +178,12 @@ struct Ncp {
       .allocates = true,
       .accuracy = 1e-12,
       .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   double kappa = 1e-8;
   double kappa_grad = 0;  // no less than kappa; 0: kappa
@@ -182,16 +208,16 @@ struct Ncp {
       if constexpr (kRestitution) return gap <= 0.0;
       return gap < kTraits.push_gap;
     };
-    const auto groups = FindContactGroups(in, static_cast<int>(x.size()), position, active);
-    for (const ContactGroup<T>& group : groups) Solve<T>(in, group, x, next);
+    const auto groups = FindContactGroups<kTurn>(in, static_cast<int>(x.size()), position, active);
+    for (const Group<T>& group : groups) Solve<T>(in, group, x, next);
   }
 
  private:
   template <typename T>
-  using Equations = internal::NcpEquations<T, kRestitution>;
+  using Equations = internal::NcpEquations<T, kRestitution, kTurn>;
 
   template <typename T>
-  void Solve(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x,
+  void Solve(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
              std::span<State<T>> next) const {
     std::pmr::vector<int> discs(in.scratch);
     const Equations<T> equations = Pose<T>(in, group, x, next, &discs);
@@ -222,11 +248,15 @@ struct Ncp {
       State<T>& after = next[discs[i]];
       after.v = {solution[unknown], solution[unknown + 1]};
       after.p = x[discs[i]].p + Scale(in.h, after.v);
+      if constexpr (kTurn == kSpin) {
+        after.rotation[1] = Divide(solution[unknown + 2], in.bodies[discs[i]].radius);
+        after.rotation[0] = x[discs[i]].rotation[0] + in.h * after.rotation[1];
+      }
     }
   }
 
   template <typename T>
-  Equations<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x,
+  Equations<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
                     std::span<const State<T>> flying, std::pmr::vector<int>* discs) const {
     Equations<T> equations;
     equations.h = in.h;
@@ -241,7 +271,12 @@ struct Ncp {
       discs->push_back(disc);
       equations.discs.push_back(
           {x[disc].p, x[disc].v, flying[disc].v, in.bodies[disc].inverse_mass, fixed ? -1 : equations.num_velocities});
-      if (!fixed) equations.num_velocities += 2;
+      if constexpr (kTurn == kSpin) {
+        const auto& body = in.bodies[disc];
+        equations.discs.back().flying_rim = body.radius * flying[disc].rotation[1];
+        equations.discs.back().rim_mobility = body.radius * body.radius * body.inverse_inertia;
+      }
+      if (!fixed) equations.num_velocities += kTurn == kSpin ? 3 : 2;
       return place[disc];
     };
     for (int i = 0; i < group.num_contacts(); ++i) {
@@ -258,7 +293,9 @@ struct Ncp {
   Eigen::VectorXd Start(Equations<double>* equations) const {
     Eigen::VectorXd z(equations->size());
     for (const auto& disc : equations->discs) {
-      if (disc.unknown >= 0) z.segment<2>(disc.unknown) = disc.flying;
+      if (disc.unknown < 0) continue;
+      z.segment<2>(disc.unknown) = disc.flying;
+      if constexpr (kTurn == kSpin) z[disc.unknown + 2] = disc.flying_rim;
     }
     const std::span<const double> velocities(z.data(), z.size());
     const auto gap = [&](int i) {
@@ -277,8 +314,9 @@ struct Ncp {
       if (!equations->has_friction) continue;
       const Separation<double> after = equations->SeparationAfter(velocities, side);
       const Vec2d w = equations->Velocity(velocities, side.a) - equations->Velocity(velocities, side.b);
-      const double w_t = Dot(Perpendicular(after.normal), w),
-                   product = equations->kappa / (equations->friction * z[at]);
+      double w_t = Dot(Perpendicular(after.normal), w);
+      if constexpr (kTurn == kSpin) w_t += equations->SlidingBySpin(velocities, side);
+      const double product = equations->kappa / (equations->friction * z[at]);
       z[at + 2] = 0;
       z[at + 3] = std::hypot(w_t, product);
       z[at + 4] = w_t;
@@ -288,7 +326,7 @@ struct Ncp {
 
   // All that are coupled take effect, however far apart.
   template <typename T>
-  static void ReportContacts(const StepInput<T>& in, const ContactGroup<T>& group, const Equations<double>& equations,
+  static void ReportContacts(const StepInput<T>& in, const Group<T>& group, const Equations<double>& equations,
                              const Eigen::VectorXd& z) {
     for (int i = 0; i < group.num_contacts(); ++i) {
       ContactMode mode = ContactMode::kFrictionless;
@@ -300,6 +338,11 @@ struct Ncp {
       in.Report(group.contact(i).candidate, mode, -1, kRestitution ? ContactKind::kImpact : ContactKind::kSustained);
     }
   }
+};
+
+template <bool kRestitution>
+struct Ncp : NcpOf<kRestitution, 0> {
+  using Spinning = NcpOf<kRestitution, kSpin>;
 };
 
 }  // namespace saltus

@@ -11,6 +11,9 @@
 //   y     = min(mu |(1 + e) n . v_b|, |v*_t|)                           0 if |v*_t| < 1e-6 m/s
 //   v'    = v_b + q n - y dir                                           all contacts add
 //
+// Of discs that spin, ways and velocities along the tangent are those of the points of contact, what is along it is
+// split by inverse inertia too, and angles and angular velocities follow as positions and velocities do.
+//
 // As published: v* and v_b stand in each other's place, so a disc separates with (1 - e) v_b - v* (which is restitution
 // 1 only for e = 1); and dir is v*_t / |v*_t| between discs and at the first plane of the scene, but at every other
 // plane it is that of the first plane if the disc touches and slides there in the same step, else 0.
@@ -22,11 +25,13 @@
 #include <memory_resource>
 #include <vector>
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct PbdWarp {
+template <int kTurn>
+struct PbdWarpOf {
   static constexpr ModelTraits kTraits = {.name = "pbd_warp",
                                           .summary = "position-based dynamics, one projection and one restitution pass",
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
@@ -34,7 +39,8 @@ struct PbdWarp {
                                           .projects = true,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -48,6 +54,10 @@ struct PbdWarp {
     State<T> next;
     next.p = x.p + Scale(in.h, PredictedVelocity(in, i, x));
     next.v = VelocityBetween(in, x.p, next.p);
+    if constexpr (kTurn == kSpin) {
+      next.rotation[0] = x.rotation[0] + in.h * PredictedSpin(in, i, x);
+      next.rotation[1] = Divide(T(next.rotation[0] - x.rotation[0]), in.h);
+    }
     return next;
   }
 
@@ -57,9 +67,15 @@ struct PbdWarp {
     const std::pmr::vector<Contact<T>> contacts = FindContacts(in, x, std::span<const State<T>>(next));
     if (contacts.empty()) return;
     for (const Contact<T>& contact : contacts) {
-      ApplyCorrection(in, contact.candidate, contact.correction, [&](int i, const Vec2<T>& dp) { next[i].p += dp; });
+      ApplyCorrection(in, contact, contact.correction, [&](int i, const Twist<T, kTurn>& way) {
+        next[i].p += way.v;
+        if constexpr (kTurn == kSpin) next[i].rotation[0] += way.w;
+      });
     }
-    for (std::size_t i = 0; i < x.size(); ++i) next[i].v = VelocityBetween(in, x[i].p, next[i].p);
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      next[i].v = VelocityBetween(in, x[i].p, next[i].p);
+      if constexpr (kTurn == kSpin) next[i].rotation[1] = Divide(T(next[i].rotation[0] - x[i].rotation[0]), in.h);
+    }
     CorrectVelocities<T>(in, contacts, x, next);
   }
 
@@ -78,14 +94,26 @@ struct PbdWarp {
   }
 
   template <typename T, typename H>
+  static T PredictedSpin(const StepInput<T, H>& in, int i, const State<T>& x) {
+    return x.rotation[1] + in.h * in.AngularAcceleration(i);
+  }
+
+  template <typename T, typename H>
   static Vec2<T> VelocityBetween(const StepInput<T, H>& in, const Vec2<T>& from, const Vec2<T>& to) {
     return {Divide(T(to[0] - from[0]), in.h), Divide(T(to[1] - from[1]), in.h)};
   }
 
-  // Splits a change of a relative to b by inverse mass.
+  // Splits a change of a relative to b by inverse mass, and along the tangent by inverse inertia too.
   template <typename T, typename Apply>
-  static void ApplyCorrection(const StepInput<T>& in, const Candidate& c, const Vec2<T>& change, const Apply& apply) {
-    ApplyImpulse(in, c, Scale(in.EffectiveMass(c), change), apply);
+  static void ApplyCorrection(const StepInput<T>& in, const Contact<T>& contact, const Vec2<T>& change,
+                              const Apply& apply) {
+    const Candidate& c = contact.candidate;
+    Vec2<T> impulse = Scale(in.EffectiveMass(c), change);
+    if constexpr (kTurn == kSpin) {
+      const Vec2<T> tangent = Perpendicular(contact.normal);
+      impulse += Scale(T((in.TangentialMass(c) - in.EffectiveMass(c)) * Dot(tangent, change)), tangent);
+    }
+    PushContact<kTurn>(in, c, contact.normal, impulse, apply);
   }
 
   // `predicted`: positions p*; its velocities are not used.
@@ -98,7 +126,11 @@ struct PbdWarp {
       const Separation<T> at = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return predicted[i].p; });
       const T overlap = at.distance - in.ContactDistance(c);
       if (!(overlap < S(0))) continue;
-      const Vec2<T> moved = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return predicted[i].p - x[i].p; });
+      Vec2<T> moved = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return predicted[i].p - x[i].p; });
+      if constexpr (kTurn == kSpin) {
+        const auto turned = [&](int i) -> T { return predicted[i].rotation[0] - x[i].rotation[0]; };
+        moved += Scale(AlongByTurning(in, c, turned), Perpendicular(at.normal));
+      }
       const Vec2<T> slid = moved - Scale(Dot(moved, at.normal), at.normal);
       const T length = Length(slid);
       const bool held = length < in.contact.friction * SafeAbs(overlap);
@@ -118,7 +150,10 @@ struct PbdWarp {
     for (const Contact<T>& contact : contacts) {
       const Candidate& c = contact.candidate;
       const Vec2<T>& n = contact.normal;
-      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return PredictedVelocity(in, i, x[i]); });
+      Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return PredictedVelocity(in, i, x[i]); });
+      if constexpr (kTurn == kSpin) {
+        w += Scale(AlongByTurning(in, c, [&](int i) -> T { return PredictedSpin(in, i, x[i]); }), Perpendicular(n));
+      }
       const T projected =
           Dot(n, RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return VelocityBetween(in, x[i].p, next[i].p); }));
       const T s = Dot(n, w);
@@ -138,9 +173,13 @@ struct PbdWarp {
                 !(in.contact.friction > S(0)) ? ContactMode::kFrictionless
                 : slips && !contact.held      ? ContactMode::kSlip
                                               : ContactMode::kStick);
-      ApplyCorrection(in, c, change, [&](int i, const Vec2<T>& dv) { next[i].v += dv; });
+      ApplyCorrection(in, contact, change, [&](int i, const Twist<T, kTurn>& dv) { Kick(dv, &next[i]); });
     }
   }
+};
+
+struct PbdWarp : PbdWarpOf<0> {
+  using Spinning = PbdWarpOf<kSpin>;
 };
 
 }  // namespace saltus

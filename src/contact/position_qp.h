@@ -32,7 +32,7 @@
 
 namespace saltus {
 
-struct PositionQp {
+struct PositionQpRule {
   static constexpr ModelTraits kTraits = {.name = "position_qp",
                                           .summary = "positions projected by a quadratic program",
                                           .source = "Liang et al. 2019; Qiao et al. 2020",
@@ -217,6 +217,10 @@ struct PositionQp {
     closing.Push(ImpulsesInClasses<T>(in, closing, c, impulses, classes),
                  [&](int disc, const Vec2<T>& change) { next[disc].v += change; });
   }
+};
+
+struct PositionQp : PositionQpRule {
+  using Spinning = SpinsFreely<PositionQpRule>;
 };
 
 }  // namespace saltus

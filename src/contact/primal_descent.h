@@ -3,9 +3,10 @@
 //
 //   z := z - alpha P^-1 m r(z),    P = m I + sum over its contacts of (h_s^2 k_n n n^T + h_s k_t t t^T)
 //
-// with k_n the slope of the normal force and k_t = min(k_f, mu f_n / |w_t|) the secant of friction. With alpha 1 stiff
-// and crowded contacts may cycle, with 0.5 they converge. newton=1 is Newton's method on r instead, and what it and
-// exponent 2 give is the penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
+// with k_n the slope of the normal force and k_t = min(k_f, mu f_n / |w_t|) the secant of friction; of a disc that
+// spins P has a third row, in which t goes on with -r and m is its inertia. With alpha 1 stiff and crowded contacts may
+// cycle, with 0.5 they converge. newton=1 is Newton's method on r instead, and what it and exponent 2 give is the
+// penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
 //
 // Derivatives pass through the iterations, or (implicit=1, and always with Newton's method) are those of r = 0, which
 // without convergence are not those of the value. Momentum is conserved at convergence.
@@ -19,7 +20,14 @@
 
 namespace saltus {
 
-struct PrimalDescent : SpringDescent {
+template <int kTurn>
+struct PrimalDescentOf : SpringDescent<kTurn> {
+  using Shared = SpringDescent<kTurn>;
+  using Shared::alpha, Shared::implicit, Shared::iterations;
+  template <typename T>
+  using State = Shared::template State<T>;
+  template <typename T>
+  using Problem = SpringStep<T, kTurn>;
   static constexpr ModelTraits kTraits = {.name = "primal_descent",
                                           .summary = "implicit springs by block descent in velocities",
                                           .source = "Macklin et al. 2020; ADD (Geilinger et al. 2020)",
@@ -33,7 +41,7 @@ struct PrimalDescent : SpringDescent {
   bool newton = false;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    VisitSharedOptions(visit);
+    this->VisitSharedOptions(visit);
     visit(ModelOption{"exponent", "of a spring's energy; above 2 its force sets in smoothly", 2, 10}, exponent);
     visit(ModelOption{"newton", "1: Newton's method instead of descent", 0, 1}, newton);
   }
@@ -41,13 +49,14 @@ struct PrimalDescent : SpringDescent {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     const bool through = !implicit && !newton;
-    StepBy<T>(in, exponent, through, x, next, [&]<typename U>(const SpringStep<U>& problem, auto z, auto touched) {
-      if (!newton) {
-        Descend<U>(problem, z, touched);
-      } else if constexpr (std::is_same_v<U, double>) {
-        SolveByNewton(problem, z, touched);
-      }
-    });
+    this->template StepBy<T>(
+        in, exponent, through, x, next, [&]<typename U>(const Problem<U>& problem, auto z, auto touched) {
+          if (!newton) {
+            Descend<U>(problem, z, touched);
+          } else if constexpr (std::is_same_v<U, double>) {
+            SolveByNewton(problem, z, touched);
+          }
+        });
   }
 
  private:
@@ -59,11 +68,24 @@ struct PrimalDescent : SpringDescent {
     T xx, xy, yy;  // kg
     Vec2<T> force = Vec2<T>(T(0.0), T(0.0));
     bool pressed = false;
+    Vec2<T> x_turn = Vec2<T>(T(0.0), T(0.0));  // the row of turning, kg m
+    T turn = T(0.0), torque = T(0.0);          // kg m^2, N m
 
     void Add(const T& weight, const Vec2<T>& direction) {
       xx += weight * direction[0] * direction[0];
       xy += weight * direction[0] * direction[1];
       yy += weight * direction[1] * direction[1];
+    }
+    void AddTurning(const T& weight, const Vec2<T>& tangent, double radius) {
+      x_turn += Scale(T(-weight * radius), tangent);
+      turn += weight * radius * radius;
+    }
+    // Takes turning out of the first two rows, for Solve(b - x_turn * result); its right-hand side is `b`.
+    T Eliminate(const T& b) {
+      xx -= Divide(T(x_turn[0] * x_turn[0]), turn);
+      xy -= Divide(T(x_turn[0] * x_turn[1]), turn);
+      yy -= Divide(T(x_turn[1] * x_turn[1]), turn);
+      return Divide(b, turn);
     }
     Vec2<T> Solve(const Vec2<T>& b) const {
       const T determinant = xx * yy - xy * xy;
@@ -72,13 +94,17 @@ struct PrimalDescent : SpringDescent {
   };
 
   template <typename T>
-  void Descend(const SpringStep<T>& problem, std::span<T> z, std::span<char> touched) const {
+  void Descend(const Problem<T>& problem, std::span<T> z, std::span<char> touched) const {
     std::vector<Block<T>> blocks(problem.discs.size());
     for (int iteration = 0; iteration < iterations; ++iteration) {
       for (std::size_t i = 0; i < blocks.size(); ++i) {
         blocks[i] = {};
         blocks[i].xx = blocks[i].yy = problem.discs[i].mass;
         blocks[i].xy = T(0.0);
+        if constexpr (kTurn == kSpin) {
+          const T& inverse = problem.discs[i].inverse_inertia;
+          blocks[i].turn = inverse > 0.0 ? Divide(1.0, inverse) : T(1.0);
+        }
       }
       AddContacts<T>(problem, z, &blocks, touched);
       if (std::find(touched.begin(), touched.end(), 1) == touched.end()) return;
@@ -89,7 +115,7 @@ struct PrimalDescent : SpringDescent {
   }
 
   template <typename T>
-  static void AddContacts(const SpringStep<T>& problem, std::span<const T> z, std::vector<Block<T>>* blocks,
+  static void AddContacts(const Problem<T>& problem, std::span<const T> z, std::vector<Block<T>>* blocks,
                           std::span<char> touched) {
     for (std::size_t c = 0; c < problem.contacts.size(); ++c) {
       const auto& side = problem.contacts[c];
@@ -106,27 +132,60 @@ struct PrimalDescent : SpringDescent {
         block.force += disc == side.a ? push : Vec2<T>(-push);
         block.Add(normal, at.normal);
         block.Add(tangential, at.tangent);
+        if constexpr (kTurn == kSpin) {
+          const auto& body = problem.discs[disc];
+          if (!(body.inverse_inertia > 0.0)) continue;
+          // The tangent is a's; b's rim moves along it as a's does.
+          block.AddTurning(tangential, disc == side.a ? at.tangent : Vec2<T>(-at.tangent), body.radius);
+          block.torque += at.friction * body.radius;
+        }
       }
     }
   }
 
   template <typename T>
-  static T Secant(const SpringStep<T>& problem, const typename SpringStep<T>::At& at) {
+  static T Secant(const Problem<T>& problem, const typename Problem<T>::At& at) {
     if (!(problem.friction > 0.0)) return T(0.0);
     if (at.sticks || at.sliding == 0.0) return T(problem.drag);
     return Divide(T(problem.friction * at.force), SafeAbs(at.sliding));
   }
 
   template <typename T>
-  void MoveDisc(const SpringStep<T>& problem, const Block<T>& block, int i, std::span<T> z) const {
+  void MoveDisc(const Problem<T>& problem, const Block<T>& block, int i, std::span<T> z) const {
     const auto& disc = problem.discs[i];
     Vec2<T> step = problem.VelocityOf(z, i) - disc.free_velocity;
-    if (block.pressed) step = block.Solve(Scale(disc.mass, step) - Scale(problem.h, block.force));
-    for (int j = 0; j < 2; ++j) z[2 * i + j] -= alpha * step[j];
+    if constexpr (kTurn == kSpin) {
+      MoveSpinning(problem, block, i, step, z);
+    } else {
+      if (block.pressed) step = block.Solve(Scale(disc.mass, step) - Scale(problem.h, block.force));
+      for (int j = 0; j < 2; ++j) z[2 * i + j] -= alpha * step[j];
+    }
+  }
+
+  // The same with the angular velocity; `step` is that of the velocity without contact.
+  template <typename T>
+  void MoveSpinning(const Problem<T>& problem, Block<T> block, int i, Vec2<T> step, std::span<T> z) const {
+    const auto& disc = problem.discs[i];
+    T* at = &z[Problem<T>::kUnknowns * i];
+    T turn = at[2] - disc.free_spin;
+    if (block.pressed) {
+      const bool spins = disc.inverse_inertia > 0.0;
+      Vec2<T> right = Scale(disc.mass, step) - Scale(problem.h, block.force);
+      if (spins) {
+        const T inertia = Divide(1.0, disc.inverse_inertia);
+        const T torque = inertia * turn - problem.h * block.torque, alone = block.Eliminate(torque);
+        step = block.Solve(right - Scale(alone, block.x_turn));
+        turn = Divide(T(torque - Dot(block.x_turn, step)), block.turn);
+      } else {
+        step = block.Solve(right);
+      }
+    }
+    for (int j = 0; j < 2; ++j) at[j] -= alpha * step[j];
+    at[2] -= alpha * turn;
   }
 
   // Steps are halved until the residual falls.
-  static void SolveByNewton(const SpringStep<double>& problem, std::span<double> z, std::span<char> touched) {
+  static void SolveByNewton(const Problem<double>& problem, std::span<double> z, std::span<char> touched) {
     Eigen::Map<Eigen::VectorXd> at(z.data(), z.size());
     double error = Mark(problem, z, touched);
     for (int step = 0; step < kMostNewtonSteps && error > 0; ++step) {
@@ -147,7 +206,7 @@ struct PrimalDescent : SpringDescent {
   }
 
   // |r(z)|; marks what presses there.
-  static double Mark(const SpringStep<double>& problem, std::span<const double> z, std::span<char> touched) {
+  static double Mark(const Problem<double>& problem, std::span<const double> z, std::span<char> touched) {
     for (std::size_t c = 0; c < touched.size(); ++c) {
       if (problem.Locate(z, problem.contacts[c]).pressed) touched[c] = 1;
     }
@@ -155,6 +214,10 @@ struct PrimalDescent : SpringDescent {
     problem.Residual(z, F);
     return Eigen::Map<const Eigen::VectorXd>(F.data(), F.size()).norm();
   }
+};
+
+struct PrimalDescent : PrimalDescentOf<0> {
+  using Spinning = PrimalDescentOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -41,16 +41,20 @@ struct StaggeredImpulses {
 StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
                                  int passes, double tolerance);
 
-struct Qcqp {
+template <int kTurn>
+struct QcqpOf {
   static constexpr ModelTraits kTraits = {.name = "qcqp",
                                           .summary = "staggered programs for normal and friction impulses",
                                           .source = "Le Lidec et al. 2021",
                                           .double_engine = true,
                                           .allocates = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   int passes = 1000;
   double tolerance = 1e-13;  // of the impulses, relative to the largest
@@ -69,33 +73,30 @@ struct Qcqp {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
     const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap <= 0.0; });
-    for (const ContactGroup<T>& group : groups) {
+    for (const Group<T>& group : groups) {
       const std::pmr::vector<T> c = Velocities<T>(in, group, x, next);
       Eigen::VectorXd values(group.size());
       for (int row = 0; row < group.size(); ++row) values[row] = Value(c[row]);
       const StaggeredImpulses solution = SolveStaggered(
           group.CouplingValues(), values, Value(in.contact.friction), group.num_contacts(), passes, tolerance);
       Report(in, group, solution);
-      std::pmr::vector<T> impulse = ImpulsesInClasses<T>(in, group, c, solution.x, solution.classes);
+      std::pmr::vector<T> impulse = ImpulsesInClasses(in, group, c, solution.x, solution.classes);
       if (!solution.converged) {
         in.Fail("the programs for normal and friction impulses do not come to agree");
         impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
       }
-      group.Push(impulse, [&](int i, const Vec2<T>& change) {
-        next[i].v += change;
-        next[i].p += Scale(in.h, change);
-      });
+      group.PushTwists(impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
     }
   }
 
  private:
   // The linear terms of both programs, m/s.
   template <typename T>
-  static std::pmr::vector<T> Velocities(const StepInput<T>& in, const ContactGroup<T>& group,
-                                        std::span<const State<T>> x, std::span<const State<T>> flying) {
+  static std::pmr::vector<T> Velocities(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
+                                        std::span<const State<T>> flying) {
     std::pmr::vector<T> c(in.scratch);
     for (int row = 0; row < group.size(); ++row) {
-      c.push_back(group.Along(row, [&](int i) -> const Vec2<T>& { return flying[i].v; }));
+      c.push_back(group.AlongTwists(row, [&](int i) { return TwistOf(flying[i]); }));
       if (!group.IsNormal(row)) continue;
       const T before = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
       if (before < 0.0) c.back() += in.contact.restitution * before;
@@ -104,7 +105,7 @@ struct Qcqp {
   }
 
   template <typename T>
-  static void Report(const StepInput<T>& in, const ContactGroup<T>& group, const StaggeredImpulses& solution) {
+  static void Report(const StepInput<T>& in, const Group<T>& group, const StaggeredImpulses& solution) {
     for (int i = 0; i < group.num_contacts(); ++i) {
       if (solution.classes[i] == LcpClass::kFree) continue;
       const bool sticks = group.friction() && solution.classes[i + group.num_contacts()] == LcpClass::kClamping;
@@ -114,6 +115,10 @@ struct Qcqp {
                                   : ContactMode::kSlip);
     }
   }
+};
+
+struct Qcqp : QcqpOf<0> {
+  using Spinning = QcqpOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -21,7 +21,7 @@ double Condition(double e, double x) {
 
 }  // namespace
 
-double SmoothCompliant::ScaledDissipation(double restitution) {
+double HuntCrossley::ScaledDissipation(double restitution) {
   const double e = std::max(restitution, kLeastRestitution);
   if (e == 1) return 0;
   // The condition grows with x, from below zero at (1 - e) / e (for e < 1, where its minimum is) to infinity at 1 / e.

@@ -2,8 +2,8 @@
 //
 // The elastic force is damped in proportion to itself (Hunt, Crossley 1975; as documented by Drake), so it neither
 // jumps when a contact begins nor pulls when it ends; friction is mollified as in the IPC toolkit (Li et al. 2020).
-// With the gap g, n and the relative velocity w = w_n n + w_t t at the start of a substep of h_s = h / substeps there
-// is a contact iff g < 0. Then
+// With the gap g, n and the relative velocity w = w_n n + w_t t (of discs that spin, that of the points of contact,
+// where F acts) at the start of a substep of h_s = h / substeps there is a contact iff g < 0. Then
 //
 //   f_n = k (-g)^exponent max(0, 1 - d w_n)                  N, on a along n
 //   f_t = -mu f_n y (2 - y) sgn(w_t), y = min(|w_t| / slip_speed, 1)
@@ -21,12 +21,21 @@
 #include <memory_resource>
 #include <vector>
 
+#include "contact/turning.h"
 #include "physics/power.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct SmoothCompliant {
+struct HuntCrossley {
+  static constexpr double kLeastRestitution = 0.01;
+
+  // d * reference_speed for a restitution, > 0. Dimensionless; negative above restitution 1.
+  static double ScaledDissipation(double restitution);
+};
+
+template <int kTurn>
+struct SmoothCompliantOf : HuntCrossley {
   static constexpr ModelTraits kTraits = {.name = "smooth_compliant",
                                           .summary = "smooth spring with Hunt-Crossley dissipation, in substeps",
                                           .source = "Hunt, Crossley 1975; Drake; IPC toolkit (Li et al. 2020)",
@@ -34,7 +43,8 @@ struct SmoothCompliant {
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -58,7 +68,7 @@ struct SmoothCompliant {
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next = x;
-    for (int substep = 0; substep < substeps; ++substep) Advance(in, in.Acceleration(i), &next);
+    for (int substep = 0; substep < substeps; ++substep) Advance(in, AccelerationOf<kTurn>(in, i), &next);
     return next;
   }
 
@@ -67,24 +77,23 @@ struct SmoothCompliant {
     std::copy(x.begin(), x.end(), next.begin());
     const Law<T> law = LawOf(in);
     std::pmr::vector<char> reported(in.candidates.size(), 0, in.scratch);
-    std::pmr::vector<Vec2<T>> acceleration(x.size(), in.scratch);
+    std::pmr::vector<Twist<T, kTurn>> acceleration(x.size(), in.scratch);
     for (int substep = 0; substep < substeps; ++substep) {
-      for (std::size_t i = 0; i < x.size(); ++i) acceleration[i] = in.Acceleration(static_cast<int>(i));
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        acceleration[i] = AccelerationOf<kTurn>(in, static_cast<int>(i));
+      }
       for (std::size_t i = 0; i < in.candidates.size(); ++i) {
         const Candidate& c = in.candidates[i];
         ContactMode mode;
-        Vec2<T> force;
-        if (!Force<T>(in, law, c, next, &force, &mode)) continue;
+        Vec2<T> force, normal;
+        if (!Force<T>(in, law, c, next, &force, &normal, &mode)) continue;
         if (!reported[i]) in.Report(c, mode);
         reported[i] = 1;
-        ApplyImpulse(in, c, force, [&](int disc, const Vec2<T>& change) { acceleration[disc] += change; });
+        PushContact<kTurn>(in, c, normal, force, [&](int disc, const auto& change) { acceleration[disc] += change; });
       }
       for (std::size_t i = 0; i < x.size(); ++i) Advance(in, acceleration[i], &next[i]);
     }
   }
-
-  // d * reference_speed for a restitution, > 0. Dimensionless; negative above restitution 1.
-  static double ScaledDissipation(double restitution);
 
  private:
   template <typename T>
@@ -105,15 +114,16 @@ struct SmoothCompliant {
             (change * S(e > kLeastRestitution ? slope : 0) + S(x)) * S(1 / reference_speed)};
   }
 
-  // False if the two do not touch.
+  // The force on a at the point of contact; false if the two do not touch.
   template <typename T>
   bool Force(const StepInput<T>& in, const Law<T>& law, const Candidate& c, std::span<const State<T>> x, Vec2<T>* force,
-             ContactMode* mode) const {
+             Vec2<T>* normal, ContactMode* mode) const {
     using S = Base<T>;
     const Separation<T> at = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; });
     const T depth = in.ContactDistance(c) - at.distance;
     if (!(depth > S(0))) return false;
-    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return x[i].v; });
+    *normal = at.normal;
+    const Vec2<T> w = ContactVelocity<kTurn>(in, c, at.normal, [&](int i) { return TwistOf(x[i]); });
     const T normal_force =
         law.stiffness * Power(depth, S(exponent)) * MaxOf(T(S(0)), T(S(1) - law.dissipation * Dot(at.normal, w)));
     const Vec2<T> tangent = Perpendicular(at.normal);
@@ -128,13 +138,15 @@ struct SmoothCompliant {
   }
 
   template <typename T, typename H>
-  void Advance(const StepInput<T, H>& in, const Vec2<T>& acceleration, State<T>* x) const {
+  void Advance(const StepInput<T, H>& in, const Twist<T, kTurn>& acceleration, State<T>* x) const {
     const H h = in.h / Base<T>(substeps);
-    x->v += Scale(h, acceleration);
-    x->p += Scale(h, x->v);
+    Accelerate(h, acceleration, x);
+    Drift(h, x);
   }
+};
 
-  static constexpr double kLeastRestitution = 0.01;
+struct SmoothCompliant : SmoothCompliantOf<0> {
+  using Spinning = SmoothCompliantOf<kSpin>;
 };
 
 }  // namespace saltus

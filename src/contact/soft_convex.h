@@ -33,7 +33,8 @@
 
 namespace saltus {
 
-struct SoftConvex {
+template <int kTurn>
+struct SoftConvexOf {
   static constexpr ModelTraits kTraits = {.name = "soft_convex",
                                           .summary = "regularised convex program with impedance",
                                           .source = "MuJoCo (Todorov 2014)",
@@ -41,9 +42,12 @@ struct SoftConvex {
                                           .double_engine = true,
                                           .rebound = Rebound::kEmergent,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
 
   struct Impedance {
     double at_contact = 0.9, at_width = 0.95;  // d_0, d_w
@@ -73,18 +77,19 @@ struct SoftConvex {
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    const std::span<Vec2<T>> acceleration = in.template Array<Vec2<T>>(x.size());
+    const std::span<Twist<T, kTurn>> acceleration = in.template Array<Twist<T, kTurn>>(x.size());
     for (std::size_t i = 0; i < x.size(); ++i) {
-      acceleration[i] = in.Acceleration(static_cast<int>(i));
-      next[i] = SemiImplicitEuler<T>(in.h, acceleration[i], x[i]);
+      acceleration[i] = AccelerationOf<kTurn>(in, static_cast<int>(i));
+      next[i] = SemiImplicitEuler(in.h, acceleration[i], x[i]);
     }
     const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap < Base<T>(0); });
-    for (const ContactGroup<T>& group : groups) {
+    for (const Group<T>& group : groups) {
       const Program<T> program = Pose<T>(in, group, x, acceleration);
       const std::pmr::vector<T> force = SolveProgram(in, group, program);
-      group.Push(force, [&](int i, const Vec2<T>& change) {
-        next[i].v += Scale(in.h, change);
-        next[i].p += Scale(in.h * in.h, change);
+      group.PushTwists(force, [&](int i, const Twist<T, kTurn>& change) {
+        Accelerate(in.h, change, &next[i]);
+        next[i].p += Scale(in.h * in.h, change.v);
+        if constexpr (kTurn == kSpin) next[i].rotation[0] += in.h * in.h * change.w;
       });
     }
   }
@@ -103,8 +108,8 @@ struct SoftConvex {
   enum class Edge { kOpen, kInside, kUpper, kLower };
 
   template <typename T>
-  Program<T> Pose(const StepInput<T>& in, const ContactGroup<T>& group, std::span<const State<T>> x,
-                  std::span<const Vec2<T>> acceleration) const {
+  Program<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
+                  std::span<const Twist<T, kTurn>> acceleration) const {
     using S = Base<T>;
     const int n = group.num_contacts();
     const S at_width = S(impedance.at_width);
@@ -118,10 +123,12 @@ struct SoftConvex {
       const T d = ImpedanceAt(T(-gap));
       const T coupling = group.Coupling(row, row), softness = Divide(T(S(1) - d), d);
       program.diagonal[row] = coupling + (row < n ? softness : Divide(softness, S(impratio))) * coupling;
-      const T speed = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
+      const T speed = group.AlongTwists(row, [&](int i) { return TwistOf(x[i]); });
       T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
-      program.c[row] = group.Along(row, [&](int i) -> const Vec2<T>& { return acceleration[i]; }) - reference;
+      program.c[row] = group.AlongTwists(
+                           row, [&](int i) -> const auto& { return acceleration[i]; }) -
+                       reference;
     }
     return program;
   }
@@ -159,8 +166,7 @@ struct SoftConvex {
 
   // The forces of the group's rows.
   template <typename T>
-  std::pmr::vector<T> SolveProgram(const StepInput<T>& in, const ContactGroup<T>& group,
-                                   const Program<T>& program) const {
+  std::pmr::vector<T> SolveProgram(const StepInput<T>& in, const Group<T>& group, const Program<T>& program) const {
     const int n = group.num_contacts(), size = group.size();
     MatrixMap H(in.template Array<double>(size * size).data(), size, size);
     for (int i = 0; i < size; ++i) {
@@ -182,7 +188,7 @@ struct SoftConvex {
 
   // The values of the forces, not numbers if the sweeps do not converge, then the edge of each contact.
   template <typename T>
-  static std::span<const double> Minimize(const StepInput<T>& in, const ContactGroup<T>& group, const MatrixMap& H,
+  static std::span<const double> Minimize(const StepInput<T>& in, const Group<T>& group, const MatrixMap& H,
                                           std::span<const T> linear) {
     const int n = group.num_contacts(), size = group.size();
     const std::span<double> found = in.template Array<double>(size + n);
@@ -209,7 +215,7 @@ struct SoftConvex {
 
   // The best force of contact i while the others stay.
   template <typename T>
-  static Edge SolveContact(const ContactGroup<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
+  static Edge SolveContact(const Group<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
                            VectorMap f) {
     const auto pull = [&](int row, int without) {
       return c[row] + H.row(row).dot(f) - H(row, row) * f[row] - (without < 0 ? 0 : H(row, without) * f[without]);
@@ -235,7 +241,7 @@ struct SoftConvex {
 
   // f in T: with E the active edges, f = E alpha and E^T (H f + c) = 0, H = A + R.
   template <typename T, typename EdgeOf>
-  static void Differentiate(const StepInput<T>& in, const ContactGroup<T>& group, const Program<T>& program,
+  static void Differentiate(const StepInput<T>& in, const Group<T>& group, const Program<T>& program,
                             const MatrixMap& H, const EdgeOf& edge, std::pmr::vector<T>* forces) {
     std::pmr::vector<T>& f = *forces;
     const int n = group.num_contacts(), size = group.size();
@@ -292,6 +298,10 @@ struct SoftConvex {
   }
 
   static constexpr int kMaxSweeps = 10000;
+};
+
+struct SoftConvex : SoftConvexOf<0> {
+  using Spinning = SoftConvexOf<kSpin>;
 };
 
 }  // namespace saltus

@@ -17,11 +17,12 @@
 // Extended beyond the published script, which uses direct.h at planes: planes by the same rule, masses, fixed discs.
 #pragma once
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct ToiVelocity {
+struct ToiVelocityRule {
   static constexpr ModelTraits kTraits = {.name = "toi_velocity",
                                           .summary = "direct velocity impulse, velocities and position at the impact",
                                           .source = "Zhong, Han, Dey, Brikis 2023",
@@ -75,6 +76,10 @@ struct ToiVelocity {
   static Vec2<T> VelocityAfter(const StepInput<T, H>& in, const T& time, int i, const State<T>& x) {
     return x.v + Scale(time, in.Acceleration(i));
   }
+};
+
+struct ToiVelocity : ToiVelocityRule {
+  using Spinning = SpinsFreely<ToiVelocityRule>;
 };
 
 }  // namespace saltus

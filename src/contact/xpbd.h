@@ -12,6 +12,9 @@
 //     p_n    = m_eff (target - v_n),   target = -e v*_n if v*_n < 0, else v*_n     e = 0 if |v*_n| <= 2 |g| h_s
 //     p_t    = -sgn(v_t) min(mu bound, m_eff |v_t|)                    bound = p_n + lambda / h_s, N s
 //
+// Of discs that spin, ways and velocities along t are those of the points of contact, m_eff there is the mass along t
+// (impact.h), and angles and angular velocities follow as positions and velocities do.
+//
 // The published target is max(-e v*_n, 0), which stops a disc that still overlaps on its way out; and the published
 // bound of friction is lambda / h_s alone, the depth of one substep instead of the impulse of the bounce.
 //
@@ -23,11 +26,13 @@
 #include <memory_resource>
 #include <vector>
 
+#include "contact/turning.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
 
-struct Xpbd {
+template <int kTurn>
+struct XpbdOf {
   static constexpr ModelTraits kTraits = {.name = "xpbd",
                                           .summary = "extended position-based dynamics in substeps",
                                           .source = "Macklin et al. 2016, 2019; Mueller et al. 2020",
@@ -35,7 +40,8 @@ struct Xpbd {
                                           .projects = true,
                                           .sequential = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -57,8 +63,8 @@ struct Xpbd {
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
     State<T> next = x;
     for (int substep = 0; substep < substeps; ++substep) {
-      next.v += Scale(SubstepLength(in), in.Acceleration(i));
-      next.p += Scale(SubstepLength(in), next.v);
+      Accelerate(SubstepLength(in), AccelerationOf<kTurn>(in, i), &next);
+      Drift(SubstepLength(in), &next);
     }
     return next;
   }
@@ -75,8 +81,8 @@ struct Xpbd {
     for (int substep = 0; substep < substeps; ++substep) {
       std::copy(next.begin(), next.end(), old.begin());
       for (std::size_t i = 0; i < x.size(); ++i) {
-        next[i].v += Scale(h, in.Acceleration(static_cast<int>(i)));
-        next[i].p += Scale(h, next[i].v);
+        Accelerate(h, AccelerationOf<kTurn>(in, static_cast<int>(i)), &next[i]);
+        Drift(h, &next[i]);
         predicted[i] = next[i];
       }
       contacts.clear();
@@ -85,6 +91,9 @@ struct Xpbd {
       for (std::size_t i = 0; i < x.size(); ++i) {
         next[i].v +=
             Vec2<T>(Divide(T(next[i].p[0] - predicted[i].p[0]), h), Divide(T(next[i].p[1] - predicted[i].p[1]), h));
+        if constexpr (kTurn == kSpin) {
+          next[i].rotation[1] += Divide(T(next[i].rotation[0] - predicted[i].rotation[0]), h);
+        }
       }
       for (const Contact<T>& contact : contacts) {
         const ContactMode mode = CorrectVelocities<T>(in, contact, predicted, next);
@@ -109,6 +118,16 @@ struct Xpbd {
     return in.h / Base<T>(substeps);
   }
 
+  // What moves a disc from one state to another.
+  template <typename T>
+  static Twist<T, kTurn> Way(const State<T>& from, const State<T>& to) {
+    if constexpr (kTurn == kSpin) {
+      return {to.p - from.p, to.rotation[0] - from.rotation[0]};
+    } else {
+      return {to.p - from.p};
+    }
+  }
+
   template <typename T>
   void ProjectPositions(const StepInput<T>& in, std::span<const State<T>> old, std::span<State<T>> x,
                         std::pmr::vector<Contact<T>>* contacts) const {
@@ -121,15 +140,19 @@ struct Xpbd {
       if (!(gap < S(0))) continue;
       const T mobility = in.InverseMassA(c) + in.InverseMassB(c) + S(compliance) / (h * h);
       const T multiplier = Divide(T(-gap), mobility);
-      const auto move = [&](int disc, const Vec2<T>& change) { x[disc].p += change; };
-      ApplyImpulse(in, c, Scale(multiplier, at.normal), move);
+      const auto move = [&](int disc, const Twist<T, kTurn>& change) {
+        x[disc].p += change.v;
+        if constexpr (kTurn == kSpin) x[disc].rotation[0] += change.w;
+      };
+      ApplyImpulse(in, c, Scale(multiplier, at.normal), [&](int disc, const Vec2<T>& change) { x[disc].p += change; });
       bool held = false;
       if (in.contact.friction > S(0)) {
         const Vec2<T> tangent = Perpendicular(at.normal);
-        const Vec2<T> slid = RelativeVelocity<T>(c, [&](int disc) -> Vec2<T> { return x[disc].p - old[disc].p; });
-        const T resist = -Dot(tangent, slid) * in.EffectiveMass(c);
+        const Vec2<T> slid =
+            ContactVelocity<kTurn>(in, c, at.normal, [&](int disc) { return Way(old[disc], x[disc]); });
+        const T resist = -Dot(tangent, slid) * SlidingMass<kTurn>(in, c);
         held = SafeAbs(resist) < in.contact.friction * multiplier;
-        if (held) ApplyImpulse(in, c, Scale(resist, tangent), move);
+        if (held) PushContact<kTurn>(in, c, at.normal, Scale(resist, tangent), move);
       }
       contacts->push_back({static_cast<int>(i), at.normal, multiplier, held});
     }
@@ -143,7 +166,7 @@ struct Xpbd {
     const Candidate& c = in.candidates[contact.index];
     const Vec2<T>& n = contact.normal;
     const T mass = in.EffectiveMass(c);
-    const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return x[i].v; });
+    const Vec2<T> w = ContactVelocity<kTurn>(in, c, n, [&](int i) { return TwistOf(x[i]); });
     const T approach = Dot(n, RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return predicted[i].v; }));
     T target = approach;
     if (approach < S(0)) {
@@ -159,13 +182,17 @@ struct Xpbd {
       T bound = Divide(contact.multiplier, h);
       if (friction_bound == FrictionBound::kTotalImpulse) bound += normal_impulse;
       const T largest = in.contact.friction * MaxOf(T(S(0)), bound);
-      const T stopping = mass * SafeAbs(sliding);
+      const T stopping = SlidingMass<kTurn>(in, c) * SafeAbs(sliding);
       impulse -= Scale(T(SignOf(sliding) * MinOf(largest, stopping)), tangent);
       mode = contact.held || stopping < largest ? ContactMode::kStick : ContactMode::kSlip;
     }
-    ApplyImpulse(in, c, impulse, [&](int i, const Vec2<T>& change) { x[i].v += change; });
+    PushContact<kTurn>(in, c, n, impulse, [&](int i, const auto& change) { Kick(change, &x[i]); });
     return mode;
   }
+};
+
+struct Xpbd : XpbdOf<0> {
+  using Spinning = XpbdOf<kSpin>;
 };
 
 }  // namespace saltus

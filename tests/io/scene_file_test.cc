@@ -273,8 +273,14 @@ TEST(LoadSceneFile, ReadsTheOneBallProblems) {
 TEST(WriteScene, RoundTripsEveryKeyAndEveryProblem) {
   const Scene everything = SceneOf(ParseScene(kEverything, "test.yaml"));
   EXPECT_EQ(SceneOf(ParseScene(WriteScene(everything), "written")), everything);
-  for (const char* name :
-       {"bounce_once", "ground_wall", "two_balls", "single_collision", "multiple_collisions", "back_spin"}) {
+  for (const char* name : {"bounce_once",
+                           "ground_wall",
+                           "two_balls",
+                           "single_collision",
+                           "multiple_collisions",
+                           "back_spin",
+                           "bank_shot",
+                           "carrom_gate"}) {
     SCOPED_TRACE(name);
     const Scene scene = SceneOf(LoadSceneFile(ProblemPath(name)));
     EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);

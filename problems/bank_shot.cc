@@ -1,0 +1,7 @@
+// A bank shot: launch velocity and side spin of a cue ball that goes by the cushion.
+#include "tools/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = saltus::ShippedFile("problems/bank_shot.yaml"), .solver = "ceres_lm", .iterations = 100});
+}

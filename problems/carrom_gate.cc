@@ -1,0 +1,7 @@
+// A carrom shot through a gate: launch velocity of a striker, after which all comes to rest.
+#include "tools/problem.h"
+
+int main(int argc, char** argv) {
+  return saltus::ProblemMain(
+      argc, argv, {.scene = saltus::ShippedFile("problems/carrom_gate.yaml"), .solver = "ceres_lm", .iterations = 100});
+}
