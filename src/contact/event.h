@@ -35,7 +35,7 @@
 //   the same mu; sliding ends at the exact time, or at once where friction wedges the discs in. Derivatives are those
 //   of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h says where they are
 //   one-sided. Reported as kSustained, again in every step.
-// Piles. Each bounce within a pile sets off others, ever smaller and in ever shorter times. After
+// Piles. Without friction each bounce within a pile sets off others, ever smaller and in ever shorter times. After
 //   kManyImpacts in a step, a pair that touches others and has met kCrowdedImpacts times more, its discs others as
 //   often, does not bounce below a speed that doubles with every further time, up to kLargestSlowSpeed: that ends.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about

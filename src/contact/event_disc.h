@@ -24,7 +24,7 @@ inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
 // How far beyond its end an edge still counts (walls.h), and a disc that slides along it leaves it: lengths.
 inline constexpr double kSeam = 1e-12;
 inline constexpr int kMaxEvents = 100000;
-// After so many impacts in a step, of a pair within a pile that meets more than kCrowdedImpacts times
+// After so many impacts in a step, of a pair within a pile without friction that meets more than kCrowdedImpacts times
 // again, the largest speed at which it does not bounce doubles with each time, up to kLargestSlowSpeed.
 inline constexpr int kManyImpacts = 2000;
 inline constexpr int kCrowdedImpacts = 32;

@@ -94,8 +94,10 @@ class EventQueue : protected EventMotion<T, kRotation> {
     return pairs_[q].stopping || (pairs_[other].waits && !pairs_[q].waits && !pairs_[q].held);
   }
 
-  // How often pair q has met since there are many impacts, and its discs have met others.
+  // How often pair q has met since there are many impacts, and its discs have met others. With friction piles come to
+  // rest by themselves.
   int Crowding(int q) const {
+    if (Value(in_.contact.friction) > 0) return 0;
     const Candidate& c = CandidateOf(q);
     const int own = pairs_[q].impacts;
     const auto others = [&](int i) { return Moves(i) ? discs_[i].impacts - own : 0; };
