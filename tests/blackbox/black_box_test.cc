@@ -62,13 +62,17 @@ class Spoken final : public BlackBox {
     Describe(scene);
     std::vector<Answer> answers;
     for (const Question& question : questions) {
+      num_steps_ += question.steps;
       answers.push_back(
           ReadAnswer(speaker_->AnswerTo(QuestionLine(scene, question, 1, traits_)), scene, question, 1, traits_));
     }
     return answers;
   }
+  // It has taken in all.
+  std::int64_t num_steps() const { return num_steps_; }
 
  private:
+  std::int64_t num_steps_ = 0;
   std::string name_, hello_;
   Offer offer_;
   std::unique_ptr<Speaker> speaker_;
@@ -116,6 +120,14 @@ TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
   EXPECT_NEAR(found.head_on->keep, 1, 1e-6);
   EXPECT_NEAR(found.head_on->feed, 0, 1e-6);
   EXPECT_TRUE(IsWrong(audit.verdict));
+}
+
+// One that takes 1 ms for the 480 steps of the scene is audited within 20 s, on one core.
+TEST(BlackBox, AVerdictTakesAFewThousandRollouts) {
+  const Scene scene = Problem("two_balls");
+  const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
+  EXPECT_TRUE(IsWrong(AuditBlackBox(box, scene, ExactGradientOf(scene), {}).verdict));
+  EXPECT_LT(box->num_steps(), 20'000 * 480);
 }
 
 // An impact whose time is resolved: differences of its final states are the exact gradient.
