@@ -272,16 +272,20 @@ TEST(BlackBox, NothingIsLeftOfACommand) {
   for (const pid_t process : processes) EXPECT_TRUE(HasGone(process));
 }
 
+// Of a command that greets and is silent then, and of one that is silent.
 TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
-  for (const std::string signal_name : {"INT", "KILL"}) {
+  const std::pair<std::string, std::string> cases[] = {{"INT", "echo '{}'"}, {"INT", "true"}, {"KILL", "echo '{}'"}};
+  for (const auto& [signal_name, greeting] : cases) {
     const std::string file = testing::TempDir() + "/children_" + signal_name;
     std::remove(file.c_str());
-    const std::string box = WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\necho '{}'\nread a\nsleep 1000\n");
+    const std::string box =
+        WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");
     const Outcome outcome =
         RunCommand("env --default-signal=INT " SALTUS_BINARY_DIR "/bin/saltus_audit" + OfProblem("two_balls") +
                    "--progress=none --simulate='sh " + box + "' & " + "p=$!; while [ ! -s " + file +
-                   " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo $?");
-    EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "1" : "137")) << outcome.errors;
+                   " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo exit code $?");
+    EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "exit code 1\n" : "exit code 137\n"))
+        << outcome.errors;
     ASSERT_FALSE(ProcessesIn(file).empty());
     for (const pid_t process : ProcessesIn(file)) EXPECT_TRUE(HasGone(process)) << signal_name;
   }
