@@ -2,11 +2,15 @@
 
     >>> import saltus
     >>> scene = saltus.load_scene("problems/two_balls.yaml")
-    >>> saltus.loss_and_gradient(scene, "direct_toi").loss
+    >>> exact = saltus.loss_and_gradient(scene, "event")
+    >>> exact.gradient.position.round(4)
+    array([[-0.3987, -0.3987],
+           [-0.3213, -0.3213]])
     >>> saltus.audit(scene, ["direct_toi", "toi_velocity"]).verdicts
     {'direct_toi': 'wrong', 'toi_velocity': 'consistent'}
     >>> run = saltus.solve(scene, "event", "hmp")
-    >>> run.exact_loss, run.control.shape
+    >>> f"{run.exact_loss:.4f}", run.certificate.verdict
+    ('1.3965', 'stationary')
 
 Scenes          load_scene, Scene, SceneError
 Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict or the path of a file
@@ -21,8 +25,11 @@ Results         Result: the keys of the programs' JSON; save, load_result
 
 Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
 model takes K steps. A state is (B, 4): [p_x p_y v_x v_y] of each disc; in scenes with discs that spin (B, 6), with angle and
-angular velocity behind. A control is (K, C, 2), forces in N held over each step. Numbers are those of the programs
-(saltus_solve, saltus_audit, saltus_identify), bit by bit.
+angular velocity behind. A control is (K, C, 2), forces in N held over each step.
+
+Numbers are those of the programs saltus_solve, saltus_audit and saltus_identify, bit by bit. What is wrong raises a
+ValueError (SceneError in scenes) or TypeError that names the argument and what was expected; a rollout that fails, a
+RuntimeError that says where. The interpreter is free while C++ computes, and Ctrl-C ends it.
 """
 
 from ._identify import identify

@@ -8,6 +8,7 @@ from typing import Any, Callable, Mapping, Sequence, Union
 from . import _saltus
 from ._results import Fit
 from ._scene import SceneLike, as_scene
+from ._types import expect
 
 Recording = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 
@@ -54,6 +55,11 @@ def identify(
     if the model cannot take the scene; what the callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and what
     the callback has raised, has the fit so far as its attribute ``fit``.
     """
+    expect("text", law=law, loss=loss)
+    expect("a whole number", starts=starts, threads=threads)
+    expect("a number", loss_scale=loss_scale, segment=segment)
+    expect("True or False", known_start=known_start)
+    expect("a callable", status=status)
     given = [recordings] if isinstance(recordings, (str, os.PathLike, Mapping)) else list(recordings)
     names = unknown if isinstance(unknown, str) else ",".join(unknown)
     found, stopped_by = _saltus.identify(

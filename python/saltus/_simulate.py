@@ -11,7 +11,7 @@ from . import _saltus
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
-from ._types import Floats
+from ._types import Floats, expect
 
 
 class Simulation(_saltus.Simulation):
@@ -45,6 +45,8 @@ class Simulation(_saltus.Simulation):
     def __init__(
         self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", memory_limit: float = 1024
     ):
+        expect("text", precision=precision)
+        expect("a number", memory_limit=memory_limit)
         super().__init__(as_scene(scene), as_contact(contact), precision=precision, memory_limit=memory_limit)
 
 
@@ -62,6 +64,8 @@ class Batch(_saltus.Batch):
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
+        expect("text", precision=precision)
+        expect("a whole number", threads=threads)
         # Python's exceptions come out of the thread that called.
         super().__init__(
             as_scene(scene), as_contact(contact), precision=precision, threads=1 if is_own(contact) else threads
@@ -85,6 +89,7 @@ class EndState(_saltus.EndState):
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
+        expect("text", precision=precision)
         super().__init__(as_scene(scene), as_contact(contact), precision=precision)
 
 
@@ -116,6 +121,7 @@ def rollout(
 
     Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
     """
+    expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
     found = simulation.rollout(control)
@@ -141,6 +147,7 @@ def loss_and_gradient(
 
     Raises as rollout.
     """
+    expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))
 
@@ -161,6 +168,7 @@ def linearize(
     Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors
     as those of `rollout`.
     """
+    expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision)
     states = simulation.rollout(control)["states"]

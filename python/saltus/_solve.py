@@ -8,6 +8,7 @@ from . import _saltus
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene
+from ._types import expect
 
 
 def contact_models() -> dict[str, str]:
@@ -51,6 +52,11 @@ def solve(
     take the scene, or an option is wrong; what a callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and
     what a callback has raised, has the run so far as its attribute ``run``.
     """
+    expect("text", solver=solver, precision=precision, sequence=sequence)
+    expect("a whole number", iterations=iterations, threads=threads)
+    expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
+    expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
+    expect("a callable", callback=callback, status=status)
     found, stopped_by = _saltus.solve(
         as_scene(scene),
         as_contact(contact),
@@ -130,6 +136,8 @@ def audit(
         own.append((name, simulator, simulator.gradient_of, simulator.has_step))
     elif gradient or vjp or jacobian or step:
         raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
+    expect("text", precision=precision, name=name)
+    expect("a whole number", threads=threads)
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     return Audit(

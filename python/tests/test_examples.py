@@ -1,5 +1,7 @@
-"""The example notebook and that of the README run, and say what they should."""
+"""The examples of the notebook, of the README and of docstrings run, and say what they should."""
 
+import doctest
+import importlib.util
 import os
 import pathlib
 import re
@@ -49,3 +51,13 @@ def test_ten_lines_of_the_readme(monkeypatch):
     monkeypatch.chdir(README.parent)
     with pytest.raises(saltus.WrongGradient, match=re.escape(said)):
         exec(code, {})  # pylint: disable=exec-used
+
+
+def test_examples_in_docstrings(monkeypatch):
+    monkeypatch.chdir(README.parent)
+    modules = [saltus]
+    if importlib.util.find_spec("torch"):
+        modules.append(importlib.import_module("saltus.torch"))
+    for module in modules:
+        found = doctest.testmod(module)
+        assert found.attempted > 3 and found.failed == 0, module.__name__

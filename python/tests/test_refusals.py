@@ -156,6 +156,20 @@ class TestNames:
             with refused(ValueError, next(iter(wrong))):
                 saltus.solve(two_balls, "event", "gd", **wrong)
 
+    def test_options_of_another_type(self, two_balls):
+        for wrong, expected in [({"iterations": "ten"}, "a whole number"), ({"iterations": 1.5}, "a whole number"),
+                                ({"threads": None}, "a whole number"), ({"learning_rate": "fast"}, "a number"),
+                                ({"memory_limit": True}, "a number"), ({"sequence": 3}, "text"),
+                                ({"keep_iterates": 1}, "True or False"), ({"callback": 3}, "a callable"),
+                                ({"status": ""}, "a callable"), ({"precision": float}, "text")]:
+            with refused(TypeError, f"{next(iter(wrong))}: found", f"expected {expected}"):
+                saltus.solve(two_balls, "event", "gd", **wrong)
+        with refused(TypeError, "threads: found str"):
+            saltus.Batch(two_balls, threads="two")
+        with refused(TypeError, "precision: found int"):
+            saltus.rollout(two_balls, precision=64)
+        saltus.solve(two_balls, "event", "gd", iterations=np.int64(1), learning_rate=np.float32(1), threads=np.int32(1))
+
     def test_a_start_that_overlaps(self, two_balls):
         with refused(ValueError, "overlap"):
             saltus.rollout(two_balls, position=[[-1, -1], [-1, -1]])

@@ -62,13 +62,17 @@ class Spoken final : public BlackBox {
     Describe(scene);
     std::vector<Answer> answers;
     for (const Question& question : questions) {
+      num_steps_ += question.steps;
       answers.push_back(
           ReadAnswer(speaker_->AnswerTo(QuestionLine(scene, question, 1, traits_)), scene, question, 1, traits_));
     }
     return answers;
   }
+  // It has taken in all.
+  std::int64_t num_steps() const { return num_steps_; }
 
  private:
+  std::int64_t num_steps_ = 0;
   std::string name_, hello_;
   Offer offer_;
   std::unique_ptr<Speaker> speaker_;
@@ -116,6 +120,14 @@ TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
   EXPECT_NEAR(found.head_on->keep, 1, 1e-6);
   EXPECT_NEAR(found.head_on->feed, 0, 1e-6);
   EXPECT_TRUE(IsWrong(audit.verdict));
+}
+
+// One that takes 1 ms for the 480 steps of the scene is audited within 20 s, on one core.
+TEST(BlackBox, AVerdictTakesAFewThousandRollouts) {
+  const Scene scene = Problem("two_balls");
+  const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
+  EXPECT_TRUE(IsWrong(AuditBlackBox(box, scene, ExactGradientOf(scene), {}).verdict));
+  EXPECT_LT(box->num_steps(), 20'000 * 480);
 }
 
 // An impact whose time is resolved: differences of its final states are the exact gradient.
@@ -260,16 +272,20 @@ TEST(BlackBox, NothingIsLeftOfACommand) {
   for (const pid_t process : processes) EXPECT_TRUE(HasGone(process));
 }
 
+// Of a command that greets and is silent then, and of one that is silent.
 TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
-  for (const std::string signal_name : {"INT", "KILL"}) {
+  const std::pair<std::string, std::string> cases[] = {{"INT", "echo '{}'"}, {"INT", "true"}, {"KILL", "echo '{}'"}};
+  for (const auto& [signal_name, greeting] : cases) {
     const std::string file = testing::TempDir() + "/children_" + signal_name;
     std::remove(file.c_str());
-    const std::string box = WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\necho '{}'\nread a\nsleep 1000\n");
+    const std::string box =
+        WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");
     const Outcome outcome =
         RunCommand("env --default-signal=INT " SALTUS_BINARY_DIR "/bin/saltus_audit" + OfProblem("two_balls") +
                    "--progress=none --simulate='sh " + box + "' & " + "p=$!; while [ ! -s " + file +
-                   " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo $?");
-    EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "1" : "137")) << outcome.errors;
+                   " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo exit code $?");
+    EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "exit code 1\n" : "exit code 137\n"))
+        << outcome.errors;
     ASSERT_FALSE(ProcessesIn(file).empty());
     for (const pid_t process : ProcessesIn(file)) EXPECT_TRUE(HasGone(process)) << signal_name;
   }
