@@ -20,6 +20,10 @@ DEFINE_string(unknown, "restitution",
 DEFINE_string(law, "",
               "learns the law of impact: network (restitution by the speed of approach) or impulse (friction too, by "
               "approach and sliding), each with :N hidden units (default :4)");
+DEFINE_string(
+    events, "",
+    "learns where and how discs bounce off the scene's planes: affine (angle, distance and a linear update of "
+    "each) or profile (a plane that is not flat, restitution and friction), with :N units (default :3)");
 DEFINE_string(law_beside, "", "CSV (speed, restitution) of a law that is known, to stand beside the learned one");
 DEFINE_string(loss, "huber", "of a sample's residual: none (squares), huber or cauchy");
 DEFINE_double(loss_scale, 2, "sigmas beyond which a sample counts less");
@@ -30,7 +34,7 @@ DEFINE_int32(starts, 12, "fits from different starts, at most");
 namespace saltus {
 namespace {
 
-constexpr int kLawUnits = 4, kMostLawUnits = 16;
+constexpr int kLawUnits = 4, kProfileUnits = 3, kMostUnits = 16;
 constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
 
 std::vector<std::string> SplitNames(const std::string& list) {
@@ -47,27 +51,54 @@ RobustLoss LossFromFlag() {
   throw InputError("--loss=" + FLAGS_loss + "; expected none, huber or cauchy");
 }
 
+// "network:8" is a network of eight units. Of a kind without units, or if none are given: `units`.
+struct KindAndUnits {
+  std::string kind;
+  int units = 0;
+};
+KindAndUnits SplitUnits(const std::string& flag, const std::string& value, int units, const std::string& expected) {
+  const std::size_t colon = value.find(':');
+  KindAndUnits split{value.substr(0, colon), units};
+  if (colon == std::string::npos) return split;
+  const std::string digits = value.substr(colon + 1);
+  split.units = 0;
+  std::from_chars(digits.data(), digits.data() + digits.size(), split.units);
+  if (digits != std::to_string(split.units) || split.units < 1 || split.units > kMostUnits) {
+    throw InputError("--" + flag + "=" + value + "; expected " + expected + ", and maybe :N with N in 1.." +
+                     std::to_string(kMostUnits));
+  }
+  return split;
+}
+
 // A network that begins as the scene's law.
 std::optional<ImpactLaw> LawFromFlag(const Scene& scene) {
   if (FLAGS_law.empty()) return std::nullopt;
-  const std::size_t colon = std::min(FLAGS_law.find(':'), FLAGS_law.size());
-  const std::string kind = FLAGS_law.substr(0, colon), width = FLAGS_law.substr(std::min(colon + 1, FLAGS_law.size()));
-  int units = colon == FLAGS_law.size() ? kLawUnits : 0;
-  std::from_chars(width.data(), width.data() + width.size(), units);
-  const bool whole = colon == FLAGS_law.size() || width == std::to_string(units);
-  if ((kind != "network" && kind != "impulse") || !whole || units < 1 || units > kMostLawUnits) {
-    throw InputError("--law=" + FLAGS_law + "; expected network or impulse, and maybe :N with N in 1.." +
-                     std::to_string(kMostLawUnits));
-  }
+  const char* expected = "network or impulse";
+  const auto [kind, units] = SplitUnits("law", FLAGS_law, kLawUnits, expected);
   const double speed = NaturalUnits(scene).speed();
   const double restitution = std::clamp(scene.contact.restitution, kInside, 1 - kInside);
   if (kind == "network") return RestitutionNetwork(units, speed, restitution);
-  return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
+  if (kind == "impulse") return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
+  throw InputError("--law=" + FLAGS_law + "; expected " + expected);
 }
+
+// That begin as the scene's planes.
+std::optional<EventFunctions> EventsFromFlag(const Scene& scene) {
+  if (FLAGS_events.empty()) return std::nullopt;
+  const char* expected = "affine or profile";
+  const auto [kind, units] = SplitUnits("events", FLAGS_events, kProfileUnits, expected);
+  if (kind == "profile") return ProfileEvents(scene, units);
+  if (kind == "affine" && FLAGS_events == kind) return AffineEvents(scene);
+  throw InputError("--events=" + FLAGS_events + "; expected " + expected);
+}
+
+// Whether something is learned that is more than numbers of a scene.
+bool Learns() { return !FLAGS_law.empty() || !FLAGS_events.empty(); }
 
 IdentifyOptions OptionsFromFlags(const Request& request) {
   IdentifyOptions options;
   options.law = LawFromFlag(request.scene);
+  options.events = EventsFromFlag(request.scene);
   options.loss = LossFromFlag();
   if (!(FLAGS_loss_scale > 0)) throw InputError("--loss_scale must be positive");
   if (!(FLAGS_segment >= 0)) throw InputError("--segment must not be negative");
@@ -93,7 +124,7 @@ std::vector<Recording> ReadRecordings(const Scene& scene) {
 }
 
 std::vector<Unknown> ReadUnknowns(const Scene& scene) {
-  if (!FLAGS_law.empty() && !IsGiven("unknown")) return {};
+  if (Learns() && !IsGiven("unknown")) return {};
   auto unknowns = ParseUnknowns(FLAGS_unknown, scene);
   if (const auto* wrong = std::get_if<std::string>(&unknowns)) throw InputError("--unknown: " + *wrong);
   return std::get<std::vector<Unknown>>(std::move(unknowns));
@@ -101,8 +132,8 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
 
 void PrintTables(const Scene& scene, const Identified& identified) {
   const TextLayout layout = LayoutOfStandardOutput();
-  const bool of_law = !FLAGS_law.empty() && !IsGiven("unknown");
-  std::cout << scene.name << ": " << (of_law ? "the law of impact" : FLAGS_unknown) << "\n\n"
+  const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
+  std::cout << scene.name << ": " << (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown) << "\n\n"
             << FitTable(identified).ToText(layout) << std::endl;
   const Table estimates = EstimateTable(identified);
   if (!estimates.rows().empty()) {
@@ -117,6 +148,13 @@ void PrintTables(const Scene& scene, const Identified& identified) {
   if (!law.rows().empty()) {
     std::cout << "Law of impact, at speeds that the impacts had, in m/s\n\n" << law.ToText(layout) << std::endl;
   }
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) {
+    std::cout
+        << "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned "
+           "by how much its normal is\n\n"
+        << events.ToText(layout) << std::endl;
+  }
   const Table outliers = OutlierTable(scene, identified);
   if (outliers.rows().empty()) return;
   std::cout << "Outliers, at most " << kMostOutliersNamed << " of them, residuals in sigmas\n\n"
@@ -128,6 +166,8 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   WriteTextFile(directory + "/" + scene.name + "_parameters.csv", EstimateTable(identified).ToCsv());
   WriteTextFile(directory + "/" + scene.name + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
   const Table comparison = ComparisonTable(identified), law = LawTable(identified);
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) WriteTextFile(directory + "/" + scene.name + "_events.csv", events.ToCsv());
   if (!comparison.rows().empty()) {
     WriteTextFile(directory + "/" + scene.name + "_beside_event.csv", comparison.ToCsv());
   }
