@@ -136,11 +136,11 @@ class IterationReport final : public ceres::IterationCallback {
   const IdentifyOptions& options_;
 };
 
-ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments) {
+ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments, double gain) {
   ceres::Solver::Options options;
   options.max_num_iterations = problem.options->max_iterations;
   // Weights of a network wander along valleys in which nothing changes but they.
-  options.function_tolerance = LearnedStartOf(*problem.options) ? kSmallGain : 1e-12;
+  options.function_tolerance = LearnedStartOf(*problem.options) ? std::max(gain, kSmallGain) : gain;
   options.parameter_tolerance = 1e-10;
   options.gradient_tolerance = 1e-14;
   options.logging_type = ceres::SILENT;
@@ -241,7 +241,7 @@ LossAt EvaluateLoss(RobustLoss loss, double scale, double squared) {
 }
 
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held, bool with_covariance) {
+                       const std::vector<bool>& held, bool with_covariance, double gain) {
   FitResult result;
   result.point = start;
   FitPoint& point = result.point;
@@ -265,7 +265,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
   for (std::size_t u = 0; u < held.size(); ++u) {
     if (held[u]) ceres_problem.SetParameterBlockConstant(&point.coordinates[u]);
   }
-  ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size());
+  ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size(), gain);
   IterationReport report(*problem.options);
   options.callbacks.push_back(&report);
   ceres::Solver::Summary summary;

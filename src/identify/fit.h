@@ -62,9 +62,11 @@ struct LearnedStart {
 };
 std::optional<LearnedStart> LearnedStartOf(const IdentifyOptions& options);
 
-// Minimises from `start`, with the loss scale `loss_scale`. Unknowns in `held` stay as they are.
+// Minimises from `start`, with the loss scale `loss_scale`, until the cost falls by less than a share `gain` of it in
+// an iteration (or, of what is learned, by a larger one of its own). Unknowns in `held` stay as they are.
+inline constexpr double kNoGain = 1e-12;
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held = {}, bool with_covariance = false);
+                       const std::vector<bool>& held = {}, bool with_covariance = false, double gain = kNoGain);
 
 // Standardised residual of a sample: of its position, then of its velocity if it was measured.
 Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state);

@@ -20,6 +20,7 @@ using Kind = Unknown::Kind;
 
 constexpr double kHorizons[] = {0.15, 0.3, 0.5, 0.7, 0.85, 1};  // shares of the samples that fits begin with
 constexpr double kWideLoss = 10;        // times the loss scale, while the motion is not found yet
+constexpr double kGainOfSearch = 1e-8;  // share of the cost that an iteration must gain, before Polish()
 constexpr double kFits = 1.25;          // misfit of a motion that is found
 constexpr double kContradicts = 2.5;    // misfit that noise does not make
 constexpr double kFewOutliers = 0.12;   // share of samples, of a motion that is found
@@ -232,7 +233,8 @@ class Identification {
     for (const double share : kHorizons) {
       at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
-      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale, held);
+      FitResult next =
+          MinimizeFrom(problem_, UpTo(share, fit.point), scale, held, /*with_covariance=*/false, kGainOfSearch);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
@@ -284,8 +286,10 @@ class Identification {
       const double before = best.cost;
       const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
-      // Without a stated sigma nothing says that a fit is good, but that another start finds it again.
-      if (states_sigma_ ? IsFound(best) : same && known) break;
+      // Without a stated sigma nothing says that a fit is good, but that another start finds it again. Nor, where it
+      // is good but for many outliers.
+      const bool again = same && known && (!states_sigma_ || MisfitOf(problem_, best) < kFits);
+      if (again || (states_sigma_ && IsFound(best))) break;
     }
     report_.sequences = static_cast<int>(sequences.size());
     return best;
