@@ -55,6 +55,11 @@ struct DualDescent : SpringDescent {
   struct Forces {
     T normal, tangential;                       // N
     Vec2<T> applied = Vec2<T>(T(0.0), T(0.0));  // l n + s t
+
+    bool SameAs(const Forces& other) const {
+      return SameBits(normal, other.normal) && SameBits(tangential, other.tangential) &&
+             SameBits(applied[0], other.applied[0]) && SameBits(applied[1], other.applied[1]);
+    }
   };
 
   template <typename T>
@@ -69,8 +74,9 @@ struct DualDescent : SpringDescent {
         const auto at = problem.Locate(gauss_seidel ? std::span<const T>(z) : std::span<const T>(seen), side);
         if (!at.pressed && !(forces[c].normal > 0.0)) continue;
         touched[c] = 1;
-        any = true;
+        const Forces<T> before = forces[c];
         const Vec2<T> change = Update(problem, side, at, &forces[c]);
+        any = any || !before.SameAs(forces[c]);
         problem.Apply(side, change, [&](int disc, const Vec2<T>& by) {
           for (int j = 0; j < 2; ++j) z[2 * disc + j] += by[j];
         });
