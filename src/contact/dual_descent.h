@@ -62,6 +62,11 @@ struct DualDescentOf : SpringDescent<kTurn> {
   struct Forces {
     T normal, tangential;                       // N
     Vec2<T> applied = Vec2<T>(T(0.0), T(0.0));  // l n + s t
+
+    bool SameAs(const Forces& other) const {
+      return SameBits(normal, other.normal) && SameBits(tangential, other.tangential) &&
+             SameBits(applied[0], other.applied[0]) && SameBits(applied[1], other.applied[1]);
+    }
   };
 
   template <typename T>
@@ -76,14 +81,14 @@ struct DualDescentOf : SpringDescent<kTurn> {
         const auto at = problem.Locate(gauss_seidel ? std::span<const T>(z) : std::span<const T>(seen), side);
         if (!at.pressed && !(forces[c].normal > 0.0)) continue;
         touched[c] = 1;
-        any = true;
-        const T before = forces[c].tangential;
+        const Forces<T> before = forces[c];
         const Vec2<T> change = Update(problem, side, at, &forces[c]);
+        any = any || !before.SameAs(forces[c]);
         problem.Apply(side, change, [&](int disc, const Vec2<T>& by) {
           for (int j = 0; j < 2; ++j) z[Problem<T>::kUnknowns * disc + j] += by[j];
         });
         if constexpr (kTurn == kSpin) {
-          problem.Turn(side, T(forces[c].tangential - before), [&](int disc, const T& by) {
+          problem.Turn(side, T(forces[c].tangential - before.tangential), [&](int disc, const T& by) {
             z[Problem<T>::kUnknowns * disc + 2] += by;
           });
         }

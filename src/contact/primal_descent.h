@@ -96,6 +96,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
   template <typename T>
   void Descend(const Problem<T>& problem, std::span<T> z, std::span<char> touched) const {
     std::vector<Block<T>> blocks(problem.discs.size());
+    std::vector<T> before(z.begin(), z.end());
     for (int iteration = 0; iteration < iterations; ++iteration) {
       for (std::size_t i = 0; i < blocks.size(); ++i) {
         blocks[i] = {};
@@ -111,6 +112,9 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
       for (std::size_t i = 0; i < blocks.size(); ++i) {
         if (!problem.discs[i].fixed) MoveDisc(problem, blocks[i], static_cast<int>(i), z);
       }
+      // What an iteration leaves as it was, the others would too.
+      if (SameBits<T>(z, before)) return;
+      std::copy(z.begin(), z.end(), before.begin());
     }
   }
 

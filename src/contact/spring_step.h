@@ -16,6 +16,7 @@
 #pragma once
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <memory_resource>
@@ -151,6 +152,20 @@ struct SpringStep {
     return out;
   }
 };
+
+// Whether two numbers are the same bit by bit, derivatives included (but for the sign of zeros).
+template <typename T>
+bool SameBits(const T& a, const T& b) {
+  if constexpr (std::is_same_v<T, Base<T>>) {
+    return a == b;
+  } else {
+    return a.a == b.a && a.v == b.v;
+  }
+}
+template <typename T>
+bool SameBits(std::span<const T> a, std::span<const T> b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const T& x, const T& y) { return SameBits(x, y); });
+}
 
 // Largest |r(z)|, m/s, of discs that spin at their rims.
 template <typename T, int kTurn>

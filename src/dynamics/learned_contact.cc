@@ -2,6 +2,7 @@
 
 #include <glog/logging.h>
 
+#include "contact/learned_events.h"
 #include "contact/neural_event.h"
 #include "saltus/dynamics/own_contact.h"
 
@@ -16,6 +17,17 @@ Contact LearnedContact(const ImpactLaw& law, int first) {
   };
   return Contact(std::make_shared<const ContactEntry>(
       ContactEntry{NeuralEvent::kTraits, {}, &internal::WhyModelNotApplicable<NeuralEvent>, make}));
+}
+
+Contact LearnedContact(const EventFunctions& events, int first) {
+  const auto make = [events, first](const Scene& scene, Precision precision, std::span<const OptionValue>) {
+    const std::string wrong = WhatIsWrongWith(events, scene);
+    CHECK(wrong.empty()) << wrong;
+    return std::make_unique<ModelSimulator<LearnedEvents, double>>(
+        scene, precision, LearnedEvents(events, first, scene.units));
+  };
+  return Contact(std::make_shared<const ContactEntry>(
+      ContactEntry{LearnedEvents::kTraits, {}, &internal::WhyModelNotApplicable<LearnedEvents>, make}));
 }
 
 }  // namespace saltus

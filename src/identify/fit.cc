@@ -45,9 +45,11 @@ class Motions final : public ceres::EvaluationCallback {
     if (!IsNearStart()) return;
     const Scene scene = problem_.SceneAt(point_.coordinates);
     const std::optional<ImpactLaw> law = problem_.LawAt(point_.coordinates);
+    const std::optional<EventFunctions> events = problem_.EventsAt(point_.coordinates);
     const auto move = [&](std::size_t i) {
       const Segment& segment = point_.segments[i];
-      motion_[i] = MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment, law), with_jacobians);
+      motion_[i] =
+          MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment, law, events), with_jacobians);
     };
     if (problem_.options->threads == 1 || motion_.size() == 1) {
       for (std::size_t i = 0; i < motion_.size(); ++i) move(i);
@@ -134,11 +136,11 @@ class IterationReport final : public ceres::IterationCallback {
   const IdentifyOptions& options_;
 };
 
-ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments) {
+ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments, double gain) {
   ceres::Solver::Options options;
   options.max_num_iterations = problem.options->max_iterations;
   // Weights of a network wander along valleys in which nothing changes but they.
-  options.function_tolerance = problem.options->law ? kSmallGain : 1e-12;
+  options.function_tolerance = LearnedStartOf(*problem.options) ? std::max(gain, kSmallGain) : gain;
   options.parameter_tolerance = 1e-10;
   options.gradient_tolerance = 1e-14;
   options.logging_type = ceres::SILENT;
@@ -146,13 +148,13 @@ ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t nu
   return options;
 }
 
-// A law stays near its start where the data say nothing of it.
+// What is learned stays near its start where the data say nothing of it.
 void AddPrior(const FitProblem& problem, FitPoint* point, ceres::Problem* ceres_problem) {
-  if (!problem.options->law) return;
-  const ImpactLaw& law = *problem.options->law;
-  const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / law.spread);
-  for (std::size_t i = 0; i < law.parameters.size(); ++i) {
-    const ceres::Vector start = ceres::Vector::Constant(1, law.parameters[i]);
+  const std::optional<LearnedStart> learned = LearnedStartOf(*problem.options);
+  if (!learned) return;
+  const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / learned->spread);
+  for (std::size_t i = 0; i < learned->parameters.size(); ++i) {
+    const ceres::Vector start = ceres::Vector::Constant(1, learned->parameters[i]);
     double* coordinate = &point->coordinates[problem.num_plain + i];
     ceres_problem->AddResidualBlock(new ceres::NormalPrior(weight, start), nullptr, coordinate);
   }
@@ -204,6 +206,18 @@ std::optional<ImpactLaw> FitProblem::LawAt(const std::vector<double>& coordinate
   return law;
 }
 
+std::optional<EventFunctions> FitProblem::EventsAt(const std::vector<double>& coordinates) const {
+  std::optional<EventFunctions> events = options->events;
+  if (events) events->parameters.assign(coordinates.begin() + num_plain, coordinates.end());
+  return events;
+}
+
+std::optional<LearnedStart> LearnedStartOf(const IdentifyOptions& options) {
+  if (options.law) return LearnedStart{options.law->parameters, options.law->spread};
+  if (options.events) return LearnedStart{options.events->parameters, options.events->spread};
+  return std::nullopt;
+}
+
 Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample) {
   Eigen::VectorXd weights(sample.velocity ? 4 : 2);
   weights.head(2).setConstant(1 / (sample.sigma > 0 ? sample.sigma : problem.sigma));
@@ -227,7 +241,7 @@ LossAt EvaluateLoss(RobustLoss loss, double scale, double squared) {
 }
 
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held, bool with_covariance) {
+                       const std::vector<bool>& held, bool with_covariance, double gain) {
   FitResult result;
   result.point = start;
   FitPoint& point = result.point;
@@ -251,7 +265,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
   for (std::size_t u = 0; u < held.size(); ++u) {
     if (held[u]) ceres_problem.SetParameterBlockConstant(&point.coordinates[u]);
   }
-  ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size());
+  ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size(), gain);
   IterationReport report(*problem.options);
   options.callbacks.push_back(&report);
   ceres::Solver::Summary summary;

@@ -16,20 +16,26 @@ struct FitProblem {
   std::vector<Unknown> unknowns;
   std::vector<int> free_bodies;
   const IdentifyOptions* options = nullptr;
-  int num_plain = 0;  // unknowns but for the parameters of a law, which are the last
+  int num_plain = 0;  // unknowns but for the parameters of what is learned, which are the last
   double sigma = 0;   // m, of samples that state none; of velocities by the time that the scene needs for its length
   double sigma_velocity = 0;
 
-  // `law` as at the point at hand, if one is learned.
-  MotionRequest RequestOf(const Segment& segment, const std::optional<ImpactLaw>& law) const {
-    return {&(*recordings)[segment.recording].samples, unknowns, free_bodies, law ? &*law : nullptr};
+  // `law` or `events` as at the point at hand, if one of them is learned.
+  MotionRequest RequestOf(const Segment& segment, const std::optional<ImpactLaw>& law,
+                          const std::optional<EventFunctions>& events) const {
+    return {&(*recordings)[segment.recording].samples,
+            unknowns,
+            free_bodies,
+            law ? &*law : nullptr,
+            events ? &*events : nullptr};
   }
   const Sample& SampleAt(const Segment& segment, int i) const {
     return (*recordings)[segment.recording].samples[segment.first + i];
   }
   Scene SceneAt(const std::vector<double>& coordinates) const;
-  // Nothing if no law is learned.
+  // Nothing if none is learned.
   std::optional<ImpactLaw> LawAt(const std::vector<double>& coordinates) const;
+  std::optional<EventFunctions> EventsAt(const std::vector<double>& coordinates) const;
 };
 
 // What a fit changes.
@@ -49,9 +55,18 @@ struct FitResult {
   std::vector<std::vector<double>> covariance;  // of the unknowns' values, if asked for: (J^T J)^-1
 };
 
-// Minimises from `start`, with the loss scale `loss_scale`. Unknowns in `held` stay as they are.
+// What is learned, of whichever kind: where its parameters begin, and how far they may go.
+struct LearnedStart {
+  std::vector<double> parameters;
+  double spread = 1;
+};
+std::optional<LearnedStart> LearnedStartOf(const IdentifyOptions& options);
+
+// Minimises from `start`, with the loss scale `loss_scale`, until the cost falls by less than a share `gain` of it in
+// an iteration (or, of what is learned, by a larger one of its own). Unknowns in `held` stay as they are.
+inline constexpr double kNoGain = 1e-12;
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held = {}, bool with_covariance = false);
+                       const std::vector<bool>& held = {}, bool with_covariance = false, double gain = kNoGain);
 
 // Standardised residual of a sample: of its position, then of its velocity if it was measured.
 Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state);

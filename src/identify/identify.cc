@@ -11,6 +11,7 @@
 #include "identify/statistics.h"
 #include "identify/unknowns.h"
 #include "physics/units.h"
+#include "saltus/dynamics/learned_contact.h"
 
 namespace saltus {
 namespace {
@@ -19,6 +20,7 @@ using Kind = Unknown::Kind;
 
 constexpr double kHorizons[] = {0.15, 0.3, 0.5, 0.7, 0.85, 1};  // shares of the samples that fits begin with
 constexpr double kWideLoss = 10;        // times the loss scale, while the motion is not found yet
+constexpr double kGainOfSearch = 1e-8;  // share of the cost that an iteration must gain, before Polish()
 constexpr double kFits = 1.25;          // misfit of a motion that is found
 constexpr double kContradicts = 2.5;    // misfit that noise does not make
 constexpr double kFewOutliers = 0.12;   // share of samples, of a motion that is found
@@ -50,8 +52,8 @@ class Identification {
       SetValue(unknown, FromCoordinate(unknown, ToCoordinate(unknown, ValueOf(unknown, scene))), &problem_.scene);
     }
     problem_.num_plain = static_cast<int>(unknowns.size());
-    if (options.law) {
-      for (int i = 0; i < static_cast<int>(options.law->parameters.size()); ++i) {
+    if (const auto learned = LearnedStartOf(options)) {
+      for (int i = 0; i < static_cast<int>(learned->parameters.size()); ++i) {
         problem_.unknowns.push_back({.kind = Kind::kLaw, .component = i});
       }
     }
@@ -93,18 +95,25 @@ class Identification {
   }
 
   std::string WhatIsWrongWithTheLaw() const {
-    if (!options_.law) return "";
-    if (std::string wrong = WhatIsWrongWith(*options_.law); !wrong.empty()) return wrong;
+    if (!options_.law && !options_.events) return "";
+    if (options_.law && options_.events) return "found a law of impact and event functions, expected one of them";
+    const std::string name = options_.law ? "a law of impact" : "event functions";
+    std::string wrong =
+        options_.law ? WhatIsWrongWith(*options_.law) : WhatIsWrongWith(*options_.events, problem_.scene);
+    if (!wrong.empty()) return wrong;
     if (problem_.contact.name() != "event") {
-      return "found a law of impact with the contact model " + problem_.contact.name() + ", expected event";
+      return "found " + name + " with the contact model " + problem_.contact.name() + ", expected event";
     }
+    if (options_.events) wrong = WhyNotApplicable(LearnedContact(*options_.events), problem_.scene);
+    if (!wrong.empty()) return wrong;
+    const bool friction = options_.events || options_.law->HasFriction();
     for (int u = 0; u < problem_.num_plain; ++u) {
       const Kind kind = problem_.unknowns[u].kind;
-      const bool said = kind == Kind::kRestitution || (kind == Kind::kFriction && options_.law->HasFriction());
+      const bool said = kind == Kind::kRestitution || (kind == Kind::kFriction && friction);
       const bool unread = kind == Kind::kStiffness || kind == Kind::kDamping;
       if (!said && !unread) continue;
-      return "found '" + NameOf(problem_.unknowns[u], problem_.scene) + "' beside a law of impact, which " +
-             (said ? "says it" : "does not read it");
+      return "found '" + NameOf(problem_.unknowns[u], problem_.scene) + "' beside " + name + ", which " +
+             (options_.law ? (said ? "says it" : "does not read it") : (said ? "say it" : "do not read it"));
     }
     return "";
   }
@@ -185,9 +194,8 @@ class Identification {
       }
       point.coordinates.push_back(ToCoordinate(unknown, start));
     }
-    if (options_.law) {
-      point.coordinates.insert(
-          point.coordinates.end(), options_.law->parameters.begin(), options_.law->parameters.end());
+    if (const auto learned = LearnedStartOf(options_)) {
+      point.coordinates.insert(point.coordinates.end(), learned->parameters.begin(), learned->parameters.end());
     }
     const Scene scene = problem_.SceneAt(point.coordinates);
     point.segments = segments_;
@@ -225,7 +233,8 @@ class Identification {
     for (const double share : kHorizons) {
       at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
-      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale, held);
+      FitResult next =
+          MinimizeFrom(problem_, UpTo(share, fit.point), scale, held, /*with_covariance=*/false, kGainOfSearch);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
@@ -277,8 +286,10 @@ class Identification {
       const double before = best.cost;
       const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
-      // Without a stated sigma nothing says that a fit is good, but that another start finds it again.
-      if (states_sigma_ ? IsFound(best) : same && known) break;
+      // Without a stated sigma nothing says that a fit is good, but that another start finds it again. Nor, where it
+      // is good but for many outliers.
+      const bool again = same && known && (!states_sigma_ || MisfitOf(problem_, best) < kFits);
+      if (again || (states_sigma_ && IsFound(best))) break;
     }
     report_.sequences = static_cast<int>(sequences.size());
     return best;
@@ -309,6 +320,7 @@ class Identification {
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
     if (options_.law) report_.law = LearnedLawOf(problem_, fit, options_.loss_scale);
+    if (options_.events) report_.events = LearnedEventsOf(problem_, fit);
     ReportResiduals(fit);
     report_.cost = fit.cost;
     report_.sigma = states_sigma_ ? 0 : problem_.sigma;
@@ -405,36 +417,6 @@ class Identification {
 };
 
 }  // namespace
-
-const char* DeterminationToString(Determination determination) {
-  switch (determination) {
-    case Determination::kDetermined:
-      return "determined";
-    case Determination::kCombined:
-      return "only in combination";
-    case Determination::kUndetermined:
-      break;
-  }
-  return "not determined";
-}
-
-const char* FitVerdictToString(FitVerdict verdict) {
-  switch (verdict) {
-    case FitVerdict::kFits:
-      return "fits";
-    case FitVerdict::kContradicted:
-      return "contradicted";
-    case FitVerdict::kFailed:
-      return "failed";
-    case FitVerdict::kNotConverged:
-      return "not converged";
-    case FitVerdict::kInterrupted:
-      return "interrupted";
-    case FitVerdict::kNotApplicable:
-      break;
-  }
-  return "not applicable";
-}
 
 IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
                         const std::vector<Unknown>& unknowns, const IdentifyOptions& options) {

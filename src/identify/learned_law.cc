@@ -50,4 +50,20 @@ LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double 
   return learned;
 }
 
+LearnedEventFunctions LearnedEventsOf(const FitProblem& problem, const FitResult& fit) {
+  LearnedEventFunctions learned{*problem.EventsAt(fit.point.coordinates), {}};
+  for (std::size_t s = 0; s < fit.motion.size(); ++s) {
+    for (const ImpactState& impact : fit.motion[s].impacts) {
+      const int body = impact.candidate.a, number = impact.candidate.b;
+      const double radius = problem.scene.bodies[body].radius;
+      const Vec2d &position = impact.position[0], &before = impact.velocity[0];
+      const EventAt at = EvaluateEvents(learned.functions, number, position, before, radius);
+      const Plane& plane = problem.scene.planes[number];
+      const double gap = plane.normal.normalized().dot(Vec2d(position - plane.point)) - radius;
+      learned.impacts.push_back({static_cast<int>(s), body, number, position, before, at.after, at.normal, gap});
+    }
+  }
+  return learned;
+}
+
 }  // namespace saltus

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <tuple>
 #include <utility>
 
 #include "identify/unknowns.h"
@@ -57,7 +58,7 @@ class Sweep {
     }
     out.touches = simulator_->touches();
     x_.resize(simulator_->state_size());
-    if (request_.law != nullptr) FindImpactSpeeds(&out);
+    if (request_.law != nullptr || request_.events != nullptr) FindImpacts(&out);
     FindTouchedSteps();
     if (with_derivatives_) Begin();
     for (int i = segment_.first; i < segment_.last; ++i) {
@@ -73,12 +74,15 @@ class Sweep {
  private:
   using Simulators = std::vector<std::unique_ptr<Simulator>>;
 
-  // Of a law, one for every few of its parameters that derivatives are wanted of.
+  // Of what is learned, one for every few of its parameters that derivatives are wanted of.
   static std::vector<Contact> ContactsOf(const Contact& contact, const MotionRequest& request, bool with_derivatives) {
-    if (request.law == nullptr) return {contact};
+    if (request.law == nullptr && request.events == nullptr) return {contact};
     std::vector<Contact> contacts;
-    const int count = with_derivatives ? static_cast<int>(request.law->parameters.size()) : 1;
-    for (int i = 0; i < count; i += kLawParametersAtOnce) contacts.push_back(LearnedContact(*request.law, i));
+    const auto& parameters = request.law != nullptr ? request.law->parameters : request.events->parameters;
+    const int count = with_derivatives ? static_cast<int>(parameters.size()) : 1;
+    for (int i = 0; i < count; i += kLawParametersAtOnce) {
+      contacts.push_back(request.law != nullptr ? LearnedContact(*request.law, i) : LearnedContact(*request.events, i));
+    }
     return contacts;
   }
   Simulators MakeSimulators(const Scene& scene) const {
@@ -87,23 +91,31 @@ class Sweep {
     return simulators;
   }
 
-  // Of the first impact of each step: until then its discs fly.
-  void FindImpactSpeeds(MotionAtSamples* out) {
+  // The first of each step: until then its discs fly.
+  void FindImpacts(MotionAtSamples* out) {
     int last = -1;
-    const std::vector<WallPart> walls = WallPartsOf(scene_);
     for (const StepTouch& at : simulator_->touches()) {
       if (at.step == last || at.touch.kind != ContactKind::kImpact) continue;
       last = at.step;
       simulator_->GetState(at.step, x_);
-      const Candidate& c = at.touch.candidate;
-      const auto position = [&](int i) { return StateAfter(i, at.touch.time).first; };
-      const auto velocity = [&](int i) { return StateAfter(i, at.touch.time).second; };
-      const Separation<double> apart =
-          c.plane ? Separate<double>(position(c.a), walls[c.b].wall) : Separate<double>(position(c.a), position(c.b));
-      const Vec2d w = c.plane ? velocity(c.a) : Vec2d(velocity(c.a) - velocity(c.b));
-      out->impact_speeds.emplace_back(std::max(0.0, -Dot(apart.normal, w)),
-                                      std::abs(Dot(Perpendicular(apart.normal), w)));
+      ImpactState impact{at.touch.candidate, {}, {}};
+      for (const int disc : {0, 1}) {
+        if (disc == 1 && impact.candidate.plane) continue;
+        const int body = disc == 0 ? impact.candidate.a : impact.candidate.b;
+        std::tie(impact.position[disc], impact.velocity[disc]) = StateAfter(body, at.touch.time);
+      }
+      if (request_.law != nullptr) out->impact_speeds.push_back(SpeedsOf(impact));
+      if (request_.events != nullptr && impact.candidate.plane) out->impacts.push_back(impact);
     }
+  }
+  // Of approach and of sliding.
+  Vec2d SpeedsOf(const ImpactState& impact) const {
+    const bool plane = impact.candidate.plane;
+    const Separation<double> apart =
+        plane ? Separate<double>(impact.position[0], WallPartsOf(scene_)[impact.candidate.b].wall)
+              : Separate<double>(impact.position[0], impact.position[1]);
+    const Vec2d w = plane ? impact.velocity[0] : Vec2d(impact.velocity[0] - impact.velocity[1]);
+    return {std::max(0.0, -Dot(apart.normal, w)), std::abs(Dot(Perpendicular(apart.normal), w))};
   }
   // Of disc i, flying from x_ on for a time.
   std::pair<Vec2d, Vec2d> StateAfter(int i, double time) const {

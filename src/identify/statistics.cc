@@ -60,8 +60,8 @@ Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult
   });
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(num_unknowns, num_unknowns);
   for (const Eigen::MatrixXd& all : normal) information += Remaining(all, num_unknowns);
-  if (problem.options->law) {
-    const double spread = problem.options->law->spread;
+  if (const auto learned = LearnedStartOf(*problem.options)) {
+    const double spread = learned->spread;
     information.diagonal().tail(num_unknowns - problem.num_plain).array() += 1 / (spread * spread);
   }
   return Remaining(information, problem.num_plain);

@@ -17,6 +17,10 @@ DEFINE_string(unknown, "restitution",
 DEFINE_string(law, "",
               "learns the law of impact: network (restitution by the speed of approach) or impulse (friction too, by "
               "approach and sliding), each with :N hidden units (default :4)");
+DEFINE_string(
+    events, "",
+    "learns where and how discs bounce off the scene's planes: affine (angle, distance and a linear update of "
+    "each) or profile (a plane that is not flat, restitution and friction), with :N units (default :3)");
 DEFINE_string(law_beside, "", "CSV (speed, restitution) of a law that is known, to stand beside the learned one");
 DEFINE_string(loss, "huber", "of a sample's residual: none (squares), huber or cauchy");
 DEFINE_double(loss_scale, 2, "sigmas beyond which a sample counts less");
@@ -27,12 +31,22 @@ DEFINE_int32(starts, 12, "fits from different starts, at most");
 namespace saltus {
 namespace {
 
+// Whether something is learned that is more than numbers of a scene.
+bool Learns() { return !FLAGS_law.empty() || !FLAGS_events.empty(); }
+
 IdentifyOptions OptionsFromFlags(const Request& request) {
   IdentifyOptions options;
   if (!FLAGS_law.empty()) {
     auto law = ParseLaw(FLAGS_law, request.scene);
     if (const auto* wrong = std::get_if<std::string>(&law)) throw InputError("--law=" + FLAGS_law + "; " + *wrong);
     options.law = std::get<ImpactLaw>(std::move(law));
+  }
+  if (!FLAGS_events.empty()) {
+    auto events = ParseEvents(FLAGS_events, request.scene);
+    if (const auto* wrong = std::get_if<std::string>(&events)) {
+      throw InputError("--events=" + FLAGS_events + "; " + *wrong);
+    }
+    options.events = std::get<EventFunctions>(std::move(events));
   }
   const std::optional<RobustLoss> loss = ParseRobustLoss(FLAGS_loss);
   if (!loss) throw InputError("--loss=" + FLAGS_loss + "; expected none, huber or cauchy");
@@ -61,7 +75,7 @@ std::vector<Recording> ReadRecordings(const Scene& scene) {
 }
 
 std::vector<Unknown> ReadUnknowns(const Scene& scene) {
-  if (!FLAGS_law.empty() && !IsGiven("unknown")) return {};
+  if (Learns() && !IsGiven("unknown")) return {};
   auto unknowns = ParseUnknowns(FLAGS_unknown, scene);
   if (const auto* wrong = std::get_if<std::string>(&unknowns)) throw InputError("--unknown: " + *wrong);
   return std::get<std::vector<Unknown>>(std::move(unknowns));
@@ -69,8 +83,8 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
 
 void PrintTables(const Scene& scene, const Identified& identified) {
   const TextLayout layout = LayoutOfStandardOutput();
-  const bool of_law = !FLAGS_law.empty() && !IsGiven("unknown");
-  std::cout << scene.name << ": " << (of_law ? "the law of impact" : FLAGS_unknown) << "\n\n"
+  const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
+  std::cout << scene.name << ": " << (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown) << "\n\n"
             << FitTable(identified).ToText(layout) << std::endl;
   const Table estimates = EstimateTable(identified);
   if (!estimates.rows().empty()) {
@@ -85,6 +99,13 @@ void PrintTables(const Scene& scene, const Identified& identified) {
   if (!law.rows().empty()) {
     std::cout << "Law of impact, at speeds that the impacts had, in m/s\n\n" << law.ToText(layout) << std::endl;
   }
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) {
+    std::cout
+        << "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned "
+           "by how much its normal is\n\n"
+        << events.ToText(layout) << std::endl;
+  }
   const Table outliers = OutlierTable(scene, identified);
   if (outliers.rows().empty()) return;
   std::cout << "Outliers, at most " << kMostOutliersNamed << " of them, residuals in sigmas\n\n"
@@ -96,6 +117,8 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   WriteTextFile(directory + "/" + scene.name + "_parameters.csv", EstimateTable(identified).ToCsv());
   WriteTextFile(directory + "/" + scene.name + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
   const Table comparison = ComparisonTable(identified), law = LawTable(identified);
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) WriteTextFile(directory + "/" + scene.name + "_events.csv", events.ToCsv());
   if (!comparison.rows().empty()) {
     WriteTextFile(directory + "/" + scene.name + "_beside_event.csv", comparison.ToCsv());
   }

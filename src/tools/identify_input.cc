@@ -9,8 +9,29 @@
 namespace saltus {
 namespace {
 
-constexpr int kLawUnits = 4, kMostLawUnits = 16;
+constexpr int kLawUnits = 4, kProfileUnits = 3, kMostUnits = 16;
 constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
+
+// "network:8" is a network of eight units; of "network" there are `units`. None if what follows the colon is no number
+// of units.
+struct KindAndUnits {
+  std::string kind;
+  int units = 0;
+};
+std::optional<KindAndUnits> SplitUnits(const std::string& text, int units) {
+  const std::size_t colon = text.find(':');
+  KindAndUnits split{text.substr(0, colon), units};
+  if (colon == std::string::npos) return split;
+  const std::string digits = text.substr(colon + 1);
+  split.units = 0;
+  std::from_chars(digits.data(), digits.data() + digits.size(), split.units);
+  if (digits != std::to_string(split.units) || split.units < 1 || split.units > kMostUnits) return std::nullopt;
+  return split;
+}
+
+std::string Expected(const std::string& kinds) {
+  return "expected " + kinds + " with N in 1.." + std::to_string(kMostUnits);
+}
 
 }  // namespace
 
@@ -22,18 +43,21 @@ std::optional<RobustLoss> ParseRobustLoss(const std::string& name) {
 }
 
 std::variant<ImpactLaw, std::string> ParseLaw(const std::string& text, const Scene& scene) {
-  const std::size_t colon = std::min(text.find(':'), text.size());
-  const std::string kind = text.substr(0, colon), width = text.substr(std::min(colon + 1, text.size()));
-  int units = colon == text.size() ? kLawUnits : 0;
-  std::from_chars(width.data(), width.data() + width.size(), units);
-  const bool whole = colon == text.size() || width == std::to_string(units);
-  if ((kind != "network" && kind != "impulse") || !whole || units < 1 || units > kMostLawUnits) {
-    return "expected network or impulse, and maybe :N with N in 1.." + std::to_string(kMostLawUnits);
-  }
+  const std::optional<KindAndUnits> split = SplitUnits(text, kLawUnits);
   const double speed = NaturalUnits(scene).speed();
   const double restitution = std::clamp(scene.contact.restitution, kInside, 1 - kInside);
-  if (kind == "network") return RestitutionNetwork(units, speed, restitution);
-  return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
+  if (split && split->kind == "network") return RestitutionNetwork(split->units, speed, restitution);
+  if (split && split->kind == "impulse") {
+    return ImpulseNetwork(split->units, speed, restitution, std::max(scene.contact.friction, kInside));
+  }
+  return Expected("network or impulse, and maybe :N");
+}
+
+std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, const Scene& scene) {
+  const std::optional<KindAndUnits> split = SplitUnits(text, kProfileUnits);
+  if (split && split->kind == "profile") return ProfileEvents(scene, split->units);
+  if (text == "affine") return AffineEvents(scene);
+  return Expected("affine or profile, which maybe has :N");
 }
 
 std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path, const Scene& scene) {

@@ -1,5 +1,6 @@
 #include "tools/identify_tables.h"
 
+#include <cmath>
 #include <optional>
 
 namespace saltus {
@@ -69,6 +70,22 @@ Json LawToJson(const LearnedLaw& learned) {
       point["friction_standard_error"] = NumberToJson(at.friction_error);
     }
     item["curve"].push_back(std::move(point));
+  }
+  return item;
+}
+
+Json EventsToJson(const Scene& scene, const LearnedEventFunctions& learned) {
+  Json item = {{"name", learned.functions.name}, {"parameters", NumbersToJson(learned.functions.parameters)}};
+  item["impacts"] = Json::array();
+  for (const LearnedImpact& at : learned.impacts) {
+    item["impacts"].push_back({{"segment", at.segment},
+                               {"body", scene.bodies[at.body].name},
+                               {"plane", scene.planes[at.plane].name},
+                               {"position", NumbersToJson({at.position[0], at.position[1]})},
+                               {"before", NumbersToJson({at.before[0], at.before[1]})},
+                               {"after", NumbersToJson({at.after[0], at.after[1]})},
+                               {"normal", NumbersToJson({at.normal[0], at.normal[1]})},
+                               {"beyond_plane", NumberToJson(at.scene_gap)}});
   }
   return item;
 }
@@ -147,6 +164,38 @@ Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known
   }
   figure.legend = Legend::kBelow;
   return figure;
+}
+
+Table EventTable(const Scene& scene, const Identified& identified) {
+  Table table({{"plane"},
+               {"recording"},
+               {"body"},
+               {"x", 5},
+               {"y", 5},
+               {"beyond m", 3},
+               {"turned rad", 3},
+               {"speed", 4},
+               {"speed after", 4},
+               {"restitution", 4}},
+              3);
+  for (const IdentifyReport& report : identified.reports) {
+    if (!report.events) continue;
+    for (const LearnedImpact& at : report.events->impacts) {
+      const Vec2d normal = scene.planes[at.plane].normal.normalized();
+      const double closing = -at.before.dot(at.normal), parting = at.after.dot(at.normal);
+      table.AddRow({scene.planes[at.plane].name,
+                    identified.recordings[report.segment_recording[at.segment]].name,
+                    scene.bodies[at.body].name,
+                    at.position[0],
+                    at.position[1],
+                    at.scene_gap,
+                    std::atan2(normal[0] * at.normal[1] - normal[1] * at.normal[0], normal.dot(at.normal)),
+                    at.before.norm(),
+                    at.after.norm(),
+                    parting / closing});
+    }
+  }
+  return table;
 }
 
 Table EstimateTable(const Identified& identified) {
@@ -324,6 +373,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
       item["correlation"] = Json::array();
       for (const std::vector<double>& row : report.correlation) item["correlation"].push_back(NumbersToJson(row));
       if (report.law) item["law"] = LawToJson(*report.law);
+      if (report.events) item["events"] = EventsToJson(scene, *report.events);
       item["outliers"] = Json::array();
       for (const SampleResidual& at : report.residuals) {
         if (at.outlier) item["outliers"].push_back(ResidualToJson(scene, identified.recordings, at));

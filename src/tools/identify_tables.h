@@ -23,6 +23,8 @@ const LearnedLaw* LawOf(const Identified& identified);
 Table LawTable(const Identified& identified);
 // With a band of 95 % confidence. Precondition: the law has a curve.
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known);
+// Every impact with a plane by event functions that were learned; empty if none were.
+Table EventTable(const Scene& scene, const Identified& identified);
 // The first outliers, for a person; and all residuals.
 Table OutlierTable(const Scene& scene, const Identified& identified);
 Table ResidualTable(const Scene& scene, const Identified& identified);

@@ -140,7 +140,6 @@ TEST(IdentifyProgram, LearnsTheLawOfTheDropsThatAreShipped) {
     const double truth = 0.9 / (1 + 0.12 * speed);
     EXPECT_NEAR(restitution, truth, 4 * error + 2e-3) << speed;
     const std::string known = line.substr(line.rfind(',') + 1);
-
     EXPECT_NEAR(std::stod(known), truth, 2e-4);  // of straight lines between its points
     ++compared;
   }
@@ -169,6 +168,49 @@ TEST(IdentifyProgram, AKnownLawThatIsWrongIsRefusedWithItsLine) {
   EXPECT_THAT(errors("speed,restitution\n1,0.5\n2,1.4\n"), HasSubstr("known.csv:3: restitution: expected a number"));
   EXPECT_THAT(errors("speed,restitution\n1,x\n"), HasSubstr("known.csv:2: restitution: found 'x'"));
   EXPECT_THAT(errors("speed,restitution\n1,0.5\n"), HasSubstr("fewer than two rows"));
+}
+
+// Where the floor is, and what it does to the ball, from a scene that has it 1 cm too low.
+TEST(IdentifyProgram, LearnsEventFunctions) {
+  const std::string path = PathOf("low.yaml");
+  std::string scene = TextOf(PathOf("drop.yaml"));
+  if (scene.empty()) {
+    DropScene();
+    scene = TextOf(PathOf("drop.yaml"));
+  }
+  std::ofstream(path) << scene.replace(scene.find("point: [0, 0]"), 13, "point: [0, -0.01]");
+  const std::string arguments =
+      " --scene=" + path + " --progress=none --recording=" + DropRecording() + " --output_dir=" + PathOf("events");
+  for (const std::string kind : {"affine", "profile:2"}) {
+    const Outcome outcome = RunProgram("saltus_identify --json --events=" + kind + arguments);
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+    const json events = json::parse(outcome.output)["fits"][0]["events"];
+    EXPECT_EQ(events["parameters"].size(), kind == "affine" ? 7u : 8u);
+    ASSERT_EQ(events["impacts"].size(), 1u);
+    const json impact = events["impacts"][0];
+    EXPECT_EQ(impact["plane"], "floor");
+    EXPECT_NEAR(impact["beyond_plane"].get<double>(), 0.01, 1e-3) << kind;
+    EXPECT_NEAR(-impact["after"][1].get<double>() / impact["before"][1].get<double>(), kRestitution, 1e-2) << kind;
+  }
+  EXPECT_THAT(TextOf(PathOf("events") + "/drop_events.csv"), HasSubstr("floor,"));
+  const Outcome table = RunProgram("saltus_identify --events=affine" + arguments);
+  EXPECT_THAT(table.output, HasSubstr("drop: event functions"));
+  EXPECT_THAT(table.output, HasSubstr("Impacts by the learned event functions"));
+}
+
+// A ball and a table that are real, and what the rules of the game ask of them: to rise from 30 cm to 23 cm or more.
+TEST(IdentifyProgram, FitsARealRecording) {
+  const std::string folder = SALTUS_SOURCE_DIR "/data/recordings/table_tennis/";
+  for (const char* name : {"serve_1.csv", "serve_5.csv"}) {
+    const Outcome outcome =
+        RunProgram("saltus_identify --json --progress=none --unknown=restitution,friction,gravity --scene=" + folder +
+                   "serve.yaml --recording=" + folder + name);
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+    const json fit = json::parse(outcome.output)["fits"][0];
+    EXPECT_NEAR(fit["parameters"][0]["value"].get<double>(), std::sqrt(23.0 / 30), 0.06) << name;
+    EXPECT_LT(fit["sigma"].get<double>(), 0.01) << name;
+    EXPECT_EQ(fit["impacts"], 1) << name;
+  }
 }
 
 TEST(IdentifyProgram, ReadsArchivesToo) {

@@ -8,7 +8,8 @@
 // The cost jumps where the collision sequence changes: fits begin with the part before most of the impacts, and from
 // several starts, of which the best is kept.
 //
-// The law of impact itself may be unknown: a function with parameters, such as a network (impact_law.h).
+// The law of impact itself may be unknown: a function with parameters, such as a network (impact_law.h). So may where
+// and how discs bounce off planes (event_functions.h).
 //
 // A recording may be cut into segments with an initial state each: long ones must be, as after many impacts the motion
 // depends on its start beyond what can be measured.
@@ -21,6 +22,7 @@
 #include <variant>
 #include <vector>
 
+#include "saltus/contact/event_functions.h"
 #include "saltus/contact/impact_law.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/identify/recording.h"
@@ -53,6 +55,8 @@ struct IdentifyOptions {
   int max_iterations = 100;    // of each fit
   // Of the impacts, with its parameters as unknowns beside the others; only with `event`, whose motion it then changes.
   std::optional<ImpactLaw> law = std::nullopt;
+  // Of the scene's planes, likewise; not with a law.
+  std::optional<EventFunctions> events = std::nullopt;
   int threads = 1;
   StopRequest stop = nullptr;
   std::function<void(const std::string&)> status = nullptr;  // told what is at work
@@ -110,6 +114,22 @@ struct LearnedLaw {
   std::vector<LawPoint> curve;
 };
 
+// One impact with a plane, as event functions that were learned have it.
+struct LearnedImpact {
+  int segment = 0, body = 0, plane = 0;
+  Vec2d position = Vec2d::Zero();  // m, of the disc
+  Vec2d before = Vec2d::Zero();    // m/s, its velocity
+  Vec2d after = Vec2d::Zero();
+  Vec2d normal = Vec2d::Zero();  // of the event function there
+  double scene_gap = 0;          // m, of the scene's plane: 0 if that is where it says
+};
+
+// Event functions as they were learned.
+struct LearnedEventFunctions {
+  EventFunctions functions;
+  std::vector<LearnedImpact> impacts;  // of the motion, of each step the first
+};
+
 struct IdentifyReport {
   FitVerdict verdict = FitVerdict::kFailed;
   std::string reason;
@@ -120,6 +140,7 @@ struct IdentifyReport {
   std::vector<int> segment_recording;            // of each segment
   std::vector<SampleResidual> residuals;         // of all samples, in order
   std::optional<LearnedLaw> law;                 // if one was to be learned
+  std::optional<LearnedEventFunctions> events;   // likewise
   double cost = 0;                               // the minimum, with rho and the prior of a law
   double sigma = 0;                              // m, estimated from the residuals if samples state none; else 0
   // Typical |r| over what noise of the stated sigma makes of it; 1 if the model is right. 0 if none is stated.
