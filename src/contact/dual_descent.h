@@ -55,6 +55,7 @@ struct DualDescent : SpringDescent {
   struct Forces {
     T normal, tangential;                       // N
     Vec2<T> applied = Vec2<T>(T(0.0), T(0.0));  // l n + s t
+    Vec2<T> Both() const { return {normal, tangential}; }
   };
 
   template <typename T>
@@ -63,19 +64,21 @@ struct DualDescent : SpringDescent {
     std::vector<T> seen(z.begin(), z.end());
     for (int iteration = 0; iteration < iterations; ++iteration) {
       if (!gauss_seidel) std::copy(z.begin(), z.end(), seen.begin());
-      bool any = false;
+      bool any = false, moved = false;
       for (std::size_t c = 0; c < forces.size(); ++c) {
         const auto& side = problem.contacts[c];
         const auto at = problem.Locate(gauss_seidel ? std::span<const T>(z) : std::span<const T>(seen), side);
         if (!at.pressed && !(forces[c].normal > 0.0)) continue;
         touched[c] = 1;
         any = true;
+        const Forces<T> before = forces[c];
         const Vec2<T> change = Update(problem, side, at, &forces[c]);
+        moved |= !Same(before.Both(), forces[c].Both()) || !Same(change, Vec2<T>(T(0.0), T(0.0)));
         problem.Apply(side, change, [&](int disc, const Vec2<T>& by) {
           for (int j = 0; j < 2; ++j) z[2 * disc + j] += by[j];
         });
       }
-      if (!any) return;
+      if (!any || !moved) return;  // nor would any iteration that follows change anything
     }
   }
 

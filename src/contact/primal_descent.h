@@ -82,9 +82,11 @@ struct PrimalDescent : SpringDescent {
       }
       AddContacts<T>(problem, z, &blocks, touched);
       if (std::find(touched.begin(), touched.end(), 1) == touched.end()) return;
+      bool moved = false;
       for (std::size_t i = 0; i < blocks.size(); ++i) {
-        if (!problem.discs[i].fixed) MoveDisc(problem, blocks[i], static_cast<int>(i), z);
+        if (!problem.discs[i].fixed) moved |= MoveDisc(problem, blocks[i], static_cast<int>(i), z);
       }
+      if (!moved) return;  // nor would any iteration that follows
     }
   }
 
@@ -117,12 +119,15 @@ struct PrimalDescent : SpringDescent {
     return Divide(T(problem.friction * at.force), SafeAbs(at.sliding));
   }
 
+  // False if nothing changes, the derivative included.
   template <typename T>
-  void MoveDisc(const SpringStep<T>& problem, const Block<T>& block, int i, std::span<T> z) const {
+  bool MoveDisc(const SpringStep<T>& problem, const Block<T>& block, int i, std::span<T> z) const {
     const auto& disc = problem.discs[i];
     Vec2<T> step = problem.VelocityOf(z, i) - disc.free_velocity;
     if (block.pressed) step = block.Solve(Scale(disc.mass, step) - Scale(problem.h, block.force));
+    const Vec2<T> before = problem.VelocityOf(z, i);
     for (int j = 0; j < 2; ++j) z[2 * i + j] -= alpha * step[j];
+    return !Same(before, problem.VelocityOf(z, i));
   }
 
   // Steps are halved until the residual falls.

@@ -121,6 +121,17 @@ struct SpringStep {
   }
 };
 
+// Equal, with their derivatives.
+inline bool Same(double a, double b) { return a == b; }
+template <typename S, int W>
+bool Same(const ceres::Jet<S, W>& a, const ceres::Jet<S, W>& b) {
+  return a.a == b.a && a.v == b.v;
+}
+template <typename T>
+bool Same(const Vec2<T>& a, const Vec2<T>& b) {
+  return Same(a[0], b[0]) && Same(a[1], b[1]);
+}
+
 // Largest |r(z)|, m/s.
 template <typename T>
 double LargestResidual(const SpringStep<T>& problem, std::span<const T> z) {
