@@ -3,10 +3,7 @@
 #include "phase_attempt.h"
 
 namespace saltus {
-namespace {
 
-// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
-// transcription takes the others.
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
   if (plan.HasTies() || plan.HasModes() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
   PlanAttempt attempt;
@@ -36,8 +33,6 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   }
   return attempt;
 }
-
-}  // namespace
 
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_event", request, options);

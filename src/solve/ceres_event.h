@@ -13,6 +13,7 @@
 // iterations.
 #pragma once
 
+#include "phase_plan.h"
 #include "phase_run.h"
 #include "saltus/solve/solver.h"
 
@@ -23,7 +24,11 @@ namespace saltus {
 // empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 
-// The same from the motion of `run`.
+// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
+// transcription takes the others. Precondition: as above, of the scene of `run`.
+PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on);
+
+// All of it from the motion of `run`.
 SolveReport MendByArcs(PhaseRun* run);
 
 }  // namespace saltus

@@ -2,14 +2,17 @@
 
 #include <algorithm>
 
+#include "ceres_event.h"
 #include "phase_attempt.h"
 #include "phase_transcription.h"
+#include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
 namespace {
 
 constexpr double kSameTime = 1e-6;  // of the horizon
+constexpr double kNoLoss = 1e-9;    // relative: of the loss, that the last digits may cost
 
 // Of a real motion: impacts and the instants of via terms, and how many steps lie between.
 struct Phases {
@@ -39,6 +42,36 @@ std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
   if (phases.steps.size() < phases.cuts.size() || steps == 0) return std::nullopt;
   phases.steps.push_back(steps);
   return phases;
+}
+
+bool ArcsCanTake(const SolveRequest& request) {
+  const Scene& scene = request.scene;
+  return request.terms.empty() && scene.optimize == Optimize::kControl && scene.objective.effort > 0 &&
+         BeyondTerminalCost(scene).empty();
+}
+
+// A solve along a plan by a cost for every step. Where many iterations have not led it to the optimum, or rounding
+// keeps it from the last digits, arcs in closed form go on, if the problem is one for them.
+PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, const PlanStart& start,
+                       const MayGoOn& may_go_on) {
+  bool left = false;
+  const MayGoOn watched = [&](const auto& times, const auto& speeds) {
+    left = !may_go_on(times, speeds);
+    return !left;
+  };
+  PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
+  const bool kinks = plan.HasTies() || plan.HasModes() || !plan.apart.empty();
+  if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
+    return attempt;
+  if (attempt.converged) {
+    if (CertifyTrial(run->scene(), attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
+  } else if (run->scene().contact.friction > 0) {
+    return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
+  }
+  PlanAttempt last = TryByArcs(run, plan, {start.times, attempt.trial}, may_go_on);
+  last.jacobians += attempt.jacobians;
+  const bool found = last.converged && last.realized && last.loss() <= attempt.loss() * (1 + kNoLoss);
+  return found ? last : attempt;
 }
 
 // From the optimum under exact flight along its impacts, which stay exact, to that with steps of the contact model.
@@ -106,8 +139,9 @@ std::string WhyNotPhases(const SolveRequest& request) {
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_phases", request, options);
   if (auto refused = run.WhyNotStart()) return *refused;
+  const bool arcs_can = ArcsCanTake(request);
   SolveReport exact = SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryByTranscription(&run, plan, start, may_go_on);
+    return TryBySteps(&run, arcs_can, plan, start, may_go_on);
   });
   return IsExact(request) ? exact : SolveUnderModel(request, options, std::move(exact));
 }

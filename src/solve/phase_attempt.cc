@@ -181,9 +181,9 @@ class TranscribedPlan {
   }
 
   bool TouchesApart(const PlanAttempt& attempt) const {
-    const ContactSequence& met = attempt.trial.exact.contacts;
+    const ContactSequence &met = attempt.trial.exact.contacts, planned = plan_.Sequence();
     return std::any_of(apart_.begin(), apart_.end(), [&](const Candidate& pair) {
-      return std::find(met.begin(), met.end(), pair) != met.end();
+      return std::count(met.begin(), met.end(), pair) > std::count(planned.begin(), planned.end(), pair);
     });
   }
 

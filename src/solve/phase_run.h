@@ -2,6 +2,7 @@
 // callback, write the report.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <string>
 
@@ -30,6 +31,7 @@ class PhaseRun {
   // Appends the loss after another iteration. False if the callback wants to stop.
   bool Record(double loss);
   bool interrupted() const { return interrupted_; }
+  bool IsOutOfIterations() const { return static_cast<int>(report_.losses.size()) > std::max(1, options_.iterations); }
 
   SolveReport& report() { return report_; }
   SolveReport Finish(const Trial& trial, double loss, Termination termination, std::string reason = {});

@@ -360,7 +360,9 @@ void PhaseTranscription::AddRunning(const RunningTerm& term) {
 
 void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
   const ImpactCut cut = MakeCut(scene_, c);
+  const auto strikes_at = [&](int k) { return k >= 0 && k + 1 < num_phases() && cuts_[k].impact == c; };
   for (int j = 0; j < num_phases(); ++j) {
+    if (strikes_at(j - 1) || strikes_at(j)) continue;
     for (int k = 0; k < steps_[j]; ++k) {
       Clearance clearance{cut.law.contact_distance * (1 + margin), cut.plane, {}, {k, steps_[j]}, scene_.gravity};
       std::vector<double*> blocks, forces;

@@ -46,7 +46,7 @@ class Mending {
     if (lowest_.control != run_.guess().control && lowest_.exact.only_impacts) {
       Add(TaskAlong(SequenceFor(options, lowest_), lowest_));
     }
-    for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !OutOfIterations(); ++attempts) {
+    for (int attempts = 0; attempts < kMostAttempts && !interrupted_ && !run_.IsOutOfIterations(); ++attempts) {
       if (HasOptimum() && idle_ >= kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
       if (tasks_.empty() && !best_) Restore();
@@ -54,14 +54,12 @@ class Mending {
       const Task task = TakeNext();
       if (MayTry(task)) Attempt(task, mends);
     }
+    if (mends && !interrupted_ && !EndsWithBest()) TakeLowest();
     return Report();
   }
 
  private:
   bool HasOptimum() const { return best_ && best_->converged; }
-  bool OutOfIterations() const {
-    return static_cast<int>(run_.report().losses.size()) > std::max(1, run_.options().iterations);
-  }
 
   // ------------------------------------------------------------------------------------------------- merit of motions
 
@@ -226,7 +224,10 @@ class Mending {
       if (!plan.cuts[k] || attempt.speeds[k] < -kGrazes) continue;
       Task task{plan, start};
       Drop(k, &task);
-      if (!Contains(task.plan.Sequence(), *plan.cuts[k])) task.plan.apart.push_back(*plan.cuts[k]);
+      // Beside another impact of the pair nothing keeps the two apart.
+      const bool beside =
+          (k > 0 && plan.cuts[k - 1] == plan.cuts[k]) || (k + 1 < plan.cuts.size() && plan.cuts[k + 1] == plan.cuts[k]);
+      if (!beside && !Contains(task.plan.apart, *plan.cuts[k])) task.plan.apart.push_back(*plan.cuts[k]);
       moves->push_back(std::move(task));
     }
   }
@@ -330,6 +331,23 @@ class Mending {
     Add(TaskAlong(lowest_.exact.contacts, lowest_));
   }
 
+  bool EndsWithBest() const {
+    return HasOptimum() && !(Merit(lowest_) < best_->loss() - kHardlyBetter * std::abs(best_->loss()));
+  }
+
+  // The best motion that was met may be an optimum along its own sequence, if impacts that appeared change nothing.
+  void TakeLowest() {
+    if (!run_.terms().empty() || scene_.optimize != Optimize::kControl || IsOpen(lowest_)) return;
+    if (!lowest_.exact.ok || !lowest_.exact.only_impacts) return;
+    const Certificate certificate = CertifyTrial(scene_, lowest_);
+    if (!certificate.IsStationary() || certificate.IsSaddle()) return;
+    best_plan_ = TaskAlong(lowest_.exact.contacts, lowest_).plan;
+    if (passed_.empty() || !(passed_.back() == best_plan_)) passed_.push_back(best_plan_);
+    best_.emplace();
+    best_->trial = lowest_;
+    best_->valid = best_->converged = best_->realized = true;
+  }
+
   SolveReport Report() {
     std::string reason;
     const Termination termination = Judge(&reason);
@@ -346,11 +364,11 @@ class Mending {
       *reason = "no motion along " + NameOf(scene_, passed_.front()) + " was found to start from";
       return Termination::kFailed;
     }
-    if (HasOptimum() && !(Merit(lowest_) < best_->loss() - kHardlyBetter * std::abs(best_->loss()))) {
+    if (EndsWithBest()) {
       Certify();
       return Termination::kConverged;
     }
-    if (best_ && HasOptimum()) {
+    if (HasOptimum()) {
       *reason = "no optimum found is better than a motion that is none";
     } else if (IsOpen(lowest_)) {
       *reason = "no motion along " + ContactSequenceToString(scene_, lowest_.exact.contacts) +
@@ -358,7 +376,7 @@ class Mending {
     } else if (!best_ && last_ && !last_->realized) {
       *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
     }
-    if (OutOfIterations()) return Termination::kIterationLimit;
+    if (run_.IsOutOfIterations()) return Termination::kIterationLimit;
     if (reason->empty()) *reason = "steps have become too small";
     return Termination::kNoProgress;
   }

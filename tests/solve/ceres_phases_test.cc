@@ -243,13 +243,27 @@ TEST(CeresPhases, SaysWhatItCannotTakeUnderAModel) {
   EXPECT_THAT(report.reason, HasSubstr("running costs"));
 }
 
-TEST(CeresPhases, SaysSoWhereTheTargetIsOutOfReach) {
-  Scene scene = ProblemScene("two_balls");
-  scene.objective.terminal[0].hard = true;
-  scene.control.max = {1.2};  // it takes at least 1.434
-  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
-  EXPECT_NE(report.termination, Termination::kConverged);
-  EXPECT_THAT(report.reason, HasSubstr("least violation"));
+// By hand: under full force the striker strikes earliest and fastest. At 1.2 N that is too late, and the target stays;
+// at 1.5 N it strikes on the diagonal at s = sqrt(2 D / A), D = sqrt(2) - 0.4, A = 1.5 sqrt(2), and the target then has
+// the speed A s. It takes 1.434 N to reach.
+TEST(CeresPhases, SaysHowFarATargetIsOutOfReach) {
+  const double way = std::sqrt(2.0) - 0.4, most = 1.5 * std::sqrt(2.0), impact = std::sqrt(2 * way / most);
+  const std::vector<std::pair<double, double>> cases = {{1.2, std::sqrt(2.0)},
+                                                        {1.5, std::sqrt(2.0) - most * impact * (1 - impact)}};
+  for (const auto& [force, miss] : cases) {
+    Scene scene = ProblemScene("two_balls");
+    scene.objective.terminal[0].hard = true;
+    scene.control.max = {force};
+    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+    EXPECT_NE(report.termination, Termination::kConverged);
+    const std::string words = "the least violation is ";
+    const size_t at = report.reason.find(words);
+    ASSERT_NE(at, std::string::npos) << report.reason;
+    EXPECT_THAT(report.reason, HasSubstr("m, by target"));
+    const double found = std::stod(report.reason.substr(at + words.size()));
+    EXPECT_GT(found, miss * (1 - 1e-5)) << force;
+    EXPECT_LT(found, miss * (1 + 1e-3)) << force;
+  }
 }
 
 TEST(Solve, SaysWhichConstraintsASolverCannotTake) {

@@ -141,6 +141,40 @@ TEST(CeresPhases, CrossesFromSlipToStick) {
   EXPECT_THAT(report.reason, HasSubstr("striker-target sticks"));
 }
 
+// A chain whose best motion touches once more, a pair that has struck before.
+TEST(CeresPhases, KeepsApartWhatStrikesElsewhere) {
+  Scene scene = ControlProblem(54);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("striker-link0 apart"));
+  EXPECT_EQ(Resimulate(scene, report).events.size(), 3u);
+  // Arcs know nothing of that, and come down to it from above.
+  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.iterations = 2000});
+  EXPECT_LT(report.final_loss, arcs.final_loss * (1 + 1e-6));
+}
+
+// The ball goes on to a wall when all is done: the plan has no such impact, the optimum has.
+TEST(CeresPhases, TakesAnOptimumWithAnImpactThatChangesNothing) {
+  Scene scene = ControlProblem(13);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(Resimulate(scene, report).events.size(), 2u);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+}
+
+// Three impacts, after which a cost for every step ends in rounding before the conditions of optimality are met.
+TEST(CeresPhases, ConvergesToTheLastDigits) {
+  Scene scene = ControlProblem(42);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+}
+
 TEST(CeresPhases, KeepsToASequenceThatIsGiven) {
   const Scene scene = BallInBox(1, 500);
   SolverOptions options;
