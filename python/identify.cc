@@ -55,7 +55,7 @@ Recording ReadRecording(const py::handle& given, const std::string& name, const 
 }
 
 struct FitKeywords {
-  std::string law, loss;
+  std::string law, events, loss;
   double loss_scale, segment;
   bool known_start;
   int starts, threads;
@@ -77,6 +77,13 @@ IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) 
     }
     options.law = std::get<ImpactLaw>(std::move(law));
   }
+  if (!keywords.events.empty()) {
+    auto events = ParseEvents(keywords.events, scene);
+    if (const auto* wrong = std::get_if<std::string>(&events)) {
+      throw py::value_error("events: found '" + keywords.events + "', " + *wrong);
+    }
+    options.events = std::get<EventFunctions>(std::move(events));
+  }
   options.loss = *loss;
   options.loss_scale = keywords.loss_scale;
   options.segment = keywords.segment;
@@ -91,7 +98,8 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
                         const py::object& contact_name, const py::object& status, const FitKeywords& keywords) {
   const Contact contact = ReadContact(contact_name);
   IdentifyOptions options = ReadFitOptions(scene, keywords);
-  auto unknowns = options.law && unknown.empty() ? std::vector<Unknown>() : ParseUnknowns(unknown, scene);
+  const bool learns = options.law || options.events;
+  auto unknowns = learns && unknown.empty() ? std::vector<Unknown>() : ParseUnknowns(unknown, scene);
   if (const auto* wrong = std::get_if<std::string>(&unknowns)) throw py::value_error("unknown: " + *wrong);
   Identified identified{.recordings = {}, .contacts = {contact.name()}, .reports = {}};
   for (size_t i = 0; i < recordings.size(); ++i) {
@@ -122,6 +130,7 @@ void BindIdentify(py::module_* module) {
          const std::string& unknown,
          const py::object& contact,
          const std::string& law,
+         const std::string& events,
          const std::string& loss,
          double loss_scale,
          double segment,
@@ -134,7 +143,7 @@ void BindIdentify(py::module_* module) {
                              unknown,
                              contact,
                              status,
-                             {law, loss, loss_scale, segment, known_start, starts, threads});
+                             {law, events, loss, loss_scale, segment, known_start, starts, threads});
       },
       py::arg("scene"),
       py::arg("recordings"),
@@ -142,6 +151,7 @@ void BindIdentify(py::module_* module) {
       py::arg("contact"),
       py::kw_only(),
       py::arg("law"),
+      py::arg("events"),
       py::arg("loss"),
       py::arg("loss_scale"),
       py::arg("segment"),

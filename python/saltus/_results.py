@@ -205,7 +205,7 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
 class Fit(Result):
     """Parameters found in recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
     ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
-    if one was learned, ..."""
+    and ``events`` if they were learned, ..."""
 
     _kind = "fit"
 

@@ -129,6 +129,7 @@ def identify(
     contact: Any,
     *,
     law: str,
+    events: str,
     loss: str,
     loss_scale: float,
     segment: float,

@@ -72,6 +72,14 @@ class TestFits:
         assert point["speed"] == pytest.approx(np.sqrt(2 * GRAVITY * (1 - RADIUS)), rel=1e-3)
         assert point["restitution"] == pytest.approx(RESTITUTION, abs=1e-3)
 
+    @pytest.mark.parametrize("events", ["affine", "profile:2"])
+    def test_event_functions(self, scene, recording, events):
+        low = saltus.Scene({**scene.to_dict(), "planes": [{"name": "floor", "point": [0, -0.01], "normal": [0, 1]}]})
+        fit = saltus.identify(low, recording, events=events)
+        (impact,) = fit["events"]["impacts"]
+        assert impact["plane"] == "floor" and impact["beyond_plane"] == pytest.approx(0.01, abs=1e-3)
+        assert -impact["after"][1] / impact["before"][1] == pytest.approx(RESTITUTION, abs=1e-2)
+
     @pytest.mark.parametrize(
         "contact, options",
         [("event", {}), ("toi_velocity", {"loss": "cauchy", "loss_scale": 3, "segment": 0.5, "starts": 2}),
@@ -149,6 +157,7 @@ class TestRefusals:
             ({"unknown": "bounce"}, "unknown: found 'bounce', expected some of restitution"),
             ({"unknown": "restitution", "law": "network"}, "'restitution' beside a law"),
             ({"law": "network:x"}, "law: found 'network:x', expected network or impulse"),
+            ({"events": "affine:2"}, "events: found 'affine:2', expected affine or profile"),
             ({"loss": "tukey"}, "loss: found 'tukey', expected none, huber or cauchy"),
             ({"loss_scale": 0}, "loss_scale"),
             ({"segment": -1}, "segment"),

@@ -16,8 +16,8 @@ std::optional<RobustLoss> ParseRobustLoss(const std::string& name);
 // expected.
 std::variant<ImpactLaw, std::string> ParseLaw(const std::string& text, const Scene& scene);
 
-// "affine", or "profile", perhaps with ":N" hidden units: event functions that begin as the scene's planes. Else what was
-// expected.
+// "affine", or "profile", perhaps with ":N" hidden units: event functions that begin as the scene's planes. Else what
+// was expected.
 std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, const Scene& scene);
 
 // A recording from a CSV or an NPZ file.
