@@ -323,8 +323,18 @@ double BroadPhase::TimeToMeetParts(int i, double enough) const {
     return TimeToCover(distance - touching, speed_[i] + 0.5 * drift * options_.dt, 0.5 * drift);
   };
   if (time_to(LeastPartDistance(i)) >= enough) return enough;
+  const auto reached_in = [&](double time) {
+    return touching + time * (speed_[i] + 0.5 * drift * (options_.dt + time));
+  };
   double least = std::min(enough, time_to(LeastUnlistedDistance(i)));
-  for (int p : around_[i].parts) least = std::min(least, TimeToMeet({i, p, true}));
+  double reached = reached_in(least);  // what is further is not met before then
+  for (int p : around_[i].parts) {
+    if (walls_[p].LeastDistance(now_[i].p) >= reached) continue;
+    const double time = TimeToMeet({i, p, true});
+    if (time >= least) continue;
+    least = time;
+    reached = reached_in(least);
+  }
   return least;
 }
 

@@ -280,7 +280,8 @@ TEST(WriteScene, RoundTripsEveryKeyAndEveryProblem) {
                            "multiple_collisions",
                            "back_spin",
                            "bank_shot",
-                           "carrom_gate"}) {
+                           "carrom_gate",
+                           "ground_wall_spin"}) {
     SCOPED_TRACE(name);
     const Scene scene = SceneOf(LoadSceneFile(ProblemPath(name)));
     EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);

@@ -233,6 +233,31 @@ TEST(SpinAudit, ExactGradientIsRightAndSpinCounts) {
   EXPECT_TRUE(IsWrong(brax.verdict)) << brax.Why();
 }
 
+// Task 2 with a ball that spins: one model of each class.
+TEST(SpinAudit, ClassesAndVerdictsOfTaskTwo) {
+  Scene scene = ProblemScene("ground_wall_spin");
+  struct Expected {
+    const char* contact;
+    ContactClass contact_class;
+    Verdict verdict;
+  };
+  const auto expect = [&](const Expected& expected) {
+    const ModelAudit audit = AuditModel(expected.contact, scene, Precision::kDouble, ExactGradientOf(scene));
+    ASSERT_TRUE(audit.gradient.ok()) << expected.contact << ": " << audit.gradient.reason;
+    ASSERT_TRUE(audit.recognition) << expected.contact;
+    EXPECT_EQ(audit.recognition->contact_class, expected.contact_class) << expected.contact;
+    EXPECT_EQ(audit.verdict, expected.verdict) << expected.contact;
+  };
+  expect({"event", ContactClass::kImpactTimeResolved, Verdict::kRight});
+  expect({"qcqp", ContactClass::kImpulseAtStepBoundary, Verdict::kWrongSign});
+  expect({"xpbd", ContactClass::kProjection, Verdict::kWrong});
+  expect({"lcp_pgs", ContactClass::kDepthFeedback, Verdict::kWrongSign});
+  expect({"compliant_warp", ContactClass::kForceWithJump, Verdict::kWrongSign});
+  scene.contact.friction = 0;
+  expect({"toi_velocity", ContactClass::kImpactTimeResolved, Verdict::kConsistent});
+  expect({"position_qp", ContactClass::kNoRestitution, Verdict::kWrong});
+}
+
 const nlohmann::json& Reference() {
   static const nlohmann::json references = [] {
     std::ifstream file(SALTUS_SOURCE_DIR "/data/spin_references.json");
