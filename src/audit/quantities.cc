@@ -2,6 +2,7 @@
 #include <glog/logging.h>
 
 #include "physics/units.h"
+#include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 
 namespace saltus {
