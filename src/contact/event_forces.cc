@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "contact/contact_system.h"
+#include "contact/frictional_lcp.h"
 
 namespace saltus {
 namespace {
@@ -298,6 +299,57 @@ bool TryAllGuesses(double friction, double allowed, std::span<const double> inve
   }
 }
 
+// What unit forces do: entries 2 k and 2 k + 1 are the normal and tangential part at contact k.
+Eigen::MatrixXd Responses(std::span<const double> inverse_mass, const Accelerations& of,
+                          std::span<const PressingContact> contacts) {
+  const int n = static_cast<int>(contacts.size());
+  Eigen::MatrixXd responses(2 * n, 2 * n);
+  for (int column = 0; column < 2 * n; ++column) {
+    KeptAccelerations under(of);
+    std::ranges::fill(under.linear, Vec2d(0, 0));
+    std::ranges::fill(under.turning, 0.0);
+    PressingContact unit = contacts[column / 2];
+    unit.normal_force = column % 2 == 0;
+    unit.tangential_force = column % 2;
+    Accelerate(inverse_mass, {&unit, 1}, under.view());
+    for (int k = 0; k < n; ++k) {
+      const Vec2d relative = RelativeAcceleration(contacts[k], under.view());
+      responses(2 * k, column) = Dot(contacts[k].normal, relative);
+      responses(2 * k + 1, column) = Dot(Perpendicular(contacts[k].normal), relative);
+    }
+  }
+  return responses;
+}
+
+// As one complementarity problem; then as SolveByPivoting, from what that finds each contact to do.
+bool SolveAsComplementarity(double friction, double allowed, std::span<const double> inverse_mass,
+                            const KeptAccelerations& given, const Accelerations& of,
+                            std::span<PressingContact> contacts) {
+  const int n = static_cast<int>(contacts.size());
+  if (n > kMostComplementaryRows) return false;
+  KeptAccelerations start = given;
+  Eigen::VectorXd without(2 * n);
+  std::vector<int> sliding(n);
+  for (int k = 0; k < n; ++k) {
+    const Vec2d relative = RelativeAcceleration(contacts[k], start.view());
+    without[2 * k] = Dot(contacts[k].normal, relative) + contacts[k].turning;
+    without[2 * k + 1] = Dot(Perpendicular(contacts[k].normal), relative);
+    sliding[k] = contacts[k].sliding;
+  }
+  const std::optional<Eigen::VectorXd> forces =
+      SolveFrictionalLcp(friction, Responses(inverse_mass, of, contacts), without, sliding);
+  if (!forces) return false;
+  std::vector<Guess> guesses(n);
+  for (int k = 0; k < n; ++k) {
+    PressingContact found = contacts[k];
+    found.normal_force = (*forces)[2 * k];
+    found.tangential_force = (1 + kNearly) * (*forces)[2 * k + 1];  // at its bound, where it is but for rounding
+    guesses[k] = GuessOf(friction, found);
+  }
+  return SolveByPivoting(
+      friction, allowed, kMostPivots, inverse_mass, given, guesses, /*in_blocks=*/true, of, contacts);
+}
+
 double NumGuesses(double friction, std::span<const PressingContact> contacts) {
   double number = 1;
   for (const PressingContact& c : contacts) number *= friction > 0 && c.sliding == 0 ? 4 : 2;
@@ -350,6 +402,9 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
           (few && TryAllGuesses(friction, allowed, inverse_mass, given, of, contacts))) {
         return Pressing::kSolved;
       }
+    }
+    if (!few && SolveAsComplementarity(friction, kExact * scale, inverse_mass, given, of, contacts)) {
+      return Pressing::kSolved;
     }
     if (!few) continue;
     const auto slides = [](const PressingContact& c) { return c.sliding != 0; };

@@ -10,8 +10,8 @@
 //
 // Projected Gauss-Seidel, in the order of the contacts, finds which contacts press, stick and slip; where it takes
 // long, as in a high stack, the forces then come from one linear system; where it goes in circles, all possibilities
-// are tried, if there are few contacts. Where all discs that touch slide, friction can wedge them in: then no forces
-// satisfy this, only an impulse that ends the sliding does.
+// are tried, if there are few contacts, or else they come by Lemke's method (lemke.h). Where all discs that touch
+// slide, friction can wedge them in: then no forces satisfy this, only an impulse that ends the sliding does.
 #pragma once
 
 #include <span>

@@ -430,6 +430,67 @@ TEST(PressingForces, OfContactsThatDependOnEachOther) {
   }
 }
 
+// Out of a pile that settles: sweeps and changes of one guess after the other go in circles.
+TEST(PressingForces, WhereGuessesGoInCircles) {
+  struct Given {
+    int a, b;
+    Vec2d normal;
+    double turning;
+    int sliding;
+  };
+  const Given given[] = {{3, -1, {0, 1}, 0, 1},
+                         {2, 3, {-0.999141147165, -0.0414363130713}, 0, 0},
+                         {3, 8, {-0.384442831425, -0.923148801313}, 0.0001673, -1},
+                         {8, 9, {-0.976050506125, -0.217544040354}, 4.1297e-05, -1},
+                         {8, 11, {0.40784879583, -0.91304948373}, 4.6645e-06, 1},
+                         {11, 13, {-0.98281718622, -0.184581630911}, 4.5968e-05, -1},
+                         {2, -1, {0, 1}, 0, 1},
+                         {7, 11, {-0.999628649801, -0.0272499999502}, 1.5909e-06, 1},
+                         {7, 12, {0.951741551797, -0.306900665662}, 3.3409e-05, -1},
+                         {10, 12, {-0.803457612871, -0.595361960759}, 3.6899e-06, -1},
+                         {4, 10, {-0.925536138173, -0.378659288723}, 1.7768e-08, -1},
+                         {5, 10, {-0.101449654262, -0.994840674505}, 8.8756e-10, 1},
+                         {4, -1, {1, 0}, 0, 0},
+                         {0, 4, {0.00281451883018, -0.999996039234}, 4.0671e-12, -1},
+                         {0, 5, {-0.838789944973, -0.544455166393}, 2.1887e-08, -1},
+                         {1, 5, {0.806563216454, -0.59114784772}, 2.4621e-08, 1},
+                         {1, 6, {-0.197074445098, -0.9803885266}, 9.0301e-05, 1},
+                         {0, -1, {0, 1}, 0, 1},
+                         {0, -1, {1, 0}, 0, -1},
+                         {1, -1, {0, 1}, 0, -1}};
+  const double friction = 0.1;
+  const std::vector<double> inverse_mass(14, 1.0);
+  std::vector<Vec2d> acceleration(14, Vec2d(0, -3e-4));
+  std::vector<PressingContact> contacts;
+  for (const Given& c : given) {
+    contacts.push_back({.a = c.a,
+                        .b = c.b,
+                        .normal = c.normal.normalized(),
+                        .mass = c.b < 0 ? 1 : 0.5,
+                        .turning = c.turning,
+                        .sliding = c.sliding});
+  }
+  ASSERT_EQ(SolvePressingForces(friction, inverse_mass, acceleration, contacts), Pressing::kSolved);
+  std::vector<Vec2d> expected(14, Vec2d(0, -3e-4));
+  for (const PressingContact& c : contacts) {
+    const Vec2d force = c.normal_force * c.normal + c.tangential_force * Perpendicular(c.normal);
+    expected[c.a] += force;
+    if (c.b >= 0) expected[c.b] -= force;
+  }
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR((expected[i] - acceleration[i]).norm(), 0, 1e-15);
+  for (const PressingContact& c : contacts) {
+    const Vec2d b = c.b >= 0 ? Vec2d(acceleration[c.a] - acceleration[c.b]) : acceleration[c.a];
+    const double apart = Dot(c.normal, b) + c.turning, bound = friction * c.normal_force;
+    EXPECT_GE(c.normal_force, 0);
+    EXPECT_GE(apart, -1e-15);
+    EXPECT_NEAR(c.normal_force * apart, 0, 1e-18);
+    EXPECT_LE(std::abs(c.tangential_force), bound + 1e-15);
+    if (c.sliding != 0) {
+      EXPECT_NEAR(c.tangential_force, -c.sliding * bound, 1e-15);
+    }
+  }
+}
+
 TEST(PressingForces, SayWhereTheyAreNotFound) {
   const std::vector<double> inverse_mass = {1};
   std::vector<Vec2d> acceleration = {Vec2d(0, std::numeric_limits<double>::quiet_NaN())};
