@@ -8,7 +8,7 @@ import pathlib
 
 from check import HERE, engines, how_to_get
 from figures import class_diagram, error_by_step, error_by_width, scans
-from task_table import task_summary, task_table
+from task_table import percent, task_summary, task_table
 from tasks import read as read_tasks
 from verdict import gradient_errors, loss_errors, of_contact, of_gradient, of_motion, relative_error
 
@@ -43,10 +43,6 @@ figure { margin: 1rem 0; max-width: 60rem; }
 """
 SHADES = {"right": "good", "consistent": "good", "converges": "good", "wrong": "bad", "wrong sign": "bad",
           "does not converge": "bad"}
-
-
-def percent(error):
-    return f"{100 * error:.2g} %" if error < 1 else f"{100 * error:.0f} %"
 
 
 def row_of(row, study, exact):

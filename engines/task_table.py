@@ -9,7 +9,7 @@ SHADES = {"right": "good", "consistent": "good", "ambiguous": "warning", "failed
 def percent(error):
     value = 100 * float(error)
     if value < 1e-3:
-        return "0 %"
+        return f"{value:.1g} %" if value > 1e-8 else "0 %"
     return f"{value:.2g} %" if value < 100 else f"{value:.0f} %" if value < 1e4 else f"{value / 100:.0f} times"
 
 
