@@ -14,8 +14,9 @@
 namespace saltus {
 namespace {
 
-constexpr size_t kTallTable = 60;  // rows from which on a table scrolls in the page,
-constexpr int kTallText = 100;     // and lines from which on a text is folded
+// Rows from which on a table scrolls in the page, and on a narrow screen; lines from which on a text is folded.
+constexpr size_t kTallTable = 40, kTallNarrowTable = 10;
+constexpr int kTallText = 100;
 
 // Escaped text with `code` set as such; a backquote without a partner stays one.
 std::string Inline(std::string_view text) {
@@ -97,7 +98,8 @@ void HtmlReport::AddLinks(const std::vector<Link>& links) {
 }
 
 void HtmlReport::AddTable(const Table& table, std::string_view caption, bool folded) {
-  const std::string tall = table.rows().size() > kTallTable ? " tall" : "";
+  const size_t rows = table.rows().size();
+  const std::string tall = rows > kTallTable ? " tall" : rows > kTallNarrowTable ? " rather-tall" : "";
   const std::string scroll = "<div class=\"scroll" + tall + "\" tabindex=\"0\">" + table.ToHtml() + "</div>";
   AddFigureElement("Table", ++tables_, caption, scroll, folded);
 }

@@ -89,7 +89,8 @@ td.good { background: var(--good-paper); color: var(--good); }
 td.warning { background: var(--warning-paper); color: var(--warning); }
 td.bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
 td.muted { color: var(--faint); }
-@media (max-width: 48rem) {
+@media screen and (max-width: 48rem) {
+  .scroll.rather-tall { max-height: 80vh; }
   table { font-size: .8rem; }
   th, td { padding: .3rem .4rem; }
   td.long { min-width: 9rem; }
