@@ -26,6 +26,8 @@ constexpr double kSameLoss = 1e-6;  // relative: the same optimum of a sequence
 constexpr double kNoLoss = 1e-12;   // in natural units: to be compared with nothing smaller
 constexpr double kProved = 1e-8;    // relative, between the best loss and a lower bound
 constexpr int kPatience = 250;      // solves after which nothing better is expected
+constexpr int kMoreStarts = 3;      // times the starts, that are tried then
+constexpr int kMorePatience = 120;  // solves after those
 constexpr int kBatch = 8;           // solves between two looks at what they found
 constexpr int kMostMended = 12;     // motions whose sequence is mended
 
@@ -69,6 +71,7 @@ class ModeSearch {
       if (MendBest()) continue;
       if (queue_.empty() || queue_.begin()->first.first > Bound()) break;
       if (solves_ - last_better_ > kPatience) {
+        if (SolveMoreStarts()) continue;
         Leave("nothing better in " + std::to_string(kPatience) + " solves");
         break;
       }
@@ -148,12 +151,33 @@ class ModeSearch {
     }
     tasks.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
     tasks.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
-    for (int i = 0; i < options_.search_options.starts; ++i) {
-      tasks.push_back(
+    if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
+    searched_.starts = 1;
+    AddStarts(0, options_.search_options.starts, &tasks);
+    SolveInBatches(std::move(tasks));
+  }
+
+  // Starts from `first` on.
+  void AddStarts(int first, int number, std::vector<SearchTask>* tasks) {
+    for (int i = first; i < first + number; ++i) {
+      tasks->push_back(
           {.kind = SearchTask::Kind::kShoot, .forces = SearchStart(scene_, options_.search_options.seed, i)});
     }
-    searched_.starts = 1 + options_.search_options.starts;
-    if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
+    searched_.starts += number;
+  }
+
+  // Once, where the search has come to a stop: from more motions. False if there are none.
+  bool SolveMoreStarts() {
+    const int starts = options_.search_options.starts;
+    if (searched_.starts != 1 + starts || starts == 0) return false;
+    std::vector<SearchTask> tasks;
+    AddStarts(starts, kMoreStarts * starts, &tasks);
+    SolveInBatches(std::move(tasks));
+    last_better_ = std::max(last_better_, solves_ - (kPatience - kMorePatience));
+    return true;
+  }
+
+  void SolveInBatches(std::vector<SearchTask> tasks) {
     for (size_t i = 0; i < tasks.size() && !end_; i += kBatch) {
       const auto begin = tasks.begin() + i, end = tasks.begin() + std::min(tasks.size(), i + kBatch);
       SolveBatch({std::make_move_iterator(begin), std::make_move_iterator(end)});

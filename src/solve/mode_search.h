@@ -12,9 +12,9 @@
 // Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
 // kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
 // loss along it (loss_bound.h) is above that.
-// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better,
-// SearchOptions, an interrupt, neighbours left out of very many (search_solve.h). Motions with more than
-// kMostImpactsOfMotion impacts are cut, and not gone on from.
+// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (at the first
+// time it goes on from kMoreStarts times as many starts), SearchOptions, an interrupt, neighbours left out of very many
+// (search_solve.h). Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
 //
 // Solves are shared out among threads in batches of one size and looked at in order, so that the answer is the same for
 // any number of threads, as long as no limit of time ends it.
