@@ -119,14 +119,16 @@ std::string TextOf(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// The problem that comes with saltus: what the network has learned, beside the law that made the recordings.
-TEST(IdentifyProgram, LearnsTheLawOfTheDropsThatAreShipped) {
+// The problem that comes with saltus: what a network has learned, beside the law that made the recordings. The more
+// units, the longer are the valleys in which a fit creeps.
+class ShippedDrops : public testing::TestWithParam<std::string> {};
+TEST_P(ShippedDrops, TeachTheirLaw) {
   const std::string folder = kDrops;
   std::string recordings;
   for (const char* number : {"1", "2", "3", "4"}) {
     recordings += (recordings.empty() ? "" : ",") + folder + "drop_" + number + ".csv";
   }
-  const Outcome outcome = RunProgram("saltus_identify --progress=none --law=network:3 --scene=" + folder +
+  const Outcome outcome = RunProgram("saltus_identify --progress=none --law=" + GetParam() + " --scene=" + folder +
                                      "drops.yaml --law_beside=" + folder + "law.csv --recording=" + recordings +
                                      " --output_dir=" + PathOf("drops"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -135,16 +137,15 @@ TEST(IdentifyProgram, LearnsTheLawOfTheDropsThatAreShipped) {
   ASSERT_TRUE(std::getline(law, line));
   EXPECT_EQ(line, "speed,sliding,restitution,standard error,friction,standard error of friction,known restitution");
   int compared = 0;
-  for (double speed, sliding, restitution, error; std::getline(law, line);) {
+  for (double speed, sliding, restitution, error; std::getline(law, line); ++compared) {
     ASSERT_EQ(std::sscanf(line.c_str(), "%lf,%lf,%lf,%lf,", &speed, &sliding, &restitution, &error), 4) << line;
     const double truth = 0.9 / (1 + 0.12 * speed);
     EXPECT_NEAR(restitution, truth, 4 * error + 2e-3) << speed;
-    const std::string known = line.substr(line.rfind(',') + 1);
-    EXPECT_NEAR(std::stod(known), truth, 2e-4);  // of straight lines between its points
-    ++compared;
+    EXPECT_NEAR(std::stod(line.substr(line.rfind(',') + 1)), truth, 2e-4);  // of straight lines between its points
   }
   EXPECT_GT(compared, 15);
 }
+INSTANTIATE_TEST_SUITE_P(IdentifyProgram, ShippedDrops, testing::Values("network:3", "network:4", "network:6"));
 
 TEST(IdentifyProgram, TheDropsAreWhatTheirProgramWrites) {
   const std::string written = PathOf("written");
