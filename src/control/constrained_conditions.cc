@@ -57,7 +57,9 @@ class ConstrainedCertifier {
       OfFixedGrid(&result);
       Judge(&result);
     }
-    if (result.IsStationary() && HasCurvature()) {
+    if (!result.IsStationary()) return result;
+    result.reason = WhyNoCurvature();
+    if (result.reason.empty()) {
       AddCurvature(&result);
       Judge(&result);
     }
@@ -326,14 +328,17 @@ class ConstrainedCertifier {
   }
 
   // Terms on the way and the final time would have a part of their own; impacts at the final time are a kink.
-  bool HasCurvature() const {
+  std::string WhyNoCurvature() const {
     const Objective& objective = scene_.objective;
-    if (objective.effort == 0 || !objective.running.empty() || !objective.via.empty() || objective.duration)
-      return false;
+    const auto with = [](const char* what) { return std::string("its curvature is not looked at with ") + what; };
+    if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
+    if (!objective.running.empty()) return with("running terms");
+    if (!objective.via.empty()) return with("via terms");
+    if (objective.duration) return with("a free duration");
     for (int k = 0; k < num_hits(); ++k) {
-      if (IsAtEnd(k)) return false;
+      if (IsAtEnd(k)) return with("an impact at the final time");
     }
-    return true;
+    return "";
   }
 
   void AddCurvature(Certificate* result) const {

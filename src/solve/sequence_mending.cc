@@ -376,7 +376,10 @@ class Mending {
     } else if (!best_ && last_ && !last_->realized) {
       *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
     }
-    if (run_.IsOutOfIterations()) return Termination::kIterationLimit;
+    if (run_.IsOutOfIterations()) {
+      if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
+      return Termination::kIterationLimit;
+    }
     if (reason->empty()) *reason = "steps have become too small";
     return Termination::kNoProgress;
   }

@@ -30,6 +30,8 @@ TEST_P(ConstrainedCertificate, AcceptsTheOptimum) {
   const Scene scene = SceneOf(GetParam(), 480);
   const Certificate certificate = CertifyReport(scene, Optimum(scene));
   EXPECT_TRUE(certificate.IsStationary()) << certificate.reason;
+  // Its curvature, or why there is none.
+  EXPECT_NE(certificate.curvature.has_value(), certificate.reason.starts_with("its curvature is not looked at"));
   ASSERT_EQ(certificate.impacts.size(), 1u);
   EXPECT_NEAR(certificate.impacts[0].time, GetParam()["impact_time"].get<double>(), 2e-5);
   EXPECT_EQ(certificate.final_time.has_value(), scene.objective.duration.has_value());
