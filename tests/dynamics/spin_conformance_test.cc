@@ -188,7 +188,7 @@ std::vector<std::string> ModelsThatSpin() {
 }
 
 INSTANTIATE_TEST_SUITE_P(Registry, EveryModelThatSpins, testing::ValuesIn(ModelsThatSpin()),
-                         [](const auto& info) { return info.param; });
+                         [](const auto& tested) { return tested.param; });
 
 TEST(SpinConformance, AllTurnButWhatSticksWhateverTouches) {
   EXPECT_EQ(ModelsThatSpin().size(), AllContactModels().size() - 1);

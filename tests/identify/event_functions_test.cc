@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "dynamics/conformance.h"
+#include "dynamics/conformance_derivatives.h"
 #include "identify/generated_problem.h"
 #include "identify/segment_motion.h"
 #include "saltus/control/objective.h"
