@@ -148,7 +148,7 @@ def test_who_knows_no_angles_refuses(spinning_ball):
     with pytest.raises(ValueError, match="spin"):
         saltus.rollout(spinning_ball, Own)
     with pytest.raises(ValueError, match="spin"):
-        saltus.rollout(spinning_ball.replace(contact={"friction": 0}), "toi_velocity")
+        saltus.rollout(spinning_ball.replace(contact={"friction": 0}), "static_lcp")
     with pytest.raises(ValueError, match="spin"):
         saltus.audit(spinning_ball, simulate=lambda scene, initial, control, dt: initial)
 
