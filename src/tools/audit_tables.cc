@@ -47,7 +47,8 @@ std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const
 
 // "consistent, order 0.98" or "wrong, error 0.89": the number that the verdict rests on.
 Cell VerdictCell(const QuantityStudy* study) {
-  if (study == nullptr || !study->IsJudged()) return {};
+  const bool failed = study != nullptr && study->levels.empty();  // in its first rollout
+  if (study == nullptr || failed || !study->IsJudged()) return {};
   char text[64];
   const char* verdict = VerdictToString(study->verdict);
   if (study->verdict == Verdict::kConsistent) {
