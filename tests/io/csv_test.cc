@@ -22,6 +22,7 @@ TEST(CsvTest, ReadsQuotesLineEndsAndMissingLastNewline) {
 TEST(CsvTest, ErrorsNameTheLine) {
   const auto message = [](std::string_view text) { return ParseCsv(text).status().message(); };
   EXPECT_EQ(message("a,b\n\"two\nlines\",1\n1\n"), "line 4: 1 fields, the header has 2");
+  EXPECT_EQ(message("a,b\r\n1,2\r\n3"), "line 3: 1 fields, the header has 2");
   EXPECT_EQ(message("a,b\n1,\"2\n"), "line 2: quote is never closed");
   EXPECT_EQ(message("a,b\n1,\"2\"3\n"), "line 2: text after a closing quote");
   EXPECT_EQ(message("a,b\n1,2\"\n"), "line 2: quote inside an unquoted field");

@@ -23,6 +23,7 @@ TEST(FormatJsonNumberTest, WritesTheDigitsAskedFor) {
   EXPECT_EQ(*FormatJsonNumber(1.0 / 3.0, kFloatDigits), "0.333333333");
   EXPECT_EQ(*FormatJsonNumber(0.1f, kFloatDigits), "0.100000001");
   EXPECT_EQ(*FormatJsonNumber(1e300), "1.0000000000000001e+300");
+  EXPECT_EQ(*FormatJsonNumber(1e20), "1e+20");
   EXPECT_EQ(*FormatJsonNumber(-2.5), "-2.5");
 }
 

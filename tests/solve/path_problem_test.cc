@@ -1,7 +1,9 @@
-// The gaps at nodes, by the forces, against differences.
+// The gaps at nodes against rollouts, and by the forces against differences.
 #include "solve/path_problem.h"
 
 #include <gtest/gtest.h>
+
+#include <cmath>
 
 #include "saltus/dynamics/registry.h"
 #include "test_scenes.h"
@@ -41,6 +43,21 @@ TEST(PathProblem, GapsAgreeWithDifferences) {
         (GapsAt(&shooting, up, arrivals).values - GapsAt(&shooting, down, arrivals).values) / (2 * kWidth);
     EXPECT_LT((slope - here.by_force.col(i)).lpNorm<Eigen::Infinity>(), 1e-7 + 1e-5 * slope.norm()) << i;
   }
+}
+
+// With other forces in the first of the two steps before the node than in the second.
+TEST(PathProblem, AGapIsWhatTheRolloutLeaves) {
+  const Scene scene = FourDiscs(0);
+  SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble));
+  std::vector<double> z = shooting.initial_guess();
+  z[2] = 300;  // N, on disc 0
+  z[6] = -200;
+  const Gaps gaps = GapsAt(&shooting, z, {{2, {0, 2, false}}});
+  ASSERT_GE(shooting.simulator().touches().front().step, 2);
+  std::vector<double> x(4 * scene.num_bodies());
+  shooting.simulator().GetState(2, x);
+  const double distance = std::hypot(x[8] - x[0], x[9] - x[1]);
+  EXPECT_NEAR(gaps.values[0], distance - scene.bodies[0].radius - scene.bodies[2].radius, 1e-13);
 }
 
 // Held on a node, an impact happens there.

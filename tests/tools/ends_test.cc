@@ -236,7 +236,9 @@ TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
   EXPECT_THAT(whole.errors, HasSubstr("audits[0]"));
   exact["intervals"] = 7;
   std::ofstream(file) << exact;
-  EXPECT_EQ(RunProgram(audit + "event --given=" + file).exit_code, 2);
+  const Outcome uneven = RunProgram(audit + "event --given=" + file);
+  EXPECT_EQ(uneven.exit_code, 2);
+  EXPECT_THAT(uneven.errors, HasSubstr("a whole number that divides the 480 steps"));
   std::filesystem::remove(file);
 }
 
