@@ -10,21 +10,12 @@
 
 #include "saltus/dynamics/registry.h"
 #include "saltus/dynamics/simulator.h"
+#include "spinning_disc.h"
 
 namespace saltus {
 namespace {
 
 constexpr double kRadius = 0.2, kMass = 1.5, kInertia = 0.5 * kMass * kRadius * kRadius;
-
-Body Disc(const char* name, double radius, double mass, const Vec2d& position, const Vec2d& velocity, double spin) {
-  return {.name = name,
-          .radius = radius,
-          .mass = mass,
-          .position = position,
-          .velocity = velocity,
-          .inertia = {Inertia::Kind::kSolid},
-          .angular_velocity = spin};
-}
 
 const Vec2d kNormal(-0.28, 0.96), kAlong(0.96, 0.28);
 
@@ -34,7 +25,7 @@ Scene DiscOnPlane(double friction, double spin, int steps = 240) {
   scene.name = "disc_on_plane";
   scene.duration = 0.5;
   scene.steps = steps;
-  scene.bodies = {Disc("a", kRadius, kMass, 0.501 * kNormal, -2 * kNormal + 1.5 * kAlong, spin)};
+  scene.bodies = {Spinning("a", kRadius, kMass, 0.501 * kNormal, -2 * kNormal + 1.5 * kAlong, spin)};
   scene.planes = {{"ground", {0, 0}, kNormal}};
   scene.contact = {.restitution = 0.8, .friction = friction, .stiffness = 1e4, .damping = 0};
   return scene;
@@ -47,8 +38,8 @@ Scene TwoDiscs(double friction, int steps = 240) {
   scene.name = "two_discs";
   scene.duration = 0.5;
   scene.steps = steps;
-  scene.bodies = {Disc("a", 0.2, 1, -0.5 * along + 0.1 * across, 2 * along, 9),
-                  Disc("b", 0.3, 3, 0.401 * along, -along, -4)};
+  scene.bodies = {Spinning("a", 0.2, 1, -0.5 * along + 0.1 * across, 2 * along, 9),
+                  Spinning("b", 0.3, 3, 0.401 * along, -along, -4)};
   scene.contact = {.restitution = 0.8, .friction = friction, .stiffness = 1e4, .damping = 0};
   return scene;
 }
@@ -138,7 +129,7 @@ TEST_P(EveryModelThatSpins, RollingWithoutSlipStays) {
   scene.gravity = {0, -9.81};
   // A barrier needs a gap.
   const double gap = traits().push_gap > 0 && traits().compliant ? 5e-3 : 0;
-  scene.bodies = {Disc("ball", 0.1, 1, {0, 0.1 + gap}, {1, 0}, -10)};
+  scene.bodies = {Spinning("ball", 0.1, 1, {0, 0.1 + gap}, {1, 0}, -10)};
   scene.planes = {{"ground", {0, 0}, {0, 1}}};
   scene.contact = {.restitution = 0, .friction = traits().friction ? 0.3 : 0, .stiffness = 1e4, .damping = 20};
   const Ends ends = Run(scene);

@@ -10,6 +10,7 @@
 #include "dynamics/conformance.h"
 #include "dynamics/conformance_derivatives.h"
 #include "identify/generated_problem.h"
+#include "identify/loss_and_gradient.h"
 #include "identify/segment_motion.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/learned_contact.h"
@@ -20,23 +21,6 @@ namespace {
 
 using testing::HasSubstr;
 using Kind = Unknown::Kind;
-
-struct LossAndGradient {
-  double loss = 0;
-  Sensitivity gradient;
-};
-LossAndGradient Evaluate(const Contact& contact, const Scene& scene) {
-  LossAndGradient out;
-  const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
-  EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
-      << simulator->WhyFailed();
-  std::vector<double> end(simulator->state_size()), cotangent(end.size());
-  simulator->GetState(simulator->num_steps(), end);
-  out.loss = TerminalLoss(scene.objective, end, 4);
-  TerminalGradient(scene.objective, end, 4, cotangent);
-  simulator->Adjoint(cotangent, true, &out.gradient);
-  return out;
-}
 
 // The values of tasks 1 and 2, from closed forms.
 TEST(EventFunctions, TrueOnesAreExact) {

@@ -14,22 +14,13 @@
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
+#include "spinning_disc.h"
 #include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using ::testing::HasSubstr;
-
-Body Spinning(const char* name, double radius, double mass, const Vec2d& position, const Vec2d& velocity, double spin) {
-  return {.name = name,
-          .radius = radius,
-          .mass = mass,
-          .position = position,
-          .velocity = velocity,
-          .inertia = {Inertia::Kind::kSolid},
-          .angular_velocity = spin};
-}
 
 // Two discs that meet, and a wall.
 Scene Pair() {
