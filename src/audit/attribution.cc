@@ -221,7 +221,7 @@ const char* BlockToString(Block block) {
 Attribution AttributeError(const Contact& contact, const Scene& given, const StopRequest& stop) {
   Attribution refused;
   refused.reason = WhyNotApplicable(contact, given);
-  if (refused.ok() && given.Spins()) refused.reason = "discs that spin: errors are traced to impacts that turn nothing";
+  if (refused.ok() && given.Spins()) refused.reason = "errors are not traced to the impacts of discs that spin";
   if (!refused.ok()) return refused;
   const Scene scene = InNaturalUnits(given);
   Attribution own = Attributor(contact, scene, stop).Run();
