@@ -46,6 +46,10 @@ inline Scene Rescaled(Scene scene, const Rescaling& by) {
     move(&arc.center);
     arc.radius *= by.length;
   }
+  for (Pocket& pocket : scene.pockets) {
+    move(&pocket.position);
+    pocket.radius *= by.length;
+  }
   if (scene.table) scene.table->gravity *= by.acceleration();
   scene.contact.stiffness *= by.force() / by.length;
   scene.contact.damping *= by.force() / by.speed();

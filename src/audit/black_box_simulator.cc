@@ -234,7 +234,7 @@ std::string WhyNot(BlackBox* box, const Scene& scene, int grid_steps) {
 
 BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
   BlackBoxTraits traits = box->Describe(scene);
-  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+  if (const std::string beyond = BeyondPlainDiscs(scene); !beyond.empty()) {
     traits.not_applicable = "the scene has " + beyond + "; black boxes are audited with discs and planes";
   }
   return traits;

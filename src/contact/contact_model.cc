@@ -8,6 +8,8 @@ const char* ContactModeToString(ContactMode mode) {
       return "slip";
     case ContactMode::kStick:
       return "stick";
+    case ContactMode::kPocketed:
+      return "pocketed";
     case ContactMode::kFrictionless:
       break;
   }

@@ -47,6 +47,10 @@
 //   slides off the end of one leaves it there: onto the next, around the end, or freely.
 // Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as
 //   sustained, of the disc and the table. There is no force on it then, and no contact that lasts.
+// Pockets. A disc whose centre comes to the rim of a pocket, to kSeam, is out of play: what it pressed against is let
+//   go, and it lies there at rest and touches nothing, whatever forces there are. As it came there with velocity v, at
+//   a normal n, its place varies by (1 - v n^T / (n.v)) dp, and its velocity not at all. Reported as sustained, in the
+//   mode kPocketed, again in every step.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed (with
 //   all that they touch), or passes if it parts before the gap is -kContactGap. kGrazing if alone; the derivative is of
 //   the side on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.

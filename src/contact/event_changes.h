@@ -30,7 +30,8 @@ class EventChanges : protected EventQueue<T, kRotation> {
  protected:
   using Discs = EventQueue<T, kRotation>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::ForEachPairOf, Discs::Moves, Discs::CandidateOf,
-      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::Report, Discs::Slide, Discs::SlideOn, Discs::impacts_;
+      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::Report, Discs::Slide, Discs::SlideOn, Discs::impacts_,
+      Discs::pocketed_energy_;
   using typename Discs::State, typename Discs::Disc;
 
   EventChanges(const StepInput<T>& in, const Law& law, std::span<const State> x) : Discs(in, x), law_(law) {}
@@ -78,6 +79,24 @@ class EventChanges : protected EventQueue<T, kRotation> {
     MoveTo(i, time);
     discs_[i].v = Vec2<T>(T(0.0), T(0.0));
     Slide(i);
+  }
+
+  // The disc of pair q falls into its pocket: what it pressed against is let go, and it rests where it is.
+  void TakeOut(int q, const T& time) {
+    const Candidate& c = CandidateOf(q);
+    const T none(0.0);
+    Disc& disc = discs_[c.a];
+    disc.out = true;
+    Release(c.a, time);
+    const BodyConstants<T>& body = in_.bodies[c.a];
+    pocketed_energy_ += 0.5 * Value(body.mass) * Value(T(Dot(disc.v, disc.v)));
+    disc.v = disc.a = Vec2<T>(none, none);
+    if constexpr (kRotation == kSpin) {
+      const double speed = Value(disc.turn.speed), inverse = Value(body.inverse_inertia);
+      if (inverse > 0) pocketed_energy_ += 0.5 * speed * speed / inverse;
+      disc.turn.speed = disc.turn.acceleration = none;
+    }
+    Report(c, ContactMode::kPocketed, time, ContactKind::kSustained);
   }
 
   // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those

@@ -49,7 +49,8 @@ struct EventDisc {
   Vec2<T> p, v, a;  // at t; a holds from t on
   bool moved = false, reported = false;
   bool dirty = false;
-  int order = 0;  // number of its last event
+  bool out = false;  // in a pocket
+  int order = 0;     // number of its last event
   int impacts = 0;
   double arc_end = kNever;  // s, until when `a` is to hold, for discs that move around each other
   [[no_unique_address]] DiscTurn<T, kRotation> turn = {};

@@ -69,6 +69,15 @@ class EventMotion {
   bool Moves(int i) const { return !in_.bodies[i].fixed; }
   const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
   bool IsTable(const Candidate& c) const { return c.plane && c.b == in_.table; }
+  bool IsPocket(const Candidate& c) const { return in_.num_pockets > 0 && in_.IsPocket(c); }
+  // Whether a disc of the pair is out of play.
+  bool IsOut(const Candidate& c) const {
+    return in_.num_pockets > 0 && (discs_[c.a].out || (!c.plane && discs_[c.b].out));
+  }
+  // Whether the disc of a pair with a pocket is in it at the start of the step: it has come to the rim, or was taken.
+  bool LiesIn(const Candidate& c) const {
+    return IsPocket(c) && Separate<double>(ValueOf(start_[c.a].p, start_[c.a].v).p, in_.planes[c.b]).distance <= kSeam;
+  }
   int num_pairs() const { return static_cast<int>(pairs_.size()); }
   bool IsDirty(int q) const {
     const Candidate& c = CandidateOf(q);
@@ -147,13 +156,19 @@ class EventMotion {
     const Disc& disc = discs_[i];
     return ValueOf(disc.p, disc.v, disc.a).After(time - Value(disc.t));
   }
-  // The gap is infinite where a part of an edge does not count; its polynomial still is the part's.
+  // The gap is infinite where a part of an edge does not count, of a pocket, which nothing touches, and of what is out
+  // of play; its polynomial still is the part's.
   template <typename MotionOf>
   Approach Measure(const Candidate& c, const MotionOf& motion) const {
-    if (!c.plane) return MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
-    const Motion a = motion(c.a);
-    Approach approach = MeasureApproach(a, in_.planes[c.b], in_.ContactDistance(c));
-    if (IsEdge(c) && !CountsAt(c, a.p)) approach.gap = kNever;
+    Approach approach;
+    if (!c.plane) {
+      approach = MeasureApproach(motion(c.a), motion(c.b), in_.ContactDistance(c));
+    } else {
+      const Motion a = motion(c.a);
+      approach = MeasureApproach(a, in_.planes[c.b], in_.ContactDistance(c));
+      if (IsEdge(c) && !CountsAt(c, a.p)) approach.gap = kNever;
+    }
+    if (IsPocket(c) || IsOut(c)) approach.gap = kNever;
     return approach;
   }
   bool IsEdge(const Candidate& c) const { return c.plane && !in_.extents.empty() && !in_.extents[c.b].endless; }
@@ -244,6 +259,15 @@ class EventMotion {
     return time - Divide(T(sliding - Value(sliding)), Value(change));
   }
 
+  // Likewise for the time at which a disc comes to a pocket.
+  T PocketTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Separation<T> at = SeparationAtTime(c, time);
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    if (speed >= -kSharpSpeed) return time;
+    return time - Divide(T(at.distance - Value(at.distance)), speed);
+  }
+
   // Likewise for the time at which a disc has slid off an edge.
   T LeavingTime(const Candidate& c, double predicted) const {
     const T time(predicted);
@@ -259,7 +283,7 @@ class EventMotion {
 
   // On a table disc i slows against its velocity as it is now, or rests.
   void Slide(int i) {
-    if (in_.table < 0 || !Moves(i)) return;
+    if (in_.table < 0 || !Moves(i) || discs_[i].out) return;
     Disc& disc = discs_[i];
     const T speed = Length(disc.v);
     const bool slides = Value(speed) > 0;
@@ -305,7 +329,7 @@ class EventMotion {
   // What no motion of rigid discs does, and this one has done by the end of the step; empty if nothing. Contacts that
   // last are followed to thresholds, and now and then in a crowd these are not enough.
   std::string_view WhatIsWrong() const {
-    double gain = 0, energy = 0;
+    double gain = pocketed_energy_, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {
       if (!discs_[i].moved || !Moves(static_cast<int>(i))) continue;
       const Motion before = ValueOf(start_[i].p, start_[i].v), after = MotionAt(static_cast<int>(i), in_.h);
@@ -335,6 +359,7 @@ class EventMotion {
   std::span<const State> start_;
   std::pmr::vector<Disc> discs_;
   std::pmr::vector<Pair> pairs_;
+  double pocketed_energy_ = 0;  // J, that discs had as they fell into pockets
 
  private:
   // Lists of so few would cost more than looking at them all.

@@ -14,9 +14,9 @@ template <typename T, int kRotation>
 class EventQueue : protected EventMotion<T, kRotation> {
  protected:
   using Discs = EventMotion<T, kRotation>;
-  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::CandidateOf, Discs::IsTable, Discs::LastTime,
-      Discs::LastDisc, Discs::ApproachAt, Discs::FirstClosingOf, Discs::TouchesAlone, Discs::LeavingTime,
-      Discs::StopTime, Discs::ImpactTime, Discs::SlowTime, Discs::Moves;
+  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::CandidateOf, Discs::IsTable, Discs::IsPocket,
+      Discs::IsOut, Discs::PocketTime, Discs::LastTime, Discs::LastDisc, Discs::ApproachAt, Discs::FirstClosingOf,
+      Discs::TouchesAlone, Discs::LeavingTime, Discs::StopTime, Discs::ImpactTime, Discs::SlowTime, Discs::Moves;
   using typename Discs::State, typename Discs::Pair;
 
   EventQueue(const StepInput<T>& in, std::span<const State> x)
@@ -43,6 +43,10 @@ class EventQueue : protected EventMotion<T, kRotation> {
     if (pair.held) return;
     pair.waits = false;
     const Candidate& c = CandidateOf(q);
+    if (IsOut(c)) {
+      pair.next = kNever;
+      return;
+    }
     if (IsTable(c)) {
       const double speed = Value(Length(discs_[c.a].v));
       pair.next = speed > 0 && in_.slowing > 0 ? Value(discs_[c.a].t) + speed / in_.slowing : kNever;
@@ -50,6 +54,12 @@ class EventQueue : protected EventMotion<T, kRotation> {
     }
     const double now = Value(LastTime(c));
     Approach approach = ApproachAt(c, now);
+    if (IsPocket(c)) {
+      const std::span<const double> wait =
+          in_.Solved([&] { return std::array{FirstClosing(approach.polynomial, LeftAfter(now))}; });
+      pair.next = now + wait[0];
+      return;
+    }
     bool ignore_start = false;
     if (approach.Touching(SlowSpeed(q, now))) {
       const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
@@ -71,6 +81,7 @@ class EventQueue : protected EventMotion<T, kRotation> {
   T EventTime(int q) const {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
+    if (IsPocket(c)) return PocketTime(c, time);
     if (pairs_[q].held && pairs_[q].leaving) return LeavingTime(c, time);
     if (pairs_[q].held) return pairs_[q].stopping ? StopTime(c, time) : T(time);
     const Approach approach = ApproachAt(c, time);

@@ -29,6 +29,7 @@ struct Start {
       if (body.Spins()) bodies.back().inverse_inertia = 1 / body.MomentOfInertia();
     }
     for (WallPart& part : WallPartsOf(scene)) {
+      if (part.pocket && in.num_pockets++ == 0) in.first_pocket = static_cast<int>(planes.size());
       planes.push_back(part.wall);
       extents.push_back(std::move(part.extent));
     }
@@ -76,6 +77,7 @@ struct Start {
   void FindTouching() {
     const int n = static_cast<int>(bodies.size());
     const auto add = [&](const Candidate& c) {
+      if (in.IsPocket(c)) return;
       if (c.plane && !extents[c.b].Covers(discs[c.a].p, internal::kSeam)) return;
       const double gap = Measure(c).gap;
       const bool behind = c.plane && !extents[c.b].endless && gap <= -bodies[c.a].radius;

@@ -33,7 +33,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
   // True if some pair may touch within the step.
   bool AnythingMayHappen() const {
     for (const Candidate& c : in_.candidates) {
-      if (IsTable(c)) return true;
+      if (IsTable(c) || LiesIn(c)) return true;
       if (!StaysApart(ApproachAt(c, 0).polynomial, in_.h)) return true;
     }
     return false;
@@ -41,6 +41,10 @@ class EventStep : private EventChanges<T, kRotation, Law> {
 
   // GCC 12 cannot flatten it as a whole.
   [[gnu::noinline]] void Run() {
+    for (int q = 0; in_.num_pockets > 0 && q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      if (LiesIn(c) && !IsOut(c)) TakeOut(q, PocketTime(c, 0));
+    }
     for (int i = 0; in_.table >= 0 && i < static_cast<int>(discs_.size()); ++i) Slide(i);
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
@@ -81,9 +85,10 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       Discs::ForEachPairBeside, Discs::TouchesAlone, Discs::Moves, Discs::CandidateOf, Discs::LastRelativeVelocity,
       Discs::LastSeparation, Discs::MotionAt, Discs::ApproachAt, Discs::LastTime, Discs::LastDisc, Discs::TimeInStep,
       Discs::Report, Discs::ImpactTime, Discs::SlowTime, Discs::StopClosing, Discs::FirstClosingOf, Discs::TimeOnEdge,
-      Discs::IsTable, Discs::Slide, Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime,
-      Discs::SlowSpeed, Discs::impacts_, Discs::Fail, Discs::MoveTo, Discs::Release, Discs::Stop, Discs::Impact,
-      Discs::order_, Discs::inelastic_, Discs::failed_;
+      Discs::IsTable, Discs::IsPocket, Discs::IsOut, Discs::LiesIn, Discs::PocketTime, Discs::TakeOut, Discs::Slide,
+      Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime, Discs::SlowSpeed,
+      Discs::impacts_, Discs::Fail, Discs::MoveTo, Discs::Release, Discs::Stop, Discs::Impact, Discs::order_,
+      Discs::inelastic_, Discs::failed_;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -99,6 +104,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     const Candidate& c = CandidateOf(q);
     const double time = pairs_[q].next;
     if (IsTable(c)) return Stop(c.a);
+    if (IsPocket(c)) return TakeOut(q, EventTime(q));
     if (pairs_[q].held && pairs_[q].leaving) return Release(c.a, EventTime(q));
     if (pairs_[q].held) return Settle(q, EventTime(q));
     const Approach approach = ApproachAt(c, time);

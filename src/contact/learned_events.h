@@ -43,8 +43,8 @@ struct LearnedEvents {
         slot_units{1, units.force() / units.length, units.force() / units.speed()} {}
 
   static std::string WhyNot(const Scene& scene) {
-    if (scene.table || !scene.segments.empty() || !scene.polygons.empty() || !scene.arcs.empty()) {
-      return "walls that end, or a table: event functions are those of planes";
+    if (scene.table || scene.HasEdges() || !scene.pockets.empty()) {
+      return "walls that end, pockets, or a table: event functions are those of planes";
     }
     return "";
   }

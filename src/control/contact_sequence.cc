@@ -76,8 +76,14 @@ ContactSequence AllPairs(const Scene& scene) {
 
 std::string BeyondPlanes(const Scene& scene) {
   if (scene.HasEdges()) return "walls that end (segments, polygons or arcs)";
+  if (!scene.pockets.empty()) return "pockets that discs fall into";
   if (scene.table) return "a table that discs slide on";
-  return scene.Spins() ? "discs that spin" : "";
+  return "";
+}
+
+std::string BeyondPlainDiscs(const Scene& scene) {
+  const std::string beyond = BeyondPlanes(scene);
+  return beyond.empty() && scene.Spins() ? "discs that spin" : beyond;
 }
 
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence) {

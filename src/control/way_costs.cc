@@ -42,7 +42,7 @@ class ExactWayCosts final : public WayCosts {
   std::string Update(const Simulator& simulator, std::span<const double> initial,
                      std::span<const double> control) override {
     scene_ = simulator.scene();
-    if (const std::string beyond = BeyondPlanes(scene_); !beyond.empty()) {
+    if (const std::string beyond = BeyondPlainDiscs(scene_); !beyond.empty()) {
       return "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
     }
     ExactRun run;

@@ -178,8 +178,9 @@ void BroadPhase::ListNearWalls(double near_gap) {
 void BroadPhase::ListNearParts(int i) {
   Around& around = around_[i];
   const double touching = discs_[i].radius + options_.push_gap + reach_[i];
-  if (LeastUnlistedDistance(i) > touching) return;
+  // Well before the list ends: otherwise, of many discs, one list always ends soon, and all are looked at again.
   const double skin = std::max(4 * reach_[i], discs_[i].radius);
+  if (LeastUnlistedDistance(i) > touching + 0.5 * skin) return;
   around.near = parts_.num_parts() <= options_.all_pairs ? kInfinity : touching + skin;
   around.listed_at = now_[i].p;
   parts_.FindNear(now_[i].p, around.near, &around.parts);
@@ -202,6 +203,7 @@ void BroadPhase::CollectParts(int i, std::vector<Candidate>* candidates) {
 
 bool BroadPhase::MayCount(int i, int p) const {
   const WallPart& part = walls_[p];
+  if (part.pocket) return true;
   const Vec2d& x = now_[i].p;
   const bool in_front = Separate<double>(x, part.wall).distance >= 0;
   if (!options_.all_parts) return in_front && part.extent.Covers(x);

@@ -149,6 +149,13 @@ EdgeArc SceneReader::ReadArc(const Value& value) {
           ReadNumber(fields.Require("to", "the angle in rad where it ends"))};
 }
 
+Pocket SceneReader::ReadPocket(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "position", "radius"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("position", "the position [x, y] of the centre in m")),
+          ReadNumber(fields.Require("radius", "the radius in m"))};
+}
+
 TableFriction SceneReader::ReadTable(const Value& value) {
   const Fields fields = ReadFields(value, {"friction", "gravity"});
   TableFriction table;
@@ -310,6 +317,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
                                     "segments",
                                     "polygons",
                                     "arcs",
+                                    "pockets",
                                     "table",
                                     "contact",
                                     "control",
@@ -334,6 +342,9 @@ Scene SceneReader::Read(const YAML::Node& root) {
   }
   if (const Value* arcs = fields.Find("arcs")) {
     for (const Value& one : ReadList(*arcs, "a list of arcs")) scene_.arcs.push_back(ReadArc(one));
+  }
+  if (const Value* pockets = fields.Find("pockets")) {
+    for (const Value& one : ReadList(*pockets, "a list of pockets")) scene_.pockets.push_back(ReadPocket(one));
   }
   if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
   if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);

@@ -43,6 +43,7 @@ class SceneReader {
   EdgeSegment ReadSegment(const Value& value);
   EdgePolygon ReadPolygon(const Value& value);
   EdgeArc ReadArc(const Value& value);
+  Pocket ReadPocket(const Value& value);
   TableFriction ReadTable(const Value& value);
   ContactParameters ReadContact(const Value& value);
   std::vector<double> ReadBounds(const Value& value, size_t count);

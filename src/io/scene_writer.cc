@@ -91,6 +91,14 @@ void WriteArc(YAML::Emitter* out, const Scene&, const EdgeArc& arc) {
   *out << YAML::EndMap;
 }
 
+void WritePocket(YAML::Emitter* out, const Scene&, const Pocket& pocket) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteField(out, "name", pocket.name);
+  WriteField(out, "position", pocket.position);
+  WriteField(out, "radius", pocket.radius);
+  *out << YAML::EndMap;
+}
+
 void WriteTable(YAML::Emitter* out, const TableFriction& table) {
   *out << YAML::Key << "table" << YAML::Value << YAML::Flow << YAML::BeginMap;
   WriteField(out, "friction", table.friction);
@@ -232,6 +240,7 @@ std::string WriteScene(const Scene& scene) {
   WriteTerms(&out, "segments", scene, scene.segments, WriteSegment);
   WriteTerms(&out, "polygons", scene, scene.polygons, WritePolygon);
   WriteTerms(&out, "arcs", scene, scene.arcs, WriteArc);
+  WriteTerms(&out, "pockets", scene, scene.pockets, WritePocket);
   if (scene.table) WriteTable(&out, *scene.table);
   WriteContact(&out, scene.contact);
   if (scene.num_controlled() > 0) WriteControl(&out, scene);

@@ -69,6 +69,7 @@ class Rules {
     CheckSegments();
     CheckPolygons();
     CheckArcs();
+    CheckPockets();
     CheckTable();
     CheckContact();
     CheckControl();
@@ -232,6 +233,15 @@ class Rules {
       Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), At("arcs", i, "to"), [&] {
         return "found " + ToText(arc.to) + " rad, expected more than from, by at most a full turn";
       });
+    }
+  }
+
+  void CheckPockets() {
+    for (std::size_t i = 0; i < scene_.pockets.size() && !error_; ++i) {
+      const Pocket& pocket = scene_.pockets[i];
+      UniqueName(At("pockets", i, "name"), pocket.name);
+      Vector(At("pockets", i, "position"), pocket.position);
+      Number(At("pockets", i, "radius"), pocket.radius, kPositive);
     }
   }
 

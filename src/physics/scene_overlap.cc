@@ -23,6 +23,7 @@ class OverlapSearch {
     for (std::size_t i = 0; i < scene_.bodies.size(); ++i) {
       for (std::size_t j = 0; j < i && !error_; ++j) CheckApart(i, j);
       for (std::size_t j = 0; j < scene_.planes.size() && !error_; ++j) CheckAbove(i, j);
+      for (std::size_t j = 0; j < scene_.pockets.size() && !error_; ++j) CheckOutside(i, j);
       if (error_) return error_;
     }
     if (scene_.HasEdges()) CheckEdges();
@@ -57,13 +58,23 @@ class OverlapSearch {
     Overlap(i, Path("planes", j, plane.name), body.radius - height);
   }
 
+  void CheckOutside(std::size_t i, std::size_t j) {
+    const Body& body = scene_.bodies[i];
+    const Pocket& pocket = scene_.pockets[j];
+    if (body.fixed) return;
+    const Vec2d apart = body.position - pocket.position;
+    if (std::hypot(apart[0], apart[1]) > pocket.radius) return;
+    Refuse(i,
+           "found a point in the pocket " + pocket.name + ", expected one outside it: there the disc is out of play");
+  }
+
   void CheckEdges() {
     const std::vector<WallPart> parts = WallPartsOf(scene_);
     for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
       const Body& body = scene_.bodies[i];
       if (body.fixed) continue;
       for (std::size_t p = scene_.planes.size(); p < parts.size(); ++p) {
-        if (!parts[p].extent.Covers(body.position)) continue;
+        if (parts[p].pocket || !parts[p].extent.Covers(body.position)) continue;
         Overlap(i, parts[p].name, body.radius - parts[p].LeastDistance(body.position));
       }
       for (const EdgePolygon& polygon : scene_.polygons) {

@@ -37,7 +37,7 @@ bool IsPositionTarget(const TerminalTerm& term) {
   return term.quantity == TerminalTerm::Quantity::kPosition && !term.component;
 }
 
-// Calls visit(point) for points that the scene's segments, polygons and arcs do not leave.
+// Calls visit(point) for points that the scene's segments, polygons, arcs and pockets do not leave.
 template <typename Visit>
 void VisitEdges(const Scene& scene, const Visit& visit) {
   for (const EdgeSegment& segment : scene.segments) {
@@ -49,6 +49,9 @@ void VisitEdges(const Scene& scene, const Visit& visit) {
   }
   for (const EdgeArc& arc : scene.arcs) {
     for (const double side : {-arc.radius, arc.radius}) visit(Vec2d(arc.center + Vec2d(side, side)));
+  }
+  for (const Pocket& pocket : scene.pockets) {
+    for (const double side : {-pocket.radius, pocket.radius}) visit(Vec2d(pocket.position + Vec2d(side, side)));
   }
 }
 
@@ -240,6 +243,10 @@ Scene InUnits(const Scene& scene, const Units& units) {
   for (EdgeArc& arc : out.arcs) {
     convert_position(&arc.center);
     arc.radius *= by.length;
+  }
+  for (Pocket& pocket : out.pockets) {
+    convert_position(&pocket.position);
+    pocket.radius *= by.length;
   }
   if (out.table) out.table->gravity *= by.acceleration;
   out.contact.stiffness *= by.force / by.length;

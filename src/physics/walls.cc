@@ -22,6 +22,7 @@ class PartsOfScene {
       parts_.push_back({{normal, Dot(normal, plane.point)}, {}, plane.name});
     }
     if (scene.table) AddTable();
+    for (const Pocket& pocket : scene.pockets) AddPocket(pocket);
     for (const EdgeSegment& segment : scene.segments) AddSegment(segment);
     for (const EdgePolygon& polygon : scene.polygons) AddPolygon(polygon);
     for (const EdgeArc& arc : scene.arcs) AddArc(arc);
@@ -72,6 +73,13 @@ class PartsOfScene {
     WallPart table{.name = "table", .table = true};
     table.wall.offset = -std::numeric_limits<double>::infinity();
     parts_.push_back(std::move(table));
+  }
+
+  void AddPocket(const Pocket& pocket) {
+    parts_.push_back({.wall = {.side = 1, .center = pocket.position, .radius = pocket.radius},
+                      .extent = {.endless = false},
+                      .name = pocket.name,
+                      .pocket = true});
   }
 
   void AddSegment(const EdgeSegment& segment) {

@@ -31,6 +31,10 @@ Outline OutlineOf(const EdgeArc& arc) {
   return outline;
 }
 
+Outline OutlineOf(const Pocket& pocket) {
+  return OutlineOf(EdgeArc{pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
+}
+
 }  // namespace
 
 std::vector<Outline> OutlinesOf(const Scene& scene) {
@@ -38,6 +42,7 @@ std::vector<Outline> OutlinesOf(const Scene& scene) {
   for (const EdgeSegment& segment : scene.segments) outlines.push_back(OutlineOf(segment));
   for (const EdgePolygon& polygon : scene.polygons) outlines.push_back(OutlineOf(polygon));
   for (const EdgeArc& arc : scene.arcs) outlines.push_back(OutlineOf(arc));
+  for (const Pocket& pocket : scene.pockets) outlines.push_back(OutlineOf(pocket));
   return outlines;
 }
 

@@ -1,4 +1,4 @@
-// Segments, polygons and arcs of a scene as lines to draw.
+// Segments, polygons, arcs and pockets of a scene as lines to draw.
 #pragma once
 
 #include <vector>

@@ -161,6 +161,8 @@ polygons:
   - {name: room, points: [[-9, -9], [9, -9], [9, 9], [-9, 9]], solid: outside}
 arcs:
   - {name: corner, center: [3, 0], radius: 1, from: 0, to: 1.5}
+pockets:
+  - {name: hole, position: [8, 8], radius: 0.2}
 table: {friction: 0.1}
 )";
   const Scene scene = SceneOf(ParseScene(head + edges, "edges.yaml"));
@@ -171,6 +173,8 @@ table: {friction: 0.1}
   EXPECT_EQ(scene.polygons[1].solid, EdgePolygon::Solid::kOutside);
   ASSERT_EQ(scene.arcs.size(), 1u);
   EXPECT_EQ(scene.arcs[0], (EdgeArc{"corner", {3, 0}, 1, 0, 1.5}));
+  ASSERT_EQ(scene.pockets.size(), 1u);
+  EXPECT_EQ(scene.pockets[0], (Pocket{"hole", {8, 8}, 0.2}));
   ASSERT_TRUE(scene.table);
   EXPECT_EQ(*scene.table, (TableFriction{0.1, 9.81}));
   EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written.yaml")), scene);
@@ -182,6 +186,9 @@ table: {friction: 0.1}
   EXPECT_EQ(key_of("polygons: [{name: p, points: [[0, 0], [1, 0]], solid: inside}]"), "polygons[0].points");
   EXPECT_EQ(key_of("polygons: [{name: p, points: 5, solid: inside}]"), "polygons[0].points");
   EXPECT_EQ(key_of("arcs: [{name: a, center: [0, 0], radius: 1, from: 1, to: 0}]"), "arcs[0].to");
+  EXPECT_EQ(key_of("pockets: [{name: hole, position: [8, 8]}]"), "pockets[0].radius");
+  EXPECT_EQ(key_of("pockets: [{name: hole, position: [8, 8], radius: 0}]"), "pockets[0].radius");
+  EXPECT_EQ(key_of("pockets: [{name: hole, position: [0, 5], radius: 1}]"), "bodies[0].position");
   EXPECT_EQ(key_of("table: 0.1"), "table");
   EXPECT_EQ(key_of("table: {gravity: 9.81}"), "table.friction");
 }
@@ -281,6 +288,7 @@ TEST(WriteScene, RoundTripsEveryKeyAndEveryProblem) {
                            "back_spin",
                            "bank_shot",
                            "carrom_gate",
+                           "carrom_pot",
                            "ground_wall_spin"}) {
     SCOPED_TRACE(name);
     const Scene scene = SceneOf(LoadSceneFile(ProblemPath(name)));

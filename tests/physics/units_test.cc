@@ -14,6 +14,7 @@ Scene FourDiscsAmongEdges() {
   scene.segments = {{"segment", {-2, -1.5}, {2, -1.25}}};
   scene.polygons = {{"polygon", {{-3, -3}, {3, -3}, {0, -2}}, EdgePolygon::Solid::kInside}};
   scene.arcs = {{"arc", {0, 0}, 4, 0.5, 2.5}};
+  scene.pockets = {{"pocket", {3, 3}, 0.25}};
   scene.table = TableFriction{.friction = 0.1};
   return scene;
 }

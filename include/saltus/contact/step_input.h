@@ -57,7 +57,8 @@ struct Candidate {
   friend bool operator==(const Candidate&, const Candidate&) = default;
 };
 
-enum class ContactMode { kFrictionless, kSlip, kStick };
+// kPocketed: a disc has fallen into a pocket, and is out of play.
+enum class ContactMode { kFrictionless, kSlip, kStick, kPocketed };
 const char* ContactModeToString(ContactMode mode);
 
 // An impact changes velocities at once; a sustained contact presses for a while; a grazing one is so slow that the
@@ -101,6 +102,7 @@ struct StepInput {
   // Of the walls, for event-driven models only.
   std::span<const WallExtent> extents = {};  // where each of them counts, if given
   int table = -1;                            // which of them is the table that discs slide on; -1: none
+  int first_pocket = 0, num_pockets = 0;     // which of them are pockets
   S slowing = S(0);                          // m/s^2, by which it slows them
   std::span<const T> torque = {};            // N m, on the discs; none if empty
 
@@ -145,8 +147,13 @@ struct StepInput {
   }
   // Angular acceleration of disc i by its torque, rad/s^2; zero if it does not spin.
   T AngularAcceleration(int i) const { return torque.empty() ? T(S(0)) : T(torque[i] * bodies[i].inverse_inertia); }
-  // Distance of the centres (or of centre and plane) at which the two touch, m.
-  S ContactDistance(const Candidate& c) const { return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius); }
+  bool IsPocket(const Candidate& c) const { return c.plane && c.b >= first_pocket && c.b < first_pocket + num_pockets; }
+  // Distance of the centres (or of centre and plane) at which the two touch, m; from a pocket, at which it takes the
+  // disc.
+  S ContactDistance(const Candidate& c) const {
+    if (num_pockets > 0 && IsPocket(c)) return S(0);
+    return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius);
+  }
   T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
   T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
   // 1 / (1/m_a + 1/m_b), kg.

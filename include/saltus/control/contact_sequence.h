@@ -29,5 +29,7 @@ ContactSequence AllPairs(const Scene& scene);
 // What discs meet or lie on in `scene` that is neither disc nor plane, which is all that sequences, closed forms and
 // conditions of optimality know; empty if there is nothing.
 std::string BeyondPlanes(const Scene& scene);
+// The same, or discs that spin: for what knows only those that do not.
+std::string BeyondPlainDiscs(const Scene& scene);
 
 }  // namespace saltus

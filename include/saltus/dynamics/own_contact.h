@@ -27,6 +27,9 @@ std::string WhyModelNotApplicable(const Scene& scene) {
   if (!M::kTraits.event_driven && scene.table) {
     return "discs slide on a table: this model has no friction with what they lie on";
   }
+  if (!M::kTraits.event_driven && !scene.pockets.empty()) {
+    return "discs fall into pockets: this model has no time at which they do";
+  }
   if (scene.Spins()) {
     if constexpr (requires { typename M::Spinning; }) return WhyModelNotApplicable<typename M::Spinning>(scene);
     if constexpr (M::kRotation != kSpin) return "discs that spin: this model does not turn them";

@@ -201,6 +201,8 @@ class IslandDerivative {
     jets_.planes = in.planes;
     jets_.extents = in.extents;
     jets_.table = in.table;
+    jets_.first_pocket = in.first_pocket;
+    jets_.num_pockets = in.num_pockets;
     jets_.slowing = in.slowing;
     jets_.force = force_;
     jets_.candidates = in.candidates;
@@ -278,6 +280,8 @@ class IslandDerivative {
                                  .solved = in.solved,
                                  .extents = in.extents,
                                  .table = in.table,
+                                 .first_pocket = in.first_pocket,
+                                 .num_pockets = in.num_pockets,
                                  .slowing = in.slowing,
                                  .torque = torque};
     if (in.solved != nullptr) in.solved->Rewind();

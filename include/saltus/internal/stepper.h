@@ -165,6 +165,8 @@ class Stepper {
             .tie_order = tie_order_,
             .extents = scene_.extents,
             .table = scene_.table,
+            .first_pocket = scene_.first_pocket,
+            .num_pockets = scene_.num_pockets,
             .slowing = scene_.slowing};
   }
 

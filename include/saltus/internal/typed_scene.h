@@ -34,6 +34,7 @@ struct TypedScene {
       planes.push_back({wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius)});
       extents.push_back(part.extent);
       if (part.table) table = static_cast<int>(wall_parts.size());
+      if (part.pocket && num_pockets++ == 0) first_pocket = static_cast<int>(wall_parts.size());
       wall_parts.push_back(std::move(part));
     }
   }
@@ -47,6 +48,8 @@ struct TypedScene {
   std::vector<char> fixed;  // of each disc
   std::vector<Wall<S>> planes;
   int table = -1;                    // which of these is the table
+  int first_pocket = 0;              // where its pockets begin among them, ...
+  int num_pockets = 0;               // ... and how many there are
   S slowing = S(0);                  // m/s^2, of discs that slide on it
   std::vector<WallExtent> extents;   // of each of these
   std::vector<WallPart> wall_parts;  // the same, not rounded

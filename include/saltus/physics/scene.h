@@ -51,7 +51,7 @@ struct Body {
 
 // A half-plane. Bodies stay on the side that the normal points to.
 struct Plane {
-  std::string name;              // as of a body; no two bodies, planes, segments, polygons or arcs have the same
+  std::string name;              // as of a body; no two bodies, planes, edges or pockets have the same
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
 
@@ -94,6 +94,16 @@ struct TableFriction {
   double gravity = 9.81;  // m/s^2, >= 0; across the plane of the scene
 
   bool operator==(const TableFriction&) const = default;
+};
+
+// A hole that discs fall into: one whose centre comes to the circle is out of play. It stays where it went in, at rest,
+// and touches nothing any more; no force moves it.
+struct Pocket {
+  std::string name;                // as of a body
+  Vec2d position = Vec2d::Zero();  // m, of the centre
+  double radius = 0;               // m, > 0
+
+  bool operator==(const Pocket&) const = default;
 };
 
 // Scene-wide contact parameters. A model reads those it knows.
@@ -225,6 +235,7 @@ struct Scene {
   std::vector<EdgeSegment> segments = {};
   std::vector<EdgePolygon> polygons = {};
   std::vector<EdgeArc> arcs = {};
+  std::vector<Pocket> pockets = {};
   std::optional<TableFriction> table = std::nullopt;  // none: nothing slows discs but contact
   ContactParameters contact;
   Control control;  // empty if nothing is pushed
@@ -261,8 +272,8 @@ struct SceneError {
 // are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for (kNone
 // needs neither), and no overlap above kOverlapTolerance, and above what rounding makes of positions far from the
 // origin, at the start between discs or of a disc with a plane, a segment, an arc or a polygon (two fixed discs may
-// overlap, and a fixed disc may reach into what does not move). Quadratic in the number of bodies, and of the points of
-// a polygon.
+// overlap, and a fixed disc may reach into what does not move), and no disc in a pocket there. Quadratic in the number
+// of bodies, and of the points of a polygon.
 std::optional<SceneError> Validate(const Scene& scene);
 
 // The first of those rules that `scene` breaks and a simulation relies on: numbers, ranges and indices. Names, what is

@@ -7,6 +7,7 @@
 // filled by the disc's side, one of each edge. Ends that several edges share are one part.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <vector>
@@ -47,10 +48,14 @@ struct WallPart {
   std::string name = {};                           // of the scene's thing; of an end "name.a", "name.b"
   Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m, where a line that is not endless ends
   bool table = false;                              // under all discs: its distance is infinite
+  bool pocket = false;                             // met by the centres of discs, once: there they stay
 
   // No disc whose centre is at x is nearer to the part; negative behind an endless one, m.
   double LeastDistance(const Vec2d& x) const {
-    if (wall.curved()) return std::abs((x - wall.center).norm() - wall.radius);
+    if (wall.curved()) {
+      const double outside = (x - wall.center).norm() - wall.radius;
+      return pocket ? std::max(outside, 0.0) : std::abs(outside);
+    }
     if (extent.endless) return Dot(wall.normal, x) - wall.offset;
     return (x - Nearest(x)).norm();
   }
@@ -71,8 +76,9 @@ struct WallPart {
   }
 };
 
-// The scene's planes, in their order, its table, then the parts of its segments, polygons and arcs, ends last. A
-// Candidate (step_input.h) whose `plane` is true counts in these. Precondition: ValidateStructure(scene) finds nothing.
+// The scene's planes, in their order, its table and its pockets, then the parts of its segments, polygons and arcs,
+// ends last. A Candidate (step_input.h) whose `plane` is true counts in these. Precondition: ValidateStructure(scene)
+// finds nothing.
 std::vector<WallPart> WallPartsOf(const Scene& scene);
 
 // The names of these parts.
