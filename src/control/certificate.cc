@@ -25,6 +25,11 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   return "";
 }
 
+double FactorOf(TerminalTerm::Quantity quantity, const UnitFactors& by) {
+  const double factors[] = {by.length, by.speed, 1, by.rate};  // by quantity
+  return factors[static_cast<int>(quantity)];
+}
+
 std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
                                     const std::vector<double>& durations) {
   if (!durations.empty()) return durations;
@@ -70,7 +75,7 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
     impact.multiplier *= by.loss / by.length;
   }
   for (ConstraintCertificate& constraint : certificate.constraints) {
-    constraint.multiplier *= by.loss / (constraint.of_velocity ? by.speed : by.length);
+    constraint.multiplier *= by.loss / FactorOf(constraint.quantity, by);
   }
   for (Tie& tie : certificate.ambiguous) tie.time *= by.time;
   for (std::optional<double>* gradient :

@@ -1,10 +1,6 @@
 #include "condensed.h"
 
-#include <glog/logging.h>
-
-#include <Eigen/Dense>
 #include <algorithm>
-#include <cmath>
 
 #include "terminal_costate.h"
 
@@ -119,12 +115,14 @@ template <typename T>
 void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   struct Motion {
     Vec2<T> p, v;
+    T angle = T(0.0), spin = T(0.0);
   };
   // What the way back needs of an impact, at its time, which is dt after that of the flight.
   struct Passed {
     T dt;
     Impact<T> impact;
     std::array<Vec2<T>, 2> before, after;  // velocities
+    std::array<T, 2> spin;                 // angular velocities before
   };
   const auto at = [&](int functional) { return Vec2<T>(s[functional], s[functional + 1]); };
   const auto add = [&](int functional, const Vec2<T>& by) {
@@ -135,8 +133,10 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     if (force >= 0) a += Scale(1 / scene_.bodies[body].mass, at(force));
     return a;
   };
+  const bool spins = scene_.Spins();
   const auto fly = [&](const Arc& arc, Motion* x) {
     const double length = arc.end - arc.begin;
+    if (spins) x->angle += length * x->spin;
     x->p += Scale(length, x->v) + (0.5 * length * length * scene_.gravity).template cast<T>();
     x->v += (length * scene_.gravity).template cast<T>();
     if (arc.functional < 0) return;
@@ -148,6 +148,9 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   const DiscStates& start = flight_.pieces().front().at_start;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     now.push_back({start.p[i].template cast<T>(), start.v[i].template cast<T>()});
+    if (!spins) continue;
+    now[i].angle = T(start.angle[i]);
+    now[i].spin = T(start.spin[i]);
   }
   const int num_hits = static_cast<int>(flight_.hits().size());
   std::vector<Passed> passed(num_hits);
@@ -175,8 +178,10 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       Motion& x = now[side.body];
       x.p += Scale(out.dt, x.v);
       x.v += Scale(out.dt, acceleration(side.body, side.force_before));
+      if (spins) x.angle += out.dt * x.spin;
     }
-    out.impact = MakeImpact<T>(law, separation().normal, relative());
+    out.spin = {now[c.a].spin, c.plane ? T(0.0) : now[c.b].spin};
+    out.impact = MakeImpact<T>(law, separation().normal, relative(), out.spin);
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
@@ -186,6 +191,9 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       out.after[i] = x.v;
       x.p -= Scale(out.dt, x.v);
       x.v -= Scale(out.dt, acceleration(side.body, side.force_after));
+      if (!spins) continue;
+      x.spin += SpinGain(law, i, out.impact);
+      x.angle -= out.dt * x.spin;
     }
   }
 
@@ -193,13 +201,20 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   std::vector<DiscCostate<T>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (last_arc_[i] >= 0) fly(arcs_[last_arc_[i]], &now[i]);
-    costates.push_back(TerminalCostate<T>(soft_, i, now[i].p, now[i].v));
+    costates.push_back(TerminalCostate<T>(soft_, i, now[i].p, now[i].v, now[i].angle, now[i].spin));
   }
   size_t hard = 0;
   for (const TerminalTerm& term : scene_.objective.terminal) {
     if (!term.hard || restrictions_.hard.empty()) continue;
     const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
     DiscCostate<T>& costate = costates[term.body];
+    if (term.IsOfSpin()) {
+      const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
+      costate.OfSpin(term.quantity) += restrictions_.hard[hard++][0];
+      if (gaps != nullptr) *gaps++ = angle ? now[term.body].angle : now[term.body].spin;
+      if (gaps != nullptr) *gaps++ = T(0.0);
+      continue;
+    }
     (of_position ? costate.position : costate.velocity) += restrictions_.hard[hard++].template cast<T>();
     const Vec2<T>& held = of_position ? now[term.body].p : now[term.body].v;
     for (int axis = 0; axis < 2 && gaps != nullptr; ++axis) *gaps++ = held[axis];
@@ -211,6 +226,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       add(arc.functional + 2, costate.position);
     }
     costate.velocity += Scale(arc.end - arc.begin, costate.position);
+    if (spins) costate.angular_velocity += (arc.end - arc.begin) * costate.angle;
   };
   const double effort = scene_.objective.effort;
   for (int k = num_hits - 1; k >= 0; --k) {
@@ -234,22 +250,31 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       add(force, Scale(dt, Vec2<T>(slope + Scale(2 * effort, at(force)))));
     };
     Vec2<T> y(T(0.0), T(0.0));
+    std::array<T, 2> turning = {T(0.0), T(0.0)};  // costates of the angular velocities
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
       fly_back(arcs_[side.arc_after]);
       DiscCostate<T>& costate = costates[side.body];
       costate.velocity -= Scale(at_impact.dt, costate.position);
+      if (spins) {
+        costate.angular_velocity -= at_impact.dt * costate.angle;
+        turning[i] = costate.angular_velocity;
+        power += costate.angle * SpinGain(law, i, at_impact.impact);
+        early += costate.angle * SpinGain(law, i, at_impact.impact);
+        late += costate.angle * SpinGain(law, i, at_impact.impact);
+      }
       lengthen(side, side.force_after, -at_impact.dt);
       count(side, at_impact.after[i], side.force_after, 1);
       y += Scale(i == 0 ? law.inverse_mass_a : -law.inverse_mass_b, costate.velocity);
     }
-    const CostateGain<T> gain = ImpactAdjoint<T>(law, at_impact.impact, y);
+    const CostateGain<T> gain = ImpactAdjoint<T>(law, at_impact.impact, y, at_impact.spin, turning);
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
       costates[side.body].position += Scale(i == 0 ? 1.0 : -1.0, gain.position);
       costates[side.body].velocity += Scale(i == 0 ? 1.0 : -1.0, gain.velocity);
+      costates[side.body].angular_velocity += law.radius[i] * gain.spin;
       count(side, at_impact.before[i], side.force_before, -1);
     }
     T multiplier = power / at_impact.impact.speed;
@@ -264,6 +289,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       costate.position += Scale(T((i == 0 ? 1.0 : -1.0) * multiplier), at_impact.impact.normal);
       lengthen(side, side.force_before, at_impact.dt);
       costate.velocity += Scale(at_impact.dt, costate.position);
+      if (spins) costate.angular_velocity += at_impact.dt * costate.angle;
     }
   }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -307,135 +333,6 @@ void CondensedLoss::SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd*
     }
   }
   *hessian = (0.5 * (*hessian + hessian->transpose())).eval();
-}
-
-Eigen::MatrixXd CondensedLoss::Gram() const {
-  const int n = num_functionals();
-  Eigen::MatrixXd gram = Eigen::MatrixXd::Zero(n, n);
-  for (int j = 0; j < n; ++j) {
-    const Functional& a = functionals_[j];
-    for (int k = j; k < n; ++k) {
-      const Functional& b = functionals_[k];
-      if (a.column / 2 != b.column / 2) continue;
-      const int c = a.column / 2;
-      const int begin = std::max(a.first, b.first);
-      const int end =
-          std::min(a.first + static_cast<int>(a.weights.size()), b.first + static_cast<int>(b.weights.size()));
-      for (int i = begin; i < end; ++i) {
-        const Restrictions::Force& force = ForceAt(i, c);
-        const double share = force.free(a.column % 2, b.column % 2) / (1 + force.bend);
-        gram(j, k) += share * a.weights[i - a.first] * b.weights[i - b.first] / lengths_[i];
-      }
-      gram(k, j) = gram(j, k);
-    }
-  }
-  return gram;
-}
-
-void CondensedLoss::DivideByWeights(Eigen::VectorXd* x) const {
-  for (Eigen::Index i = 0; i < x->size(); i += 2) {
-    const Restrictions::Force& force = ForceAt(i / width_, static_cast<int>(i % width_ / 2));
-    x->segment<2>(i) = (force.free * x->segment<2>(i) / ((1 + force.bend) * Length(i))).eval();
-  }
-}
-
-Eigen::Index CondensedLoss::NumFree() const {
-  double sum = 0;
-  for (size_t k = 0; k < lengths_.size(); ++k) {
-    for (int c = 0; c < width_ / 2; ++c) sum += ForceAt(k, c).free.trace();
-  }
-  return std::lround(sum);
-}
-
-CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
-  constexpr double kRank = 1e-10;
-  CHECK_GT(scene_.objective.effort, 0);
-  Eigen::MatrixXd hessian, gaps;
-  SecondDerivatives(&hessian, &gaps);
-  // Directions M^-1 F^T S p with S scaling each functional to one; p = Q w, orthonormal to integral |d|^2 dt.
-  const Eigen::MatrixXd gram = Gram();
-  Eigen::VectorXd scale(gram.rows());
-  for (Eigen::Index i = 0; i < scale.size(); ++i) scale[i] = gram(i, i) > 0 ? 1 / std::sqrt(gram(i, i)) : 0.0;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> metric(scale.asDiagonal() * gram * scale.asDiagonal());
-  const Eigen::VectorXd& sizes = metric.eigenvalues();  // rising
-  Eigen::Index first = 0;
-  while (first < sizes.size() && sizes[first] <= kRank * sizes[sizes.size() - 1]) ++first;
-  const Eigen::Index rank = sizes.size() - first;
-  // F d for the columns d of an orthonormal basis, and the functionals that make those columns.
-  const Eigen::MatrixXd vectors = metric.eigenvectors().rightCols(rank);
-  const Eigen::VectorXd roots = sizes.tail(rank).cwiseSqrt();
-  Eigen::MatrixXd image = scale.cwiseInverse().asDiagonal() * vectors * roots.asDiagonal();
-  for (Eigen::Index i = 0; i < scale.size(); ++i) {
-    if (scale[i] == 0) image.row(i).setZero();
-  }
-  Eigen::MatrixXd source = scale.asDiagonal() * vectors * roots.cwiseInverse().asDiagonal();
-  if (num_held_ > 0) {  // what keeps the impacts on their nodes, and hard terms
-    Eigen::MatrixXd rows = gaps * image;
-    for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) /= std::max(rows.row(i).norm(), 1e-300);
-    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(rows.transpose());
-    const Eigen::MatrixXd q = qr.householderQ() * Eigen::MatrixXd::Identity(rank, rank);
-    image = (image * q.rightCols(rank - qr.rank())).eval();
-    source = (source * q.rightCols(rank - qr.rank())).eval();
-  }
-  Curvature result;
-  result.direction = Eigen::VectorXd::Zero(control_.size());
-  const Eigen::Index last = image.cols() - 1;
-  const bool others = rank < NumFree();  // directions that the motion does not notice
-  if (last < 0) return result;
-  const Eigen::MatrixXd reduced = image.transpose() * hessian * image / (2 * scene_.objective.effort);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> curvature(reduced);
-  result.smallest = 1 + curvature.eigenvalues()[0];
-  result.largest = 1 + curvature.eigenvalues()[last];
-  result.direction = Transposed(source * curvature.eigenvectors().col(0));
-  DivideByWeights(&result.direction);
-  if (!restrictions_.forces.empty()) {  // orthonormal to another measure
-    double square = 0;
-    for (Eigen::Index i = 0; i < result.direction.size(); ++i) square += Length(i) * std::pow(result.direction[i], 2);
-    result.direction /= std::sqrt(square);
-  }
-  Eigen::Index most = 0;
-  result.direction.cwiseAbs().maxCoeff(&most);
-  if (result.direction[most] < 0) result.direction = -result.direction;
-  if (others) {
-    result.smallest = std::min(result.smallest, 1.0);
-    result.largest = std::max(result.largest, 1.0);
-  }
-  return result;
-}
-
-// With q = G' + G'' F d + A^T lambda, A the derivatives of what is held, 2 effort M (u + d) + F^T q vanishes and so
-// does A F d: equations for q and lambda, whose number does not grow with the intervals.
-std::optional<Eigen::VectorXd> CondensedLoss::NewtonStep() const {
-  Eigen::MatrixXd hessian, held;
-  SecondDerivatives(&hessian, &held);
-  const int n = num_functionals(), m = num_held_;
-  const Eigen::Map<const Eigen::VectorXd> values(values_.data(), n);
-  Eigen::VectorXd slope(n);
-  Sweep<double>(values_.data(), slope.data(), nullptr);
-  const Eigen::MatrixXd gram = Gram() / (2 * scene_.objective.effort);
-  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n + m, n + m);
-  matrix.topLeftCorner(n, n) = Eigen::MatrixXd::Identity(n, n) + hessian * gram;
-  matrix.topRightCorner(n, m) = -held.transpose();
-  matrix.bottomLeftCorner(m, n) = held * gram;
-  Eigen::VectorXd right(n + m);
-  right << slope - hessian * values, -(held * values);
-  const Eigen::VectorXd found = matrix.fullPivLu().solve(right);
-  Eigen::VectorXd control = Transposed(found.head(n)) / (-2 * scene_.objective.effort);
-  DivideByWeights(&control);
-  if (!control.allFinite()) return std::nullopt;
-  return control;
-}
-
-Eigen::MatrixXd CondensedLoss::DenseHessian() const {
-  Eigen::MatrixXd by_functionals, gaps;
-  SecondDerivatives(&by_functionals, &gaps);
-  Eigen::MatrixXd f(num_functionals(), control_.size());
-  for (int j = 0; j < num_functionals(); ++j) {
-    f.row(j) = Transposed(Eigen::VectorXd::Unit(num_functionals(), j)).transpose();
-  }
-  Eigen::MatrixXd hessian = f.transpose() * by_functionals * f;
-  for (Eigen::Index i = 0; i < hessian.rows(); ++i) hessian(i, i) += 2 * scene_.objective.effort * Length(i);
-  return hessian;
 }
 
 }  // namespace saltus

@@ -207,6 +207,7 @@ class ConstrainedCertifier {
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       const Costate<double>& costate = sweep.after_impact[k][i];
       sum += costate.position.dot(x.v[i]) + costate.velocity.dot(piece.acceleration[i]);
+      if (costate.angle != 0) sum += costate.angle * x.spin[i];
     }
     return sum;
   }
@@ -383,9 +384,7 @@ class ConstrainedCertifier {
     Eigen::Index next = 0;
     const auto add = [&](const auto& term) {
       if (!term.hard) return;
-      result->constraints.push_back({scene_.bodies[term.body].name,
-                                     term.quantity == TerminalTerm::Quantity::kVelocity,
-                                     {theta[next], theta[next + 1]}});
+      result->constraints.push_back({scene_.bodies[term.body].name, term.quantity, {theta[next], theta[next + 1]}});
       next += 2;
     };
     for (const TerminalTerm& term : scene_.objective.terminal) add(term);

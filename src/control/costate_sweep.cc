@@ -59,6 +59,8 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
         const Point x = After(whole, b, to - whole.start);
         part.at_start.p[b] = x.p;
         part.at_start.v[b] = x.v;
+        if (scene.Spins())
+          part.at_start.angle[b] = whole.at_start.angle[b] + (to - whole.start) * part.at_start.spin[b];
       }
       part.start = to;
     };
@@ -95,6 +97,7 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, Runnin
     Costate<double>& costate = (*now)[i];
     Vec2d integral = length * (0.5 * length * costate.position + costate.velocity);
     costate.velocity += length * costate.position;
+    costate.angular_velocity += length * costate.angle;
     costate.time = piece.start;
     for (const RunningTerm& term : terms) {
       if (term.body != i) continue;
@@ -126,6 +129,10 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double
     const double push = end[i].velocity.dot(piece.acceleration[i]);
     at_end += kinetic + push;
     balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
+    if (end[i].angle == 0) continue;
+    const double turning = end[i].angle * piece.at_start.spin[i];
+    at_end += turning;
+    balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push) + std::abs(turning));
   }
   for (const RunningTerm& term : terms) {
     const Vec2d rate = TargetRate(term, piece);
@@ -184,23 +191,22 @@ void CostateSweep::CrossVia(size_t index, const Vec2d& derivative, std::vector<C
 }
 
 std::vector<Costate<double>> CostateSweep::AtEnd(const Source& source) const {
-  std::vector<double> x, gradient;
-  for (int i = 0; i < scene_.num_bodies(); ++i) {
-    const Vec2d &p = flight_.end().p[i], &v = flight_.end().v[i];
-    x.insert(x.end(), {p[0], p[1], v[0], v[1]});
-  }
-  gradient.assign(x.size(), 0.0);
-  if (source.objective) TerminalGradient(scene_.objective, x, 4, gradient);
   std::vector<Costate<double>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
-    const double* g = &gradient[4 * i];
-    costates.push_back({scene_.duration, {g[0], g[1]}, {g[2], g[3]}});
-    if (scene_.bodies[i].fixed) costates.back() = {scene_.duration, Vec2d(0, 0), Vec2d(0, 0)};
+    costates.push_back({scene_.duration, Vec2d(0, 0), Vec2d(0, 0)});
+    if (source.objective && !scene_.bodies[i].fixed) costates.back() = FinalCostate(scene_, flight_.end(), i);
   }
   size_t hard = 0;
   for (const TerminalTerm& term : scene_.objective.terminal) {
     if (!term.hard || source.hard.empty()) continue;
-    Part(&costates[term.body], term.quantity) += source.hard[hard++];
+    const Vec2d& multiplier = source.hard[hard++];
+    if (term.quantity == Quantity::kAngle) {
+      costates[term.body].angle += multiplier[0];
+    } else if (term.quantity == Quantity::kAngularVelocity) {
+      costates[term.body].angular_velocity += multiplier[0];
+    } else {
+      Part(&costates[term.body], term.quantity) += multiplier;
+    }
   }
   return costates;
 }

@@ -6,6 +6,8 @@
 //   lambda-   = Dg^T lambda+ + nu grad psi                 at an impact
 //   lambda(T) = d(terminal terms)/dx                       and the multipliers of hard ones.
 //
+// Discs that spin have such costates of angle and angular velocity too.
+//
 // All integrals are exact: pieces are cut where targets turn and at via terms, and are polynomials between.
 #pragma once
 
@@ -48,8 +50,9 @@ class CostateSweep {
 
   // What costates are of.
   struct Source {
-    bool objective = true;         // terms that are not hard
-    std::vector<Vec2d> hard = {};  // multipliers of hard terms: terminal ones, then those on the way; empty: none
+    bool objective = true;  // terms that are not hard
+    // Multipliers of hard terms: terminal ones, then those on the way; empty: none. Of spin the first entry counts.
+    std::vector<Vec2d> hard = {};
   };
   struct Result {
     std::vector<Costate<double>> start;    // of each disc, at time 0

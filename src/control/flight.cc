@@ -15,6 +15,7 @@ DiscStates After(const Flight::Piece& piece, double s) {
     x.p[i] += s * (x.v[i] + 0.5 * s * piece.acceleration[i]);
     x.v[i] += s * piece.acceleration[i];
   }
+  for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
   return x;
 }
 
@@ -41,9 +42,14 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   const size_t width = 2 * scene.num_controlled();
   CHECK_EQ(control.size(), durations.size() * width);
   DiscStates x;
-  for (size_t i = 0; i < initial.size(); i += 4) {
+  const size_t moves = 4 * scene.bodies.size();
+  for (size_t i = 0; i < moves; i += 4) {
     x.p.emplace_back(initial[i], initial[i + 1]);
     x.v.emplace_back(initial[i + 2], initial[i + 3]);
+  }
+  for (size_t i = moves; i < initial.size(); i += kSpin) {
+    x.angle.push_back(initial[i]);
+    x.spin.push_back(initial[i + 1]);
   }
   double start = 0;
   size_t next = 0;
@@ -64,9 +70,13 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
       const ImpactLaw law = MakeImpactLaw(scene, c);
       Hit hit{start + at, c, static_cast<int>(pieces_.size()), IsOnNode(at, h), x, {}};
       const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
-      hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other);
+      hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other, x.SpinsOf(c));
       x.v[c.a] += law.inverse_mass_a * hit.impact.impulse;
       if (!c.plane) x.v[c.b] -= law.inverse_mass_b * hit.impact.impulse;
+      if (law.Spins()) {
+        x.spin[c.a] += SpinGain(law, 0, hit.impact);
+        if (!c.plane) x.spin[c.b] += SpinGain(law, 1, hit.impact);
+      }
       hits_.push_back(std::move(hit));
       ++next;
     }

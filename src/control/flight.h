@@ -1,7 +1,9 @@
-// The exact motion of all discs under a piecewise constant control, as pieces of constant acceleration and the impacts
-// between them: what an exact re-simulation has found, written out for those who need it between grid nodes.
+// The exact motion of all discs under a piecewise constant control, as pieces of constant acceleration (and angular
+// velocity) and the impacts between them: what an exact re-simulation has found, written out for those who need it
+// between grid nodes.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <span>
 #include <string>
@@ -14,7 +16,13 @@
 namespace saltus {
 
 struct DiscStates {
-  std::vector<Vec2d> p, v;  // m and m/s, of every disc
+  std::vector<Vec2d> p, v;                    // m and m/s, of every disc
+  std::vector<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
+  // Angular velocities of a and b; 0 of a plane, and where nothing spins.
+  std::array<double, 2> SpinsOf(const Candidate& c) const {
+    if (spin.empty()) return {0, 0};
+    return {spin[c.a], c.plane ? 0.0 : spin[c.b]};
+  }
 };
 
 class Flight {
@@ -31,7 +39,7 @@ class Flight {
     Candidate contact;
     int next_piece = 0;    // the piece that starts here
     bool on_node = false;  // at the boundary of two control intervals
-    DiscStates before;     // positions and velocities of all discs just before
+    DiscStates before;     // all discs just before
     Impact<double> impact;
   };
 

@@ -6,7 +6,6 @@
 #include "impact_jump.h"
 #include "optimality_conditions.h"
 #include "physics/time_grid.h"
-#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {
@@ -176,19 +175,20 @@ class Certifier {
   }
 
   std::vector<Costate<double>> TerminalCostates() const {
-    std::vector<double> x, gradient;
-    for (int i = 0; i < scene_.num_bodies(); ++i) {
-      const Vec2d &p = flight_.end().p[i], &v = flight_.end().v[i];
-      x.insert(x.end(), {p[0], p[1], v[0], v[1]});
-    }
-    gradient.resize(x.size());
-    TerminalGradient(scene_.objective, x, 4, gradient);
     std::vector<Costate<double>> costates;
-    for (int i = 0; i < scene_.num_bodies(); ++i) {
-      const double* g = &gradient[4 * i];
-      costates.push_back({scene_.duration, {g[0], g[1]}, {g[2], g[3]}});
-    }
+    for (int i = 0; i < scene_.num_bodies(); ++i) costates.push_back(FinalCostate(scene_, flight_.end(), i));
     return costates;
+  }
+
+  // Of a disc after an impact. Forces say nothing of the costates of spin, which are carried backwards.
+  Costate<double> CostateAfter(int body, double time) {
+    const int c = pushed_[body];
+    const Costate<double> carried = now_[body].At(time);
+    if (c < 0) return carried;
+    Costate<double> costate = ArcCostate(c, ArcAfter(c, time), time);
+    costate.angle = carried.angle;
+    costate.angular_velocity = carried.angular_velocity;
+    return costate;
   }
 
   // The Hamiltonian on one piece, constant there since the force is.
@@ -203,6 +203,7 @@ class Certifier {
       double running = 0;
       if (IsPushed(i)) running = effort() * Force(pushed_[i], piece.interval).squaredNorm();
       sum += running + kinetic + push;
+      if (now_[i].angle != 0) sum += now_[i].angle * piece.at_start.spin[i];
       largest_hamiltonian_ = std::max(largest_hamiltonian_, std::abs(running) + std::abs(kinetic) + std::abs(push));
     }
     return sum;
@@ -225,9 +226,7 @@ class Certifier {
     const std::array<int, 2> body = {hit.contact.a, hit.contact.plane ? -1 : hit.contact.b};
     std::array<Costate<double>, 2> after;
     for (int side = 0; side < 2; ++side) {
-      if (body[side] < 0) continue;
-      const int c = pushed_[body[side]];
-      after[side] = c >= 0 ? ArcCostate(c, ArcAfter(c, hit.time), hit.time) : now_[body[side]].At(hit.time);
+      if (body[side] >= 0) after[side] = CostateAfter(body[side], hit.time);
     }
     const ImpactJump jump = MakeImpactJump(scene_, hit, after);
     out->time = hit.time;
@@ -248,7 +247,7 @@ class Certifier {
       out->multiplier += sign * hit.impact.normal.dot(known[side].position - jump.before[side].position);
     }
     for (int side = 0; side < 2; ++side) {
-      if (jump.body[side] >= 0 && !is_known[side]) now_[body[side]] = jump.before[side];
+      if (jump.body[side] >= 0) now_[body[side]] = jump.before[side];
     }
     if (count > 0) {
       out->multiplier /= count;

@@ -7,9 +7,14 @@
 //
 //   lambda_v- = lambda_v+ +- (dP/dw)^T y,   lambda_q- = lambda_q+ +- t (dP/dtheta . y) / |q_a - q_b|.
 //
+// Of discs that spin, p_t turns them too: what it changes has the costate y.t - r_a lambda_wa / I_a - r_b lambda_wb /
+// I_b, while y.t alone is that of the turning of p_n n + p_t t; and where they stick, lambda_w- = lambda_w+ + r m'
+// times the former, with m' the mass of a stick. Angles have no part in an impact.
+//
 // T is double or a Jet; branches are taken on values. SI units.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -18,7 +23,8 @@
 
 namespace saltus {
 
-// The constants of a pair. Inverse masses are 0 for fixed discs and planes.
+// The constants of a pair. Inverse masses are 0 for fixed discs and planes, inverse moments of inertia also for discs
+// that cannot spin.
 struct ImpactLaw {
   double inverse_mass_a = 0;
   double inverse_mass_b = 0;
@@ -26,20 +32,40 @@ struct ImpactLaw {
   double friction = 0;
   double contact_distance = 0;  // m, distance of the centres at the impact, or of the centre to the plane
   bool plane = false;
+  std::array<double, 2> radius = {0, 0};           // m, of a and b, if they spin
+  std::array<double, 2> inverse_inertia = {0, 0};  // 1/(kg m^2)
 
+  bool Spins() const { return inverse_inertia[0] > 0 || inverse_inertia[1] > 0; }
   double EffectiveMass() const { return 1 / (inverse_mass_a + inverse_mass_b); }
+  // That of a stick.
+  double StickMass() const {
+    const double turning = radius[0] * radius[0] * inverse_inertia[0] + radius[1] * radius[1] * inverse_inertia[1];
+    return 1 / (inverse_mass_a + inverse_mass_b + turning);
+  }
+  // The sliding velocity that friction can stop at most, as a part of the speed.
+  double MostDrag() const {
+    const double drag = friction * (1 + restitution);
+    return Spins() ? drag * EffectiveMass() / StickMass() : drag;
+  }
 };
 
 inline double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body.mass; }
 
 inline ImpactLaw MakeImpactLaw(const Scene& scene, const Candidate& c) {
   const Body& a = scene.bodies[c.a];
-  return {.inverse_mass_a = InverseMass(a),
-          .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
-          .restitution = scene.contact.restitution,
-          .friction = scene.contact.friction,
-          .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
-          .plane = c.plane};
+  ImpactLaw law{.inverse_mass_a = InverseMass(a),
+                .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
+                .restitution = scene.contact.restitution,
+                .friction = scene.contact.friction,
+                .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
+                .plane = c.plane};
+  for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+    const Body& body = scene.bodies[side == 0 ? c.a : c.b];
+    if (!body.Spins()) continue;
+    law.radius[side] = body.radius;
+    law.inverse_inertia[side] = 1 / body.MomentOfInertia();
+  }
+  return law;
 }
 
 // The plane's boundary with a normal of unit length.
@@ -55,34 +81,72 @@ Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>&
   return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction, /*head_on=*/0, mode);
 }
 
+// Of discs that spin, by numbers of a and b: r_a x_a + r_b x_b.
+template <typename T>
+T AtRims(const ImpactLaw& law, const std::array<T, 2>& of) {
+  return T(law.radius[0] * of[0] + law.radius[1] * of[1]);
+}
+
+// The same with angular velocities, rad/s.
+template <typename T>
+Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w, const std::array<T, 2>& spin,
+                     std::optional<ContactMode> mode = std::nullopt) {
+  if (!law.Spins()) return MakeImpact<T>(law, normal, w, mode);
+  const T speed = Dot(normal, w), sliding = Dot(Perpendicular(normal), w) - AtRims(law, spin);
+  return MakeImpact<T>(normal,
+                       speed,
+                       sliding,
+                       law.EffectiveMass(),
+                       law.StickMass(),
+                       1 + law.restitution,
+                       law.friction,
+                       /*head_on=*/0,
+                       mode);
+}
+
+// By how much an impact changes the angular velocity of a (side 0) or b, rad/s.
+template <typename T>
+T SpinGain(const ImpactLaw& law, int side, const Impact<T>& impact) {
+  return T(-law.radius[side] * law.inverse_inertia[side] * impact.tangential);
+}
+
 // What multiplies the costates of both bodies at an impact: lambda_v gains +-velocity, lambda_q gains +-position, with
-// the sign + for a and - for b.
+// the sign + for a and - for b; lambda_w gains the radius times `spin`.
 template <typename T>
 struct CostateGain {
   Vec2<T> position;
   Vec2<T> velocity;
+  T spin = T(0.0);
 };
 
-// `y` as above.
+// `y` as above; `spin` has the angular velocities before the impact, `costate` the lambda_w after it.
 template <typename T>
-CostateGain<T> ImpactAdjoint(const ImpactLaw& law, const Impact<T>& impact, const Vec2<T>& y) {
+CostateGain<T> ImpactAdjoint(const ImpactLaw& law, const Impact<T>& impact, const Vec2<T>& y,
+                             const std::array<T, 2>& spin = {T(0.0), T(0.0)},
+                             const std::array<T, 2>& costate = {T(0.0), T(0.0)}) {
   const Vec2<T>& n = impact.normal;
   const Vec2<T> t = Perpendicular(n);
-  const double m = law.EffectiveMass(), bounce = (1 + law.restitution) * m;
+  const double bounce = (1 + law.restitution) * law.EffectiveMass(), m = law.StickMass();
   const T yn = Dot(n, y), yt = Dot(t, y);
   const T& vn = impact.speed;
   const T& vt = impact.sliding;
-  T along_normal = -bounce * yn, along_tangent(0), turning = -bounce * (vt * yn + vn * yt);
+  T y_drag = yt, w_t = vt;  // the costate of p_t, and t.w
+  if (law.Spins()) {
+    y_drag -= AtRims<T>(law, {T(law.inverse_inertia[0] * costate[0]), T(law.inverse_inertia[1] * costate[1])});
+    w_t += AtRims(law, spin);
+  }
+  T along_normal = -bounce * yn, along_tangent(0), turning = -bounce * (w_t * yn + vn * yt);
   if (impact.mode == ContactMode::kSlip) {
     const double drag = law.friction * SignOf(vt);
-    along_normal += bounce * drag * yt;
-    turning += bounce * drag * (vt * yt - vn * yn);
+    along_normal += bounce * drag * y_drag;
+    turning += bounce * drag * (w_t * y_drag - vn * yn);
   } else if (impact.mode == ContactMode::kStick) {
-    along_tangent = -m * yt;
-    turning += m * (vn * yt + vt * yn);
+    along_tangent = -m * y_drag;
+    turning += m * (vn * y_drag + vt * yn);
   }
   CostateGain<T> gain;
   gain.velocity = Scale(along_normal, n) + Scale(along_tangent, t);
+  gain.spin = -along_tangent;
   gain.position = law.plane ? Vec2<T>(T(0), T(0)) : Scale(T(turning / law.contact_distance), t);
   return gain;
 }

@@ -3,7 +3,9 @@
 //
 // A phase is the time between two cuts (impacts, or instants that a term of the objective names), of n equal steps. A
 // step has the length h = (end - begin) / n, with `begin` and `end` the times of the cuts, which are variables too. A
-// node is the state [p_x p_y v_x v_y] of a disc between two steps. SI units, or any others that fit.
+// node is the state [p_x p_y v_x v_y] of a disc between two steps. A disc that spins has rotations too, just before and
+// after each of its impacts, as between them it turns evenly: [r angle, r w], what its rim has turned and how fast, so
+// that all unknowns are lengths and velocities. SI units, or any others that fit.
 #pragma once
 
 #include <algorithm>
@@ -79,9 +81,33 @@ struct CoastingStep {
   }
 };
 
-// An impact. Blocks: the nodes before and after of each disc that moves, of a first. Rows: the equalities gap = 0, and
-// after - g(before) of each such disc; the inequalities that the two do not separate and, if it is to slip or to stick,
-// that it does.
+// A disc that spins between two times, of its impacts or the first or last. Blocks: rotation, begin, end, next
+// rotation. Rows: 2 equalities.
+struct Turning {
+  static constexpr int kRows = 2;
+  template <typename T>
+  bool operator()(const T* x, const T* begin, const T* end, const T* next, T* rows) const {
+    rows[0] = next[0] - (x[0] + (end[0] - begin[0]) * x[1]);
+    rows[1] = next[1] - x[1];
+    return true;
+  }
+};
+
+// scale (q - target) with q an angle or an angular velocity. Block: rotation. Row: 1, a cost or an equality.
+struct RotationTarget {
+  TerminalTerm::Quantity quantity;
+  double target, scale, radius;
+  static constexpr int kRows = 1;
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    rows[0] = scale * (x[quantity == TerminalTerm::Quantity::kAngle ? 0 : 1] / radius - target);
+    return true;
+  }
+};
+
+// An impact. Blocks: the nodes before and after of each disc that moves, of a first; then the rotations before and
+// after of each that spins. Rows: the equalities gap = 0, after - g(before) of each such disc and of each such
+// rotation; the inequalities that the two do not separate and, if it is to slip or to stick, that it does.
 struct ImpactCut {
   ImpactLaw law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
@@ -91,12 +117,15 @@ struct ImpactCut {
 
   bool Moves(int side) const { return !at[side] && !(side == 1 && plane); }
   int num_moving() const { return Moves(0) + Moves(1); }
-  int num_equalities() const { return 1 + 4 * num_moving(); }
+  bool Spins(int side) const { return law.inverse_inertia[side] > 0; }
+  int num_spinning() const { return Spins(0) + Spins(1); }
+  int num_equalities() const { return 1 + 4 * num_moving() + 2 * num_spinning(); }
   int num_inequalities() const { return mode ? 2 : 1; }
 
   template <typename T>
   bool operator()(T const* const* blocks, T* rows) const {
     std::array<Vec2<T>, 2> p, v;
+    std::array<T, 2> spin = {T(0.0), T(0.0)};
     int block = 0;
     for (int side = 0; side < 2; ++side) {
       p[side] = v[side] = Vec2<T>(T(0), T(0));
@@ -107,8 +136,14 @@ struct ImpactCut {
       p[side] = Vec2<T>(x[0], x[1]);
       v[side] = Vec2<T>(x[2], x[3]);
     }
+    T const* const* rotations = blocks + block;
+    block = 0;
+    for (int side = 0; side < 2; ++side) {
+      if (Spins(side)) spin[side] = rotations[block][1] / law.radius[side];
+      block += Spins(side) ? 2 : 0;
+    }
     const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
-    const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]), mode);
+    const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(v[0] - v[1]), spin, mode);
     *rows++ = apart.distance - (1 - overlap) * law.contact_distance;
     block = 0;
     for (int side = 0; side < 2; ++side) {
@@ -119,9 +154,16 @@ struct ImpactCut {
       for (int j = 0; j < 2; ++j) *rows++ = after[j] - p[side][j];
       for (int j = 0; j < 2; ++j) *rows++ = after[2 + j] - v[side][j] - gain * impact.impulse[j];
     }
+    for (int side = 0; side < 2; ++side) {
+      if (!Spins(side)) continue;
+      const T *before = rotations[0], *after = rotations[1];
+      rotations += 2;
+      *rows++ = after[0] - before[0];
+      *rows++ = after[1] - before[1] - law.radius[side] * SpinGain(law, side, impact);
+    }
     *rows++ = impact.speed;
     if (!mode) return true;
-    const T most = law.friction * (1 + law.restitution) * impact.speed;  // change of the sliding velocity
+    const T most = law.MostDrag() * impact.speed;
     const T slip = impact.sliding * impact.sliding - most * most;
     *rows++ = *mode == ContactMode::kSlip ? T(-slip) : slip;
     return true;

@@ -74,6 +74,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
 
   double Cost(const std::vector<double*>& blocks) const {
+    if (num_residuals() == roles_.equalities + roles_.inequalities) return 0;
     std::vector<double> rows(num_residuals());
     if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
     double cost = 0;

@@ -64,6 +64,14 @@ Miss LargestMiss(const Scene& scene, const Trial& trial) {
   Miss largest;
   const Flight flight = FlightOf(scene, trial);
   const auto consider = [&](const DiscStates& x, const auto& term) {
+    if constexpr (requires { term.IsOfSpin(); }) {
+      if (term.IsOfSpin()) {
+        const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
+        const double size = std::abs((angle ? x.angle : x.spin)[term.body] - term.target[0]);
+        if (size > largest.size) largest = {size, term.body, term.quantity};
+        return;
+      }
+    }
     const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
     const double size = (q - term.target).norm();
     if (size > largest.size) largest = {size, term.body, term.quantity};
@@ -122,11 +130,19 @@ std::string DescribeMiss(const Scene& scene, const Trial& trial) {
     std::snprintf(part, sizeof part, "%.6g", trial.own.violation);
     return std::string(part) + " of its scale, by " + trial.own.worst;
   }
-  const bool position = miss.quantity == TerminalTerm::Quantity::kPosition;
-  const double unit = position ? scene.units.length : scene.units.speed();
+  struct Unit {
+    double size;
+    const char* name;
+  };
+  const Unit units[] = {// by quantity
+                        {scene.units.length, " m"},
+                        {scene.units.speed(), " m/s"},
+                        {1, " rad"},
+                        {1 / scene.units.time, " rad/s"}};
+  const Unit& unit = units[static_cast<int>(miss.quantity)];
   char text[40];
-  std::snprintf(text, sizeof text, "%.6g", miss.size * unit);
-  return std::string(text) + (position ? " m" : " m/s") + ", by " + scene.bodies[miss.body].name;
+  std::snprintf(text, sizeof text, "%.6g", miss.size * unit.size);
+  return std::string(text) + unit.name + ", by " + scene.bodies[miss.body].name;
 }
 
 }  // namespace saltus

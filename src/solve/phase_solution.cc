@@ -101,6 +101,7 @@ std::string WhyNoPhases(const Scene& scene) {
 std::string WhyNotExactPhases(const SolveRequest& request) {
   if (!IsExact(request)) return "it solves with exact impacts only (contact model event)";
   if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (request.scene.Spins()) return "the scene has discs that spin; its arcs in closed form know none";
   if (request.scene.optimize == Optimize::kControl) return "";
   return "it finds a control, and the scene optimizes something else";
 }
@@ -116,10 +117,14 @@ std::vector<double> InitialOf(const Scene& scene, const Trial& trial) {
 }
 
 Scene BeginningAs(const Trial& trial, Scene scene) {
-  for (size_t i = 0; 4 * i < trial.initial.size(); ++i) {
-    const double* x = &trial.initial[4 * i];
-    scene.bodies[i].position = {x[0], x[1]};
-    scene.bodies[i].velocity = {x[2], x[3]};
+  for (size_t i = 0; i < scene.bodies.size() && !trial.initial.empty(); ++i) {
+    Body& body = scene.bodies[i];
+    const double *x = &trial.initial[4 * i], *rotation = &trial.initial[4 * scene.bodies.size() + kSpin * i];
+    body.position = {x[0], x[1]};
+    body.velocity = {x[2], x[3]};
+    if (!body.Spins()) continue;
+    body.angle = rotation[0];
+    body.angular_velocity = rotation[1];
   }
   return scene;
 }

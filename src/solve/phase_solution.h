@@ -29,7 +29,7 @@ struct Trial {
   std::vector<double> control, durations;
   ExactRun exact;  // its loss with the costs of a user's own
   OwnValues own;
-  std::vector<double> initial = {};  // B x 4, where it is to be found; empty: the scene's
+  std::vector<double> initial = {};  // where it is to be found; empty: the scene's
 };
 
 std::vector<double> InitialOf(const Scene& scene, const Trial& trial);

@@ -1,7 +1,5 @@
 #include "phase_transcription.h"
 
-#include <ceres/autodiff_cost_function.h>
-#include <ceres/dynamic_autodiff_cost_function.h>
 #include <ceres/manifold.h>
 #include <glog/logging.h>
 
@@ -10,30 +8,15 @@
 #include <numeric>
 
 #include "control/model_step.h"
+#include "phase_functions.h"
 
 namespace saltus {
 namespace {
 
-constexpr int kStride = 4;  // derivatives in one pass
 // Steps of a phase. Along a longer one open defects add up and weigh more, and damping, whose part in a motion of the
 // whole phase grows with its square, would take more iterations.
 constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a step of mean length, below which its effort is not smaller
-
-template <typename Function>
-std::unique_ptr<ceres::CostFunction> Dynamic(Function function, int rows, std::span<const int> block_sizes) {
-  auto cost =
-      std::make_unique<ceres::DynamicAutoDiffCostFunction<Function, kStride>>(new Function(std::move(function)));
-  for (const int size : block_sizes) cost->AddParameterBlock(size);
-  cost->SetNumResiduals(rows);
-  return cost;
-}
-
-template <int... kBlocks, typename Function>
-std::unique_ptr<ceres::CostFunction> Sized(Function function) {
-  constexpr int kRows = Function::kRows;
-  return std::make_unique<ceres::AutoDiffCostFunction<Function, kRows, kBlocks...>>(new Function(std::move(function)));
-}
 
 std::optional<Vec2d> FixedAt(const Scene& scene, int body) {
   if (!scene.bodies[body].fixed) return std::nullopt;
@@ -63,7 +46,8 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
       cuts_(std::move(cuts)),
       steps_(std::move(steps)),
       place_(scene.bodies.size(), -1),
-      stepped_(scene.bodies.size(), false) {
+      stepped_(scene.bodies.size(), false),
+      rotations_(scene_) {
   CHECK_EQ(steps_.size(), cuts_.size() + 1);
   for (const int body : scene_.control.bodies) stepped_[body] = true;
   for (const RunningTerm& term : scene_.objective.running) stepped_[term.body] = true;
@@ -86,6 +70,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
   AddSteps();
   HoldWhatIsGiven();
   AddImpacts();
+  rotations_.AddTo(times_, &problem_);
   AddBounds();
   AddTerms();
   for (const OwnTerm& term : terms_) AddOwn(term);
@@ -114,7 +99,9 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
   std::vector<int> last(scene_.num_bodies(), -1);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     const Body& body = scene_.bodies[i];
-    if (Concerns(i, apart)) last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+    if (!Concerns(i, apart)) continue;
+    last[i] = AddNode({body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+    rotations_.Add(i);
   }
   initial_ = last;
   tracks_.resize(scene_.num_bodies());
@@ -138,8 +125,9 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
       last[i] = track.back();
       tracks_[i].push_back(std::move(track));
     }
-    if (j + 1 < num_phases() && cuts_[j].impact) Strike(*cuts_[j].impact, &last);
+    if (j + 1 < num_phases() && cuts_[j].impact) Strike(j, &last);
   }
+  rotations_.End(boundary_.back(), times_);
   final_ = last;
 }
 
@@ -155,7 +143,8 @@ PhaseTranscription::Node PhaseTranscription::FlyOnce(int body, const Node& x, co
 }
 
 // The impact as if the two touched; not if they separate.
-void PhaseTranscription::Strike(const Candidate& c, std::vector<int>* last) {
+void PhaseTranscription::Strike(int index, std::vector<int>* last) {
+  const Candidate& c = *cuts_[index].impact;
   const ImpactCut cut = MakeCut(scene_, c);
   ImpactNodes nodes;
   std::array<Vec2d, 2> p = {Vec2d(0, 0), Vec2d(0, 0)}, v = p;
@@ -167,8 +156,14 @@ void PhaseTranscription::Strike(const Candidate& c, std::vector<int>* last) {
     p[side] = {x[0], x[1]};
     v[side] = {x[2], x[3]};
   }
+  std::array<double, 2> spin = {0, 0};
+  for (int side = 0; side < 2; ++side) {
+    if (!cut.Spins(side)) continue;
+    nodes.rotation_before[side] = rotations_.TurnTo(side == 0 ? c.a : c.b, boundary_[index + 1], times_);
+    spin[side] = rotations_.SpinOf(side == 0 ? c.a : c.b);
+  }
   const Separation<double> apart = cut.plane ? Separate<double>(p[0], *cut.plane) : Separate<double>(p[0], p[1]);
-  const Impact<double> impact = MakeImpact<double>(cut.law, apart.normal, Vec2d(v[0] - v[1]));
+  const Impact<double> impact = MakeImpact<double>(cut.law, apart.normal, Vec2d(v[0] - v[1]), spin);
   for (int side = 0; side < 2; ++side) {
     if (!cut.Moves(side)) continue;
     Node after = nodes_[nodes.before[side]];
@@ -176,6 +171,9 @@ void PhaseTranscription::Strike(const Candidate& c, std::vector<int>* last) {
     for (int k = 0; k < 2 && impact.speed < 0; ++k) after[2 + k] += gain * impact.impulse[k];
     nodes.after[side] = AddNode(after);
     (*last)[side == 0 ? c.a : c.b] = nodes.after[side];
+    if (!cut.Spins(side)) continue;
+    const double turn = impact.speed < 0 ? SpinGain(cut.law, side, impact) : 0.0;
+    nodes.rotation_after[side] = rotations_.Strike(side == 0 ? c.a : c.b, turn);
   }
   impacts_.push_back(nodes);
 }
@@ -238,22 +236,33 @@ double PhaseTranscription::LeastLength() const {
   return kLeastLength * scene_.duration / std::accumulate(steps_.begin(), steps_.end(), 0);
 }
 
+std::vector<double*> PhaseTranscription::BlocksOf(const ImpactCut& cut, const ImpactNodes& nodes) {
+  std::vector<double*> blocks;
+  for (int side = 0; side < 2; ++side) {
+    if (!cut.Moves(side)) continue;
+    blocks.push_back(NodeAt(nodes.before[side]));
+    blocks.push_back(NodeAt(nodes.after[side]));
+  }
+  for (int side = 0; side < 2; ++side) {
+    if (!cut.Spins(side)) continue;
+    blocks.push_back(rotations_.At(nodes.rotation_before[side]));
+    blocks.push_back(rotations_.At(nodes.rotation_after[side]));
+  }
+  return blocks;
+}
+
 void PhaseTranscription::AddImpacts() {
   for (size_t k = 0, strike = 0; k < cuts_.size(); ++k) {
     if (!cuts_[k].impact) continue;
     ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
     cut.overlap = cuts_[k].overlap;
     cut.mode = cuts_[k].mode;
-    const ImpactNodes& nodes = impacts_[strike++];
-    std::vector<double*> blocks;
-    for (int side = 0; side < 2; ++side) {
-      if (!cut.Moves(side)) continue;
-      blocks.push_back(NodeAt(nodes.before[side]));
-      blocks.push_back(NodeAt(nodes.after[side]));
-    }
+    const std::vector<double*> blocks = BlocksOf(cut, impacts_[strike++]);
+    std::vector<int> sizes(2 * cut.num_moving(), 4);
+    sizes.resize(blocks.size(), kSpin);
     const int equalities = cut.num_equalities();
     const int inequalities = cut.num_inequalities();
-    problem_.Add(Dynamic(cut, equalities + inequalities, std::vector<int>(blocks.size(), 4)),
+    problem_.Add(Dynamic(cut, equalities + inequalities, sizes),
                  {.equalities = equalities, .inequalities = inequalities},
                  blocks);
   }
@@ -272,88 +281,6 @@ void PhaseTranscription::AddBounds() {
     }
     if (!control.max_norm.empty()) {
       problem_.Add(Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1}, {forces_[k].data()});
-    }
-  }
-}
-
-void PhaseTranscription::AddTerms() {
-  for (const TerminalTerm& term : scene_.objective.terminal) {
-    if (scene_.bodies[term.body].fixed) continue;
-    const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
-    problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, scale}),
-                 {.equalities = term.hard ? NodeTarget::kRows : 0},
-                 {NodeAt(final_[term.body])});
-  }
-  for (const ViaTerm& term : scene_.objective.via) {
-    for (size_t k = 0; k < cuts_.size(); ++k) {
-      if (cuts_[k].impact || cuts_[k].time != term.time) continue;
-      const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
-      problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, scale}),
-                   {.equalities = term.hard ? NodeTarget::kRows : 0},
-                   {NodeAt(tracks_[term.body][k].back())});
-    }
-  }
-  for (const RunningTerm& term : scene_.objective.running) AddRunning(term);
-  ceres::Problem& problem = problem_.problem();
-  problem.SetParameterBlockConstant(Begin(0));
-  for (size_t k = 0; k < cuts_.size(); ++k) {
-    if (!cuts_[k].impact) problem.SetParameterBlockConstant(End(static_cast<int>(k)));
-  }
-  double* end = End(num_phases() - 1);
-  if (const std::optional<FreeDuration>& free = scene_.objective.duration) {
-    problem.SetParameterLowerBound(end, 0, free->min);
-    problem.SetParameterUpperBound(end, 0, free->max);
-    if (free->weight > 0) problem_.Add(Sized<1>(DurationPrice{free->weight}), {}, {end});
-  } else {
-    problem.SetParameterBlockConstant(end);
-  }
-}
-
-void PhaseTranscription::AddOwn(const OwnTerm& term) {
-  const auto add = [&](int steps, const auto& node_of, const auto& force_of, const std::vector<double*>& times) {
-    auto cost = std::make_unique<OwnTermCost>(term, scene_.units, steps);
-    const int rows = cost->num_residuals();
-    RowRoles roles;
-    if (term.role == OwnTerm::Role::kEquality) roles.equalities = rows;
-    if (term.role == OwnTerm::Role::kInequality) roles.inequalities = rows;
-    std::vector<double*> blocks;
-    for (const int body : term.states) blocks.push_back(node_of(body));
-    for (const int body : term.forces) blocks.push_back(force_of(body));
-    if (term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());
-    problem_.Add(std::move(cost), roles, blocks);
-  };
-  if (term.at == OwnTerm::At::kEnd) {
-    const auto no_force = [](int) -> double* { return nullptr; };
-    add(1, [&](int body) { return NodeAt(final_[body]); }, no_force, {End(num_phases() - 1)});
-    return;
-  }
-  for (int j = 0; j < num_phases(); ++j) {
-    for (int k = 0; k < steps_[j]; ++k) {
-      add(
-          steps_[j],
-          [&](int body) { return NodeAt(tracks_[body][j][k]); },
-          [&](int body) { return ForceOn(body, j, k); },
-          {Begin(j), End(j)});
-    }
-  }
-}
-
-void PhaseTranscription::AddRunning(const RunningTerm& term) {
-  const Body& body = scene_.bodies[term.body];
-  if (body.fixed) return;
-  const bool pushed = place_[term.body] >= 0;
-  for (int j = 0; j < num_phases(); ++j) {
-    for (int k = 0; k < steps_[j]; ++k) {
-      std::vector<double*> blocks = {NodeAt(tracks_[term.body][j][k])};
-      std::vector<int> sizes = {4};
-      if (pushed) {
-        blocks.push_back(ForceOn(term.body, j, k));
-        sizes.push_back(2);
-      }
-      blocks.insert(blocks.end(), {Begin(j), End(j)});
-      sizes.insert(sizes.end(), {1, 1});
-      const RunningCost cost{{k, steps_[j]}, scene_.gravity, 1 / body.mass, pushed, LeastLength(), term};
-      problem_.Add(Dynamic(cost, RunningCost::kRows, sizes), {}, blocks);
     }
   }
 }
@@ -401,19 +328,13 @@ std::vector<double> PhaseTranscription::CutTimes() const {
   return times;
 }
 
-std::vector<double> PhaseTranscription::CutSpeeds() const {
+std::vector<double> PhaseTranscription::CutSpeeds() {
   std::vector<double> speeds;
   for (size_t k = 0, strike = 0; k < cuts_.size(); ++k) {
     speeds.push_back(0);
     if (!cuts_[k].impact) continue;
     const ImpactCut cut = MakeCut(scene_, *cuts_[k].impact);
-    const ImpactNodes& nodes = impacts_[strike++];
-    std::vector<const double*> blocks;
-    for (int side = 0; side < 2; ++side) {
-      if (!cut.Moves(side)) continue;
-      blocks.push_back(nodes_[nodes.before[side]].data());
-      blocks.push_back(nodes_[nodes.after[side]].data());
-    }
+    const std::vector<double*> blocks = BlocksOf(cut, impacts_[strike++]);
     std::vector<double> rows(cut.num_equalities() + 1);
     cut(blocks.data(), rows.data());
     speeds.back() = rows.back();
@@ -426,6 +347,7 @@ std::vector<double> PhaseTranscription::InitialState() const {
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (initial_[i] >= 0) std::copy_n(nodes_[initial_[i]].data(), 4, &states[4 * i]);
   }
+  rotations_.CopyInitial(&states);
   return states;
 }
 

@@ -18,6 +18,7 @@
 #include "augmented_lagrangian.h"
 #include "control/own_term_cost.h"
 #include "control/phase_costs.h"
+#include "phase_rotations.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
@@ -53,9 +54,9 @@ class PhaseTranscription {
   // The times of the cuts, and the final time.
   std::vector<double> CutTimes() const;
   // Of the cuts: the normal velocity just before an impact, negative if closing; 0 of instants.
-  std::vector<double> CutSpeeds() const;
+  std::vector<double> CutSpeeds();
   double Duration() const { return times_.back(); }
-  // Of all discs, B x 4.
+  // As of a simulator.
   std::vector<double> InitialState() const;
   // One row a step, of all controlled discs, and the steps' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
@@ -65,6 +66,7 @@ class PhaseTranscription {
   // Of the two sides of an impact; -1 of one that does not move.
   struct ImpactNodes {
     std::array<int, 2> before = {-1, -1}, after = {-1, -1};
+    std::array<int, 2> rotation_before = {-1, -1}, rotation_after = {-1, -1};  // -1: does not spin
   };
 
   int num_phases() const { return static_cast<int>(steps_.size()); }
@@ -81,7 +83,8 @@ class PhaseTranscription {
 
   void Lay(const ForceAt& force, const ContactSequence& apart);
   Node FlyOnce(int body, const Node& x, const double* force, double h) const;
-  void Strike(const Candidate& c, std::vector<int>* last);
+  void Strike(int index, std::vector<int>* last);
+  std::vector<double*> BlocksOf(const ImpactCut& cut, const ImpactNodes& nodes);
   int AddNode(const Node& node);
   void AddSteps();
   void HoldWhatIsGiven();
@@ -103,8 +106,9 @@ class PhaseTranscription {
   std::vector<double> times_;  // of the boundaries of phases: 0, those of the cuts, T
   std::vector<int>
       boundary_;  // of each phase and after the last one: which of the times; one that has no length shares it
-  std::vector<Node> nodes_;                            // the initial ones first
-  std::vector<int> initial_;                           // of each disc: its first node, or -1
+  std::vector<Node> nodes_;   // the initial ones first
+  std::vector<int> initial_;  // of each disc: its first node, or -1
+  PhaseRotations rotations_;
   std::vector<std::vector<std::vector<int>>> tracks_;  // of each disc that the problem concerns and phase: its nodes
   std::vector<int> final_;                             // of each disc: its last node
   std::vector<ImpactNodes> impacts_;

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "control/condensed.h"
+#include "control/pushed_scenes.h"
 #include "saltus/control/certificate.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/control/single_shooting.h"
@@ -19,42 +20,6 @@ namespace {
 
 using testing::HasSubstr;
 using Thetas = std::vector<std::optional<double>>;
-
-// A disc that bounces straight back from a post on its way to the other side.
-Scene HeadOn() {
-  Scene scene;
-  scene.name = "head_on_saddle";
-  scene.duration = 1;
-  scene.steps = 200;
-  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {-1, 0}, .velocity = {2.5, 0}},
-                  {.name = "post", .radius = 0.2, .fixed = true, .position = {0, 0}}};
-  scene.contact.restitution = 0.9;
-  scene.control = {{0}, {{0, 0}}};
-  scene.objective.terminal = {{.body = 0, .target = {1, 0}}};
-  scene.objective.effort = 0.5;
-  scene.optimize = Optimize::kControl;
-  return scene;
-}
-
-// Both pushed, one of them onto the ground, with friction and a term for each.
-Scene TwoPushed() {
-  Scene scene;
-  scene.name = "two_pushed";
-  scene.steps = 20;
-  scene.gravity = {0.2, -3};
-  scene.bodies = {{.name = "a", .radius = 0.1, .mass = 1.3, .position = {0, 0.7}, .velocity = {1.5, -1}},
-                  {.name = "b", .radius = 0.15, .mass = 0.8, .position = {0.9, 1}, .velocity = {-0.3, -0.2}}};
-  scene.planes = {{"ground", {0, 0}, {0.1, 1}}};
-  scene.contact = {.restitution = 0.7, .friction = 0.1};
-  scene.control = {{1, 0}, {{-1, 0.3}, {2, 0.4}}};
-  scene.objective.terminal = {
-      {.body = 0, .target = {1.2, 0.4}, .weight = 3},
-      {.body = 1, .quantity = TerminalTerm::Quantity::kVelocity, .target = {1, 0}, .weight = 0.3},
-      {.body = 1, .component = 1, .weight = -0.4}};
-  scene.objective.effort = 0.1;
-  scene.optimize = Optimize::kControl;
-  return scene;
-}
 
 Scene With(Scene scene, int steps) {
   scene.steps = steps;
@@ -147,7 +112,9 @@ INSTANTIATE_TEST_SUITE_P(Scenes, Condensed,
                          testing::Values(Case{"two_balls", With(ProblemScene("two_balls"), 25), 1},
                                          Case{"single_collision", With(ProblemScene("single_collision"), 25), 1},
                                          Case{"multiple_collisions", With(ProblemScene("multiple_collisions"), 25), 3},
-                                         Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2}),
+                                         Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2},
+                                         Case{"spin_slips", TwoSpin(0.05), 2}, Case{"spin_sticks", TwoSpin(2), 2},
+                                         Case{"strike_sticks", SpinStrike(2), 1}),
                          [](const auto& at) { return at.param.name; });
 
 // Forces that are free, at one bound, at two, and at one that is curved; and hard terms for both discs.

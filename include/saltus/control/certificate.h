@@ -3,12 +3,12 @@
 //
 // The control is constant on intervals; in exact dynamics it has some impacts, which cut the time into phases, and the
 // flight of each pushed disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
-// lambda_v.(u/m + g):
+// lambda_v.(u/m + g), and of discs that spin + lambda_angle w:
 //
 //   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: how far the forces on an arc, at the
 //                   middles of their intervals, are from a straight line. The line gives the costates of pushed discs.
 //   transversality  the costates at the end are the derivatives of the terminal terms. All other discs' costates start
-//                   there.
+//                   there, and those of spin.
 //   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact; nu is that which fits best.
 //   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
 //                   impacts, this and not the pointwise condition is exact; they differ by O(h^2).)
@@ -57,8 +57,8 @@ struct ImpactCertificate {
 // A term that is hard: the loss of the optimum falls by multiplier . d if its target moves by a small d.
 struct ConstraintCertificate {
   std::string body;
-  bool of_velocity = false;
-  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; of an angle or angular velocity its first entry, 1/rad or s/rad
 };
 
 // The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:

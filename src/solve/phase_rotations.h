@@ -1,0 +1,54 @@
+// Discs that spin, in a motion through impacts (phase_transcription.h): unknown are their rotations [r angle, r w]
+// at the start, just before and just after each of their impacts, and at the end. Between these they turn
+// evenly, as nothing but impacts turns them, so that a step in between needs no rotation of its own.
+#pragma once
+
+#include <array>
+#include <span>
+#include <vector>
+
+#include "augmented_lagrangian.h"
+#include "saltus/physics/scene.h"
+
+namespace saltus {
+
+class PhaseRotations {
+ public:
+  // Times are the places of unknowns in a list, of which the first is the start. The scene must outlive the object.
+  explicit PhaseRotations(const Scene& scene);
+
+  // A disc takes part; nothing if it cannot spin.
+  void Add(int body);
+  // Its next impact, where `times` says that it is: it turns until then. Returns the node just before; -1 if it does
+  // not spin.
+  int TurnTo(int body, int time, std::span<const double> times);
+  // Just after it: the node, with `gain` more of angular velocity, rad/s.
+  int Strike(int body, double gain);
+  // The angular velocity that it has got to, rad/s; 0 if it does not spin.
+  double SpinOf(int body) const;
+  // All turn until the end.
+  void End(int time, std::span<const double> times);
+
+  double* At(int node) { return rotations_[node].data(); }
+  const double* At(int node) const { return rotations_[node].data(); }
+
+  // After the end: even turning and terminal terms, and what is given of the start. `times` are the unknowns.
+  void AddTo(std::span<double> times, AugmentedLagrangian* problem);
+  // Into the rotations of an initial state of the scene.
+  void CopyInitial(std::vector<double>* initial) const;
+
+ private:
+  bool IsFree(int body) const;  // its angular velocity at the start
+
+  struct Turn {
+    int from = 0, to = 0;    // rotations
+    int begin = 0, end = 0;  // times
+  };
+
+  const Scene& scene_;
+  std::vector<std::array<double, 2>> rotations_;
+  std::vector<Turn> turns_;
+  std::vector<int> initial_, last_, since_;  // of each disc: its first and its last rotation, or -1; the time of that
+};
+
+}  // namespace saltus
