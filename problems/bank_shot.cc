@@ -1,7 +1,9 @@
-// A bank shot: launch velocity and side spin of a cue ball that goes by the cushion.
+// A bank shot: launch velocity and side spin of a cue ball that goes by the cushion; the way is searched for.
 #include "tools/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(
-      argc, argv, {.scene = saltus::ShippedFile("problems/bank_shot.yaml"), .solver = "ceres_lm", .iterations = 100});
+      argc,
+      argv,
+      {.scene = saltus::ShippedFile("problems/bank_shot.yaml"), .solver = "mode_search", .iterations = 1000});
 }

@@ -1,11 +1,21 @@
-// Scenes whose best motion a search over collision sequences found hard to reach.
+// Scenes whose best motion a search over collision sequences found hard to reach, and its limits in tests.
 #pragma once
 
 #include <string>
 
 #include "saltus/physics/scene.h"
+#include "saltus/solve/solver.h"
 
 namespace saltus {
+
+// Limits of mode_search in counts, so that no test depends on how fast the machine is.
+inline SolverOptions Counted(int iterations = 1000, int starts = 8) {
+  SolverOptions options;
+  options.iterations = iterations;
+  options.search_options.seconds = 0;
+  options.search_options.starts = starts;
+  return options;
+}
 
 // The best push strikes at the final time: 0.104 or less. Doing nothing costs 6.25.
 inline Scene VelocityAtTheEnd() {

@@ -47,7 +47,7 @@ std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
 bool ArcsCanTake(const SolveRequest& request) {
   const Scene& scene = request.scene;
   return request.terms.empty() && scene.optimize == Optimize::kControl && scene.objective.effort > 0 &&
-         BeyondTerminalCost(scene).empty();
+         !scene.Spins() && BeyondTerminalCost(scene).empty();
 }
 
 // A solve along a plan by a cost for every step. Where many iterations have not led it to the optimum, or rounding
@@ -139,11 +139,15 @@ std::string WhyNotPhases(const SolveRequest& request) {
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_phases", request, options);
   if (auto refused = run.WhyNotStart()) return *refused;
-  const bool arcs_can = ArcsCanTake(request);
-  SolveReport exact = SolveMending(&run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryBySteps(&run, arcs_can, plan, start, may_go_on);
-  });
+  SolveReport exact = MendBySteps(&run, request);
   return IsExact(request) ? exact : SolveUnderModel(request, options, std::move(exact));
+}
+
+SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request) {
+  const bool arcs_can = ArcsCanTake(request);
+  return SolveMending(run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+    return TryBySteps(run, arcs_can, plan, start, may_go_on);
+  });
 }
 
 }  // namespace saltus

@@ -2,6 +2,7 @@
 // running costs and a free final time.
 #pragma once
 
+#include "phase_run.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {
@@ -11,6 +12,9 @@ namespace saltus {
 // constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
 // and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options);
+
+// That under exact contact, of the request that `run` is of, from its motion.
+SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);
 
 // What it cannot take; empty if it can.
 std::string WhyNotPhases(const SolveRequest& request);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -10,10 +9,13 @@
 #include <set>
 #include <string>
 
+#include "ceres_phases.h"
 #include "control/parallel_for.h"
 #include "loss_bound.h"
 #include "phase_run.h"
+#include "phase_search.h"
 #include "physics/units.h"
+#include "saltus/control/objective.h"
 #include "search_solve.h"
 #include "search_starts.h"
 
@@ -37,16 +39,6 @@ Key KeyOf(const ContactSequence& sequence) {
   Key key;
   for (const Candidate& c : sequence) key.push_back({c.a, c.b, c.plane});
   return key;
-}
-
-// True when the time is over, or somebody else says so.
-StopRequest StopAfter(double seconds, const StopRequest& stop) {
-  using Clock = std::chrono::steady_clock;
-  if (seconds <= 0) return stop;
-  const auto time = std::chrono::duration<double>(std::min(seconds, 1e9));
-  return [stop, end = Clock::now() + std::chrono::duration_cast<Clock::duration>(time)] {
-    return (stop && stop()) || Clock::now() >= end;
-  };
 }
 
 class ModeSearch {
@@ -406,7 +398,14 @@ class ModeSearch {
 
 }  // namespace
 
+std::string WhyNotModeSearch(const SolveRequest& request) {
+  return IsExact(request) ? WhyNotPhases(request) : WhyNotEventPhases(request);
+}
+
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
+  const bool arcs_can =
+      request.terms.empty() && BeyondTerminalCost(request.scene).empty() && WhyNotEventPhases(request).empty();
+  if (!arcs_can) return SearchByPhases(request, options);
   PhaseRun run("mode_search", request, options);
   if (auto refused = options.search ? run.WhyNoMotion() : run.WhyNotStart()) return *refused;
   return ModeSearch(&run, request).Search(SequenceFor(options, run.guess()));

@@ -27,7 +27,11 @@
 namespace saltus {
 
 // Losses are the best exact loss after each solve. Never worse than the guess, ceres_lm or gd from it, but for 1e-6 of
-// the loss. Converged: the best motion is an optimum. Precondition: WhyNotEventPhases is empty.
+// the loss. Converged: the best motion is an optimum. What arcs do not take is searched by ceres_phases, in a simpler
+// way (phase_search.h). Precondition: WhyNotModeSearch is empty.
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options);
+
+// What it cannot take; empty if it can.
+std::string WhyNotModeSearch(const SolveRequest& request);
 
 }  // namespace saltus

@@ -4,6 +4,15 @@
 
 namespace saltus {
 
+StopRequest StopAfter(double seconds, const StopRequest& stop) {
+  using Clock = std::chrono::steady_clock;
+  if (seconds <= 0) return stop;
+  const auto time = std::chrono::duration<double>(std::min(seconds, 1e9));
+  return [stop, end = Clock::now() + std::chrono::duration_cast<Clock::duration>(time)] {
+    return (stop && stop()) || Clock::now() >= end;
+  };
+}
+
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms, options.guess)) {}
 

@@ -11,6 +11,9 @@
 
 namespace saltus {
 
+// True when so many seconds are over (0: never), or when `stop` says so.
+StopRequest StopAfter(double seconds, const StopRequest& stop);
+
 class PhaseRun {
  public:
   // The clock of the report starts here.

@@ -59,4 +59,28 @@ std::vector<Vec2d> SearchStart(const Scene& scene, std::uint64_t seed, int numbe
   return forces;
 }
 
+std::optional<Scene> BeginAtRandom(Scene scene, std::uint64_t seed, int number) {
+  if (scene.optimize == Optimize::kNone) return std::nullopt;
+  if (scene.optimize == Optimize::kControl) {
+    scene.control.initial = SearchStart(scene, seed, number);
+    return scene;
+  }
+  Random random(seed * 1000003 + number);
+  const Scene before = scene;
+  for (const int body : scene.free) {
+    const double t = random.Uniform(0.3, 1) * scene.duration;
+    const Vec2d place = Place(before, body, t, &random);
+    if (scene.optimize == Optimize::kPosition) {
+      scene.bodies[body].position = place;
+    } else {
+      scene.bodies[body].velocity += (place - DriftOf(before, body, t)) / t;
+    }
+  }
+  for (const int body : scene.free_spin) {  // as fast as some rolling
+    Body& disc = scene.bodies[body];
+    disc.angular_velocity += random.Symmetric() * disc.velocity.norm() / disc.radius;
+  }
+  return scene;
+}
+
 }  // namespace saltus

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "saltus/physics/scene.h"
@@ -12,5 +13,9 @@ namespace saltus {
 // another disc, at a target or at a place drawn at random, to be there within the horizon. The same number and seed
 // give the same forces on every machine.
 std::vector<Vec2d> SearchStart(const Scene& scene, std::uint64_t seed, int number);
+
+// The scene that begins so: with these forces, or where velocities or positions are to be found, with velocities that
+// send the free discs to such places, or at such places. Nothing if there is nothing to be found.
+std::optional<Scene> BeginAtRandom(Scene scene, std::uint64_t seed, int number);
 
 }  // namespace saltus

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "control/control_bounds.h"
+#include "control/impact.h"
 #include "motion_merit.h"
 
 namespace saltus {
@@ -278,7 +279,7 @@ class Mending {
     for (size_t k = 0; k < plan.cuts.size(); ++k) {
       if (!plan.cuts[k]) continue;
       const Impact<double>& impact = (hit++)->impact;
-      const double most = scene_.contact.friction * (1 + scene_.contact.restitution) * std::abs(impact.speed);
+      const double most = MakeImpactLaw(scene_, *plan.cuts[k]).MostDrag() * std::abs(impact.speed);
       if (plan.modes[k] || std::abs(std::abs(impact.sliding) - most) > kNearBorder * most) continue;
       for (const ContactMode mode : {ContactMode::kStick, ContactMode::kSlip}) {
         moves->push_back({plan, start});

@@ -127,7 +127,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
       {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "as ceres_event, and searches for the sequence of impacts", WhyNotEventPhases, SolveByModeSearch, true},
+      {"mode_search", "as ceres_event or ceres_phases, and searches for the sequence of impacts", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
   };
   // clang-format on
   return solvers;

@@ -2,7 +2,8 @@
 // what knows nothing of it:
 //
 //   without bounds   ceres_event, by closed arcs: where both converge along the same impacts, their losses are the same
-//   with bounds      the best of random starts of Levenberg-Marquardt on the shooting problem, bounds as penalties
+//   with bounds      the best of random starts of Levenberg-Marquardt on the shooting problem, bounds as penalties;
+//                    with that also mode_search, which searches by ceres_phases
 //
 // One line a problem, then how often what was found. Fails where two that should agree do not.
 #include <ceres/ceres.h>
@@ -214,8 +215,11 @@ class Campaign {
       if (other.run.ok && (!best.ok || other.run.loss < best.loss)) found = std::move(other);
     }
     if (!best.ok) return Count(name + "no random start ends well");
-    std::printf(" bounded %.8g, penalised %.8g", report.final_loss, best.loss);
     const auto is_worse = [&](const SolveReport& than) { return than.final_loss > (1 + 1e-4) * best.loss; };
+    const SolveReport searched = Solve("mode_search", {scene, "event"}, {});
+    std::printf(" bounded %.8g, searched %.8g, penalised %.8g", report.final_loss, searched.final_loss, best.loss);
+    Count(name + "mode_search " + (is_worse(searched) ? "worse than" : "better than, or as good as,") +
+          " the best of random starts");
     if (!is_worse(report)) {
       const bool better = report.final_loss < (1 - 1e-3) * best.loss;
       return Count(name + (better ? "better than" : "as good as") + " the best of random starts");

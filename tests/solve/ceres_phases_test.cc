@@ -279,8 +279,7 @@ TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
     }
     return names;
   };
-  const std::vector<std::string> never = {
-      "ceres_shooting", "ceres_lagrangian", "grid_optimum", "ceres_event", "mode_search"};
+  const std::vector<std::string> never = {"ceres_shooting", "ceres_lagrangian", "grid_optimum", "ceres_event"};
   const auto and_never = [&](std::vector<std::string> names) {
     names.insert(names.end(), never.begin(), never.end());
     return testing::UnorderedElementsAreArray(names);

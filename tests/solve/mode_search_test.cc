@@ -120,15 +120,6 @@ TEST(ModeSearch, StopsAfterSoManySolves) {
   EXPECT_EQ(report.iterations, 5);
 }
 
-// Limits in counts, so that no test depends on how fast the machine is.
-SolverOptions Counted(int iterations = 1000, int starts = 8) {
-  SolverOptions options;
-  options.iterations = iterations;
-  options.search_options.seconds = 0;
-  options.search_options.starts = starts;
-  return options;
-}
-
 double ExactLoss(const Scene& scene, const SolveReport& report) {
   return SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
 }

@@ -1,0 +1,26 @@
+// A search over collision sequences for what closed arcs do not take: bounds, hard terms, running and via costs, a free
+// final time, terms of a user's own, initial states that are to be found.
+//
+// Every solve is one of ceres_phases, which mends its sequence. They begin from
+//
+//   the initial guess
+//   the best motion of the problem without all that, by mode_search, and the sequences of its other optima
+//   motions of its own (search_starts.h), brought near the targets by ceres_lm without bounds and constraints
+//
+// and go on along the neighbours of the best optimum (search_solve.h), each from that optimum, until none is better.
+//
+// Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried.
+// Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
+// many. As in mode_search, solves are shared out among threads in batches of one size, and looked at in order.
+#pragma once
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// Losses are the best exact loss after each solve. Converged: the best motion that meets all constraints is an optimum;
+// never worse than ceres_phases from the initial guess, unless a limit cuts that solve short. Precondition:
+// WhyNotPhases is empty, exact contact.
+SolveReport SearchByPhases(const SolveRequest& request, const SolverOptions& options);
+
+}  // namespace saltus
