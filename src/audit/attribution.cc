@@ -29,7 +29,7 @@ std::string Attributor::PairName(const Candidate& pair) const {
 
 bool Attributor::Overlap(const Interval& interval, int k) const {
   const std::vector<double>& x = PlainStateAt(k);
-  const auto position = [&](int i) { return Vec2d(x[4 * i], x[4 * i + 1]); };
+  const auto position = [&](int i) { return Vec2d(x[size_ * i], x[size_ * i + 1]); };
   return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
     const Candidate& pair = meeting.pair;
     const double radius = scene_.bodies[pair.a].radius;
@@ -221,7 +221,6 @@ const char* BlockToString(Block block) {
 Attribution AttributeError(const Contact& contact, const Scene& given, const StopRequest& stop) {
   Attribution refused;
   refused.reason = WhyNotApplicable(contact, given);
-  if (refused.ok() && given.Spins()) refused.reason = "errors are not traced to the impacts of discs that spin";
   if (!refused.ok()) return refused;
   const Scene scene = InNaturalUnits(given);
   Attribution own = Attributor(contact, scene, stop).Run();

@@ -21,10 +21,11 @@ constexpr int kMostFineSteps = 8192;
 
 }  // namespace
 
-double Attributor::Norm(const Eigen::VectorXd& costate) const {
+double Attributor::Norm(const Eigen::VectorXd& costate, const std::vector<int>& bodies) const {
+  const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
   double sum = 0;
   for (int i = 0; i < costate.size(); ++i) {
-    const double entry = costate[i] / (i % 4 < 2 ? 1.0 : scene_.duration);
+    const double entry = costate[i] / scales[i];
     sum += entry * entry;
   }
   return std::sqrt(sum);
@@ -41,7 +42,8 @@ StepMap Attributor::ExactOver(const Interval& interval, const std::vector<int>* 
 
 std::vector<StepTouch> Attributor::TouchesOver(const Contact& contact, const Interval& interval) const {
   const std::unique_ptr<Simulator> simulator = SimulatorOf(contact, interval, interval.end - interval.begin);
-  simulator->Rollout(PlainStateAt(interval.begin), InitialControl(simulator->scene(), simulator->num_steps()));
+  simulator->Rollout(ToInitial(PlainStateAt(interval.begin), scene_.num_bodies()),
+                     InitialControl(simulator->scene(), simulator->num_steps()));
   return simulator->touches();
 }
 std::vector<StepTouch> Attributor::ExactTouches(const Interval& interval) const {
@@ -71,17 +73,19 @@ StepMap Attributor::MapOver(const Contact& contact, const Interval& interval, in
   scene.control = {};
   scene.objective.terminal.clear();
   scene.free.clear();
+  scene.free_spin.clear();
   scene.bodies.clear();
   std::vector<int> local;
-  std::vector<double> begin;
+  std::vector<double> moves, turns;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     const bool wanted = std::binary_search(bodies.begin(), bodies.end(), i);
     if (!wanted && !scene_.bodies[i].fixed) continue;
     const int at = scene.num_bodies();
     if (wanted) local.push_back(at);
     scene.bodies.push_back(scene_.bodies[i]);
-    const auto state = PlainStateAt(interval.begin).begin() + 4 * i;
-    begin.insert(begin.end(), state, state + 4);
+    const auto state = PlainStateAt(interval.begin).begin() + size_ * i;
+    moves.insert(moves.end(), state, state + 4);
+    turns.insert(turns.end(), state + 4, state + size_);
     for (int c = 0; c < scene_.num_controlled(); ++c) {
       if (scene_.control.bodies[c] != i) continue;
       scene.control.bodies.push_back(at);
@@ -91,7 +95,20 @@ StepMap Attributor::MapOver(const Contact& contact, const Interval& interval, in
   const std::unique_ptr<Simulator> simulator = Simulate(contact, scene);
   const std::vector<double> control = InitialControl(scene, simulator->num_steps());
   const auto force = [&](int k, std::span<double> f) { simulator->ExpandForce(control, k, f); };
-  return ComposeSteps(*simulator, begin, force, steps, local);
+  if (scene.Spins()) moves.insert(moves.end(), turns.begin(), turns.end());
+  std::vector<double> begin(simulator->state_size());
+  simulator->ExpandInitial(moves, begin);
+  StepMap map = ComposeSteps(*simulator, begin, force, steps, local);
+  if (NumbersOfDisc(scene) == size_) return map;
+  // None of these spins: they turn evenly, as in the whole scene.
+  const int n = static_cast<int>(local.size());
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(size_ * n, size_ * n);
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < n; ++j) A.block<4, 4>(size_ * i, size_ * j) = map.A.block<4, 4>(4 * i, 4 * j);
+    A.block<2, 2>(size_ * i + 4, size_ * i + 4) << 1, scene.duration, 0, 1;
+  }
+  map.A = std::move(A);
+  return map;
 }
 
 Eigen::VectorXd Attributor::PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const {
@@ -148,8 +165,10 @@ ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd
   std::vector<int> bodies;
   KeepConnected(interval, &exact_touches, &own, &bodies);
   const int n = static_cast<int>(bodies.size());
-  Eigen::VectorXd lambda(4 * n);
-  for (int i = 0; i < n; ++i) lambda.segment<4>(4 * i) = costate.segment<4>(bodies[i] * model().body_size());
+  Eigen::VectorXd lambda(size_ * n);
+  for (int i = 0; i < n; ++i) {
+    lambda.segment(size_ * i, size_) = costate.segment(bodies[i] * model().body_size(), size_);
+  }
   error.exact_impacts = static_cast<int>(exact_touches.size());
   if (IsCrowd() && n > kCrowd) {
     CompareCrowd(interval, bodies, lambda, exact_touches, &error);
@@ -159,17 +178,17 @@ ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd
   exact.touches = exact_touches;
   const StepMap approximate = OwnMap(interval, bodies);
   const Eigen::MatrixXd difference = approximate.A - exact.A;
-  const double scale = std::max(Norm(exact.A.transpose() * lambda), 1e-300);
-  error.error = Norm(difference.transpose() * lambda) / scale;
+  const double scale = std::max(Norm(exact.A.transpose() * lambda, bodies), 1e-300);
+  error.error = Norm(difference.transpose() * lambda, bodies) / scale;
   error.block = LargestBlock([&](bool to_velocity, bool from_velocity) {
-    Eigen::VectorXd part = Eigen::VectorXd::Zero(4 * n);
-    for (int r = 0; r < 4 * n; ++r) {
-      if ((r % 4 >= 2) != to_velocity) continue;
-      for (int c = 0; c < 4 * n; ++c) {
-        if ((c % 4 >= 2) == from_velocity) part[c] += difference(r, c) * lambda[r];
+    Eigen::VectorXd part = Eigen::VectorXd::Zero(size_ * n);
+    for (int r = 0; r < size_ * n; ++r) {
+      if (IsRate(r % size_) != to_velocity) continue;
+      for (int c = 0; c < size_ * n; ++c) {
+        if (IsRate(c % size_) == from_velocity) part[c] += difference(r, c) * lambda[r];
       }
     }
-    return Norm(part);
+    return Norm(part, bodies);
   });
   if (error.error > kSmallError) error.why = Why(interval, exact, approximate, bodies);
   return error;
@@ -197,22 +216,22 @@ void Attributor::CompareCrowd(const Interval& interval, const std::vector<int>& 
                               const std::vector<StepTouch>& exact, ContactError* error) const {
   const PulledCostate right = PullBackOver(exact_contact_, interval, 1, bodies, lambda);
   const PulledCostate own = PullBackOver(contact_, interval, 1, bodies, lambda);
-  const double size = Norm(own.Sum() - right.Sum()), scale = std::max(Norm(right.Sum()), 1e-300);
+  const double size = Norm(own.Sum() - right.Sum(), bodies), scale = std::max(Norm(right.Sum(), bodies), 1e-300);
   error->error = size / scale;
   error->block = LargestBlock([&](bool to_velocity, bool from_velocity) {
     Eigen::VectorXd part =
         to_velocity ? own.by_velocities - right.by_velocities : own.by_positions - right.by_positions;
     for (int c = 0; c < part.size(); ++c) {
-      if ((c % 4 >= 2) != from_velocity) part[c] = 0;
+      if (IsRate(c % size_) != from_velocity) part[c] = 0;
     }
-    return Norm(part);
+    return Norm(part, bodies);
   });
   if (error->error <= kSmallError) return;
   if (const std::string plain = WhyWithoutMaps(interval, exact); !plain.empty()) {
     error->why = plain;
   } else if (interval.longest() > 1) {
     const PulledCostate fine = PullBackOver(contact_, interval, FinerSteps(interval), bodies, lambda);
-    error->why = DescribeUnresolved(interval, size, Norm(fine.Sum() - right.Sum()));
+    error->why = DescribeUnresolved(interval, size, Norm(fine.Sum() - right.Sum(), bodies));
   } else {
     error->why = WhyInOneStep(exact);
   }
@@ -238,7 +257,8 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
   };
   const auto motion = [&](int i) -> Motion {
     const Body& body = scene_.bodies[i];
-    const Vec2d p(x[4 * i], x[4 * i + 1]), v(x[4 * i + 2], x[4 * i + 3]);
+    const double* disc = &x[size_ * i];
+    const Vec2d p(disc[0], disc[1]), v(disc[2], disc[3]);
     if (body.fixed) return {p, Vec2d::Zero(), Vec2d::Zero(), 0.0};
     const Vec2d a = Vec2d(force[2 * i], force[2 * i + 1]) / body.mass + scene_.gravity;
     return {p + time * (v + 0.5 * time * a), v + time * a, a, 1 / body.mass};
@@ -262,6 +282,15 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
     impact.velocity_b = b.v;
     impact.acceleration_b = b.a;
   }
+  for (int side = 0; side < (pair.plane ? 1 : 2); ++side) {
+    const int i = side == 0 ? pair.a : pair.b;
+    const Body& body = scene_.bodies[i];
+    impact.radius[side] = body.radius;
+    if (!body.Spins()) continue;
+    impact.inverse_inertia[side] = 1 / body.MomentOfInertia();
+    impact.spin[side] = x[size_ * i + 5];
+  }
+  impact.spins = scene_.Spins();
   impact.restitution = scene_.contact.restitution;
   impact.friction = scene_.contact.friction;
   impact.mode = at.touch.mode;
@@ -280,8 +309,9 @@ int Attributor::FinerSteps(const Interval& interval) const {
 std::string Attributor::WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
                                       const std::vector<int>& bodies) const {
   const StepMap fine = OwnMap(interval, bodies, FinerSteps(interval));
-  const double coarse_error = ScaledNorm(approximate.A - exact.A, scene_.duration);
-  const double fine_error = ScaledNorm(fine.A - exact.A, scene_.duration);
+  const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
+  const double coarse_error = ScaledNorm(approximate.A - exact.A, scales);
+  const double fine_error = ScaledNorm(fine.A - exact.A, scales);
   return DescribeUnresolved(interval, coarse_error, fine_error);
 }
 

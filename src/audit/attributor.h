@@ -59,7 +59,12 @@ struct Interval {
 class Attributor {
  public:
   Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop)
-      : contact_(contact), scene_(scene), walls_(WallPartsOf(scene)), stop_(stop), model_(Simulate(contact, scene)) {}
+      : contact_(contact),
+        scene_(scene),
+        size_(NumbersOfDisc(scene)),
+        walls_(WallPartsOf(scene)),
+        stop_(stop),
+        model_(Simulate(contact, scene)) {}
 
   Attribution Run();
 
@@ -77,14 +82,15 @@ class Attributor {
     model_->GetState(k, x);
     return x;
   }
-  // Position and velocity only; until the next call. The last ones are kept, as looking back may simulate again.
+  // Without rotation that is the model's own; until the next call. The last ones are kept, as looking back may simulate
+  // again.
   const std::vector<double>& PlainStateAt(int k) const {
     if (const auto known = plain_.find(k); known != plain_.end()) return known->second;
-    if (plain_.size() >= kKeptNumbers / (4 * model_->num_bodies())) plain_.clear();
+    if (plain_.size() >= kKeptNumbers / (size_ * model_->num_bodies())) plain_.clear();
     const std::vector<double> x = StateAt(k);
     std::vector<double>& plain = plain_[k];
     for (int i = 0; i < model_->num_bodies(); ++i) {
-      plain.insert(plain.end(), x.begin() + i * model_->body_size(), x.begin() + i * model_->body_size() + 4);
+      plain.insert(plain.end(), x.begin() + i * model_->body_size(), x.begin() + i * model_->body_size() + size_);
     }
     return plain;
   }
@@ -116,7 +122,7 @@ class Attributor {
   StepMap OwnMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const;
   StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const;
   void FindCostates(const std::vector<Interval>& intervals);
-  bool IsCrowd() const { return scene_.num_bodies() > kCrowd && model_->body_size() == 4; }
+  bool IsCrowd() const { return scene_.num_bodies() > kCrowd && model_->body_size() == size_; }
   Eigen::VectorXd PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const;
   PulledCostate PullBackOver(const Contact& contact, const Interval& interval, int finer,
                              const std::vector<int>& bodies, const Eigen::VectorXd& lambda) const;
@@ -136,12 +142,13 @@ class Attributor {
   // Drops touches that no chain of touches connects with the interval; collects the discs that move of the others.
   void KeepConnected(Interval interval, std::vector<StepTouch>* exact, std::vector<StepTouch>* own,
                      std::vector<int>* bodies) const;
-  double Norm(const Eigen::VectorXd& costate) const;
+  double Norm(const Eigen::VectorXd& costate, const std::vector<int>& bodies) const;
   std::string PairName(const Candidate& pair) const;
   std::string CompareSequences(const std::vector<Interval>& intervals) const;
 
   Contact contact_;
   Scene scene_;
+  int size_;  // numbers of a disc
   std::vector<WallPart> walls_;
   const StopRequest& stop_;
   std::unique_ptr<Simulator> model_;

@@ -248,6 +248,7 @@ NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const
   };
   const Eigen::MatrixXd A = ComposeSteps(*simulator_, before_largest, force, kLead + 1 + kLead, bodies).A;
 
+  const int size = NumbersOfDisc(scene_);
   // To relative normal motion, the discs displaced so that their centre of mass stays.
   const Vec2d n = motion_.NormalAt(before_largest);
   Eigen::Matrix2d map = Eigen::Matrix2d::Zero(), flight;
@@ -255,7 +256,7 @@ NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const
     for (size_t j = 0; j < moving.size(); ++j) {
       for (int r = 0; r < 2; ++r) {
         for (int c = 0; c < 2; ++c) {
-          const Eigen::Matrix2d block = A.block<2, 2>(4 * i + 2 * r, 4 * j + 2 * c);
+          const Eigen::Matrix2d block = A.block<2, 2>(size * i + 2 * r, size * j + 2 * c);
           map(r, c) += moving[i].side * moving[j].side * moving[j].share * n.dot(block * n);
         }
       }

@@ -13,11 +13,12 @@ namespace {
 struct Variation {
   std::array<Vec2d, 2> q{Vec2d::Zero(), Vec2d::Zero()};
   std::array<Vec2d, 2> v{Vec2d::Zero(), Vec2d::Zero()};
+  std::array<double, 2> angle{}, w{};
 };
 
 // Impulse on a along normal and tangent, N s, from the normal and sliding velocity: linear as long as neither changes
 // sign.
-Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, const ImpactTerms& terms) {
+Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, double stick_mass, const ImpactTerms& terms) {
   using Friction = ImpactTerms::Friction;
   const double bounce = 1 + terms.restitution, mu = terms.friction;
   const double sign = sliding > 0 ? 1 : sliding < 0 ? -1 : 0;
@@ -25,7 +26,7 @@ Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, const Impa
     Eigen::Matrix2d law;
     for (int by = 0; by < 2; ++by) {
       const auto [normal, tangential] =
-          ImpulseInMode(mode, by == 0 ? 1.0 : 0.0, by == 1 ? 1.0 : 0.0, sign, mass, bounce, friction);
+          ImpulseInMode(mode, by == 0 ? 1.0 : 0.0, by == 1 ? 1.0 : 0.0, sign, mass, stick_mass, bounce, friction);
       law.col(by) << normal, tangential;
     }
     return law;
@@ -40,10 +41,12 @@ Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, const Impa
     case Friction::kCone:
       break;
   }
+  const double heavier = mass / stick_mass;  // along the normal; 1 without spin
   Eigen::Matrix2d law = Eigen::Matrix2d::Identity() * -bounce * mass;
-  if (std::abs(sliding) > -mu * speed) {
+  law(1, 1) /= heavier;
+  if (std::abs(sliding) > -mu * heavier * speed) {
     law.row(0) << -1, mu * sign;
-    law.row(0) *= bounce * mass / (1 + mu * mu);
+    law.row(0) *= bounce * mass / (1 + mu * mu * heavier);
     law.row(1) = -mu * sign * law.row(0);
   }
   return law;
@@ -65,9 +68,17 @@ Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, cons
   const Vec2d w = impact.velocity_a - impact.velocity_b;
   const std::array<double, 2> share = {impact.inverse_mass_a, -impact.inverse_mass_b};
   const std::array<Vec2d, 2> a = {impact.acceleration_a, impact.acceleration_b};
-  const Vec2d relative(Dot(n, w), Dot(t, w));
-  const double mass = 1 / (share[0] - share[1]);
-  const Eigen::Matrix2d law = ImpulseLaw(relative[0], relative[1], mass, terms);
+  const auto rims = [&](const std::array<double, 2>& of) {
+    return terms.rims ? impact.radius[0] * of[0] + impact.radius[1] * of[1] : 0.0;
+  };
+  const double mass = 1 / (share[0] - share[1]), sliding = Dot(t, w);
+  double stick = share[0] - share[1];
+  Vec2d relative(Dot(n, w), sliding);
+  if (impact.spins) {
+    for (int i = 0; i < 2 && terms.turns; ++i) stick += impact.radius[i] * impact.radius[i] * impact.inverse_inertia[i];
+    relative[1] -= rims(impact.spin);
+  }
+  const Eigen::Matrix2d law = ImpulseLaw(relative[0], relative[1], mass, 1 / stick, terms);
   const Vec2d impulse = law * relative;
 
   const Vec2d dd = in.q[0] - in.q[1];
@@ -80,7 +91,8 @@ Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, cons
     turn = Dot(t, Vec2d(dd + (shifted ? dtau : 0.0) * w)) * impact.inverse_distance;
   }
   const Vec2d du = dv[0] - dv[1];
-  const Vec2d d_relative(Dot(n, du) + relative[1] * turn, Dot(t, du) - relative[0] * turn);
+  Vec2d d_relative(Dot(n, du) + sliding * turn, Dot(t, du) - relative[0] * turn);
+  if (impact.spins) d_relative[1] -= rims(in.w);
   Vec2d d_impulse = law * d_relative;
   if (terms.overlap_rate > 0) AddOverlap(impact, terms, mass * Dot(n, dd), relative, d_relative, mass, &d_impulse);
 
@@ -91,6 +103,10 @@ Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, cons
     out.v[i] = dv[i] + share[i] * d_kick;
     if (terms.acceleration) out.v[i] -= dtau * a[i];
     out.q[i] = in.q[i] - terms.position_shift * dtau * share[i] * kick;
+    const double arm = terms.turns ? impact.radius[i] * impact.inverse_inertia[i] : 0.0;
+    out.w[i] = in.w[i] - arm * d_impulse[1];
+    out.angle[i] = in.angle[i];
+    if (!terms.shift_along_normal_only) out.angle[i] += terms.position_shift * dtau * arm * impulse[1];
   }
   return out;
 }
@@ -112,6 +128,7 @@ void ForgetTime(ImpactTerms* terms) {
 ImpactTerms::Friction LawOf(ContactMode mode) {
   switch (mode) {
     case ContactMode::kFrictionless:
+    case ContactMode::kPocketed:
       return ImpactTerms::Friction::kNone;
     case ContactMode::kSlip:
       return ImpactTerms::Friction::kSlip;
@@ -142,6 +159,17 @@ Family FrictionFaults() {
           {"slides where it should stick", [](const PairImpact&, ImpactTerms* t) { t->law = Friction::kSlip; }},
           {"restitution multiplies friction, and sliding the normal impulse",
            [](const PairImpact&, ImpactTerms* t) { t->law = Friction::kCone; }}};
+}
+
+Family SpinFaults(const PairImpact& impact) {
+  Family faults = {{nullptr, [](const PairImpact&, ImpactTerms*) {}}};
+  if (!impact.spins || impact.friction == 0) return faults;
+  faults.push_back({"friction does not turn the discs", [](const PairImpact&, ImpactTerms* t) { t->turns = false; }});
+  faults.push_back(
+      {"friction follows the centres and not the rims", [](const PairImpact&, ImpactTerms* t) { t->rims = false; }});
+  faults.push_back(
+      {"spin has no part in friction", [](const PairImpact&, ImpactTerms* t) { t->turns = t->rims = false; }});
+  return faults;
 }
 
 // `friction`: whether there is any that could be forgotten.
@@ -191,16 +219,19 @@ Family NormalFaults() {
 
 // Dense d(end)/d(begin) of free flight for a time.
 void Fly(double time, Variation* x) {
-  for (int i = 0; i < 2; ++i) x->q[i] += time * x->v[i];
+  for (int i = 0; i < 2; ++i) {
+    x->q[i] += time * x->v[i];
+    x->angle[i] += time * x->w[i];
+  }
 }
 
 }  // namespace
 
-double ScaledNorm(const Eigen::MatrixXd& difference, double time) {
+double ScaledNorm(const Eigen::MatrixXd& difference, const Eigen::VectorXd& scales) {
   double sum = 0;
   for (int r = 0; r < difference.rows(); ++r) {
     for (int c = 0; c < difference.cols(); ++c) {
-      const double scale = (r % 4 < 2 ? 1 : time) / (c % 4 < 2 ? 1 : time);
+      const double scale = scales[r] / scales[c];
       sum += difference(r, c) * scale * difference(r, c) * scale;
     }
   }
@@ -217,13 +248,17 @@ ImpactTerms ExactTerms(const PairImpact& impact) {
 
 Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& terms) {
   const std::array<bool, 2> moves = {impact.inverse_mass_a > 0, impact.inverse_mass_b > 0};
-  const int size = 4 * impact.num_moving();
+  const int of_disc = impact.spins ? 6 : 4, size = of_disc * impact.num_moving();
   Eigen::MatrixXd jacobian(size, size);
   int column = 0;
   for (int body = 0; body < 2; ++body) {
-    for (int j = 0; j < 4 && moves[body]; ++j, ++column) {
+    for (int j = 0; j < of_disc && moves[body]; ++j, ++column) {
       Variation x;
-      (j < 2 ? x.q : x.v)[body][j % 2] = 1;
+      if (j < 4) {
+        (j < 2 ? x.q : x.v)[body][j % 2] = 1;
+      } else {
+        (j == 4 ? x.angle : x.w)[body] = 1;
+      }
       Fly(impact.before, &x);
       x = ThroughImpact(impact, terms, x);
       Fly(impact.after, &x);
@@ -231,7 +266,8 @@ Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& ter
       for (int i = 0; i < 2; ++i) {
         if (!moves[i]) continue;
         jacobian.col(column).segment<4>(row) << x.q[i], x.v[i];
-        row += 4;
+        if (impact.spins) jacobian.col(column).segment<2>(row + 4) << x.angle[i], x.w[i];
+        row += of_disc;
       }
     }
   }
@@ -241,27 +277,36 @@ Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& ter
 std::optional<std::string> RecogniseFault(const PairImpact& impact, const Eigen::MatrixXd& model, double duration) {
   constexpr double kEnough = 0.25;    // of the error may be left unexplained
   constexpr double kPerFault = 0.03;  // a further fault must explain more than this
-  const double error = ScaledNorm(model - LinearizeImpact(impact, ExactTerms(impact)), duration);
+  std::vector<double> factors;
+  for (int i = 0; i < 2; ++i) {
+    if ((i == 0 ? impact.inverse_mass_a : impact.inverse_mass_b) == 0) continue;
+    factors.insert(factors.end(), {1, 1, duration, duration});
+    if (impact.spins) factors.insert(factors.end(), {impact.radius[i], impact.radius[i] * duration});
+  }
+  const Eigen::VectorXd scales = Eigen::Map<Eigen::VectorXd>(factors.data(), static_cast<Eigen::Index>(factors.size()));
+  const double error = ScaledNorm(model - LinearizeImpact(impact, ExactTerms(impact)), scales);
   double best = kEnough + 4 * kPerFault;
   std::optional<std::string> words;
   const Family bounces = BounceFaults(), frictions = FrictionFaults(), times = TimeFaults(impact.friction > 0),
-               normals = NormalFaults();
+               normals = NormalFaults(), turns = SpinFaults(impact);
   for (const Fault& bounce : bounces) {
     for (const Fault& friction : frictions) {
       for (const Fault& time : times) {
         for (const Fault& normal : normals) {
-          ImpactTerms terms = ExactTerms(impact);
-          std::string found;
-          int count = 0;
-          for (const Fault* fault : {&bounce, &friction, &time, &normal}) {
-            fault->apply(impact, &terms);
-            if (fault->words == nullptr) continue;
-            found += (count++ > 0 ? "; " : "") + std::string(fault->words);
+          for (const Fault& turn : turns) {
+            ImpactTerms terms = ExactTerms(impact);
+            std::string found;
+            int count = 0;
+            for (const Fault* fault : {&bounce, &friction, &time, &normal, &turn}) {
+              fault->apply(impact, &terms);
+              if (fault->words == nullptr) continue;
+              found += (count++ > 0 ? "; " : "") + std::string(fault->words);
+            }
+            const double left = ScaledNorm(model - LinearizeImpact(impact, terms), scales) / error;
+            if (count == 0 || left > kEnough || left + kPerFault * count >= best) continue;
+            best = left + kPerFault * count;
+            words = found;
           }
-          const double left = ScaledNorm(model - LinearizeImpact(impact, terms), duration) / error;
-          if (count == 0 || left > kEnough || left + kPerFault * count >= best) continue;
-          best = left + kPerFault * count;
-          words = found;
         }
       }
     }

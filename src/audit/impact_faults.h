@@ -9,11 +9,16 @@
 //   dv+  = dv_c +- dP / m - [a dtau]                     P as a function of n and w
 //   dq+  = dq + [(v - v+) dtau]
 //
+// Of discs that spin P follows the sliding of the rims, t . w - [r_a w_a + r_b w_b], and [turns them]:
+//
+//   dw_k+  = dw_k - r_k dP_t / I_k,   dangle_k+ = dangle_k + [(w_k - w_k+) dtau].
+//
 // Brackets mark what may be missing. Source: the saltation matrix of a rigid impact with Newton's restitution and
 // Coulomb's friction.
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <optional>
 #include <string>
 
@@ -32,6 +37,9 @@ struct PairImpact {
   ContactMode mode = ContactMode::kFrictionless;
   double before = 0, after = 0;  // s, from the begin of the interval, and to its end
   double step = 0;               // s, the model's
+  // Of discs a and b in a scene that spins: m; 1/(kg m^2), 0 if it cannot spin; rad/s, before.
+  bool spins = false;
+  std::array<double, 2> radius = {0, 0}, inverse_inertia = {0, 0}, spin = {0, 0};
 
   int num_moving() const { return (inverse_mass_a > 0) + (inverse_mass_b > 0); }
 };
@@ -51,15 +59,18 @@ struct ImpactTerms {
   double friction = 0;  // coefficient
   // 1/s; with positions projected to contact and velocities taken from their differences, one over the step.
   double overlap_rate = 0;
+  bool turns = true;  // friction turns discs that spin
+  bool rims = true;   // and follows the sliding of their rims, not that of the centres
 };
 
 ImpactTerms ExactTerms(const PairImpact& impact);
 
-// d(state at the end of the interval) / d(state at its begin) over the discs that move, a before b, [p v] each.
+// d(state at the end of the interval) / d(state at its begin) over the discs that move, a before b: [p v] of
+// each, and [angle w] in a scene that spins.
 Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& terms);
 
-// Frobenius norm of a difference of two such linearizations, with velocities multiplied by the time scale.
-double ScaledNorm(const Eigen::MatrixXd& difference, double time);
+// Frobenius norm of a difference of two such linearizations, with the factors of a state (StateScales, step_map.h).
+double ScaledNorm(const Eigen::MatrixXd& difference, const Eigen::VectorXd& scales);
 
 // The known fault, or faults, with which LinearizeImpact comes close to `model`, in words; nothing if none does.
 // Positions and velocities are compared on the scale of `duration`.

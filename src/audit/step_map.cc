@@ -57,15 +57,28 @@ StepMap Run(const Simulator& simulator, std::span<const double> begin, const For
   }
   map.end = x;
   if (bodies == nullptr) return map;
-  const int n = static_cast<int>(bodies->size()), size = simulator.body_size();
-  map.A.resize(4 * n, 4 * n);
+  const int n = static_cast<int>(bodies->size()), size = simulator.body_size(), kept = NumbersOfDisc(simulator.scene());
+  map.A.resize(kept * n, kept * n);
   for (int i = 0; i < n; ++i) {
-    for (int j = 0; j < n; ++j) map.A.block<4, 4>(4 * i, 4 * j) = A.block<4, 4>(i * size, j * size);
+    for (int j = 0; j < n; ++j) map.A.block(kept * i, kept * j, kept, kept) = A.block(i * size, j * size, kept, kept);
   }
   return map;
 }
 
 }  // namespace
+
+int NumbersOfDisc(const Scene& scene) { return scene.Spins() ? 4 + kSpin : 4; }
+
+Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time) {
+  const int size = NumbersOfDisc(scene);
+  Eigen::VectorXd scales(size * bodies.size());
+  for (size_t i = 0; i < bodies.size(); ++i) {
+    const double radius = scene.bodies[bodies[i]].radius;
+    const double of_disc[] = {1, 1, time, time, radius, radius * time};
+    for (int j = 0; j < size; ++j) scales[size * i + j] = of_disc[j];
+  }
+  return scales;
+}
 
 StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
                      const std::vector<int>& bodies) {

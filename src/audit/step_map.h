@@ -16,11 +16,21 @@ using ForceOfStep = std::function<void(int k, std::span<double> force)>;
 struct StepMap {
   std::vector<double> end;         // state after the steps
   std::vector<StepTouch> touches;  // steps counted from the begin
-  Eigen::MatrixXd A;               // d(end) / d(begin), 4 n x 4 n: [p v] of each given disc
+  Eigen::MatrixXd A;  // d(end) / d(begin) over the given discs: [p v] of each, and [angle w] if the scene spins
 };
 
-// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ... Rotation takes part in the
-// composition, but not in A.
+// Numbers of a disc in the state of a scene: those above.
+int NumbersOfDisc(const Scene& scene);
+
+// Whether number j of a disc is a velocity or an angular velocity.
+inline bool IsRate(Eigen::Index j) { return j == 2 || j == 3 || j == 5; }
+
+// Puts lengths and turns on one scale: of each disc of `bodies` the factors of [p v], and of [angle w] if the scene
+// spins: 1, `time`, the radius and the radius times `time`. Of costates they are those to divide by.
+Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time);
+
+// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ... Rotation that is the model's
+// own takes part in the composition, but not in A.
 StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
                      const std::vector<int>& bodies);
 

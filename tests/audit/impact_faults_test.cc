@@ -17,6 +17,7 @@ struct Meeting {
   double restitution = 0.8, friction = 0;
   Vec2d velocity = {1, -2};  // of the first at the impact
   double before = 0.02;
+  bool spins = false;
 };
 
 struct Case {
@@ -36,6 +37,10 @@ Case Build(const Meeting& meeting) {
   scene.bodies = {{.name = "a", .radius = 0.3, .mass = 1.5, .position = {0, 9}},
                   {.name = "b", .radius = 0.2, .mass = 0.7, .fixed = meeting.fixed, .position = {30, 40}}};
   if (meeting.plane) scene.planes = {{"slope", {0, 0}, {0.6, 0.8}}};
+  if (meeting.spins) {
+    scene.bodies[0].inertia = {Inertia::Kind::kSolid};
+    if (!meeting.fixed) scene.bodies[1].inertia = {Inertia::Kind::kGiven, 0.02};
+  }
   scene.control = {{0}, {force_a}};
   if (!meeting.fixed) scene.control = {{0, 1}, {force_a, force_b}};
 
@@ -70,11 +75,21 @@ Case Build(const Meeting& meeting) {
   };
   std::vector<double> x;
   for (double value : begin(at_a, impact.velocity_a, impact.acceleration_a)) x.push_back(value);
+  if (meeting.spins) x.insert(x.end(), {0.3, 4});
   for (double value : begin(at_b, impact.velocity_b, impact.acceleration_b)) x.push_back(value);
+  if (meeting.spins) x.insert(x.end(), {-0.1, meeting.fixed ? 0.0 : 3.0});
+  if (meeting.spins) {
+    impact.spins = true;
+    impact.radius = {0.3, meeting.plane ? 0.0 : 0.2};
+    impact.inverse_inertia[0] = 1 / (0.5 * 1.5 * 0.3 * 0.3);
+    impact.spin[0] = 4;
+    if (impact.inverse_mass_b > 0) impact.inverse_inertia[1] = 1 / 0.02;
+    if (impact.inverse_mass_b > 0) impact.spin[1] = 3;
+  }
   const std::vector<double> force = {force_a[0], force_a[1], force_b[0], force_b[1]};
 
   const std::unique_ptr<Simulator> simulator = MakeSimulator("event", scene, Precision::kDouble);
-  std::vector<double> next(8);
+  std::vector<double> next(x.size());
   std::vector<Touch> touches;
   simulator->Step(x, force, next, &touches);
   EXPECT_EQ(touches.size(), 1u);
@@ -85,7 +100,7 @@ Case Build(const Meeting& meeting) {
   simulator->Linearize(x, force, false, &linearization);
   Eigen::MatrixXd A, B;
   linearization.ToDense(&A, &B);
-  const int size = 4 * impact.num_moving();
+  const int size = (meeting.spins ? 6 : 4) * impact.num_moving();
   out.exact = A.topLeftCorner(size, size);
   return out;
 }
@@ -95,15 +110,19 @@ TEST(ImpactFaults, TheClosedFormIsThatOfTheEventDrivenModel) {
     for (const bool fixed : {false, true}) {
       if (plane && fixed) continue;
       for (const double restitution : {1.0, 0.6, 0.2}) {
-        for (const double friction : {0.0, 0.1, 5.0}) {
-          const Case c = Build({plane, fixed, restitution, friction});
-          EXPECT_EQ(c.mode,
-                    friction == 0   ? ContactMode::kFrictionless
-                    : friction == 5 ? ContactMode::kStick
-                                    : ContactMode::kSlip);
-          const Eigen::MatrixXd closed = LinearizeImpact(c.impact, ExactTerms(c.impact));
-          EXPECT_LT((closed - c.exact).norm(), 1e-10 * c.exact.norm())
-              << "plane " << plane << " fixed " << fixed << " e " << restitution << " mu " << friction;
+        for (const double friction : {0.0, 0.03, 5.0}) {
+          for (const bool spins : {false, true}) {
+            const Case c = Build(
+                {.plane = plane, .fixed = fixed, .restitution = restitution, .friction = friction, .spins = spins});
+            EXPECT_EQ(c.mode,
+                      friction == 0   ? ContactMode::kFrictionless
+                      : friction == 5 ? ContactMode::kStick
+                                      : ContactMode::kSlip);
+            const Eigen::MatrixXd closed = LinearizeImpact(c.impact, ExactTerms(c.impact));
+            EXPECT_LT((closed - c.exact).norm(), 1e-10 * c.exact.norm())
+                << "plane " << plane << " fixed " << fixed << " e " << restitution << " mu " << friction << " spins "
+                << spins;
+          }
         }
       }
     }
@@ -115,6 +134,21 @@ TEST(ImpactFaults, AnExactMapHasNoFault) {
   Eigen::MatrixXd almost = c.exact;
   almost(0, 1) += 1e-9;
   EXPECT_EQ(RecogniseFault(c.impact, almost, 1), std::nullopt);
+}
+
+// Those of spin too, where discs stick.
+TEST(ImpactFaults, NamesWhatWasDroppedOfSpin) {
+  const Case c = Build({.restitution = 0.7, .friction = 5, .spins = true});
+  const auto recognise = [&](const auto& drop) {
+    ImpactTerms terms = ExactTerms(c.impact);
+    drop(&terms);
+    const Eigen::MatrixXd map = LinearizeImpact(c.impact, terms);
+    return RecogniseFault(c.impact, map + 0.02 * (map - c.exact).cwiseAbs(), 1).value_or("none");
+  };
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->turns = false; }), "friction does not turn the discs");
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->rims = false; }), "friction follows the centres and not the rims");
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->turns = t->rims = false; }), "spin has no part in friction");
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0; }), "restitution forgotten");
 }
 
 // Faults are recognised below a model's own error of first order, and told apart from each other.
