@@ -274,7 +274,9 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     audit.verdict = Verdict::kNotApplicable;
   } else if (reference) {
     audit.error = CompareGradients(audit.gradient, *reference);
-    RefinementStudy refinement = StudyRefinement(contact, scene, options.refinement, stop);
+    RefinementOptions refinement_options = options.refinement;
+    refinement_options.threads = options.threads;
+    RefinementStudy refinement = StudyRefinement(contact, scene, refinement_options, stop);
     if (interrupted()) return audit;
     audit.verdict = refinement.verdict;
     audit.refinement = std::move(refinement);

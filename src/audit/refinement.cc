@@ -8,6 +8,7 @@
 
 #include "audit/conditioning.h"
 #include "audit/statistics.h"
+#include "control/parallel_for.h"
 #include "physics/units.h"
 #include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
@@ -234,15 +235,20 @@ class Study {
   // False, with the reason in the study, if a rollout is not finite.
   bool AddLevel(int level) {
     const int base = std::max(1, scene_.steps / unit_) << level;
+    const auto steps_of = [&](int sample) { return unit_ * (base + sample); };
+    std::vector<ModelGradient> gradients(options_.samples);
+    ParallelFor(options_.threads, options_.samples, [&](int, int sample) {
+      Scene refined = scene_;
+      refined.steps = steps_of(sample);
+      gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
+    });
     std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
     double log_steps = 0;
     for (int sample = 0; sample < options_.samples; ++sample) {
-      Scene refined = scene_;
-      refined.steps = unit_ * (base + sample);
-      log_steps += std::log(refined.steps) / options_.samples;
-      const ModelGradient gradient = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
+      log_steps += std::log(steps_of(sample)) / options_.samples;
+      const ModelGradient& gradient = gradients[sample];
       if (!gradient.ok()) {
-        out_.reason = "with " + std::to_string(refined.steps) + " steps, " + gradient.reason;
+        out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradient.reason;
         return false;
       }
       if (level == 0) touches_ = std::max(touches_, gradient.num_touches);

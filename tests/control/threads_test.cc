@@ -1,5 +1,5 @@
-// Several threads at once: steps of one simulator, and solvers and audits side by side, with the bits of one thread.
-// What it does not notice by itself, ThreadSanitizer does (preset tsan).
+// Several threads at once: steps of one simulator, solvers and audits side by side, and the refinement of one audit,
+// with the bits of one thread. What it does not notice by itself, ThreadSanitizer does (preset tsan).
 #include <gtest/gtest.h>
 
 #include <functional>
@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "saltus/audit/audit.h"
+#include "saltus/audit/refinement.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -102,6 +103,23 @@ TEST(Threads, AuditsSideBySide) {
   OnThreads([&](int i) { together[i] = audit(i); });
   EXPECT_EQ(together, alone);
   EXPECT_EQ(alone[0].first, Verdict::kWrongSign);
+}
+
+TEST(Threads, RefinementOfOneModel) {
+  const Scene scene = ProblemScene("multiple_collisions");
+  RefinementOptions options;
+  const RefinementStudy one = StudyRefinement("compliant_warp", scene, options);
+  options.threads = kThreads;
+  const RefinementStudy several = StudyRefinement("compliant_warp", scene, options);
+  ASSERT_TRUE(one.ok()) << one.reason;
+  ASSERT_EQ(several.quantities.size(), one.quantities.size());
+  for (size_t q = 0; q < one.quantities.size(); ++q) {
+    EXPECT_EQ(several.quantities[q].finest, one.quantities[q].finest);
+    ASSERT_EQ(several.quantities[q].levels.size(), one.quantities[q].levels.size());
+    for (size_t i = 0; i < one.quantities[q].levels.size(); ++i) {
+      EXPECT_EQ(several.quantities[q].levels[i].error, one.quantities[q].levels[i].error);
+    }
+  }
 }
 
 }  // namespace

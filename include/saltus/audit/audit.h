@@ -61,7 +61,7 @@ struct AuditOptions {
   WidthSweepOptions widths = {};
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
-  int threads = 1;  // for its samples
+  int threads = 1;  // for its samples, and in the place of refinement.threads
   // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
   StopRequest stop = nullptr;
 };

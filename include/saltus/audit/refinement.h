@@ -73,6 +73,9 @@ struct RefinementOptions {
   // Of one level, in steps times discs, or 24 times what touches in the steps if that is more, as in a model that
   // lets everything touch always. Levels finer than the fourth are left out above it.
   double budget = 1.5e6;
+  // On which the step counts of a level are run; results are the same for any number. More than one needs a contact
+  // model whose simulators may run at the same time, as all in the registry.
+  int threads = 1;
 };
 
 struct RefinementLevel {
