@@ -293,7 +293,14 @@ class SceneCheck {
     if (std::ranges::all_of(initial, zero) && std::ranges::all_of(control, zero)) {
       return Count(about + "left out: no derivative to any side");
     }
-    size = std::max(size, kSmallestDerivative);
+    // The largest change is the width of a difference: a smaller one would be lost in what counts as rest.
+    double longest = 0;
+    for (const double entry : initial) longest = std::max(longest, std::abs(entry));
+    for (const double entry : control) longest = std::max(longest, std::abs(entry));
+    for (double& entry : initial) entry /= longest;
+    for (double& entry : control) entry /= longest;
+    slope /= longest;
+    size = std::max(size / longest, kSmallestDerivative);
 
     const Differences& differences = lasting_ ? kAtRest : kAtImpacts;
     const auto agrees = [&](const Side& side) {
