@@ -12,6 +12,7 @@
 #include "figure_text.h"
 #include "gnuplot.h"
 #include "io/file.h"
+#include "output/drawn_figure.h"
 #include "output/table.h"
 
 namespace saltus {
@@ -114,14 +115,29 @@ Series Series::ForModel(std::string_view model, std::vector<double> x, std::vect
   return series;
 }
 
-StatusOr<std::string> RenderSvg(const Figure& figure, std::string_view id_prefix, const std::string& gnuplot) {
+StatusOr<DrawnFigure> DrawnFigure::Draw(const Figure& figure, const std::string& gnuplot) {
+  StatusOr<std::string> svg = internal::RunGnuplot(gnuplot, internal::GnuplotScript(figure, internal::Terminal::kSvg));
+  if (!svg.ok()) return svg.status();
+  DrawnFigure drawn;
+  drawn.figure_ = figure;
+  drawn.svg_ = std::move(*svg);
+  return drawn;
+}
+
+std::string DrawnFigure::Svg(std::string_view id_prefix) const {
   for (const char c : id_prefix) {
     CHECK(std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '-' || c == '_')
         << "id prefix '" << id_prefix << "'";
   }
-  StatusOr<std::string> svg = internal::RunGnuplot(gnuplot, internal::GnuplotScript(figure, internal::Terminal::kSvg));
-  if (!svg.ok()) return svg;
-  return Finish(std::move(*svg), figure, std::string(id_prefix));
+  return Finish(svg_, figure_, std::string(id_prefix));
+}
+
+Status DrawnFigure::WriteSvg(const std::string& path) const { return WriteFileAtomically(path, Svg(IdFromPath(path))); }
+
+StatusOr<std::string> RenderSvg(const Figure& figure, std::string_view id_prefix, const std::string& gnuplot) {
+  const StatusOr<DrawnFigure> drawn = DrawnFigure::Draw(figure, gnuplot);
+  if (!drawn.ok()) return drawn.status();
+  return drawn->Svg(id_prefix);
 }
 
 StatusOr<std::string> RenderPng(const Figure& figure, const std::string& gnuplot) {
@@ -130,9 +146,9 @@ StatusOr<std::string> RenderPng(const Figure& figure, const std::string& gnuplot
 
 Status WriteFigure(const Figure& figure, const std::string& svg_path, const std::string& png_path) {
   if (!svg_path.empty()) {
-    const StatusOr<std::string> svg = RenderSvg(figure, IdFromPath(svg_path));
-    if (!svg.ok()) return svg.status();
-    const Status written = WriteFileAtomically(svg_path, *svg);
+    const StatusOr<DrawnFigure> drawn = DrawnFigure::Draw(figure);
+    if (!drawn.ok()) return drawn.status();
+    const Status written = drawn->WriteSvg(svg_path);
     if (!written.ok()) return written;
   }
   if (png_path.empty()) return Status();

@@ -22,6 +22,31 @@ std::vector<Tick> Ticks(const Axis& axis, const Range& range, double count) {
   return axis.log ? LogTicks(range) : LinearTicks(range, std::max(2, static_cast<int>(count)));
 }
 
+// On a logarithmic axis, whose ticks are not where there is room: keeps labels that do not touch, powers of ten first.
+void DropLabelsThatTouch(const Range& range, const Box& box, std::vector<Tick>* ticks) {
+  const double scale = (box.right - box.left) / std::log10(range.max / range.min);
+  const auto place = [&](const Tick& tick) { return scale * std::log10(tick.value / range.min); };
+  const auto half = [](const Tick& tick) { return 0.5 * kCharacter * static_cast<double>(LengthOf(tick.label) + 1); };
+  const auto is_power = [](const Tick& tick) {
+    const double power = std::log10(tick.value);
+    return std::abs(power - std::round(power)) < 1e-9;
+  };
+  std::vector<const Tick*> kept;
+  for (const bool powers : {true, false}) {
+    for (Tick& tick : *ticks) {
+      if (tick.label.empty() || is_power(tick) != powers) continue;
+      const bool touches = std::any_of(kept.begin(), kept.end(), [&](const Tick* other) {
+        return std::abs(place(tick) - place(*other)) < half(tick) + half(*other);
+      });
+      if (touches) {
+        tick.label.clear();
+      } else {
+        kept.push_back(&tick);
+      }
+    }
+  }
+}
+
 struct LegendSize {
   int columns = 0;
   double width = 0;
@@ -71,7 +96,9 @@ size_t LongestLabel(const std::vector<Tick>& ticks) {
 }
 
 std::vector<Tick> TicksX(const Axis& axis, const Range& range, const Box& box) {
-  return Ticks(axis, range, (box.right - box.left) / kPixelsPerTickX);
+  std::vector<Tick> ticks = Ticks(axis, range, (box.right - box.left) / kPixelsPerTickX);
+  if (axis.log) DropLabelsThatTouch(range, box, &ticks);
+  return ticks;
 }
 
 std::vector<Tick> TicksY(const Axis& axis, const Range& range, const Box& box) {

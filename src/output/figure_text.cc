@@ -42,10 +42,13 @@ std::string DescribePanel(const Panel& panel) {
 
 std::string Pixels(double value) { return Format("%.1f", value); }
 
+constexpr double kMargin = 8;  // pixels, on the right of what is viewed: lines of the neighbour begin there
+
 // A view of a part of the figure; `attributes` end its tag.
 std::string View(const Box& box, double height, const std::string& id, const std::string& attributes) {
-  return "<svg viewBox=\"" + Pixels(box.left) + " " + Pixels(height - box.top) + " " + Pixels(box.right - box.left) +
-         " " + Pixels(box.top - box.bottom) + "\" " + attributes + "><use href=\"#" + id + "\"/></svg>\n";
+  const double width = box.right - box.left - kMargin;
+  return "<svg viewBox=\"" + Pixels(box.left) + " " + Pixels(height - box.top) + " " + Pixels(width) + " " +
+         Pixels(box.top - box.bottom) + "\" " + attributes + "><use href=\"#" + id + "\"/></svg>\n";
 }
 
 }  // namespace
@@ -73,8 +76,10 @@ std::string FigureParts(const Figure& figure, const std::string& id_prefix) {
   const double width = layout.legend_columns > 0 ? (legend.right - legend.left) / layout.legend_columns : 0;
   for (int i = 0; i < layout.legend_columns; ++i) {
     const Box column = {legend.left + i * width, legend.left + (i + 1) * width, legend.bottom, legend.top};
-    parts += View(
-        column, layout.height, id, "class=\"legend\" style=\"width: " + Pixels(width) + "px\" aria-hidden=\"true\"");
+    parts += View(column,
+                  layout.height,
+                  id,
+                  "class=\"legend\" style=\"width: " + Pixels(width - kMargin) + "px\" aria-hidden=\"true\"");
   }
   return parts;
 }

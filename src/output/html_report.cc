@@ -105,14 +105,18 @@ void HtmlReport::AddTable(const Table& table, std::string_view caption, bool fol
 }
 
 Status HtmlReport::AddFigure(const Figure& figure, std::string_view caption, bool folded) {
+  const StatusOr<DrawnFigure> drawn = DrawnFigure::Draw(figure);
+  if (!drawn.ok()) return drawn.status();
+  AddFigure(*drawn, caption, folded);
+  return Status();
+}
+
+void HtmlReport::AddFigure(const DrawnFigure& drawn, std::string_view caption, bool folded) {
   const std::string id = "figure" + std::to_string(figures_ + 1);
-  const StatusOr<std::string> svg = RenderSvg(figure, id);
-  if (!svg.ok()) return svg.status();
-  std::string plot = "<div class=\"plot\">" + *svg + "</div>";
-  const std::string parts = internal::FigureParts(figure, id);
+  std::string plot = "<div class=\"plot\">" + drawn.Svg(id) + "</div>";
+  const std::string parts = internal::FigureParts(drawn.figure(), id);
   if (!parts.empty()) plot = "<div class=\"plots\">" + plot + "<div class=\"plot parts\">" + parts + "</div></div>";
   AddFigureElement("Figure", ++figures_, caption, plot, folded);
-  return Status();
 }
 
 void HtmlReport::AddReplay(const Replay& replay, std::string_view caption) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "io/status.h"
+#include "output/drawn_figure.h"
 #include "output/figure.h"
 #include "output/replay.h"
 #include "output/table.h"
@@ -48,6 +49,7 @@ class HtmlReport {
 
   // Draws the figure; an error if gnuplot is missing or fails, and the report is then as it was.
   Status AddFigure(const Figure& figure, std::string_view caption, bool folded = false);
+  void AddFigure(const DrawnFigure& figure, std::string_view caption, bool folded = false);
 
   // Numbered as a figure.
   void AddReplay(const Replay& replay, std::string_view caption);

@@ -49,6 +49,7 @@ nav summary { font-weight: 600; }
   nav { position: sticky; top: 0; align-self: start; height: 100vh; overflow-y: auto; margin: 0;
     padding: 2.25rem .75rem 2rem 1.5rem; border-right: 1px solid var(--line); }
   main { max-width: 76rem; width: 100%; padding: 2rem 2.5rem 5rem; }
+  main:first-child { grid-column: 1 / -1; }
 }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(16rem, 100%), 1fr)); gap: .75rem;
   margin: 1.25rem 0; }
@@ -84,7 +85,8 @@ td.long { min-width: 13rem; }
 th { position: sticky; top: 0; background: var(--raised); font-weight: 600; z-index: 1; }
 tbody tr:last-child td { border-bottom: 0; }
 tbody tr:hover td:not(.good):not(.warning):not(.bad) { background: var(--raised); }
-.number { text-align: right; white-space: nowrap; }
+.number { text-align: right; }
+td.number { white-space: nowrap; }
 td.good { background: var(--good-paper); color: var(--good); }
 td.warning { background: var(--warning-paper); color: var(--warning); }
 td.bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
@@ -110,6 +112,7 @@ td.muted { color: var(--faint); }
 constexpr char kDarkPlots[] = R"(
 .plot svg { filter: invert(1) hue-rotate(180deg); }
 .plot svg > g > rect:first-child { fill: none; }
+.plot.parts svg { mix-blend-mode: screen; }
 )";
 
 }  // namespace

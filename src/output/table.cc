@@ -96,6 +96,16 @@ std::string CsvLine(const std::vector<std::string>& fields) {
   return line + '\n';
 }
 
+// Long names break behind an underscore, not anywhere.
+std::string Breakable(const std::string& name) {
+  std::string html;
+  for (const char c : EscapeHtml(name)) {
+    html += c;
+    if (c == '_') html += "<wbr>";
+  }
+  return html;
+}
+
 }  // namespace
 
 std::string_view ToneName(Tone tone) {
@@ -208,7 +218,7 @@ std::string Table::ToHtml() const {
         if (!name.empty()) classes += (classes.empty() ? "" : " ") + std::string(name);
       }
       const std::string label = " data-label=\"" + EscapeHtml(columns_[j].header) + "\"";
-      html += open("td" + label, classes) + EscapeHtml(text) + "</td>";
+      html += open("td" + label, classes) + (key.empty() ? EscapeHtml(text) : Breakable(text)) + "</td>";
     }
     html += "</tr>\n";
   }

@@ -8,7 +8,9 @@
 #include "output/interrupt.h"
 #include "tools/command_line.h"
 #include "tools/identify_input.h"
+#include "tools/identify_report.h"
 #include "tools/identify_tables.h"
+#include "tools/report_parts.h"
 
 DEFINE_string(recording, "", "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own start");
 DEFINE_string(unknown, "restitution",
@@ -178,7 +180,12 @@ int IdentifyMain(int argc, char** argv) {
         PrintTables(request.scene, identified);
       }
     };
-    WriteAndPrint([&] { WriteFiles(request.output_dir, request.scene, identified); }, print);
+    const auto write = [&] {
+      WriteFiles(request.output_dir, request.scene, identified);
+      WriteIdentifyReport(request, identified);
+    };
+    WriteAndPrint(write, print);
+    PrintReportPath(request);
     return ExitCodeOf(identified);
   });
 }

@@ -95,10 +95,15 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
   }
   if (certificate.final_time) item["final_time"] = NumberToJson(*certificate.final_time);
   for (const ConstraintCertificate& constraint : certificate.constraints) {
+    constexpr const char* kQuantities[] = {"position", "velocity", "angle", "angular_velocity"};
     const Vec2d& nu = constraint.multiplier;
+    const bool of_spin = constraint.quantity == TerminalTerm::Quantity::kAngle ||
+                         constraint.quantity == TerminalTerm::Quantity::kAngularVelocity;
+    Json multiplier = NumberToJson(nu[0]);
+    if (!of_spin) multiplier = {NumberToJson(nu[0]), NumberToJson(nu[1])};
     item["constraints"].push_back({{"body", constraint.body},
-                                   {"quantity", constraint.of_velocity ? "velocity" : "position"},
-                                   {"multiplier", {NumberToJson(nu[0]), NumberToJson(nu[1])}}});
+                                   {"quantity", kQuantities[static_cast<int>(constraint.quantity)]},
+                                   {"multiplier", std::move(multiplier)}});
   }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {

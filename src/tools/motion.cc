@@ -10,6 +10,7 @@
 #include "physics/units.h"
 #include "saltus/dynamics/events.h"
 #include "solve/control_guess.h"
+#include "tools/exact_flight.h"
 
 namespace saltus {
 namespace {
@@ -112,6 +113,14 @@ class Recorder {
   }
 
   bool whole() const { return stride_ == 1; }
+  // Makes room for so many nodes, and for two states at each event.
+  void Reserve(size_t nodes, size_t events) {
+    const size_t rows = motion_->times.size() + nodes / stride_ + 2 + 2 * std::min(events, instants_left_ / 2);
+    motion_->times.reserve(rows);
+    motion_->states.reserve(4 * bodies_ * rows);
+    if (spins_) motion_->rotations.reserve(kSpin * bodies_ * rows);
+  }
+
   bool TakesInstants(size_t count) {
     if (instants_left_ < count) return false;
     instants_left_ -= count;
@@ -191,6 +200,7 @@ class ExactMotion {
       : scene_(scene),
         options_(options),
         size_(InitialSize(scene) / scene.num_bodies()),
+        flight_(ExactModelName(), scene),
         recorder_(scene, options, nodes, &motion_),
         touches_(&motion_, kOneInstant * scene.duration) {
     motion_.arcs = recorder_.whole();
@@ -219,6 +229,7 @@ class ExactMotion {
     const double h = way.simulator().step();
     const std::vector<StepTouch>& touches = way.simulator().touches();
     const std::vector<StepTouch> events = EventTouches(way.simulator());
+    recorder_.Reserve(way.num_steps(), events.size());
     auto touch = touches.begin();
     auto event = events.begin();
     for (int k = 0; k < way.num_steps(); ++k) {
@@ -228,7 +239,7 @@ class ExactMotion {
       }
       std::vector<StepTouch> here;
       for (; event != events.end() && event->step == k; ++event) here.push_back(*event);
-      if (!here.empty()) AddInstants(way, here, h);
+      if (!here.empty()) AddInstants(way, here, Touching(touch, touches.end()), h);
       for (; touch != touches.end() && touch->step == k; ++touch) Extend(*touch, k * h, h);
       recorder_.AddNode(start_ + (k + 1) * h, way.next(), size_, k + 1 == way.num_steps());
     }
@@ -236,24 +247,39 @@ class ExactMotion {
     *x = ToInitial(way.next(), scene_.num_bodies());
   }
 
+  using Touches = std::vector<StepTouch>::const_iterator;
+
+  // Which discs touch anything in the step of the first touch, or in the next one, into which flights may reach.
+  std::vector<char> Touching(Touches touch, Touches end) const {
+    std::vector<char> touching(scene_.bodies.size());
+    for (const int step = touch->step; touch != end && touch->step <= step + 1; ++touch) {
+      const Candidate& c = touch->touch.candidate;
+      touching[c.a] = 1;
+      if (!c.plane) touching[c.b] = 1;
+    }
+    return touching;
+  }
+
   // The states before and after each event of a step: from the last one flown, or begun with, once more.
-  void AddInstants(const Way& way, const std::vector<StepTouch>& events, double h) {
+  void AddInstants(const Way& way, const std::vector<StepTouch>& events, const std::vector<char>& touching, double h) {
     if (!recorder_.TakesInstants(2 * events.size())) {
       motion_.arcs = false;
       for (const StepTouch& at : events) Report(at, start_ + way.step() * h, Vec2d::Zero());
       return;
     }
+    flight_.SetTouching(touching);
     std::vector<double> before(way.x().begin(), way.x().end());
     double now = 0;
     for (size_t i = 0, end = 0; i < events.size(); i = end) {
       const double time = events[i].touch.time, instant = start_ + way.step() * h + time;
       while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
       if (time - now > kOneInstant * h) {
-        before = Fly(before, way.force(), time - now);
+        // What is left for the end of the flight (time_grid.h) happens with the next one.
+        before = flight_.Fly(before, way.force(), time - now);
         recorder_.Add(instant, before, size_);
         now = time;
       }
-      std::vector<double> after = Fly(before, way.force(), kJustAfter * h);
+      std::vector<double> after = flight_.Fly(before, way.force(), kJustAfter * h);
       for (size_t j = 0; j < after.size(); j += size_) std::copy_n(before.begin() + j, 2, after.begin() + j);
       recorder_.Add(instant, after, size_);
       for (size_t j = i; j < end; ++j) {
@@ -262,17 +288,6 @@ class ExactMotion {
                ImpulseOn(scene_, events[j].touch.candidate, before, after, size_, way.force(), kJustAfter * h));
       }
     }
-  }
-
-  // What is left for the end of the flight (time_grid.h) happens with the next one.
-  std::vector<double> Fly(const std::vector<double>& x, std::span<const double> force, double time) const {
-    Scene part = scene_;
-    part.steps = 1;
-    part.duration = time;
-    if (!WhyNotApplicable(ExactModelName(), part).empty()) return x;  // too short for numbers
-    std::vector<double> next(x.size());
-    MakeSimulator(ExactModelName(), part, Precision::kDouble)->Step(x, force, next);
-    return next;
   }
 
   void Report(const StepTouch& at, double step_start, const Vec2d& impulse) {
@@ -295,6 +310,7 @@ class ExactMotion {
   const MotionOptions& options_;
   Motion motion_;
   int size_;  // of a body's state
+  ExactFlight flight_;
   Recorder recorder_;
   TouchCollector touches_;
   double start_ = 0;  // s, of the group

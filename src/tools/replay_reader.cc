@@ -141,6 +141,14 @@ class Reader {
                                     NumberIn(arc["from"], key + ".from"),
                                     NumberIn(arc["to"], key + ".to")});
             });
+    ForEach(document,
+            "pockets",
+            "pocket",
+            {"name", "position", "radius"},
+            [&](const Json& pocket, Key key, std::string name) {
+              walls.pockets.push_back(
+                  {name, VectorIn(pocket["position"], key + ".position"), NumberIn(pocket["radius"], key + ".radius")});
+            });
     if (const auto error = ValidateStructure(walls)) throw InputError(path_ + ": " + error->ToString());
     AddWalls(walls, &file_.drawn);
   }

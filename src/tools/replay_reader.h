@@ -18,8 +18,9 @@ struct ReplayFile {
 // Reads NPZ or JSON:
 //
 //   bodies   [{ "name", "radius", "fixed" }]          fixed is false unless given
-//   planes   [{ "name", "point", "normal" }]          default none, as of segments, polygons and arcs, which are as in
-//                                                     scene files
+//   planes   [{ "name", "point", "normal" }]          default none, as of segments, polygons, arcs and pockets, which
+//   are
+//                                                     as in scene files
 //   times    n numbers that do not fall, s
 //   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; of discs
 //            that spin angle and angular velocity follow, and what follows then is not looked at

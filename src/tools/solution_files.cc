@@ -168,6 +168,13 @@ void AddDrawn(const Scene& scene, Json* document) {
   for (const Plane& plane : scene.planes) {
     planes.push_back({{"name", plane.name}, {"point", pair(plane.point)}, {"normal", pair(plane.normal)}});
   }
+  if (!scene.pockets.empty()) {
+    Json& pockets = list("pockets");
+    for (const Pocket& pocket : scene.pockets) {
+      pockets.push_back(
+          {{"name", pocket.name}, {"position", pair(pocket.position)}, {"radius", NumberToJson(pocket.radius)}});
+    }
+  }
   if (!scene.HasEdges()) return;
   Json& segments = list("segments");
   for (const EdgeSegment& segment : scene.segments) {

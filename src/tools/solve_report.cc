@@ -75,57 +75,62 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
   return tiles;
 }
 
+bool IsExact(const SolveReport& report) { return FindContactModel(report.contact)->event_driven; }
+
 MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
 
-void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
-  Replay replay = ReplayOf(request.scene);
+// The motions that are shown, of the best runs: each under its own model, and the best in exact dynamics.
+struct RunMotions {
+  std::vector<Motion> own;
+  Motion exact;
+};
+
+RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>& runs) {
+  RunMotions motions;
   const size_t shown = std::min(runs.size(), kMostMotions);
   const MotionOptions options = ReplayOptions(request.scene, shown + 1);
-  for (size_t i = 0; i < shown; ++i) {
+  for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
+  if (shown == 0) return motions;
+  const SolveReport& best = runs[0]->report;
+  motions.exact = IsExact(best) ? motions.own[0] : MotionOf(request, best, true, options);
+  return motions;
+}
+
+void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
+                  HtmlReport* report) {
+  Replay replay = ReplayOf(request.scene);
+  const auto add = [&](size_t i, const Motion& motion, bool exact) {
+    if (motion.times.empty()) return;
     const SolveReport& run = runs[i]->report;
-    const bool is_exact = FindContactModel(run.contact)->event_driven;
-    for (const bool exact : {false, true}) {
-      if (exact && (is_exact || i > 0)) continue;  // the best also as it really is
-      const Motion motion = MotionOf(request, run, exact, options);
-      if (motion.times.empty()) continue;
-      const RunStyle style = StyleOfRun(request, run);
-      ReplayMotion drawn = ToReplayMotion(
-          request.scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
-      drawn.colour = exact ? "#000000" : style.colour;
-      drawn.dash = exact ? Dash::kDashed : style.dash;
-      drawn.shown = i < 4;
-      replay.motions.push_back(std::move(drawn));
-    }
+    const RunStyle style = StyleOfRun(request, run);
+    ReplayMotion drawn = ToReplayMotion(
+        request.scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+    drawn.colour = exact ? "#000000" : style.colour;
+    drawn.dash = exact ? Dash::kDashed : style.dash;
+    drawn.shown = i < 4;
+    replay.motions.push_back(std::move(drawn));
+  };
+  for (size_t i = 0; i < motions.own.size(); ++i) {
+    add(i, motions.own[i], false);
+    if (i == 0 && !IsExact(runs[0]->report)) add(0, motions.exact, true);
   }
   if (replay.motions.empty()) return;
   report->AddHeading(1, "Replay");
   report->AddReplay(replay,
-                    "The motions" + std::string(runs.size() > shown ? " of least exact loss" : "") +
+                    "The motions" + std::string(runs.size() > motions.own.size() ? " of least exact loss" : "") +
                         ". Space plays and pauses, arrows step, with shift from impact to impact. Forces are green, "
                         "impulses red.");
 }
 
 // Each run under its own model, and dashed in black the best in exact dynamics.
-void AddTrajectories(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
+void AddTrajectories(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
+                     HtmlReport* report) {
   Panel panel = ScenePanel(request.scene, "");
-  const MotionOptions options = ReplayOptions(request.scene, kMostMotions);
-  for (size_t i = 0; i < std::min(runs.size(), kMostMotions); ++i) {
+  for (size_t i = 0; i < motions.own.size(); ++i) {
     const RunStyle style = StyleOfRun(request, runs[i]->report);
-    AddPaths(request.scene,
-             MotionOf(request, runs[i]->report, false, options),
-             LabelOfRun(runs[i]->report),
-             style.colour,
-             style.dash,
-             &panel);
+    AddPaths(request.scene, motions.own[i], LabelOfRun(runs[i]->report), style.colour, style.dash, &panel);
   }
-  if (!runs.empty()) {
-    AddPaths(request.scene,
-             MotionOf(request, runs[0]->report, true, options),
-             "the best, in exact dynamics",
-             "#000000",
-             Dash::kDashed,
-             &panel);
-  }
+  AddPaths(request.scene, motions.exact, "the best, in exact dynamics", "#000000", Dash::kDashed, &panel);
   Figure figure;
   figure.panels = {panel};
   figure.panel_height = 520;
@@ -209,7 +214,7 @@ void AddLearningCurves(const Request& request, const std::vector<const SolvedRun
   panel.y.log = positive;
   Figure figure;
   figure.panels = {panel};
-  figure.width = 1000;
+  figure.legend = panel.series.size() > kMostMotions ? Legend::kBelow : Legend::kRight;
   report->AddHeading(1, "Learning curves");
   AddFigureOrReason(
       figure, "The loss that each solver has minimised, which only under exact dynamics is the real one.", report);
@@ -252,10 +257,11 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, HtmlRepo
                      "the effort alone.");
   }
   AddImpacts(runs, report);
-  AddRunReplay(request, runs, report);
+  const RunMotions motions = MotionsOf(request, runs);
+  AddRunReplay(request, runs, motions, report);
   if (!runs.empty()) {
     report->AddHeading(1, "Trajectories");
-    AddTrajectories(request, runs, report);
+    AddTrajectories(request, runs, motions, report);
   }
   AddControls(request, runs, report);
   AddLearningCurves(request, runs, report);

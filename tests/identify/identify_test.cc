@@ -55,15 +55,12 @@ MotionAtSamples Move(const std::string& contact, const Scene& scene, const Recor
   return MoveThrough(contact, scene, segment, {&recording.samples, unknowns, {0, 1}}, true);
 }
 
-class DerivativeUnder : public testing::TestWithParam<const char*> {};
-
-TEST_P(DerivativeUnder, IsThatOfDifferences) {
-  Scene scene = DropAndHit();
+void ExpectDerivativesOfDifferences(const char* contact, Scene scene) {
   const std::vector<Unknown> unknowns = AllOf(scene);
   for (const Unknown& unknown : unknowns) SetValue(unknown, ValueOf(unknown, scene), &scene);
   const Recording recording = Times(scene);
   const std::vector<double> initial = InitialState(scene);
-  const MotionAtSamples motion = Move(GetParam(), scene, recording, unknowns, initial);
+  const MotionAtSamples motion = Move(contact, scene, recording, unknowns, initial);
   ASSERT_TRUE(motion.ok) << motion.reason;
   ASSERT_GE(motion.touches.size(), 3u);
   const double width = 1e-6;
@@ -76,7 +73,7 @@ TEST_P(DerivativeUnder, IsThatOfDifferences) {
       } else {
         start[column - unknowns.size()] += by;
       }
-      return Move(GetParam(), other, recording, unknowns, start);
+      return Move(contact, other, recording, unknowns, start);
     };
     const MotionAtSamples up = shifted(width), down = shifted(-width);
     ASSERT_EQ(up.touches.size(), down.touches.size());
@@ -89,7 +86,24 @@ TEST_P(DerivativeUnder, IsThatOfDifferences) {
     }
   }
 }
+
+class DerivativeUnder : public testing::TestWithParam<const char*> {};
+
+TEST_P(DerivativeUnder, IsThatOfDifferences) { ExpectDerivativesOfDifferences(GetParam(), DropAndHit()); }
 INSTANTIATE_TEST_SUITE_P(Models, DerivativeUnder, testing::Values("event", "qcqp", "smooth_compliant"));
+
+// The disc that is hit falls into a pocket where it would be late in the motion.
+TEST(SegmentMotion, HasDerivativesThroughAPocket) {
+  Scene scene = DropAndHit();
+  Recording late{"late", {{.time = 0.85, .body = 1, .sigma = 1}}};
+  const MotionAtSamples motion = Move("event", scene, late, {}, InitialState(scene));
+  scene.pockets = {{.name = "hole", .position = motion.state[0].head<2>(), .radius = 0.05}};
+  ExpectDerivativesOfDifferences("event", scene);
+  late.samples[0].time = 1;
+  const MotionAtSamples potted = Move("event", scene, late, {}, InitialState(scene));
+  EXPECT_NEAR((potted.state[0].head<2>() - scene.pockets[0].position).norm(), 0.05, 1e-12);
+  EXPECT_EQ(potted.state[0].tail<2>().norm(), 0);
+}
 
 // Between two nodes the motion is that of a grid which has the time for a node.
 TEST(SegmentMotion, IsThatOfAFinerGrid) {

@@ -9,6 +9,8 @@
 #include <set>
 
 #include "io/file.h"
+#include "output/drawn_figure.h"
+#include "output/figure_layout.h"
 #include "output/figure_script.h"
 
 namespace saltus {
@@ -211,6 +213,37 @@ TEST(LayoutTest, NothingOverlaps) {
       }
     }
   }
+}
+
+TEST(FigureTest, LabelsOfALogarithmicAxisDoNotTouch) {
+  Axis axis;
+  axis.log = true;
+  const internal::Range range = {1.9e-5, 2.3e-3};
+  size_t fewest = 100;
+  for (const double width : {150.0, 250.0, 1000.0}) {
+    std::vector<std::string> labels;
+    double end = -HUGE_VAL;
+    for (const internal::Tick& tick : internal::TicksX(axis, range, {0, width, 0, 100})) {
+      if (tick.label.empty()) continue;
+      const double middle = width * std::log(tick.value / range.min) / std::log(range.max / range.min);
+      const double half = 0.5 * internal::kCharacter * static_cast<double>(internal::LengthOf(tick.label));
+      EXPECT_GT(middle - half, end) << tick.label << " at a width of " << width;
+      end = middle + half;
+      labels.push_back(tick.label);
+    }
+    EXPECT_THAT(labels, testing::IsSupersetOf({"0.0001", "0.001"}));
+    fewest = std::min(fewest, labels.size());
+  }
+  EXPECT_LT(fewest, 7u);
+}
+
+TEST(FigureTest, DrawnOnceItStandsOnSeveralPages) {
+  const Figure figure = WaveFigure();
+  const StatusOr<DrawnFigure> drawn = DrawnFigure::Draw(figure);
+  ASSERT_TRUE(drawn.ok());
+  for (const char* prefix : {"one", "other"}) EXPECT_EQ(drawn->Svg(prefix), *RenderSvg(figure, prefix));
+  EXPECT_NE(drawn->Svg("one"), drawn->Svg("other"));
+  EXPECT_FALSE(DrawnFigure::Draw(figure, "/no/such/gnuplot").ok());
 }
 
 }  // namespace

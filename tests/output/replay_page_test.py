@@ -1,49 +1,13 @@
 #!/usr/bin/env python3
-# Drives replays and reports in headless Chromium. Skipped, with the reason, where Chromium or Selenium is missing.
+# Drives replays in headless Chromium.
 import json
 import math
 import os
-import shutil
-import subprocess
-import sys
-import tempfile
-import unittest
 
-SKIPPED = 77  # for ctest
-PROGRAMS = os.path.join(os.environ["SALTUS_BINARY_DIR"], "bin")
-PROBLEMS = os.path.join(os.environ["SALTUS_SOURCE_DIR"], "problems")
+from pages import BALL, BOX, Pages, main, run
+
+
 STRANGE = "<b>\"it's\" & ü 日本</b></script>"
-
-BALL = """
-name: falls
-duration: 1
-steps: 7
-gravity: [0, -8]
-bodies:
-  - {name: ball, radius: 0.25, mass: 2, position: [0, 1.25], velocity: [3, 0]}
-planes:
-  - {name: ground, point: [0, 0], normal: [0, 1]}
-contact: {restitution: 0.5, friction: FRICTION}
-objective: {terminal: [{body: ball, quantity: position, target: [2, 1], weight: 1}]}
-optimize: velocity
-"""
-BOX = """
-name: box
-duration: 2
-steps: 100
-bodies:
-  - {name: left, radius: 0.1, mass: 1, position: [-0.5, 0.2], velocity: [2, 1.3]}
-  - {name: right, radius: 0.15, mass: 2, position: [0.5, -0.1], velocity: [-1, 0.7]}
-planes:
-  - {name: floor, point: [0, -1], normal: [0, 1]}
-  - {name: ceiling, point: [0, 1], normal: [0, -1]}
-  - {name: west, point: [-1, 0], normal: [1, 0]}
-  - {name: east, point: [1, 0], normal: [-1, 0]}
-contact: {restitution: 1, friction: 0}
-control: {bodies: [left, right], initial: [[0.5, 0.1], [-0.2, 0.3]]}
-objective: {terminal: [{body: left, quantity: position, target: [0, 0], weight: 1}], effort: 0.01}
-optimize: control
-"""
 EDGES = """
 name: edges
 duration: 1.5
@@ -63,114 +27,9 @@ contact: {restitution: 0.8, friction: 0}
 objective: {terminal: [{body: ball, quantity: position, target: [0, 0], weight: 1}]}
 optimize: velocity
 """
-FLEES = """
-name: flees
-duration: 1
-steps: 10
-bodies:
-  - {name: ball, radius: 0.1, mass: 1.0e-24, position: [0, 0]}
-control: {bodies: [ball], initial: [[1.0e+24, 0]]}
-objective: {terminal: [{body: ball, quantity: position, target: [1, 1], weight: 1.0e+24}], effort: 0.1}
-optimize: control
-"""
 
 
-def missing():
-    try:
-        import selenium  # noqa: F401
-    except ImportError:
-        return "Python has no module selenium (package python3-selenium)"
-    for program in ("chromium", "chromedriver"):
-        if not shutil.which(program):
-            return f"there is no {program}"
-    return ""
-
-
-def start_chromium():
-    from selenium import webdriver
-    from selenium.webdriver.chrome.options import Options
-    from selenium.webdriver.chrome.service import Service
-    options = Options()
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    options.binary_location = shutil.which("chromium")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    return webdriver.Chrome(service=Service(shutil.which("chromedriver")), options=options)
-
-
-def run(program, *arguments):
-    done = subprocess.run([os.path.join(PROGRAMS, program), *arguments], capture_output=True, text=True)
-    if done.returncode not in (0, 1):
-        raise AssertionError(f"{program} {arguments}: {done.stderr}")
-    return done
-
-
-class Pages(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.mkdtemp()
-        cls.browser = start_chromium()
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.browser.quit()
-        shutil.rmtree(cls.folder)
-
-    def write(self, name, text):
-        path = os.path.join(self.folder, name)
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(text)
-        return path
-
-    def open(self, path, width=1000):
-        self.browser.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False})
-        self.browser.get("file://" + path)
-        self.assert_quiet()
-
-    # Nothing is cut off, and nothing has to be scrolled sideways; figures have a text.
-    def assert_fits(self, path):
-        for width in (400, 1000, 1600):
-            self.open(path, width)
-            self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
-            wide = self.js("""
-                for (const part of document.querySelectorAll('details')) part.open = true;
-                return [...document.querySelectorAll('.scroll, .plot, pre')].filter((part) => part.scrollWidth > part.clientWidth)
-                    .map((part) => `${part.className}: ${part.textContent.slice(0, 80)}`)""")
-            self.assertEqual(wide, [], width)
-        texts = self.js("return [...document.querySelectorAll('svg[role=img]')].map((svg) => svg.getAttribute('aria-label'))")
-        self.assertTrue(all(texts), texts)
-
-    def assert_quiet(self):
-        self.assertEqual(self.browser.get_log("browser"), [])
-
-    def js(self, code, *arguments):
-        return self.browser.execute_script(code, *arguments)
-
-    def assert_valid(self, path):
-        if not shutil.which("tidy"):
-            return
-        checked = subprocess.run(["tidy", "-quiet", "-errors", "-utf8", path], capture_output=True, text=True)
-        # This checker is older than divisions in lists of terms.
-        known = ("<dd>", "<dt>", "<dl>", "</dl>")
-        wrong = [line for line in checked.stderr.splitlines() if line and not any(k in line for k in known)]
-        self.assertEqual(wrong, [], path)
-
-    # What the table in the page shows: [x, y, v_x, v_y] by motion and disc.
-    def shown_values(self):
-        rows = self.js("""
-            document.querySelector('.values').open = true;
-            saltusReplays[0].redraw();
-            return [...document.querySelectorAll('.values tbody tr')].map(
-                (row) => [...row.children].map((cell) => cell.textContent));""")
-        return {(row[0], row[1]): [float(value) for value in row[2:]] for row in rows}
-
-    def solve(self, scene, *flags):
-        folder = tempfile.mkdtemp(dir=self.folder)
-        done = run("saltus_solve", f"--scene={scene}", f"--output_dir={folder}", "--progress=none", *flags)
-        return folder, done
-
+class Replays(Pages):
     # The ball falls 1 m in 1/2 s, and rises with half its speed.
     def exact_ball(self, time):
         if time < 0.5:
@@ -227,6 +86,56 @@ class Pages(unittest.TestCase):
         self.assertEqual(self.js("return saltusReplays[0].time"), 0)
         keys(Keys.END)
         self.assertEqual(self.js("return saltusReplays[0].time"), 1)
+        self.assert_quiet()
+
+    # Fingers on a phone: the button, the slider, a tap on the picture, a drag across it; one upwards scrolls the page.
+    def test_replay_obeys_fingers(self):
+        scene = self.write("fingers.yaml", BALL.replace("FRICTION", "0"))
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        path = os.path.join(folder, "report.html")
+        self.open(path, width=400)
+        self.browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        self.addCleanup(self.browser.execute_cdp_cmd, "Emulation.setTouchEmulationEnabled", {"enabled": False})
+        self.browser.get("file://" + path)
+
+        def touch(kind, *points):
+            self.browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [
+                {"x": x, "y": y} for x, y in points]})
+
+        def place(selector, across, down=0.5):
+            return self.js("""
+                const part = document.querySelector(arguments[0]);
+                part.scrollIntoView({block: 'center', behavior: 'instant'});
+                const {left, top, width, height} = part.getBoundingClientRect();
+                return [left + arguments[1] * width, top + arguments[2] * height];""", selector, across, down)
+
+        def tap(point):
+            touch("touchStart", point)
+            touch("touchEnd")
+
+        state = lambda: self.js("return [saltusReplays[0].time, saltusReplays[0].playing]")  # noqa: E731
+        tap(place(".buttons button", 0.5))
+        self.assertTrue(state()[1])
+        tap(place(".replay canvas", 0.5))
+        self.assertFalse(state()[1])
+        tap(place(".line input", 0.75))
+        self.assertAlmostEqual(state()[0], 0.75, delta=0.05)
+        self.js("saltusReplays[0].seek(0.2)")
+        (x, y), width = place(".replay canvas", 0.25), self.js("return document.querySelector('.replay canvas').clientWidth")
+        touch("touchStart", (x, y))
+        for part in (0.1, 0.3, 0.5):
+            touch("touchMove", (x + part * width, y))
+        touch("touchEnd")
+        self.assertAlmostEqual(state()[0], 0.7, delta=0.02)
+        self.assertFalse(state()[1])
+        x, y = place(".replay canvas", 0.5)
+        before = self.js("return window.scrollY")
+        touch("touchStart", (x, y))
+        for part in range(1, 9):
+            touch("touchMove", (x, y - 20 * part))
+        touch("touchEnd")
+        self.assertGreater(self.js("return window.scrollY"), before)
+        self.assertAlmostEqual(state()[0], 0.7, delta=0.02)
         self.assert_quiet()
 
     # Something is drawn, it changes as time passes, and paper gets stills.
@@ -320,48 +229,6 @@ class Pages(unittest.TestCase):
             self.js("for (const motion of saltusReplays[0].motions) motion.angles = null")
             self.assertNotEqual(self.js(picture), turning)
 
-    def test_reports_of_eight_scenes(self):
-        gas = run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout
-        rest = BALL.replace("FRICTION", "0.3").replace("restitution: 0.5", "restitution: 0").replace("[0, 1.25]", "[0, 0.25]")
-        scenes = {
-            "one_disc": (os.path.join(PROBLEMS, "bounce_once.yaml"), ["--contact=all", "--solver=none"]),
-            "two_pushed_and_four_planes": (self.write("box.yaml", BOX), ["--contact=event,lcp", "--iterations=20"]),
-            "a_hundred": (self.write("gas.yaml", gas), ["--contact=event,direct", "--solver=none"]),
-            "no_planes": (os.path.join(PROBLEMS, "two_balls.yaml"),
-                          ["--contact=event,convex", "--solver=gd,ceres_event", "--iterations=50"]),
-            "several_impacts": (os.path.join(PROBLEMS, "multiple_collisions.yaml"),
-                                ["--contact=event", "--iterations=20"]),
-            "friction": (self.write("friction.yaml", BALL.replace("FRICTION", "0.4")),
-                         ["--contact=event,qcqp", "--iterations=20"]),
-            "rest": (self.write("rest.yaml", rest), ["--contact=event,lcp", "--solver=none"]),
-            "failed": (self.write("flees.yaml", FLEES), ["--contact=event,direct", "--solver=gd"]),
-        }
-        for name, (scene, flags) in scenes.items():
-            with self.subTest(name):
-                folder, _ = self.solve(scene, *flags)
-                page = os.path.join(folder, "report.html")
-                self.assertLess(os.path.getsize(page), 6e6)
-                self.assert_valid(page)
-                self.assert_fits(page)
-                self.assertGreater(self.js("return document.querySelectorAll('table').length"), 0)
-                if name != "failed":
-                    self.assertEqual(self.js("return saltusReplays.length"), 1)
-
-    def test_reports_of_audits_and_sweeps(self):
-        scene = f"--scene={PROBLEMS}/two_balls.yaml"
-        for program, flags in (("saltus_audit", ["--contact=direct_toi,event"]), ("saltus_audit", ["--contact=all"]),
-                               ("saltus_sweep", ["--contact=event", "--solver=none", "--sweep=steps=10,20,40"])):
-            with self.subTest(f"{program} {flags[0]}"):
-                folder = tempfile.mkdtemp(dir=self.folder)
-                done = run(program, scene, f"--output_dir={folder}", "--progress=plain", *flags)
-                page = os.path.join(folder, "report.html")
-                printed = done.stdout if program == "saltus_audit" else done.stderr
-                self.assertEqual(printed.splitlines()[-1], page)
-                self.assert_valid(page)
-                self.assert_fits(page)
-                self.assertEqual(self.js("return window.saltusReplays ? saltusReplays.length : 0"),
-                                 1 if program == "saltus_audit" else 0)
-
     def test_names_are_text(self):
         states = [[[0.1 * k, 0], [1, 0]] for k in range(11)]
         document = {
@@ -375,6 +242,8 @@ class Pages(unittest.TestCase):
         page = os.path.join(self.folder, "names.html")
         run("saltus_replay", self.write("names.json", json.dumps(document)), f"--output={page}")
         self.assert_valid(page)
+        self.assert_fits(page)  # the last time at 1600 pixels, of which a page without contents takes its share
+        self.assertGreater(self.js("return document.querySelector('.replay').clientWidth"), 1000)
         self.open(page)
         values = self.shown_values()
         self.assertIn((STRANGE, STRANGE), values)
@@ -415,8 +284,4 @@ class Pages(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    reason = missing()
-    if reason:
-        print(f"skipped: {reason}")
-        sys.exit(SKIPPED)
-    unittest.main(verbosity=2)
+    main()

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "physics/scene_generators.h"
+#include "saltus/dynamics/registry.h"
 #include "solve/control_guess.h"
 
 namespace saltus {
@@ -60,6 +62,35 @@ TEST(Motion, ExactMotionHasEachImpactTwiceAndArcsBetween) {
     EXPECT_NEAR(CubicAt(t, t0, x[1], x[3], t1, x[5], x[7]), exact, 1e-6) << t;
     EXPECT_NEAR(CubicAt(t, t0, x[0], x[2], t1, x[4], x[6]), 3 * t, 1e-12) << t;
   }
+}
+
+// Only discs that touch are flown to an instant with contacts: the others, pushed ones too, must be where one step of
+// the whole scene to that time takes them.
+TEST(Motion, ManyDiscsAreWhereTheWholeSceneHasThem) {
+  Scene scene = GasInABox({.discs = 25, .restitution = 0.9, .duration = 0.5, .steps = 8}, 3);
+  scene.gravity = {0.5, -2};
+  for (int i = 0; i < 25; ++i) scene.bodies[i].mass = 0.5 + 0.1 * i;
+  scene.control = {{4, 11}, {{1, 2}, {-3, 0.5}}};
+  const MotionInput input{InitialState(scene), InitialControl(scene, scene.steps), {}};
+  const Motion motion = SimulateExactMotion(scene, input);
+  ASSERT_EQ(motion.failure, "");
+  const size_t width = 4 * scene.bodies.size();
+  std::vector<double> end(width);
+  int instants = 0;
+  for (size_t k = 0; k + 1 < motion.times.size(); ++k) {
+    if (motion.times[k] != motion.times[k + 1]) continue;
+    ++instants;
+    Scene until = scene;
+    until.steps = 1;
+    until.duration = motion.times[k];
+    const std::unique_ptr<Simulator> whole = MakeSimulator("event", until, Precision::kDouble);
+    ASSERT_TRUE(whole->Rollout(input.initial, InitialControl(until, 1))) << whole->WhyFailed();
+    whole->GetState(1, end);
+    for (size_t i = 0; i < width; ++i) {
+      ASSERT_NEAR(motion.states[k * width + i], end[i], 1e-8) << motion.times[k] << " s, entry " << i;
+    }
+  }
+  EXPECT_GT(instants, 20);
 }
 
 // Symplectic Euler by hand, and the contact's impulse: the sum of what is not gravity.

@@ -1,11 +1,13 @@
 // A replay: its controls, keyboard and clock. One for each <figure class="replay">.
 const STILLS = 6, VALUES_OF_AT_MOST = 12;
+const DRAG = 6;  // pixels: what moves less is a tap
 const OPTIONS = [
   ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
   ['impulses', 'impulses'], ['names', 'names'], ['apart', 'side by side'],
 ];
 const VALUES = ['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'];
-const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End';
+const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End. ' +
+  'On the picture a tap plays and pauses, and a drag to the side moves through time';
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -51,7 +53,11 @@ class Replay {
   }
 
   build(summary) {
-    this.canvas = element('canvas', {role: 'img', 'aria-label': summary, tabindex: 0});
+    this.canvas = element('canvas', {
+      role: 'img', 'aria-label': summary, tabindex: 0, onpointerdown: (event) => this.grip(event),
+      onpointermove: (event) => this.drag(event), onpointerup: () => this.release(true),
+      onpointercancel: () => this.release(false),
+    });
     this.slider = element('input', {
       type: 'range', min: 0, max: this.duration, step: 'any', value: 0, 'aria-label': 'time',
       oninput: () => this.seek(Number(this.slider.value)),
@@ -236,6 +242,30 @@ class Replay {
     if (onControl || pressesItself || !acts[event.key]) return;
     event.preventDefault();
     acts[event.key]();
+  }
+
+  // By mouse, pen or finger, which goes on where it leaves the picture. What moves up or down scrolls the page.
+  grip(event) {
+    if (event.button !== 0) return;
+    this.gripped = {x: event.clientX, drags: false};
+    this.canvas.setPointerCapture(event.pointerId);
+  }
+
+  drag({clientX}) {
+    const {gripped} = this;
+    if (!gripped) return;
+    if (!gripped.drags) {
+      if (Math.abs(clientX - gripped.x) < DRAG) return;
+      this.pause();
+      Object.assign(gripped, {drags: true, time: this.time});
+    }
+    this.seek(gripped.time + this.duration * (clientX - gripped.x) / this.canvas.clientWidth);
+  }
+
+  release(lifted) {
+    const tapped = lifted && this.gripped && !this.gripped.drags;
+    this.gripped = null;
+    if (tapped) this.toggle();
   }
 
   // Still frames for paper: equal parts of the time.
