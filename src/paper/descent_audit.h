@@ -17,8 +17,14 @@ class DescentAudit {
     Scene scene;
   };
 
+  // Iterations that are looked at: 0, 1, 2, 3, 5, 8, ... to the last.
+  static std::vector<int> LookedAt();
+
   // Contact models that cannot take a scene are left out there; so are those of `slow`.
   DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts, const std::vector<std::string>& slow);
+
+  // The iterates there, of a descent that was run elsewhere with the same rate: it is not run again.
+  void Know(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates);
 
   // False if interrupted.
   bool Run(int threads, ProgressMode progress);
@@ -33,6 +39,7 @@ class DescentAudit {
     size_t task = 0;
     std::string contact;
     std::vector<double> iterations, angles, exact_losses, losses;  // angles in degrees
+    std::vector<std::vector<double>> known = {};                   // iterates that are looked at, or nothing
   };
   void Follow(Descent* descent) const;
 

@@ -9,11 +9,9 @@
 namespace saltus {
 namespace {
 
-void AddFigure(const std::vector<PaperFigure>& figures, const std::string& name, HtmlReport* report) {
-  for (const PaperFigure& figure : figures) {
-    if (figure.name != name) continue;
-    const Status status = report->AddFigure(figure.figure, figure.caption);
-    if (!status.ok()) throw OutputError(status.message());
+void AddFigure(const std::vector<DrawnPaperFigure>& figures, const std::string& name, HtmlReport* report) {
+  for (const DrawnPaperFigure& figure : figures) {
+    if (figure.name == name) report->AddFigure(figure.figure, figure.caption);
   }
 }
 
@@ -53,7 +51,7 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
   return tiles;
 }
 
-void AddFits(const ParameterFits& fits, HtmlReport* report) {
+void AddFits(const ParameterFits& fits, const std::vector<DrawnPaperFigure>& figures, HtmlReport* report) {
   report->AddHeading(1, "Wrong gradients, wrong parameters");
   report->AddParagraph(
       "What gradients are for besides control: parameters from a recording, by nonlinear least squares. A ball bounces "
@@ -64,25 +62,25 @@ void AddFits(const ParameterFits& fits, HtmlReport* report) {
       "are left "
       "out.");
   report->AddList(fits.Findings());
-  AddFigure({fits.ToFigure()}, "parameter_fits", report);
+  AddFigure(figures, "parameter_fits", report);
   const CaptionedTable table = fits.ToTable();
   report->AddTable(table.table, table.caption);
 }
 
-void AddLaw(const PaperFigure& law, HtmlReport* report) {
+void AddLaw(const PaperFigure& law, const std::vector<DrawnPaperFigure>& figures, HtmlReport* report) {
   report->AddHeading(1, "A law of impact, learned");
   report->AddParagraph(
       "A law need not be a number. Here the restitution is a small network of the speed of approach inside exact "
       "events "
       "(`neural_event`), and its weights are unknowns of the same least squares; derivatives pass through the impact "
       "times. It begins as a constant, in whose place `event` is the same model, and knows nothing of the law's form.");
-  AddFigure({law}, law.name, report);
+  AddFigure(figures, law.name, report);
 }
 
 }  // namespace
 
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
-                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
+                      const std::vector<DrawnPaperFigure>& figures, const SolverComparison& comparison,
                       const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
                       const std::optional<DescentAudit>& descents, const std::optional<ParameterFits>& fits,
                       const std::optional<PaperFigure>& law, double seconds, const std::string& output_dir) {
@@ -147,7 +145,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
         "the gradient need not be right, it must point to the right side. Where a model's gradient turns further away, "
         "its descent goes on lowering the loss that the model sees, while the exact loss may rise.");
     report.AddList(descents->Findings());
-    AddFigure({descents->ToFigure()}, "descent_audit", &report);
+    AddFigure(figures, "descent_audit", &report);
   }
 
   report.AddHeading(1, "Better solvers");
@@ -156,8 +154,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "same solution re-simulated exactly, the only one that may be compared between models, and `gap` what it leaves "
       "to gain. A better solver finds the wrong model's optimum sooner; it does not repair the gradient.");
   report.AddList(comparison.Findings());
-  const std::vector<PaperFigure> comparison_figures = comparison.Figures();
-  for (const PaperFigure& figure : comparison_figures) AddFigure(comparison_figures, figure.name, &report);
+  for (const PaperFigure& figure : comparison.Figures()) AddFigure(figures, figure.name, &report);
   for (const CaptionedTable& table : comparison.Tables()) report.AddTable(table.table, table.caption);
   AddFigure(figures, "solver_learning", &report);
 
@@ -168,8 +165,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "bounds which is nearest to a straight line in time.");
   report.AddList(strike.Findings());
   for (const CaptionedTable& table : strike.Tables()) report.AddTable(table.table, table.caption);
-  const std::vector<PaperFigure> strike_figures = strike.Figures();
-  for (const PaperFigure& figure : strike_figures) AddFigure(strike_figures, figure.name, &report);
+  for (const PaperFigure& figure : strike.Figures()) AddFigure(figures, figure.name, &report);
 
   if (formulations) {
     report.AddHeading(1, "Every formulation");
@@ -183,8 +179,8 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
     AddFigure(figures, "formulations", &report);
   }
 
-  if (fits) AddFits(*fits, &report);
-  if (law) AddLaw(*law, &report);
+  if (fits) AddFits(*fits, figures, &report);
+  if (law) AddLaw(*law, figures, &report);
 
   report.AddHeading(1, "Optima of the follow-up paper");
   report.AddParagraph(

@@ -47,24 +47,34 @@ FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<S
 }
 
 DescentAudit AuditDescents(const Experiments& experiments, const SolverComparison& comparison) {
-  return DescentAudit({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
-                      AllContacts(),
-                      {comparison.slow().begin(), comparison.slow().end()});
+  DescentAudit descents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
+                        AllContacts(),
+                        {comparison.slow().begin(), comparison.slow().end()});
+  for (const std::string& contact : AllContacts()) descents.Know(1, contact, comparison.IteratesOf(contact));
+  return descents;
 }
 
-// False if interrupted.
-bool WriteFigures(const std::vector<std::vector<PaperFigure>>& figures, const std::string& output_dir) {
-  std::vector<const PaperFigure*> all;
-  for (const std::vector<PaperFigure>& some : figures) {
-    for (const PaperFigure& figure : some) all.push_back(&figure);
-  }
-  Progress progress(ProgressFromFlags(), stderr, "figures", all.size());
+void ThrowUnless(const Status& status) {
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+// Draws and writes each figure as SVG, kept for the report, and as PNG. False if interrupted.
+bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& output_dir,
+                  std::vector<DrawnPaperFigure>* drawn) {
   std::vector<std::string> names;
-  for (const PaperFigure* figure : all) names.push_back(figure->name);
+  for (const PaperFigure& figure : figures) {
+    drawn->push_back({figure.name, figure.caption, {}});
+    for (const char* format : {".svg", ".png"}) names.push_back(figure.name + format);
+  }
+  Progress progress(ProgressFromFlags(), stderr, "figures", names.size());
   return RunJobs(names, ThreadsFromFlags(), &progress, [&](int i, const SayNote&) {
-    const std::string path = output_dir + "/" + all[i]->name;
-    const Status status = WriteFigure(all[i]->figure, path + ".svg", path + ".png");
-    if (!status.ok()) throw OutputError(status.message());
+    const PaperFigure& figure = figures[i / 2];
+    const std::string path = output_dir + "/" + names[i];
+    if (i % 2 == 1) return ThrowUnless(WriteFigure(figure.figure, "", path));
+    StatusOr<DrawnFigure> svg = DrawnFigure::Draw(figure.figure);
+    ThrowUnless(svg.status());
+    ThrowUnless(svg->WriteSvg(path));
+    (*drawn)[i / 2].figure = std::move(*svg);
   });
 }
 
@@ -126,16 +136,18 @@ int Reproduce(const std::vector<std::string>& arguments) {
     figures = MakePaperFigures(experiments);
     if (formulations) figures.push_back(formulations->ToFigure());
   });
-  std::vector<PaperFigure> along;
-  if (descents) along.push_back(descents->ToFigure());
-  if (fits) along.push_back(fits->ToFigure());
-  if (law) along.push_back(*law);
-  if (!compared || !WriteFigures({figures, along, comparison.Figures(), strike.Figures()}, output_dir))
-    return kAnswerFailed;
+  if (descents) figures.push_back(descents->ToFigure());
+  if (fits) figures.push_back(fits->ToFigure());
+  if (law) figures.push_back(*law);
+  for (const std::vector<PaperFigure>& more : {comparison.Figures(), strike.Figures()}) {
+    figures.insert(figures.end(), more.begin(), more.end());
+  }
+  std::vector<DrawnPaperFigure> drawn;
+  if (!compared || !WriteFigures(figures, output_dir, &drawn)) return kAnswerFailed;
   const bool written = RunStage("report", [&] {
     WritePaperReport(experiments,
                      rows,
-                     figures,
+                     drawn,
                      comparison,
                      strike,
                      formulations,

@@ -8,6 +8,7 @@
 
 #include "exact/two_disc_optimum.h"
 #include "output/interrupt.h"
+#include "paper/descent_audit.h"
 #include "paper/thread_time.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/parallel.h"
@@ -56,8 +57,14 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
   options.stop = AskedToStop;
+  options.keep_iterates = run->report.solver == "gd";
   run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
-  const SolveReport& report = run->report;
+  SolveReport& report = run->report;
+  std::vector<std::vector<double>> looked_at;
+  for (const int k : DescentAudit::LookedAt()) {
+    if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
+  }
+  report.iterates = std::move(looked_at);
   if (report.losses.empty()) return;
   run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
 }
@@ -151,13 +158,18 @@ void SolverComparison::PlanOthers(Others others) {
 
 bool SolverComparison::Run(int threads, ProgressMode mode) {
   std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
-  std::vector<std::string> names;
   for (Task* task : {&others_, &strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
     for (SolvedRun& run : task->runs) {
-      if (!run.report.losses.empty()) continue;
-      jobs.push_back({&task->scene, &run});
-      names.push_back(task->scene.name + " " + run.report.contact + " " + run.report.solver);
+      if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
     }
+  }
+  // The long ones first, so that no core waits for them in the end.
+  std::stable_partition(jobs.begin(), jobs.end(), [](const auto& job) {
+    return job.second->report.solver == "ceres_lagrangian" || job.second->report.solver == "ceres_shooting";
+  });
+  std::vector<std::string> names;
+  for (const auto& [scene, run] : jobs) {
+    names.push_back(scene->name + " " + run->report.contact + " " + run->report.solver);
   }
   Progress progress(mode, stderr, "comparison of solvers", jobs.size());
   return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
@@ -165,6 +177,11 @@ bool SolverComparison::Run(int threads, ProgressMode mode) {
     const bool slow = slow_.count(run->report.contact) > 0;
     SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
   });
+}
+
+std::vector<std::vector<double>> SolverComparison::IteratesOf(const std::string& contact) const {
+  const SolvedRun* run = others_.Find(contact, "gd");
+  return run == nullptr ? std::vector<std::vector<double>>() : run->report.iterates;
 }
 
 std::vector<CaptionedTable> SolverComparison::Tables() const {

@@ -37,6 +37,10 @@ class SolverComparison {
   // Contact models whose gradients take so long that gradient descent was left out.
   const std::set<std::string>& slow() const { return slow_; }
 
+  // Of gradient descent on task 3 under a model that `experiments` leave out, the iterates that DescentAudit looks at;
+  // nothing if it was not run.
+  std::vector<std::vector<double>> IteratesOf(const std::string& contact) const;
+
   std::vector<CaptionedTable> Tables() const;
   std::vector<PaperFigure> Figures() const;
   // What the numbers say, one sentence or two each.

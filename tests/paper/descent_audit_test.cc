@@ -9,6 +9,7 @@
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
+#include "saltus/solve/solver.h"
 
 namespace saltus {
 namespace {
@@ -136,6 +137,36 @@ TEST_F(Along, AnglesOfModelsAreThoseOfTheirDifferences) {
       for (size_t i = 0; i < z.size(); ++i) z[i] -= kRate * gradient[i];
     }
     EXPECT_GT(angle.y[0], 0.1);  // both are wrong here
+  }
+}
+
+// Descents that were run elsewhere are looked at as those that are run here.
+TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
+  const Scene scene = Thrown();
+  DescentAudit audit({{"Throw", scene}}, {"event", "direct", "pbd_warp"}, {});
+  SolverOptions options;
+  options.learning_rate = kRate;
+  options.keep_iterates = true;
+  const SolveReport direct = Solve("gd", {scene, "direct"}, options);
+  std::vector<std::vector<double>> iterates;
+  for (const int k : DescentAudit::LookedAt()) iterates.push_back(direct.iterates.at(k));
+  audit.Know(0, "direct", iterates);
+  // Of another descent, to see that these are taken.
+  audit.Know(0, "pbd_warp", iterates);
+  audit.Know(0, "event", {{1, 2}});  // one that ended early is not
+  ASSERT_TRUE(audit.Run(2, ProgressMode::kNone));
+  const Figure figure = audit.ToFigure().figure;
+  ASSERT_EQ(figure.panels[0].series.size(), 3u);
+  for (size_t panel = 0; panel < 3; ++panel) {
+    for (const Series& series : figure.panels[panel].series) {
+      const Series own = Find(panel, series.label);
+      EXPECT_EQ(series.x, own.x);
+      if (series.label != "pbd_warp") {
+        EXPECT_EQ(series.y, own.y) << series.label << " in panel " << panel;
+      } else if (panel == 1) {
+        EXPECT_EQ(series.y, Find(1, "direct").y);
+      }
+    }
   }
 }
 
