@@ -4,9 +4,9 @@ import html
 from svg import FAINT, INK, Plot, decades
 from verdict import gradient_errors, of_contact, relative_error
 
-# A colour for each class of contact.
-COLOURS = [("impact time", "#0a8a5f"), ("force", "#7C117D"), ("projection", "#0a8fc7"), ("impulse", "#DB7549"),
-           ("depth", "#a40e26"), ("", "#6e7781")]
+# A colour of the page for each class of contact.
+COLOURS = [("impact time", "var(--impact-time)"), ("force", "var(--force)"), ("projection", "var(--projection)"),
+           ("impulse", "var(--impulse)"), ("depth", "var(--depth)"), ("", "var(--unclear)")]
 
 
 def colour_of(study):
@@ -27,7 +27,7 @@ def scan_panel(title, losses, known, curve, size=(240, 170)):
     at = [1000 * x for x in known["scan"]]  # mm
     plot.line(list(zip(at, exact)), "#9aa4af", 3.5)
     plot.line(list(zip(at, losses)), curve, 1.3)
-    return plot.svg()
+    return plot.svg(f"loss of {html.escape(title)} against the start of the striker, and the exact loss")
 
 
 def scans(rows, known):
@@ -53,21 +53,24 @@ def labelled_curves(plot, curves):
         plot.text(right + 15, label_y + 4, html.escape(title), "start", 9.5, colour)
 
 
-def error_plot(curves, x_range, x_ticks, x_label):
+def error_plot(curves, x_range, x_ticks, x_label, narrow):
     low, high = 1e-10, 1e3
-    plot = Plot(900, 470, x_range, (low, high), True, True, (60, 200, 14, 40))
-    plot.axes(x_ticks, [(y, exponent(y)) for y in decades(low, high)], x_label, "relative error of the gradient")
+    size, margins = ((380, 500), (52, 172, 14, 40)) if narrow else ((900, 470), (60, 200, 14, 40))
+    plot = Plot(*size, x_range, (low, high), True, True, margins)
+    what = "relative error of the gradient"
+    plot.axes(x_ticks[::2] if narrow else x_ticks, [(y, exponent(y)) for y in decades(low, high)], x_label, what)
     labelled_curves(plot, curves)
-    return plot.svg()
+    return plot.svg(f"{what} by {x_label}, of {len(curves)} engines")
 
 
-def error_by_step(rows, known):
+def error_by_step(rows, known, narrow=False):
     curves = [(row["engine"], colour_of(known["engines"][row["id"]]),
                list(zip(known["steps"], gradient_errors(known["engines"][row["id"]], known["exact"])))) for row in rows]
-    return error_plot(curves, (110, known["steps"][-1]), [(steps, str(steps)) for steps in known["steps"]], "steps")
+    return error_plot(curves, (110, known["steps"][-1]), [(steps, str(steps)) for steps in known["steps"]], "steps",
+                      narrow)
 
 
-def error_by_width(rows, known):
+def error_by_width(rows, known, narrow=False):
     curves = []
     for row in rows:
         by_width = known["engines"][row["id"]]["by_width"]
@@ -75,16 +78,21 @@ def error_by_width(rows, known):
                   for width, gradient in by_width.items()]
         curves.append((row["engine"], colour_of(known["engines"][row["id"]]), sorted(points)))
     return error_plot(curves, (1e-7, 0.03), [(w, exponent(w)) for w in decades(1e-7, 1e-2)],
-                      "width of the differences, m or m/s")
+                      "width of the differences, m or m/s", narrow)
 
 
-def class_diagram(rows, known):
-    plot = Plot(900, 430, (-0.35, 0.08), (-2.2, 1.4), margins=(60, 20, 16, 40))
-    plot.axes([(x / 100, f"{x / 100:.2f}") for x in range(-35, 6, 5)],
+def class_diagram(rows, known, narrow=False):
+    size, margins = ((380, 430), (52, 14, 16, 40)) if narrow else ((900, 430), (60, 20, 16, 40))
+    plot = Plot(*size, (-0.35, 0.08), (-2.2, 1.4), margins=margins)
+    plot.axes([(x / 100, f"{x / 100:.2f}") for x in range(-30 if narrow else -35, 6, 10 if narrow else 5)],
               [(y, str(y)) for y in (-2, -1, 0, 1)], "feed", "keep")
     for value, words in ((1, "impulse at a step boundary"), (0, "projection"),
                          (-1, "impact time resolved, or a resolved force")):
-        plot.text(plot.at(-0.006, 0)[0], plot.at(0, value)[1] - 6, words, "end", 11, INK)
+        y = plot.at(0, value)[1]
+        if narrow:
+            plot.text(plot.box[0] + 4, y + 14, words, "start", 11, INK)
+        else:
+            plot.text(plot.at(-0.006, 0)[0], y - 6, words, "end", 11, INK)
     plot.text(plot.at(-0.2, 0)[0], plot.at(0, 1.28)[1], "depth feedback", "middle", 11, INK)
     for row in rows:
         study = known["engines"][row["id"]]
@@ -94,12 +102,13 @@ def class_diagram(rows, known):
                 title = f'{row["engine"]}, {steps} steps: keep {impact["keep"]:.3f}, feed {impact["feed"]:.3f}'
                 plot.mark(impact["feed"], impact["keep"], colour_of(study), radius, html.escape(title))
         fine = study["impact"]["2400"]
-        if isinstance(fine, dict) and min(abs(fine["keep"] - named) for named in (1, 0, -1)) > 0.08:
+        # Where there is no room, names are in the table only.
+        if not narrow and isinstance(fine, dict) and min(abs(fine["keep"] - named) for named in (1, 0, -1)) > 0.08:
             x, y = plot.at(fine["feed"], fine["keep"])
             side = -1 if fine["feed"] < -0.21 else 1
             plot.text(x + 8 * side, y + 4, html.escape(row["engine"]), "end" if side < 0 else "start", 9.5,
                       colour_of(study))
-    return plot.svg()
+    return plot.svg("what is left of a displacement (keep) and what is fed back to the velocity (feed), by engine")
 
 
 # A few engines, in fixed colours and on white, for pages that cannot say what colours are.

@@ -8,6 +8,7 @@ import pathlib
 
 from check import HERE, engines, how_to_get
 from figures import class_diagram, error_by_step, error_by_width, scans
+from page_table import cell, style, table
 from task_table import percent, task_summary, task_table
 from tasks import read as read_tasks
 from verdict import gradient_errors, loss_errors, of_contact, of_gradient, of_motion, relative_error
@@ -15,10 +16,12 @@ from verdict import gradient_errors, loss_errors, of_contact, of_gradient, of_mo
 STYLE = """
 :root { --paper: #ffffff; --ink: #24292f; --faint: #59636e; --line: #d8dee4; --raised: #f6f8fa; --good: #116329;
   --good-paper: #dafbe1; --bad: #a40e26; --bad-paper: #ffe2e0; --warning: #7d4e00; --warning-paper: #fff4cc;
-  --curve: #0550ae; }
+  --curve: #0550ae; --impact-time: #0a8a5f; --force: #7c117d; --projection: #0a8fc7; --impulse: #db7549;
+  --depth: #a40e26; --unclear: #6e7781; }
 @media (prefers-color-scheme: dark) { :root { --paper: #14181d; --ink: #e2e6ea; --faint: #9aa4af; --line: #333b45;
   --raised: #1c2128; --good: #7ee2a0; --good-paper: #12351f; --bad: #ffaba8; --bad-paper: #481a1c; --warning: #f0cf7a;
-  --warning-paper: #3a2f0c; --curve: #79b8ff; } }
+  --warning-paper: #3a2f0c; --curve: #79b8ff; --impact-time: #3ddc97; --force: #e08be0; --projection: #5cc4f5;
+  --impulse: #f0946b; --depth: #ff7b86; --unclear: #9aa4af; } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.6 system-ui, "Liberation Sans", sans-serif; }
 main { max-width: 80rem; margin: 0 auto; padding: 2rem 1.25rem 5rem; }
@@ -35,52 +38,55 @@ th { background: var(--raised); }
 .bad { background: var(--bad-paper); color: var(--bad); font-weight: 600; }
 .warning { background: var(--warning-paper); color: var(--warning); }
 .faint { color: var(--faint); }
-td:nth-child(9) { min-width: 11rem; }
+.class { min-width: 11rem; }
 .tasks .faint { font-weight: normal; }
 .panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(14rem, 1fr)); gap: .5rem; }
 .panels svg, figure svg { width: 100%; height: auto; }
-figure { margin: 1rem 0; max-width: 60rem; }
+figure { margin: 1rem 0; max-width: 60rem; container-type: inline-size; }
+.narrow { display: none; }
+@container (max-width: 40rem) { .plot { display: none; } .plot.narrow { display: block; } }
 """
+CARDS_BELOW = {"verdicts": 68, "tasks": 44}  # rem
 SHADES = {"right": "good", "consistent": "good", "converges": "good", "wrong": "bad", "wrong sign": "bad",
           "does not converge": "bad"}
 
 
+HEADS = ["engine", "loss", "motion", "gradient", "error", "error, {steps} steps", "error, width 0.01", "verdict", "class",
+         "e", "keep", "feed", "oblique impact"]
+
+
 def row_of(row, study, exact):
-    name = f'<td>{html.escape(row["engine"])}<br><span class="faint">{html.escape(row["licence"])}'
-    name += (", float32" if row["precision"] == "float32" else "") + "</span></td>"
-    get = f'<code>{html.escape(how_to_get(row))}</code>'
+    precision = ", float32" if row["precision"] == "float32" else ""
+    name = cell(f'{html.escape(row["engine"])}<br><span class="faint">{html.escape(row["licence"])}{precision}</span>')
     if study is None:
-        return f'<tr>{name}<td colspan="12" class="faint">not measured; to be had by {get}</td></tr>'
+        return [name, cell(f"not measured; to be had by <code>{html.escape(how_to_get(row))}</code>", "faint")]
     if "failed" in study:
-        return f'<tr>{name}<td colspan="12" class="warning">{html.escape(study["failed"])}</td></tr>'
+        return [name, cell(html.escape(study["failed"]), "warning")]
     verdict = of_gradient(study, exact, row["precision"] == "float32")
     motion = of_motion(study, exact)
     loss, gradient = study["by_step"]["480"]
-    wide = relative_error(study["by_width"]["0.01"], exact["gradient"])
-    cells = [f'<td class="number">{loss:.4f}</td>',
-             f'<td class="{SHADES[motion]}">{motion}</td>',
-             '<td class="number">' + "<br>".join(f"{x:.4f}" for x in gradient) + "</td>",
-             f'<td class="number">{percent(relative_error(gradient, exact["gradient"]))}</td>',
-             f'<td class="number">{percent(gradient_errors(study, exact)[-1])}</td>',
-             f'<td class="number">{percent(wide)}</td>',
-             f'<td class="{SHADES[verdict]}">{verdict}</td>',
-             f"<td>{of_contact(study)}</td>"]
+    errors = [relative_error(gradient, exact["gradient"]), gradient_errors(study, exact)[-1],
+              relative_error(study["by_width"]["0.01"], exact["gradient"])]
     both = [study["impact"]["240"], study["impact"]["2400"]]
-    cells += ['<td class="number">' + "<br>".join(f"{impact[key]:.3f}" if isinstance(impact, dict) else "?"
-                                                  for impact in both) + "</td>" for key in ("e", "keep", "feed")]
     oblique = study["oblique"]
-    cells.append(f'<td class="faint">{html.escape(oblique)}</td>' if isinstance(oblique, str) else
-                 f'<td class="number">{oblique[0]:.2f}, {oblique[1]:.2f}</td>')
-    return f"<tr>{name}{''.join(cells)}</tr>"
+    return [name, cell(f"{loss:.4f}", "number"), cell(motion, SHADES[motion]), vector_cell(gradient),
+            *(cell(percent(error), "number") for error in errors),
+            cell(verdict, SHADES[verdict]), cell(html.escape(of_contact(study)), "class"),
+            *(cell("<br>".join(f"{impact[key]:.3f}" if isinstance(impact, dict) else "?" for impact in both), "number")
+              for key in ("e", "keep", "feed")),
+            cell(html.escape(oblique), "faint") if isinstance(oblique, str) else
+            cell(f"{oblique[0]:.2f}, {oblique[1]:.2f}", "number")]
 
 
-def table(rows, studies, exact, known_steps):
-    heads = ["engine", "loss", "motion", "gradient", "error", f"error, {known_steps} steps", "error, width 0.01", "verdict",
-             "class", "e", "keep", "feed", "oblique impact"]
-    first = (f'<tr><td>exact</td><td class="number">{exact["loss"]:.4f}</td><td></td><td class="number">'
-             + "<br>".join(f"{x:.4f}" for x in exact["gradient"]) + '</td><td colspan="9"></td></tr>')
-    return (f'<div class="scroll"><table><thead><tr>{"".join(f"<th>{head}</th>" for head in heads)}</tr></thead><tbody>'
-            + first + "".join(row_of(row, studies.get(row["id"]), exact) for row in rows) + "</tbody></table></div>")
+def vector_cell(vector):
+    return cell("<br>".join(f"{entry:.4f}" for entry in vector), "number")
+
+
+def verdict_table(rows, studies, exact, known_steps):
+    heads = [head.format(steps=known_steps) for head in HEADS]
+    first = [cell("exact"), cell(f'{exact["loss"]:.4f}', "number"), cell(""), vector_cell(exact["gradient"])]
+    first += [cell("")] * (len(heads) - len(first))
+    return table(heads, [first] + [row_of(row, studies.get(row["id"]), exact) for row in rows], "verdicts")
 
 
 def summary(rows, studies, exact):
@@ -107,13 +113,21 @@ differences see the jump. {html.escape(task_summary(found))}</p>
 """
 
 
+# As wide as the page, and another one for screens on which its words would be too small.
+def figure(draw, rows, known):
+    return (f'<figure><div class="plot">{draw(rows, known)}</div>'
+            f'<div class="plot narrow">{draw(rows, known, narrow=True)}</div></figure>')
+
+
 def page(known, rows, tasks):
     studies, exact = known["engines"], known["exact"]
     measured = [row for row in rows if "by_step" in studies.get(row["id"], {})]
     panels = "".join(f"<div>{panel}</div>" for panel in scans(measured, known))
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Simulators, audited</title><style>{STYLE}</style></head><body><main>
+<title>Simulators, audited</title>
+<link rel="icon" href="data:,">
+<meta name="color-scheme" content="light dark"><style>{STYLE}{style(CARDS_BELOW)}</style></head><body><main>
 <h1>Simulators, audited</h1>
 <p>Task 3: one ball is pushed so that it strikes another towards the origin, without friction or loss; 480 steps. Each
 engine runs as a black box: nothing is known of it but where the balls end. Sleep and damping are off, restitution is 1,
@@ -127,21 +141,21 @@ Class: from a head-on impact at 3 m/s, seen from outside, at 240 and 2400 steps:
 <code>keep</code> what is left of a displacement just after the impact (exact: -1), <code>feed</code> the share of the depth
 that a step gives back as velocity. Last column: a disc strikes a tilted plane at 3 m/s, with restitution 0.5 and friction
 0.2; it should rebound at 1.5 m/s and go on along the plane at 3.1 m/s.</p>
-{table(rows, studies, exact, known["steps"][-1])}
+{verdict_table(rows, studies, exact, known["steps"][-1])}
 {all_tasks(rows, tasks)}<h2>The loss, from one start to the next</h2>
 <p>Loss against the start of the striker, -2 +- 0.02 m; grey is exact. The gradient is the slope: where a curve is a
 staircase, the slope of the stairs is what differences at a small width and automatic differentiation see.</p>
 <div class="panels">{panels}</div>
 <h2>Error against step</h2>
 <p>Of the gradient, by differences at the smallest width that the precision allows.</p>
-<figure>{error_by_step(measured, known)}</figure>
+{figure(error_by_step, measured, known)}
 <h2>Error against width</h2>
 <p>At 480 steps. The striker moves 6 mm in a step: differences wider than that look across the stairs.</p>
-<figure>{error_by_width(measured, known)}</figure>
+{figure(error_by_width, measured, known)}
 <h2>Class</h2>
 <p>Of a displacement before the impact: what is left just after (<code>keep</code>), and what of it is fed back to the
 velocity in a step (<code>feed</code>), at 240 steps (small) and 2400 (large).</p>
-<figure>{class_diagram(measured, known)}</figure>
+{figure(class_diagram, measured, known)}
 </main></body></html>
 """
 

@@ -69,7 +69,8 @@ class Plot:
         self.parts.append(f'<circle cx="{number(x)}" cy="{number(y)}" r="{radius}" fill="{colour}"><title>{title}</title>'
                           '</circle>')
 
-    def svg(self):
+    # `words` for those who do not see it, as HTML.
+    def svg(self, words):
         width, height = self.size
-        return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
-                f'height="{height}" font-family="system-ui, sans-serif">{"".join(self.parts)}</svg>')
+        return (f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{words}" viewBox="0 0 {width} {height}" '
+                f'width="{width}" height="{height}" style="font-family: system-ui, sans-serif">{"".join(self.parts)}</svg>')

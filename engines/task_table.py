@@ -1,6 +1,7 @@
 # The table of what engines/tasks.py found, for the page: a row for each engine, a cell for each task.
 import html
 
+from page_table import cell, table
 from tasks import TASKS
 
 SHADES = {"right": "good", "consistent": "good", "ambiguous": "warning", "failed": "warning", "not applicable": "faint"}
@@ -15,25 +16,22 @@ def percent(error):
 
 def cell_of(found):
     if found is None:
-        return '<td class="faint">not measured</td>'
-    verdict = f'<td class="{SHADES.get(found["verdict"], "bad")}">{html.escape(found["verdict"])}'
+        return cell("not measured", "faint")
+    shade, verdict = SHADES.get(found["verdict"], "bad"), html.escape(found["verdict"])
     if not found["loss"]:
-        return f'{verdict}<br><span class="faint">{html.escape(found["reason"])}</span></td>'
+        return cell(f'{verdict}<br><span class="faint">{html.escape(found["reason"])}</span>', shade)
     motion = " (does not converge)" if found["motion"] == "does not converge" else ""
     wide = f', {percent(found["wide_error"])}' if found["wide_error"] else ""
-    return (f'{verdict}<br><span class="faint">loss {percent(found["loss_error"])}{motion}<br>'
-            f'gradient {percent(found["narrow_error"])}{wide}</span></td>')
+    return cell(f'{verdict}<br><span class="faint">loss {percent(found["loss_error"])}{motion}<br>'
+                f'gradient {percent(found["narrow_error"])}{wide}</span>', shade)
 
 
 # `found`: rows of the table of tasks; rows of engines that none of them names are left out.
 def task_table(rows, found):
     cells = {(row["id"], row["task"]): row for row in found}
-    heads = "".join(f"<th>{html.escape(title)}</th>" for _, title, _ in TASKS.values())
-    body = "".join(f'<tr><td>{html.escape(row["engine"])}</td>'
-                   + "".join(cell_of(cells.get((row["id"], task))) for task in TASKS) + "</tr>"
-                   for row in rows if any(key[0] == row["id"] for key in cells))
-    return ('<div class="scroll"><table class="tasks"><thead><tr><th>engine</th>' + heads + "</tr></thead><tbody>" + body
-            + "</tbody></table></div>")
+    heads = ["engine"] + [title for _, title, _ in TASKS.values()]
+    return table(heads, [[cell(html.escape(row["engine"]))] + [cell_of(cells.get((row["id"], task))) for task in TASKS]
+                         for row in rows if any(key[0] == row["id"] for key in cells)], "tasks")
 
 
 # How many engines each verdict is of, by task, in a sentence.
