@@ -35,7 +35,8 @@ py::object NodeToPython(const YAML::Node& node) {
   const bool quoted = node.Tag() == "!";
   if (int whole; !quoted && YAML::convert<int>::decode(node, whole)) return py::int_(whole);
   if (double number; !quoted && YAML::convert<double>::decode(node, number)) return py::float_(number);
-  if (bool truth; !quoted && YAML::convert<bool>::decode(node, truth)) return py::bool_(truth);
+  // Not of what older YAML takes for one: y is a component, and may be a name.
+  if (!quoted && (node.Scalar() == "true" || node.Scalar() == "false")) return py::bool_(node.Scalar() == "true");
   return py::str(node.Scalar());
 }
 

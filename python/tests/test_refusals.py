@@ -50,6 +50,17 @@ class TestScenes:
         assert two_balls.replace(contact={"friction": 0.5}) != two_balls
         assert saltus.Scene(**{**two_balls.to_dict(), "steps": 480}) == two_balls
 
+    @pytest.mark.parametrize("name", ["y", "n", "on", "No", "true", "null", "12", "1e3", "0x1f", "-1", ".5"])
+    def test_what_reads_as_something_else_stays_text(self, two_balls, name):
+        term = {"body": name, "quantity": "position", "component": "y", "weight": 1}
+        scene = two_balls.replace(
+            bodies=[{**two_balls.to_dict()["bodies"][0], "name": name}], control={"bodies": [name], "initial": [[0, 0]]},
+            objective={"terminal": [term]})
+        data = scene.to_dict()
+        assert data["bodies"][0]["name"] == name and data["control"]["bodies"] == [name]
+        assert data["objective"]["terminal"][0]["component"] == "y"
+        assert saltus.Scene(data) == scene
+
     def test_keywords_and_numpy(self, two_balls):
         data = two_balls.to_dict()
         data["bodies"][0]["position"] = np.array([-2.0, -2.0])

@@ -2,6 +2,7 @@
 #include <glog/logging.h>
 #include <yaml-cpp/yaml.h>
 
+#include <cctype>
 #include <string>
 #include <vector>
 
@@ -23,10 +24,24 @@ void WriteField(YAML::Emitter* out, const char* key, const T& value) {
 
 void WriteField(YAML::Emitter* out, const char* key, double value) { WriteField(out, key, ToText(value)); }
 
+// Names may look like numbers or truth values, for which other readers would take them.
+YAML::Emitter& WriteName(YAML::Emitter* out, const std::string& name) {
+  const char first = name.empty() ? ' ' : name[0];
+  const bool plain = (std::isalpha(static_cast<unsigned char>(first)) || first == '_') && name != "true" &&
+                     name != "false" && name != "null";
+  if (!plain) *out << YAML::DoubleQuoted;
+  return *out << name;
+}
+
+void WriteName(YAML::Emitter* out, const char* key, const std::string& name) {
+  *out << YAML::Key << key << YAML::Value;
+  WriteName(out, name);
+}
+
 // The names of the bodies with these indices.
 void WriteNames(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<int>& bodies) {
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
-  for (const int body : bodies) *out << scene.bodies[body].name;
+  for (const int body : bodies) WriteName(out, scene.bodies[body].name);
   *out << YAML::EndSeq;
 }
 
@@ -42,7 +57,7 @@ void WriteSpin(YAML::Emitter* out, const Body& body) {
 
 void WriteBody(YAML::Emitter* out, const Body& body) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", body.name);
+  WriteName(out, "name", body.name);
   WriteField(out, "radius", body.radius);
   if (body.fixed) {
     WriteField(out, "fixed", true);
@@ -57,7 +72,7 @@ void WriteBody(YAML::Emitter* out, const Body& body) {
 
 void WritePlane(YAML::Emitter* out, const Plane& plane) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", plane.name);
+  WriteName(out, "name", plane.name);
   WriteField(out, "point", plane.point);
   WriteField(out, "normal", plane.normal);
   *out << YAML::EndMap;
@@ -65,7 +80,7 @@ void WritePlane(YAML::Emitter* out, const Plane& plane) {
 
 void WriteSegment(YAML::Emitter* out, const Scene&, const EdgeSegment& segment) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", segment.name);
+  WriteName(out, "name", segment.name);
   WriteField(out, "from", segment.from);
   WriteField(out, "to", segment.to);
   *out << YAML::EndMap;
@@ -73,7 +88,7 @@ void WriteSegment(YAML::Emitter* out, const Scene&, const EdgeSegment& segment) 
 
 void WritePolygon(YAML::Emitter* out, const Scene&, const EdgePolygon& polygon) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", polygon.name);
+  WriteName(out, "name", polygon.name);
   *out << YAML::Key << "points" << YAML::Value << YAML::BeginSeq;
   for (const Vec2d& point : polygon.points) *out << point;
   *out << YAML::EndSeq;
@@ -83,7 +98,7 @@ void WritePolygon(YAML::Emitter* out, const Scene&, const EdgePolygon& polygon) 
 
 void WriteArc(YAML::Emitter* out, const Scene&, const EdgeArc& arc) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", arc.name);
+  WriteName(out, "name", arc.name);
   WriteField(out, "center", arc.center);
   WriteField(out, "radius", arc.radius);
   WriteField(out, "from", arc.from);
@@ -93,7 +108,7 @@ void WriteArc(YAML::Emitter* out, const Scene&, const EdgeArc& arc) {
 
 void WritePocket(YAML::Emitter* out, const Scene&, const Pocket& pocket) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "name", pocket.name);
+  WriteName(out, "name", pocket.name);
   WriteField(out, "position", pocket.position);
   WriteField(out, "radius", pocket.radius);
   *out << YAML::EndMap;
@@ -148,7 +163,7 @@ void WriteWeight(YAML::Emitter* out, double weight, bool hard) {
 
 void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "body", scene.bodies[term.body].name);
+  WriteName(out, "body", scene.bodies[term.body].name);
   WriteQuantity(out, term.quantity);
   if (term.component) {
     WriteField(out, "component", *term.component == 0 ? "x" : "y");
@@ -163,7 +178,7 @@ void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term)
 
 void WriteRunning(YAML::Emitter* out, const Scene& scene, const RunningTerm& term) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "body", scene.bodies[term.body].name);
+  WriteName(out, "body", scene.bodies[term.body].name);
   WriteQuantity(out, term.quantity);
   *out << YAML::Key << "target" << YAML::Value << YAML::BeginSeq;
   for (size_t i = 0; i < term.times.size(); ++i) {
@@ -177,7 +192,7 @@ void WriteRunning(YAML::Emitter* out, const Scene& scene, const RunningTerm& ter
 
 void WriteVia(YAML::Emitter* out, const Scene& scene, const ViaTerm& term) {
   *out << YAML::Flow << YAML::BeginMap;
-  WriteField(out, "body", scene.bodies[term.body].name);
+  WriteName(out, "body", scene.bodies[term.body].name);
   WriteField(out, "time", term.time);
   WriteQuantity(out, term.quantity);
   WriteField(out, "target", term.target);
@@ -217,8 +232,10 @@ void WriteObjective(YAML::Emitter* out, const Scene& scene) {
 }
 
 void WriteNoContact(YAML::Emitter* out, const Scene& scene, const NoContact& pair) {
-  *out << YAML::Flow << YAML::BeginSeq << scene.bodies[pair.a].name
-       << (pair.plane ? scene.planes[pair.b].name : scene.bodies[pair.b].name) << YAML::EndSeq;
+  *out << YAML::Flow << YAML::BeginSeq;
+  WriteName(out, scene.bodies[pair.a].name);
+  WriteName(out, pair.plane ? scene.planes[pair.b].name : scene.bodies[pair.b].name);
+  *out << YAML::EndSeq;
 }
 
 }  // namespace
@@ -228,7 +245,7 @@ std::string WriteScene(const Scene& scene) {
   CHECK(!error) << error->key << ": " << error->message;
   YAML::Emitter out;
   out << YAML::BeginMap;
-  WriteField(&out, "name", scene.name);
+  WriteName(&out, "name", scene.name);
   WriteField(&out, "duration", scene.duration);
   WriteField(&out, "steps", scene.steps);
   WriteField(&out, "gravity", scene.gravity);
