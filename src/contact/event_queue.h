@@ -61,7 +61,7 @@ class EventQueue : protected EventMotion<T, kRotation> {
       return;
     }
     bool ignore_start = false;
-    if (approach.Touching(SlowSpeed(q, now))) {
+    if (approach.Touching(SlowSpeed(q, now)) && !Bounces(q, approach, now)) {
       const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
       if (matters && pair.passed != LastDisc(c).order) {
         pair.next = now;
@@ -100,6 +100,13 @@ class EventQueue : protected EventMotion<T, kRotation> {
   int impacts_ = 0;  // in this step
 
  private:
+  // Whether a pair that touches is amid the last of its bounces, in which a step began. It meets once more: stopped
+  // here, it would lose its speed without the friction of that impact, and at a time without derivative.
+  bool Bounces(int q, const Approach& approach, double now) const {
+    return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.Pushing() &&
+           TouchesAlone(q, now);
+  }
+
   // Of two events at the same time. What ends an arc that was cut there comes before the arc's end.
   bool Precedes(int q, int other) const {
     return pairs_[q].stopping || (pairs_[other].waits && !pairs_[q].waits && !pairs_[q].held);

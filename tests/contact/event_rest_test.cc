@@ -70,6 +70,22 @@ TEST(EventRest, ABouncingBallIsStoppedByFriction) {
   }
 }
 
+// Whenever steps begin, amid the last of the bounces too: friction has its share of all normal impulses, which make up
+// for gravity and for the speed along the normal at the start.
+TEST(EventRest, AStepMayBeginAmidTheLastBounce) {
+  const double mu = 0.05, e = 0.5, v0 = 3, g = 9.8, fall = std::sqrt(2 * 0.9 / g), down = g * fall;
+  double time = fall, bounce = e * down;
+  for (; e * bounce > 1e-6; bounce *= e) time += 2 * bounce / g;
+  for (const double part : {0.2, 0.4, 0.6, 0.8}) {
+    const double begin = time + part * 2 * bounce / g;
+    EventRun run(Dropped(e, mu, v0, 2 * begin, 2));
+    EXPECT_NEAR(run.End()[2], v0 - mu * g * 2 * begin, 1e-9);
+    const Sensitivity gradient = run.GradientOf(2);
+    EXPECT_NEAR(gradient.initial[1], 0, 1e-6) << part;
+    EXPECT_NEAR(gradient.initial[3], mu, 1e-6) << part;
+  }
+}
+
 // Down a slope: sticks below the friction angle, slides with g (sin - mu cos) above.
 TEST(EventRest, Slope) {
   for (double angle : {0.2, 0.6}) {
