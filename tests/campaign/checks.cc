@@ -20,14 +20,15 @@ namespace {
 constexpr double kTolerance = 1e-9;  // of the scene's length, energy or momentum
 
 struct Differences {
-  double width;      // m, m/s, N
-  double finest;     // likewise: of the last that are taken
+  double width;      // m, m/s, N: of the first that are taken
   double smooth;     // how well extrapolations must agree, of the size of the derivative
   double agreement;  // and the gradient with them
 };
-constexpr Differences kAtImpacts{4e-6, 4e-9, 1e-6, 1e-5};
-constexpr Differences kAtRest{4e-3, 4e-10, 1e-2, 2e-2};
-constexpr double kLargestChange = 1e3;        // of a loss
+constexpr Differences kAtImpacts{4e-6, 1e-6, 1e-5};
+constexpr Differences kAtRest{4e-3, 1e-2, 2e-2};
+constexpr double kFinest = 1e-12;             // m, m/s, N: what finer differences tell is rounding
+constexpr double kFinestChange = 1e-5;        // of a loss by them
+constexpr double kLargestChange = 1e-2;       // of a loss by any
 constexpr double kSmallestDerivative = 1e-3;  // what the tolerances are at least relative to
 
 Vec2d PositionOf(std::span<const double> x, int i) { return {x[4 * i], x[4 * i + 1]}; }
@@ -308,15 +309,16 @@ class SceneCheck {
     };
     const auto take = [&](double sign) {
       const auto slope_at = [&](double width) { return Slope(initial, control, sign, loss, size, differences, width); };
-      Side side = slope_at(differences.width);
-      // What disagrees by chance does not do so again.
-      if (side.slope && !agrees(side)) side = slope_at(0.3 * differences.width);
-      if (!side.slope || agrees(side)) return side;
-      // The first impacts may be so slow, or the motion so sensitive, that all this was another motion.
-      const Side finest = slope_at(differences.finest);
-      return finest.slope && agrees(finest) ? finest : side;
+      const double widest = std::min(differences.width, kLargestChange / size);
+      Side side = slope_at(widest);
+      // What disagrees by chance does not do so again; and the first impacts may be so slow, or the motion so
+      // sensitive, that all this was another motion.
+      for (double width = 0.3 * widest; !(side.slope && agrees(side)) && width > kFinest; width *= 0.1) {
+        if (const Side finer = slope_at(width); finer.slope && agrees(finer)) return finer;
+      }
+      return side;
     };
-    if (size * differences.finest > kLargestChange) return Count(about + "left out: too large for any difference");
+    if (size * kFinest > kFinestChange) return Count(about + "left out: too large for any difference");
     const std::array<Side, 2> sides = {take(1), one_sided ? Side{{}, "no derivative"} : take(-1)};
     int agree = 0, disagree = 0;
     for (const Side& side : sides) {
