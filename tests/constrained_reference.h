@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "folders.h"
 #include "saltus/physics/scene.h"
 #include "test_scenes.h"
 
@@ -19,7 +20,7 @@ using Json = nlohmann::json;
 inline Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
 
 inline std::vector<Json> References() {
-  std::ifstream file(SALTUS_SOURCE_DIR "/data/constrained_references.json");
+  std::ifstream file(SourceFolder() + "/data/constrained_references.json");
   const Json document = Json::parse(file);
   return {document["optima"].begin(), document["optima"].end()};
 }

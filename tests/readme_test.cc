@@ -5,13 +5,14 @@
 #include <sstream>
 #include <string>
 
+#include "folders.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
 namespace {
 
 std::string ReadmeBlock(const std::string& language) {
-  std::ifstream file(SALTUS_SOURCE_DIR "/README.md");
+  std::ifstream file(SourceFolder() + "/README.md");
   std::stringstream text;
   text << file.rdbuf();
   const std::string readme = text.str(), fence = "```";
@@ -23,7 +24,7 @@ std::string ReadmeBlock(const std::string& language) {
 
 TEST(Readme, ShowsTheSceneOfTwoBalls) {
   const auto shown = ParseScene(ReadmeBlock("yaml"), "README.md");
-  const auto kept = LoadSceneFile(SALTUS_SOURCE_DIR "/problems/two_balls.yaml");
+  const auto kept = LoadSceneFile(SourceFolder() + "/problems/two_balls.yaml");
   ASSERT_TRUE(std::holds_alternative<Scene>(shown)) << std::get<SceneFileError>(shown).ToString();
   ASSERT_TRUE(std::holds_alternative<Scene>(kept)) << std::get<SceneFileError>(kept).ToString();
   EXPECT_EQ(WriteScene(std::get<Scene>(shown)), WriteScene(std::get<Scene>(kept)));

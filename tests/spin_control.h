@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "folders.h"
 #include "spinning_disc.h"
 
 namespace saltus {
@@ -29,7 +30,7 @@ inline Scene SpinControl(int steps) {
 // A number of the optimum in continuous time, or an entry of two.
 inline double SpinOptimum(const char* key, int entry = -1) {
   static const nlohmann::json reference = [] {
-    std::ifstream file(SALTUS_SOURCE_DIR "/data/spin_references.json");
+    std::ifstream file(SourceFolder() + "/data/spin_references.json");
     return nlohmann::json::parse(file)["s5"];
   }();
   const nlohmann::json& value = reference[key];

@@ -6,13 +6,14 @@
 #include <string>
 #include <utility>
 
+#include "folders.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
 
 // The scene of problems/<name>.yaml.
 inline Scene ProblemScene(const std::string& name) {
-  std::variant<Scene, SceneFileError> scene = LoadSceneFile(SALTUS_SOURCE_DIR "/problems/" + name + ".yaml");
+  std::variant<Scene, SceneFileError> scene = LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml");
   if (const SceneFileError* error = std::get_if<SceneFileError>(&scene)) {
     ADD_FAILURE() << error->ToString();
     return {};

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "folders.h"
 #include "io/csv.h"
 #include "saltus/audit/audit.h"
 #include "test_scenes.h"
@@ -97,7 +98,7 @@ TEST(Refinement, ThePublishedAnalyticControlGradientIsWrongForTheStatedLoss) {
   const std::optional<ModelGradient> exact = ExactGradientOf(ProblemScene("two_balls"));
   ASSERT_TRUE(exact);
   EXPECT_NEAR(exact->gradient.control[0], 0.00021380129632184102, 1e-15);
-  const StatusOr<CsvDocument> published = ReadCsv(SALTUS_SOURCE_DIR "/data/published.csv");
+  const StatusOr<CsvDocument> published = ReadCsv(SourceFolder() + "/data/published.csv");
   ASSERT_TRUE(published.ok());
   int found = 0;
   for (const std::vector<std::string>& row : published->rows) {

@@ -15,6 +15,7 @@
 #include "blackbox/command_box.h"
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
+#include "folders.h"
 #include "saltus/io/scene_file.h"
 #include "tools/run_command.h"
 
@@ -25,10 +26,10 @@ using testing::HasSubstr;
 using Json = ProtocolJson;
 
 Scene Problem(const std::string& name) {
-  return std::get<Scene>(LoadSceneFile(SALTUS_SOURCE_DIR "/problems/" + name + ".yaml"));
+  return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
 }
 
-std::string OfProblem(const std::string& name) { return " --scene=" SALTUS_SOURCE_DIR "/problems/" + name + ".yaml "; }
+std::string OfProblem(const std::string& name) { return " --scene=" + SourceFolder() + "/problems/" + name + ".yaml "; }
 
 std::string WrittenTo(const std::string& name, const std::string& text) {
   std::string path = testing::TempDir() + "/" + name;
@@ -281,7 +282,7 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
     const std::string box =
         WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");
     const Outcome outcome =
-        RunCommand("env --default-signal=INT " SALTUS_BINARY_DIR "/bin/saltus_audit" + OfProblem("two_balls") +
+        RunCommand("env --default-signal=INT " + BuildFolder() + "/bin/saltus_audit" + OfProblem("two_balls") +
                    "--progress=none --simulate='sh " + box + "' & " + "p=$!; while [ ! -s " + file +
                    " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo exit code $?");
     EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "exit code 1\n" : "exit code 137\n"))
@@ -293,7 +294,7 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
 
 // The simulator that the README shows: symplectic Euler, and the impulse of two equal discs when they overlap.
 std::string TenLines() {
-  std::ifstream file(SALTUS_SOURCE_DIR "/README.md");
+  std::ifstream file(SourceFolder() + "/README.md");
   const std::string readme((std::istreambuf_iterator<char>(file)), {});
   const std::string fence = "```", language = fence + "python\n";
   const std::size_t begin =
@@ -324,7 +325,7 @@ TEST(BlackBox, TenLinesOfPythonAreAudited) {
 }
 
 TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
-  const std::string simulate = SALTUS_BINARY_DIR "/bin/saltus_simulate --contact=direct";
+  const std::string simulate = BuildFolder() + "/bin/saltus_simulate --contact=direct";
   const Outcome outcome =
       RunProgram("saltus_audit" + OfProblem("two_balls") + "--progress=none --json --simulate='" + simulate + "'");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -337,7 +338,7 @@ TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
 
 // In a sweep it is one more contact model; one that fails is a row with the reason.
 TEST(BlackBox, SweepsTakeSimulators) {
-  const std::string simulate = SALTUS_BINARY_DIR "/bin/saltus_simulate --offer=gradient --contact=direct_toi";
+  const std::string simulate = BuildFolder() + "/bin/saltus_simulate --offer=gradient --contact=direct_toi";
   const Outcome outcome = RunProgram("saltus_sweep" + OfProblem("two_balls") +
                                      "--solver=none --sweep=steps=60,120 --progress=none --contact=direct_toi "
                                      "--simulate='outside=" +

@@ -9,6 +9,7 @@
 
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
+#include "folders.h"
 #include "saltus/io/scene_file.h"
 #include "tools/run_command.h"
 
@@ -19,7 +20,7 @@ using testing::HasSubstr;
 using Json = ProtocolJson;
 
 Scene Problem(const std::string& name) {
-  return std::get<Scene>(LoadSceneFile(SALTUS_SOURCE_DIR "/problems/" + name + ".yaml"));
+  return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
 }
 
 Question AtTheGuess(const Scene& scene, Question::Kind kind) {

@@ -11,6 +11,7 @@
 
 #include "contact/event_run.h"
 #include "exact/exact_scenes.h"
+#include "folders.h"
 #include "saltus/contact/event_sides.h"
 #include "saltus/internal/island_derivative.h"
 
@@ -26,7 +27,7 @@ constexpr double kTolerance = 1e-10;
 
 const json& References() {
   static const json references = [] {
-    std::ifstream file(SALTUS_SOURCE_DIR "/data/spin_references.json");
+    std::ifstream file(SourceFolder() + "/data/spin_references.json");
     return json::parse(file);
   }();
   return references;

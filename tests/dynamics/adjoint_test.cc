@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "folders.h"
 #include "io/csv.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
@@ -54,7 +55,7 @@ std::string NameOf(const testing::TestParamInfo<Case>& info) {
 }
 
 std::vector<Case> PublishedGradients() {
-  const StatusOr<CsvDocument> csv = ReadCsv(SALTUS_SOURCE_DIR "/data/published.csv");
+  const StatusOr<CsvDocument> csv = ReadCsv(SourceFolder() + "/data/published.csv");
   const auto column = [&](const char* name) { return csv->Find(name).value(); };
   std::vector<Case> cases;
   for (const std::vector<std::string>& row : csv->rows) {

@@ -7,13 +7,14 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "folders.h"
 #include "saltus/physics/scene.h"
 
 namespace saltus::exact_test {
 
 inline const nlohmann::json& References() {
   static const nlohmann::json references = [] {
-    std::ifstream file(SALTUS_SOURCE_DIR "/data/exact_references.json");
+    std::ifstream file(SourceFolder() + "/data/exact_references.json");
     return nlohmann::json::parse(file);
   }();
   return references;

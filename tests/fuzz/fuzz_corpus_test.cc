@@ -3,6 +3,7 @@
 
 #include <filesystem>
 
+#include "folders.h"
 #include "fuzz/targets.h"
 #include "io/file.h"
 
@@ -13,7 +14,7 @@ class FuzzCorpus : public testing::TestWithParam<fuzz::Target> {};
 
 TEST_P(FuzzCorpus, IsReadOrRefused) {
   int files = 0;
-  const std::string folder = std::string(SALTUS_SOURCE_DIR "/tests/fuzz/corpus/") + GetParam().name;
+  const std::string folder = SourceFolder() + "/tests/fuzz/corpus/" + GetParam().name;
   for (const auto& file : std::filesystem::directory_iterator(folder)) {
     SCOPED_TRACE(file.path());
     GetParam().run(ReadFile(file.path()).value());

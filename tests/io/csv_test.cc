@@ -5,6 +5,8 @@
 
 #include <optional>
 
+#include "folders.h"
+
 namespace saltus {
 namespace {
 
@@ -30,7 +32,7 @@ TEST(CsvTest, ErrorsNameTheLine) {
 }
 
 TEST(CsvTest, ReadsThePublishedValues) {
-  const StatusOr<CsvDocument> read = ReadCsv(SALTUS_SOURCE_DIR "/data/published.csv");
+  const StatusOr<CsvDocument> read = ReadCsv(SourceFolder() + "/data/published.csv");
   ASSERT_TRUE(read.ok()) << read.status().message();
   EXPECT_THAT(read->header,
               ElementsAre("table",

@@ -18,6 +18,7 @@
 #include <variant>
 #include <vector>
 
+#include "folders.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
@@ -255,7 +256,7 @@ std::vector<Malformed> Overlaps() {
 }
 
 std::string ReadProblem(const std::string& name) {
-  std::ifstream file(std::string(SALTUS_SOURCE_DIR) + "/problems/" + name + ".yaml");
+  std::ifstream file(SourceFolder() + "/problems/" + name + ".yaml");
   std::stringstream text;
   text << file.rdbuf();
   return text.str();

@@ -10,14 +10,14 @@
 #include <string>
 #include <variant>
 
+#include "folders.h"
+
 namespace saltus {
 namespace {
 
 using testing::HasSubstr;
 
-std::string ProblemPath(const std::string& name) {
-  return std::string(SALTUS_SOURCE_DIR) + "/problems/" + name + ".yaml";
-}
+std::string ProblemPath(const std::string& name) { return SourceFolder() + "/problems/" + name + ".yaml"; }
 
 Scene SceneOf(const std::variant<Scene, SceneFileError>& result) {
   if (const auto* error = std::get_if<SceneFileError>(&result)) {
@@ -473,10 +473,10 @@ TEST(ParseScene, ReadsWindowsLineEndsAndAByteOrderMark) {
 }
 
 TEST(LoadSceneFile, SaysThatItCannotRead) {
-  const auto missing = LoadSceneFile(std::string(SALTUS_BINARY_DIR) + "/no_such_scene.yaml");
+  const auto missing = LoadSceneFile(BuildFolder() + "/no_such_scene.yaml");
   ASSERT_TRUE(std::holds_alternative<SceneFileError>(missing));
   EXPECT_THAT(std::get<SceneFileError>(missing).ToString(), HasSubstr("no_such_scene.yaml: cannot read: No such file"));
-  const auto directory = LoadSceneFile(SALTUS_SOURCE_DIR);
+  const auto directory = LoadSceneFile(SourceFolder());
   ASSERT_TRUE(std::holds_alternative<SceneFileError>(directory));
   EXPECT_THAT(std::get<SceneFileError>(directory).message, HasSubstr("it is a directory"));
   EXPECT_TRUE(std::holds_alternative<SceneFileError>(LoadSceneFile("")));

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "folders.h"
 #include "output/npz.h"
 #include "paper/notebook_files.h"
 #include "saltus/dynamics/registry.h"
@@ -26,9 +27,9 @@ using testing::Pair;
 class Published : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    experiments_ = new Experiments(SALTUS_SOURCE_DIR "/problems");
+    experiments_ = new Experiments(SourceFolder() + "/problems");
     ASSERT_TRUE(experiments_->Run(2, ProgressMode::kNone));
-    rows_ = new std::vector<PublishedRow>(ReadPublished(SALTUS_SOURCE_DIR "/data/published.csv"));
+    rows_ = new std::vector<PublishedRow>(ReadPublished(SourceFolder() + "/data/published.csv"));
     CompareWithPublished(*experiments_, rows_);
   }
 
@@ -63,7 +64,7 @@ TEST_F(Published, ARowOutsideItsToleranceDoesNotMatch) {
 }
 
 TEST_F(Published, ResultsDoNotDependOnTheNumberOfThreads) {
-  Experiments alone(SALTUS_SOURCE_DIR "/problems");
+  Experiments alone(SourceFolder() + "/problems");
   ASSERT_TRUE(alone.Run(1, ProgressMode::kNone));
   ASSERT_EQ(alone.all().size(), experiments_->all().size());
   for (size_t i = 0; i < alone.all().size(); ++i) {

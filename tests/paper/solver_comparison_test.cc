@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "folders.h"
 #include "paper_tables.h"
 #include "saltus/dynamics/registry.h"
 
@@ -17,7 +18,7 @@ using testing::HasSubstr;
 class Comparison : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    Experiments experiments(SALTUS_SOURCE_DIR "/problems");
+    Experiments experiments(SourceFolder() + "/problems");
     ASSERT_TRUE(experiments.Run(2, ProgressMode::kNone));
     comparison_ = new SolverComparison(experiments);
     ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));

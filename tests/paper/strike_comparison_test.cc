@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <set>
 
+#include "folders.h"
 #include "paper_tables.h"
 #include "test_scenes.h"
 
@@ -18,7 +19,7 @@ class Strike : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     comparison_ = new StrikeComparison(ProblemScene("two_balls"),
-                                       ReadBoundedReferences(SALTUS_SOURCE_DIR "/data/constrained_references.json"));
+                                       ReadBoundedReferences(SourceFolder() + "/data/constrained_references.json"));
     ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
   static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
@@ -76,7 +77,7 @@ TEST_F(Strike, ForcesStayWithinTheirBounds) {
 }
 
 TEST(BoundedReferences, AreWithinTheirBounds) {
-  const auto references = ReadBoundedReferences(SALTUS_SOURCE_DIR "/data/constrained_references.json");
+  const auto references = ReadBoundedReferences(SourceFolder() + "/data/constrained_references.json");
   ASSERT_EQ(references.size(), 4u);
   for (const BoundedReference& reference : references) {
     const Vec2d first = reference.Force(0), last = reference.Force(reference.impact_time);

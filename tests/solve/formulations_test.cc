@@ -9,6 +9,7 @@
 #include <cmath>
 #include <map>
 
+#include "folders.h"
 #include "io/csv.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/control/exact_run.h"
@@ -46,7 +47,7 @@ std::string NameOf(const testing::TestParamInfo<Formulation>& info) {
 }
 
 std::vector<Formulation> All() {
-  const StatusOr<CsvDocument> csv = ReadCsv(SALTUS_SOURCE_DIR "/data/formulations.csv");
+  const StatusOr<CsvDocument> csv = ReadCsv(SourceFolder() + "/data/formulations.csv");
   const auto column = [&](const char* name) { return csv->Find(name).value(); };
   const size_t problem = column("problem"), friction = column("friction"), contact = column("contact"),
                stiffness = column("stiffness"), quantity = column("quantity"), value = column("value"),

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 
+#include "folders.h"
 #include "sweep/figures.h"
 
 namespace saltus {
@@ -15,7 +16,7 @@ using testing::Not;
 
 Request GradientRequest(std::vector<std::string> contacts) {
   Request request;
-  request.scene = LoadScene(SALTUS_SOURCE_DIR "/problems/two_balls.yaml");
+  request.scene = LoadScene(SourceFolder() + "/problems/two_balls.yaml");
   request.contacts = std::move(contacts);
   return request;
 }

@@ -14,6 +14,7 @@
 #include <random>
 #include <thread>
 
+#include "folders.h"
 #include "io/csv.h"
 #include "io/file.h"
 #include "output/npz.h"
@@ -117,7 +118,7 @@ class SweepRunsTest : public testing::Test {
   }
 
   std::string Command(const std::string& more) const {
-    return SALTUS_BINARY_DIR "/bin/saltus_sweep" + Scene("two_balls") + more + " --output_dir=" + directory_;
+    return BuildFolder() + "/bin/saltus_sweep" + Scene("two_balls") + more + " --output_dir=" + directory_;
   }
   std::string Cheap(const std::string& more = "") const { return Command(kCheapSweep + (" " + more)); }
   std::string Store() const { return directory_ + "/sweep.sqlite"; }
@@ -312,7 +313,7 @@ std::map<std::string, double> SolvedParts(const CsvDocument& csv) {
 }
 
 TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
-  const Outcome outcome = RunCommand(SALTUS_BINARY_DIR
+  const Outcome outcome = RunCommand(BuildFolder() +
                                      "/bin/saltus_sweep --contact=event --solver=gd,ceres_lm --sweep='seed=0,1,10' "
                                      "--iterations=5 --steps=20 --progress=none --output_dir=" +
                                      directory_);
@@ -335,13 +336,13 @@ TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
     }
   }
   EXPECT_EQ(solved->rows.back()[*solved->Find("kind")], "all");
-  const Outcome both = RunCommand(SALTUS_BINARY_DIR "/bin/saltus_sweep --sweep=seed=1,2 " + Scene("two_balls"));
+  const Outcome both = RunCommand(BuildFolder() + "/bin/saltus_sweep --sweep=seed=1,2 " + Scene("two_balls"));
   EXPECT_EQ(both.exit_code, 2);
   EXPECT_THAT(both.errors, HasSubstr("--scene"));
 }
 
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
-  const std::string base = SALTUS_BINARY_DIR "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
+  const std::string base = BuildFolder() + "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {
     std::string flags, message;
   } cases[] = {{"--shard=0/3 --output_dir=" + directory_, "--shard=0/3"},

@@ -4,6 +4,7 @@
 
 #include <fstream>
 
+#include "folders.h"
 #include "sweep/options.h"
 #include "sweep/spec.h"
 #include "sweep/study.h"
@@ -15,7 +16,7 @@ using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-Scene TwoBalls() { return LoadScene(SALTUS_SOURCE_DIR "/problems/two_balls.yaml"); }
+Scene TwoBalls() { return LoadScene(SourceFolder() + "/problems/two_balls.yaml"); }
 
 SweepRow Numbers(std::initializer_list<double> numbers) { return SweepRow(numbers.begin(), numbers.end()); }
 

@@ -11,6 +11,7 @@
 #include <map>
 #include <sstream>
 
+#include "folders.h"
 #include "sweep/output.h"
 #include "sweep/point.h"
 #include "sweep/run.h"
@@ -25,7 +26,7 @@ using testing::HasSubstr;
 
 SweepStudy Study(const std::string& sweep = "stiffness=1:10:lin:10", int steps = 480) {
   Request request;
-  request.scene = LoadScene(SALTUS_SOURCE_DIR "/problems/two_balls.yaml");
+  request.scene = LoadScene(SourceFolder() + "/problems/two_balls.yaml");
   request.scene.steps = steps;
   request.contacts = {"event"};
   return SweepStudy(request, ParseSweep(sweep, request.scene));

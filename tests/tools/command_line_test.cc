@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "folders.h"
 #include "io/csv.h"
 #include "tools/run_program.h"
 
@@ -44,7 +45,7 @@ TEST(CommandLine, TwoBallsByGradientDescent) {
 
 // Every launch that hits the target; values by an independent search (data/exact_references.json).
 TEST(CommandLine, GroundWallListsEveryLaunchThatHits) {
-  std::ifstream file(SALTUS_SOURCE_DIR "/data/exact_references.json");
+  std::ifstream file(SourceFolder() + "/data/exact_references.json");
   const json reference = json::parse(file)["task2"];
   const std::pair<const char*, const char*> cases[] = {{"0", "minima_frictionless"}, {"0.1", "minima_mu0.1"}};
   for (const auto& [friction, key] : cases) {

@@ -12,6 +12,7 @@
 #include <string>
 #include <thread>
 
+#include "folders.h"
 #include "io/file.h"
 #include "tools/run_program.h"
 
@@ -138,9 +139,9 @@ TEST(Ends, GradientDescentReportsItsBestIterateToo) {
 
 TEST(Ends, MemoryThatRunsOutIsSaidAndCostsOneRun) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
-  const std::string limited = "sh -c 'ulimit -v 700000; exec \"$@\"' sh " SALTUS_BINARY_DIR
-                              "/bin/saltus_solve --progress=none --threads=1 " +
-                              Scene("two_balls") + "--contact=direct_toi --steps=10000000 ";
+  const std::string limited = "sh -c 'ulimit -v 700000; exec \"$@\"' sh " + BuildFolder() +
+                              "/bin/saltus_solve --progress=none --threads=1 " + Scene("two_balls") +
+                              "--contact=direct_toi --steps=10000000 ";
   const Outcome json_outcome = RunCommand(limited + "--solver=gd --iterations=1 --json");
   EXPECT_EQ(json_outcome.exit_code, 1);
   EXPECT_THAT(json_outcome.errors, HasSubstr("out of memory"));
@@ -184,9 +185,9 @@ TEST(Ends, FilesThatAreNoneAreWrongInput) {
 }
 
 TEST(Ends, PipesAreFiles) {
-  const std::string scene = SALTUS_SOURCE_DIR "/problems/two_balls.yaml", pipe = PathFor("pipe");
+  const std::string scene = SourceFolder() + "/problems/two_balls.yaml", pipe = PathFor("pipe");
   ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
-  const std::string program = SALTUS_BINARY_DIR "/bin/";
+  const std::string program = BuildFolder() + "/bin/";
   EXPECT_EQ(RunCommand("(cat " + scene + " >" + pipe + " & " + program +
                        "saltus_audit --contact=event --progress=none --scene=" + pipe + ")")
                 .exit_code,
@@ -259,7 +260,7 @@ class AtWork {
     execl("/bin/sh",
           "sh",
           "-c",
-          ("exec " SALTUS_BINARY_DIR "/bin/" + command + " >" + output_ + " 2>" + errors_).c_str(),
+          ("exec " + BuildFolder() + "/bin/" + command + " >" + output_ + " 2>" + errors_).c_str(),
           nullptr);
     _exit(127);
   }

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "folders.h"
 #include "output/npz.h"
 #include "tools/run_program.h"
 
@@ -112,7 +113,7 @@ TEST(IdentifyProgram, LearnsTheLawOfImpact) {
   EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.svg").good());
 }
 
-constexpr char kDrops[] = SALTUS_SOURCE_DIR "/problems/drops/";
+const std::string kDrops = SourceFolder() + "/problems/drops/";
 
 std::string TextOf(const std::string& path) {
   std::ifstream file(path);
@@ -151,7 +152,7 @@ TEST(IdentifyProgram, TheDropsAreWhatTheirProgramWrites) {
   const std::string written = PathOf("written");
   ASSERT_EQ(RunProgram("record_drops " + written).exit_code, 0);
   for (const char* name : {"drop_1.csv", "drop_2.csv", "drop_3.csv", "drop_4.csv", "law.csv"}) {
-    EXPECT_EQ(TextOf(written + "/" + name), TextOf(kDrops + std::string(name))) << name;
+    EXPECT_EQ(TextOf(written + "/" + name), TextOf(kDrops + name)) << name;
   }
 }
 
@@ -201,7 +202,7 @@ TEST(IdentifyProgram, LearnsEventFunctions) {
 
 // A ball and a table that are real, and what the rules of the game ask of them: to rise from 30 cm to 23 cm or more.
 TEST(IdentifyProgram, FitsARealRecording) {
-  const std::string folder = SALTUS_SOURCE_DIR "/data/recordings/table_tennis/";
+  const std::string folder = SourceFolder() + "/data/recordings/table_tennis/";
   for (const char* name : {"serve_1.csv", "serve_5.csv"}) {
     const Outcome outcome =
         RunProgram("saltus_identify --json --progress=none --unknown=restitution,friction,gravity --scene=" + folder +

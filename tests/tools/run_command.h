@@ -11,6 +11,8 @@
 #include <iterator>
 #include <string>
 
+#include "folders.h"
+
 namespace saltus {
 
 struct Outcome {
@@ -36,11 +38,11 @@ inline Outcome RunCommand(const std::string& command) {
 }
 
 // Runs one of the programs, with arguments for a shell.
-inline Outcome RunProgram(const std::string& command) { return RunCommand(SALTUS_BINARY_DIR "/bin/" + command); }
+inline Outcome RunProgram(const std::string& command) { return RunCommand(BuildFolder() + "/bin/" + command); }
 
 // The same on a terminal of so many columns.
 inline Outcome RunProgramIn(int columns, const std::string& command) {
-  return RunCommand("COLUMNS=" + std::to_string(columns) + " " SALTUS_BINARY_DIR "/bin/" + command);
+  return RunCommand("COLUMNS=" + std::to_string(columns) + " " + BuildFolder() + "/bin/" + command);
 }
 
 }  // namespace saltus
