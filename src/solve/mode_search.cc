@@ -1,13 +1,15 @@
 #include "mode_search.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
+#include <deque>
+#include <functional>
 #include <limits>
-#include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 
 #include "ceres_phases.h"
 #include "control/parallel_for.h"
@@ -16,35 +18,38 @@
 #include "phase_search.h"
 #include "physics/units.h"
 #include "saltus/control/objective.h"
+#include "search_queue.h"
 #include "search_solve.h"
 #include "search_starts.h"
+#include "task_line.h"
 
 namespace saltus {
 namespace {
 
-constexpr int kStarts = 3;          // motions from which a sequence is tried
-constexpr double kBound = 3;        // times the best loss
-constexpr double kSameLoss = 1e-6;  // relative: the same optimum of a sequence
-constexpr double kNoLoss = 1e-12;   // in natural units: to be compared with nothing smaller
-constexpr double kProved = 1e-8;    // relative, between the best loss and a lower bound
-constexpr int kPatience = 250;      // solves after which nothing better is expected
-constexpr int kMoreStarts = 3;      // times the starts, that are tried then
-constexpr int kMorePatience = 120;  // solves after those
-constexpr int kBatch = 8;           // solves between two looks at what they found
-constexpr int kMostMended = 12;     // motions whose sequence is mended
-
-// A sequence as something to be compared.
-using Key = std::vector<std::array<int, 3>>;
-Key KeyOf(const ContactSequence& sequence) {
-  Key key;
-  for (const Candidate& c : sequence) key.push_back({c.a, c.b, c.plane});
-  return key;
-}
+constexpr double kBound = 3;          // times the best loss
+constexpr double kSameLoss = 1e-6;    // relative: the same optimum of a sequence
+constexpr double kNoLoss = 1e-12;     // in natural units: to be compared with nothing smaller
+constexpr double kProved = 1e-8;      // relative, between the best loss and a lower bound
+constexpr int kPatience = 150;        // solves after which nothing better is expected
+constexpr int kMoreStarts = 3;        // times the starts, that are tried then
+constexpr int kMostRounds = 2;        // of more starts
+constexpr int kMorePatience = 100;    // solves after those
+constexpr int kMostMended = 12;       // motions, each the best at its time, whose sequence is mended
+constexpr int kMoreMended = 2;        // others near the best, where the search has come to a stop
+constexpr double kNearBest = 1.05;    // of its loss
+constexpr double kApart = 1.001;      // the losses of these
+constexpr double kMuchBetter = 0.99;  // of the loss of the last one: mended at once, else where the search would stop
+constexpr int kAheadOfLong = 100;     // solves that go on beside one that takes as long as many
 
 class ModeSearch {
  public:
   ModeSearch(PhaseRun* run, const SolveRequest& request)
-      : run_(*run), request_(request), scene_(run->scene()), options_(run->options()), bound_(scene_) {
+      : run_(*run),
+        request_(request),
+        scene_(run->scene()),
+        options_(run->options()),
+        bound_(scene_),
+        queue_(options_.search_options.memory / 2) {
     const SearchOptions& search = options_.search_options;
     options_.stop = StopAfter(search.seconds, run->options().stop);
     options_.memory_limit = std::min(options_.memory_limit, search.memory / (2 * NumThreads(options_.threads)));
@@ -54,77 +59,27 @@ class ModeSearch {
 
   SolveReport Search(const ContactSequence& first) {
     best_trial_ = run_.guess();
-    if (!options_.search) {
-      SolveBatch({AlongFrom(run_.guess(), first)});
-      return Report();
+    if (options_.search) {
+      BeginWithStarts(first);
+    } else {
+      starts_left_.push_back(AlongGuess(first));
     }
-    SolveStarts(first);
-    while (!end_) {  // the moves of mending come first, then what they do not reach
-      if (MendBest()) continue;
-      if (queue_.empty() || queue_.begin()->first.first > Bound()) break;
-      if (solves_ - last_better_ > kPatience) {
-        if (SolveMoreStarts()) continue;
-        Leave("nothing better in " + std::to_string(kPatience) + " solves");
-        break;
-      }
-      SolveNext();
+    WorkOff([this] { return Next(); });
+    if (!end_ && HasMore()) Leave("nothing better in " + std::to_string(kPatience) + " solves");
+    if (options_.search && !end_) {
+      ShareBest();
+      MendUnstationary();
     }
-    if (!end_) ShareBest();
     return Report();
   }
 
  private:
-  struct Queued {
-    SearchTask task;
-    std::size_t bytes = 0;
-  };
-  using Queue = std::map<std::pair<double, int>, Queued>;  // by exact loss of the motion it comes from, then in order
-
   // What a limit ends.
   enum class End { kInterrupt, kTime, kIterations };
 
   double BestLoss() const { return best_trial_.exact.loss; }
   double Bound() const { return kBound * BestLoss(); }
   bool Stopped() const { return options_.stop && options_.stop(); }
-
-  // ------------------------------------------------------------------------------------------------------------ queue
-
-  SearchTask AlongFrom(const Trial& trial, const ContactSequence& sequence) const {
-    return {.sequence = sequence, .guess = GuessFrom(scene_, FlightOf(scene_, trial), sequence)};
-  }
-
-  void Add(double priority, SearchTask task) {
-    const std::size_t bytes = task.bytes();
-    bytes_ += bytes;
-    queue_.emplace(std::pair(priority, number_++), Queued{std::move(task), bytes});
-    while (bytes_ > options_.search_options.memory / 2 && queue_.size() > 1) {
-      const auto last = std::prev(queue_.end());
-      bytes_ -= last->second.bytes;
-      queue_.erase(last);
-      Leave("the limit of memory");
-    }
-  }
-
-  // A sequence and where to start along it, unless it has been tried from enough motions.
-  void AddSequence(double priority, SearchTask task) {
-    int& starts = starts_[KeyOf(task.sequence)];
-    if (starts >= kStarts) return;
-    ++starts;
-    Add(priority, std::move(task));
-  }
-
-  // Whatever its sequence has been tried from.
-  void AddMotion(double priority, const Trial& trial) {
-    if (!trial.exact.only_impacts) return;
-    ++starts_[KeyOf(trial.exact.contacts)];
-    Add(priority, AlongFrom(trial, trial.exact.contacts));
-  }
-
-  SearchTask TakeFirst() {
-    auto node = queue_.extract(queue_.begin());
-    bytes_ -= node.mapped().bytes;
-    return std::move(node.mapped().task);
-  }
 
   // Something is not tried.
   void Leave(const std::string& why) {
@@ -134,103 +89,162 @@ class ModeSearch {
 
   // ----------------------------------------------------------------------------------------------------------- solves
 
-  void SolveStarts(const ContactSequence& first) {
-    std::vector<SearchTask> tasks;
+  SearchTask AlongGuess(const ContactSequence& sequence) const {
+    return {.sequence = sequence, .from = std::make_shared<const Trial>(run_.guess())};
+  }
+
+  void BeginWithStarts(const ContactSequence& first) {
     const std::vector<Vec2d>& guess = scene_.control.initial;
     if (run_.guess().exact.only_impacts) {
-      ++starts_[KeyOf(first)];
-      tasks.push_back(AlongFrom(run_.guess(), first));
+      queue_.NoteTried(first);
+      starts_left_.push_back(AlongGuess(first));
     }
-    tasks.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
-    tasks.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
+    starts_left_.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
+    starts_left_.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
     if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
     searched_.starts = 1;
-    AddStarts(0, options_.search_options.starts, &tasks);
-    SolveInBatches(std::move(tasks));
+    AddStarts(0, options_.search_options.starts);
   }
 
   // Starts from `first` on.
-  void AddStarts(int first, int number, std::vector<SearchTask>* tasks) {
+  void AddStarts(int first, int number) {
     for (int i = first; i < first + number; ++i) {
-      tasks->push_back(
+      starts_left_.push_back(
           {.kind = SearchTask::Kind::kShoot, .forces = SearchStart(scene_, options_.search_options.seed, i)});
     }
+    drawn_starts_ += number;
     searched_.starts += number;
   }
 
-  // Once, where the search has come to a stop: from more motions. False if there are none.
-  bool SolveMoreStarts() {
-    const int starts = options_.search_options.starts;
-    if (searched_.starts != 1 + starts || starts == 0) return false;
-    std::vector<SearchTask> tasks;
-    AddStarts(starts, kMoreStarts * starts, &tasks);
-    SolveInBatches(std::move(tasks));
-    last_better_ = std::max(last_better_, solves_ - (kPatience - kMorePatience));
+  // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
+  // mended. False if there are none.
+  bool AddMoreStarts() {
+    const int more = kMoreStarts * options_.search_options.starts;
+    if (rounds_ == kMostRounds || more == 0) return false;
+    if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.iterations) return false;
+    ++rounds_;
+    AddStarts(drawn_starts_, more);
+    around_best_ = more;
+    searched_.starts += more;
+    int mended = 0;
+    double last = 0;
+    for (const auto& [loss, motion] : runners_up_.by_loss()) {
+      if (mended == kMoreMended || loss > kNearBest * BestLoss()) break;
+      if (loss < kApart * last || !mended_sequences_.insert(KeyOf(motion->exact.contacts)).second) continue;
+      ++mended;
+      last = loss;
+      starts_left_.push_back({.kind = SearchTask::Kind::kMend, .from = motion});
+    }
+    last_better_ = std::max(last_better_, solves_ + 2 * more + mended - (kPatience - kMorePatience));
     return true;
   }
 
-  void SolveInBatches(std::vector<SearchTask> tasks) {
-    for (size_t i = 0; i < tasks.size() && !end_; i += kBatch) {
-      const auto begin = tasks.begin() + i, end = tasks.begin() + std::min(tasks.size(), i + kBatch);
-      SolveBatch({std::make_move_iterator(begin), std::make_move_iterator(end)});
-    }
-  }
-
-  void SolveNext() {
-    std::vector<SearchTask> tasks;
-    while (!queue_.empty() && tasks.size() < kBatch && queue_.begin()->first.first <= Bound()) {
-      SearchTask task = TakeFirst();
-      if (bound_.Along(task.sequence) <= Bound()) tasks.push_back(std::move(task));
-    }
-    SolveBatch(std::move(tasks));
-  }
-
-  // The best motion, if it is no optimum and its sequence has not been mended: there may be a kink.
-  bool MendBest() {
-    if (HasBestOptimum() || mended_ >= kMostMended || !best_trial_.exact.only_impacts) return false;
-    if (!(best_trial_.exact.loss < (1 - kSameLoss) * best_mended_)) return false;
-    ++mended_;
-    best_mended_ = best_trial_.exact.loss;
-    SolveBatch({{.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_trial_)}});
-    return true;
-  }
-
-  // The best optimum, with the intervals that a share of them between phases by their lengths has left unused.
-  void ShareBest() {
-    if (!HasBestOptimum() || best_optimum_.exact.contacts.empty()) return;
-    const double before = best_optimum_.exact.loss;
-    SolveBatch({{.kind = SearchTask::Kind::kShare,
-                 .sequence = best_optimum_.exact.contacts,
-                 .from = std::make_shared<const Trial>(best_optimum_)}});
-    const double now = best_optimum_.exact.loss;
-    if (now < before) std::erase_if(optima_, [&](const LocalOptimum& known) { return known.loss == before; });
-  }
-
-  void SolveBatch(std::vector<SearchTask> tasks) {
-    const int allowed = options_.iterations - solves_;
-    if (allowed < static_cast<int>(tasks.size())) {
-      tasks.resize(std::max(0, allowed));
-      end_ = End::kIterations;
-    }
-    std::vector<SearchFinding> findings(tasks.size());
-    std::vector<char> whole(tasks.size(), 0);  // nothing has cut the solve short
-    const auto wants_neighbours = [&](const Trial& trial) { return options_.search && IsNew(trial); };
-    ParallelFor(NumThreads(options_.threads), static_cast<int>(tasks.size()), [&](int, int i) {
-      if (Stopped()) return;
-      findings[i] = SolveTask(request_, options_, tasks[i], wants_neighbours);
-      whole[i] = !Stopped();
-    });
-    for (size_t i = 0; i < tasks.size(); ++i) {
-      if (whole[i]) {
-        Look(tasks[i], std::move(findings[i]));
-        if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
-      } else if (findings[i].trial.exact.ok) {
-        Meet(findings[i].trial, "");
+  // What is solved next: the moves of mending come first, then what they do not reach.
+  std::optional<SearchTask> Next() {
+    if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
+    if (auto mend = MendBest(best_is_mended_ ? 1 - kSameLoss : kMuchBetter)) return mend;
+    while (HasMore()) {
+      if (solves_ - last_better_ > kPatience) {
+        if (auto mend = MendBest(1 - kSameLoss)) return mend;
+        if (AddMoreStarts()) return TakeStart();
+        return std::nullopt;
       }
+      SearchTask task = queue_.TakeFirst();
+      if (bound_.Along(task.sequence) <= Bound()) return task;
     }
-    if (!Stopped()) return;
-    const StopRequest& interrupt = run_.options().stop;
-    end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
+    return MendBest(1 - kSameLoss);
+  }
+
+  bool HasMore() const { return !queue_.empty() && queue_.first_loss() <= Bound(); }
+
+  std::optional<SearchTask> TakeStart() {
+    if (starts_left_.empty()) {
+      if (around_best_ == 0) return std::nullopt;
+      --around_best_;
+      auto start = std::make_shared<Trial>();
+      const ControlGuess guess{best_trial_.control, best_trial_.durations};
+      start->control = ControlAround(scene_, guess, options_.search_options.seed, number_of_around_++);
+      start->durations = guess.durations;
+      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start)};
+    }
+    SearchTask task = std::move(starts_left_.front());
+    starts_left_.pop_front();
+    return task;
+  }
+
+  // The best motion, if it is no optimum and below this part of the loss of the last one: there may be a kink. One at a
+  // time.
+  std::optional<SearchTask> MendBest(double part) {
+    if (mends_ || HasBestOptimum() || mended_ >= kMostMended || !best_trial_.exact.only_impacts) return std::nullopt;
+    if (!(best_trial_.exact.loss < part * best_mended_)) return std::nullopt;
+    ++mended_;
+    mends_ = true;
+    mended_sequences_.insert(KeyOf(best_trial_.exact.contacts));
+    best_mended_ = best_trial_.exact.loss;
+    return SearchTask{.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_trial_)};
+  }
+
+  // The best motion, with the intervals that a share of them between phases by their lengths has left unused.
+  void ShareBest() {
+    const bool optimum = HasBestOptimum();
+    const Trial& best = optimum ? best_optimum_ : best_trial_;
+    const ContactSequence& sequence = optimum ? best.exact.contacts : best_along_;
+    if (sequence.empty() || !best.exact.only_impacts) return;
+    const double before = best_optimum_.exact.loss;
+    std::optional<SearchTask> share{
+        {.kind = SearchTask::Kind::kShare, .sequence = sequence, .from = std::make_shared<const Trial>(best)}};
+    WorkOff([&] { return std::exchange(share, std::nullopt); });
+    const double now = best_optimum_.exact.loss;
+    if (optimum && now < before) std::erase_if(optima_, [&](const auto& known) { return known.loss == before; });
+  }
+
+  // The best optimum, where arcs have left it off a condition of optimality.
+  void MendUnstationary() {
+    if (end_ || !HasBestOptimum()) return;
+    if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
+    if (certificate_->verdict != Certificate::Verdict::kNotStationary) return;
+    std::optional<SearchTask> mend{
+        {.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_optimum_)}};
+    WorkOff([&] { return std::exchange(mend, std::nullopt); });
+  }
+
+  // What a solve has found, and that nothing has cut it short.
+  struct Outcome {
+    SearchFinding finding;
+    bool whole = false;
+  };
+
+  void WorkOff(const std::function<std::optional<SearchTask>()>& next) {
+    TaskLine<SearchTask, Outcome> line;
+    line.draw = [&]() -> std::optional<SearchTask> {
+      if (end_) return std::nullopt;
+      std::optional<SearchTask> task = next();
+      if (!task || drawn_++ < options_.iterations) return task;
+      end_ = End::kIterations;
+      return std::nullopt;
+    };
+    line.solve = [this](const SearchTask& task) {
+      Outcome outcome;
+      if (!Stopped()) outcome.finding = SolveTask(request_, options_, task);
+      outcome.whole = !Stopped();
+      return outcome;
+    };
+    line.look = [this](const SearchTask& task, Outcome outcome) {
+      if (task.kind == SearchTask::Kind::kMend) mends_ = false;
+      if (outcome.whole) {
+        Look(task, std::move(outcome.finding));
+        if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
+      } else {
+        if (outcome.finding.trial.exact.ok) Meet(outcome.finding.trial, "");
+        const StopRequest& interrupt = run_.options().stop;
+        end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
+      }
+    };
+    line.ahead = [](const SearchTask& task) {
+      using Kind = SearchTask::Kind;
+      return task.kind == Kind::kMend || task.kind == Kind::kDescend ? kAheadOfLong : 0;
+    };
+    line.WorkOff(NumThreads(options_.threads));
   }
 
   // ------------------------------------------------------------------------------------------------- what solves found
@@ -243,44 +257,52 @@ class ModeSearch {
     const Trial& trial = finding.trial;
     if (!trial.exact.ok) return;
     const bool is_best = trial.exact.loss < (1 - kSameLoss) * BestLoss();
-    if (is_best) last_better_ = solves_;
+    if (is_best) {
+      last_better_ = solves_;
+      best_is_mended_ = task.kind == SearchTask::Kind::kMend;
+      best_along_ = task.kind == SearchTask::Kind::kAlong ? task.sequence : trial.exact.contacts;
+    }
     Meet(trial, finding.remark);
     for (const Trial& aside : finding.aside) {
       Meet(aside, "");
-      if (options_.search) AddMotion(aside.exact.loss, aside);
+      if (options_.search) queue_.AddMotion(aside);
     }
     if (!trial.exact.only_impacts) return;
-    if (finding.optimal) Keep(trial, std::move(finding.certificate));
+    if (finding.optimal) {
+      Keep(trial, std::move(finding.certificate));
+    } else if (task.kind != SearchTask::Kind::kMend) {
+      runners_up_.Meet(trial);
+    }
     if (!options_.search) {
       if (!finding.optimal) failure_ = finding.remark;
       return;
     }
     if (task.kind != SearchTask::Kind::kAlong) {
       tried_.insert(KeyOf(trial.exact.contacts));
-      if (!finding.optimal) AddMotion(trial.exact.loss, trial);
+      if (!finding.optimal) queue_.AddMotion(trial);
     } else if (is_best && !finding.optimal) {
-      AddMotion(trial.exact.loss, trial);
+      queue_.AddMotion(trial);
     } else if (trial.exact.contacts != task.sequence) {  // impacts have appeared or vanished: next in turn
-      AddSequence(trial.exact.loss, AlongFrom(trial, trial.exact.contacts));
+      queue_.AddSequence(std::make_shared<const Trial>(trial), trial.exact.contacts);
     }
-    if (finding.neighbours.empty() || !IsNew(trial)) return;
+    if (!IsNew(trial)) return;
     expanded_.insert(ExpansionOf(trial));
-    if (finding.neighbours_left_out) Leave("neighbours far from a touch");
-    for (SearchNeighbour& next : finding.neighbours) {
-      AddSequence(trial.exact.loss, {.sequence = std::move(next.sequence), .guess = std::move(next.guess)});
-    }
+    AddNeighboursOf(trial);
   }
 
   void AddNeighboursOf(const Trial& trial) {
     bool left_out = false;
-    for (SearchNeighbour& next : NeighboursOf(scene_, trial, &left_out)) {
-      AddSequence(trial.exact.loss, {.sequence = std::move(next.sequence), .guess = std::move(next.guess)});
+    const Motion motion = std::make_shared<const Trial>(trial);
+    std::vector<ContactSequence> neighbours = NeighboursOf(scene_, trial, &left_out);
+    const size_t sharing = neighbours.size();
+    for (ContactSequence& next : neighbours) {
+      queue_.AddSequence(motion, std::move(next), sharing);
     }
     if (left_out) Leave("neighbours far from a touch");
   }
 
   // Motions whose neighbours are queued: by sequence and loss.
-  using Expansion = std::pair<Key, double>;
+  using Expansion = std::pair<SequenceKey, double>;
   Expansion ExpansionOf(const Trial& trial) const {
     return {KeyOf(trial.exact.contacts), std::round(trial.exact.loss / (kSameLoss * std::max(kNoLoss, BestLoss())))};
   }
@@ -327,6 +349,7 @@ class ModeSearch {
   // -------------------------------------------------------------------------------------------------------------- end
 
   SolveReport Report() {
+    if (queue_.has_forgotten()) Leave("the limit of memory");
     if (end_)
       Leave(*end_ == End::kIterations ? "the limit of iterations" : *end_ == End::kTime ? "the limit of time" : "");
     std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
@@ -378,21 +401,26 @@ class ModeSearch {
   const Scene& scene_;
   SolverOptions options_;  // with its own limits
   LossBound bound_;
-  Queue queue_;
-  std::size_t bytes_ = 0;      // of the queue
-  std::map<Key, int> starts_;  // motions from which a sequence is, or is to be, tried
-  std::set<Key> tried_;        // sequences
+  std::deque<SearchTask> starts_left_;  // which come before the queue
+  int around_best_ = 0;                 // starts around the best motion, which come after them
+  int number_of_around_ = 0, drawn_starts_ = 0;
+  RunnersUp runners_up_;
+  SearchQueue queue_;
+  std::set<SequenceKey> tried_, mended_sequences_;
   std::set<Expansion> expanded_;
   std::vector<LocalOptimum> optima_;
   Trial best_optimum_;
   std::optional<Certificate> certificate_;  // of it
   Trial best_trial_;                        // of all motions met, the guess included
+  ContactSequence best_along_;              // the sequence along which it was found, which it need not have
   std::string best_remark_;                 // why it is no optimum
   std::string failure_;
   std::string left_;  // what limits have kept it from
   Searched searched_;
   double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
-  int number_ = 0, solves_ = 0, last_better_ = 0, mended_ = 0, jacobians_ = 0;
+  int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
+  bool mends_ = false;  // a motion is being mended
+  bool best_is_mended_ = false;
   std::optional<End> end_;
 };
 

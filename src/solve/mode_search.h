@@ -5,19 +5,22 @@
 // sequence found there (as ceres_event) go on. Each solve is re-simulated exactly. If impacts have appeared or
 // vanished, what really happened is transcribed anew and solved next. Then the neighbours of what really happened are
 // queued: an impact inserted, removed or replaced by one of another pair, each started from the motion at hand. The
-// queue is worked off best first, by the exact loss of the motion that a neighbour comes from. A saddle is left, both
-// ways, and what is found beside it solved next. Where a motion that is no optimum is the best, its sequence is mended
-// (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the final time.
+// queue (search_queue.h) is worked off best first, by the exact loss of the motion that a neighbour comes from. A
+// saddle is left, both ways, and what is found beside it solved next. Where a motion that is no optimum is the best,
+// its sequence is mended (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the
+// final time. Where nothing better is found any more, up to kMostRounds times: others near the best are mended, and
+// ceres_lm goes down from more motions, at random and around the best. At last intervals of the best move to other
+// phases.
 //
 // Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
 // kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
 // loss along it (loss_bound.h) is above that.
-// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (at the first
-// time it goes on from kMoreStarts times as many starts), SearchOptions, an interrupt, neighbours left out of very many
+// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (after the
+// rounds above), SearchOptions, an interrupt, neighbours left out of very many
 // (search_solve.h). Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
 //
-// Solves are shared out among threads in batches of one size and looked at in order, so that the answer is the same for
-// any number of threads, as long as no limit of time ends it.
+// Solves are drawn and looked at in one order, whatever the threads that work them off (task_line.h), so that the
+// answer is the same for any number of these, as long as no limit of time ends it.
 //
 // With SolverOptions::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once

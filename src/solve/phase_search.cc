@@ -16,6 +16,7 @@
 #include "saltus/control/objective.h"
 #include "search_solve.h"
 #include "search_starts.h"
+#include "task_line.h"
 
 namespace saltus {
 namespace {
@@ -25,7 +26,6 @@ constexpr int kIterationsAlong = 300;     // of a neighbour, which begins near a
 constexpr int kIterationsShooting = 30;   // from starts of its own
 constexpr double kShareRelaxed = 0.3;     // of the time, for the problem without constraints
 constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
-constexpr int kBatch = 8;                 // solves between two looks at what they found
 constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
 
 // Where a solve begins: a motion, or what is to be made one by ceres_lm; along a sequence, or that of the motion.
@@ -140,9 +140,9 @@ class PhaseSearch {
     scene.duration = DurationOf(trial);
     bool left_out = false;
     std::vector<Start> starts;
-    for (SearchNeighbour& next : NeighboursOf(scene, trial, &left_out)) {
-      if (std::count(tried_.begin(), tried_.end(), next.sequence) > 0) continue;
-      starts.push_back({trial, false, std::move(next.sequence)});
+    for (ContactSequence& next : NeighboursOf(scene, trial, &left_out)) {
+      if (std::count(tried_.begin(), tried_.end(), next) > 0) continue;
+      starts.push_back({trial, false, std::move(next)});
     }
     if (left_out) Leave("neighbours far from a touch");
     return starts;
@@ -150,29 +150,28 @@ class PhaseSearch {
 
   // ----------------------------------------------------------------------------------------------------------- solves
 
-  void SolveAll(std::vector<Start> starts) {
-    for (size_t i = 0; i < starts.size() && !end_; i += kBatch) {
-      SolveBatch({starts.begin() + i, starts.begin() + std::min(starts.size(), i + kBatch)});
-    }
+  void SolveAll(const std::vector<Start>& starts) {
+    auto next = starts.begin();
+    TaskLine<const Start*, Finding> line;
+    line.draw = [&]() -> std::optional<const Start*> {
+      if (Stopped()) EndByStop();
+      if (end_ || next == starts.end()) return std::nullopt;
+      if (drawn_++ < options_.iterations) return &*next++;
+      end_ = End::kIterations;
+      return std::nullopt;
+    };
+    line.solve = [this](const Start* start) { return Stopped() ? Finding{} : SolveFrom(*start); };
+    line.look = [this](const Start* start, Finding finding) {
+      if (finding.report.solver.empty()) return EndByStop();  // not begun
+      if (start->sequence) tried_.push_back(*start->sequence);
+      Look(std::move(finding));
+      if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
+    };
+    line.WorkOff(NumThreads(options_.threads));
+    if (Stopped()) EndByStop();
   }
 
-  void SolveBatch(std::vector<Start> starts) {
-    const int allowed = options_.iterations - solves_;
-    if (allowed < static_cast<int>(starts.size())) {
-      starts.resize(std::max(0, allowed));
-      end_ = End::kIterations;
-    }
-    std::vector<Finding> findings(starts.size());
-    ParallelFor(NumThreads(options_.threads), static_cast<int>(starts.size()), [&](int, int i) {
-      if (!Stopped()) findings[i] = SolveFrom(starts[i]);
-    });
-    for (size_t i = 0; i < starts.size(); ++i) {
-      if (findings[i].report.solver.empty()) continue;  // not begun
-      if (starts[i].sequence) tried_.push_back(*starts[i].sequence);
-      Look(std::move(findings[i]));
-      if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
-    }
-    if (!Stopped()) return;
+  void EndByStop() {
     const StopRequest& interrupt = run_.options().stop;
     end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
   }
@@ -310,7 +309,7 @@ class PhaseSearch {
   std::string reason_;                     // why nothing was found
   std::string left_;                       // what limits have kept it from
   Searched searched_;
-  int solves_ = 0;
+  int drawn_ = 0, solves_ = 0;
   std::optional<End> end_;
 };
 

@@ -11,7 +11,7 @@
 //
 // Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried.
 // Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
-// many. As in mode_search, solves are shared out among threads in batches of one size, and looked at in order.
+// many. As in mode_search, solves are looked at in one order, whatever the threads (task_line.h).
 #pragma once
 
 #include "saltus/solve/solver.h"

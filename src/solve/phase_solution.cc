@@ -363,8 +363,8 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
           if (!SolveOn(scene, intervals, &guess, options, 1e-2, &next)) continue;
           SimulateSolution(scene, &next);
           next.minimum.jacobians += best.minimum.jacobians;
-          const bool gains = next.trial.exact.loss < (1 - least_gain) * best.trial.exact.loss;
-          if (!next.optimal() || !gains) {
+          const bool gains = next.trial.exact.ok && next.trial.exact.loss < (1 - least_gain) * best.trial.exact.loss;
+          if (!gains || (best.optimal() && !next.optimal())) {
             best.minimum.jacobians = next.minimum.jacobians;
             continue;
           }

@@ -80,7 +80,7 @@ bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 // The same sequence with intervals moved from phases to those beside them, as long as that lowers the loss by the part
-// `least_gain` of it. Precondition: best.optimal().
+// `least_gain` of it. What is optimal stays so. Precondition: best is valid, and best.trial.exact.ok.
 PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
                           double least_gain);
 

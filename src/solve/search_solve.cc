@@ -31,9 +31,10 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
   phase_options.iterations = kIterationsAlong;
   phase_options.callback = [&](double) { return !options.stop || !options.stop(); };
   const bool shares = task.kind == SearchTask::Kind::kShare;
-  const PhaseGuess guess = shares ? GuessFrom(scene, FlightOf(scene, *task.from), task.sequence) : task.guess;
+  const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, *task.from), task.sequence);
   PhaseSolution solution = SolveAlong(scene, task.sequence, guess, phase_options, kLossChange);
-  if (shares && solution.optimal()) solution = ShareBetter(scene, std::move(solution), phase_options, kShareGain);
+  if (shares && solution.valid && solution.trial.exact.ok)
+    solution = ShareBetter(scene, std::move(solution), phase_options, kShareGain);
   SearchFinding finding;
   finding.jacobians = solution.minimum.jacobians;
   if (!solution.valid || !solution.trial.exact.ok) return finding;
@@ -80,9 +81,13 @@ SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, co
 // Solvers that know nothing of sequences: where they end, others go on.
 SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const SearchTask& task) {
   Scene& scene = request.scene;
-  const bool given = scene.control.initial == task.forces;
-  scene.control.initial = task.forces;
+  const bool given = task.from == nullptr && scene.control.initial == task.forces;
   SolverOptions own;
+  if (task.from != nullptr) {
+    own.guess = ControlGuess{task.from->control, task.from->durations};
+  } else {
+    scene.control.initial = task.forces;
+  }
   own.stop = options.stop;
   own.memory_limit = options.memory_limit;
   own.most_impacts = kMostImpactsOfMotion;
@@ -109,7 +114,16 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   return finding;
 }
 
-SearchFinding Solve(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
+// The gap at a new impact, by how far from a touch its pair would be.
+double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x) {
+  const double radius = scene.bodies[c.a].radius;
+  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - radius;
+  return (x.p[c.a] - x.p[c.b]).norm() - radius - scene.bodies[c.b].radius;
+}
+
+}  // namespace
+
+SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   switch (task.kind) {
     case SearchTask::Kind::kAlong:
     case SearchTask::Kind::kShare:
@@ -123,70 +137,46 @@ SearchFinding Solve(const SolveRequest& request, const SolverOptions& options, c
   return {};
 }
 
-// The gap at a new impact, by how far from a touch its pair would be.
-double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x) {
-  const double radius = scene.bodies[c.a].radius;
-  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - radius;
-  return (x.p[c.a] - x.p[c.b]).norm() - radius - scene.bodies[c.b].radius;
-}
-
-}  // namespace
-
-std::size_t SearchTask::bytes() const {
-  std::size_t bytes = sizeof *this + sequence.size() * sizeof(Candidate) + forces.size() * sizeof(Vec2d);
-  for (const EventPhases::State& x : guess.before) {
-    bytes += sizeof x + sizeof(double) + 2 * x.p.size() * sizeof(Vec2d);
-  }
-  if (from) bytes += (from->control.size() + from->durations.size()) * sizeof(double);
-  return bytes;
-}
-
-std::vector<SearchNeighbour> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {
+std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {
   const ContactSequence& sequence = trial.exact.contacts;
   const ContactSequence pairs = AllPairs(scene);
-  const Flight flight = FlightOf(scene, trial);
-  std::vector<std::pair<double, SearchNeighbour>> found;
-  const auto add = [&](ContactSequence neighbour, std::optional<size_t> is_new) {
-    PhaseGuess guess = GuessFrom(scene, flight, neighbour);
-    const double gap = is_new ? GapAt(scene, neighbour[*is_new], guess.before[*is_new]) : 0;
-    found.push_back({std::max(0.0, gap), {std::move(neighbour), std::move(guess)}});
-  };
+  std::vector<ContactSequence> neighbours;
   for (size_t i = 0; i < sequence.size(); ++i) {
-    ContactSequence neighbour = sequence;
-    neighbour.erase(neighbour.begin() + i);
-    add(std::move(neighbour), std::nullopt);
+    neighbours.push_back(sequence);
+    neighbours.back().erase(neighbours.back().begin() + i);
   }
+  const size_t removals = neighbours.size();
+  std::vector<size_t> places(removals);  // of the new impact
   for (const bool replaces : {false, true}) {
     for (size_t i = 0; i + replaces <= sequence.size(); ++i) {
       for (const Candidate& pair : pairs) {
         if (replaces && pair == sequence[i]) continue;
-        ContactSequence neighbour = sequence;
+        neighbours.push_back(sequence);
+        places.push_back(i);
         if (replaces) {
-          neighbour[i] = pair;
+          neighbours.back()[i] = pair;
         } else {
-          neighbour.insert(neighbour.begin() + i, pair);
+          neighbours.back().insert(neighbours.back().begin() + i, pair);
         }
-        add(std::move(neighbour), i);
       }
     }
   }
-  *left_out = found.size() > kMostNeighbours;
-  if (*left_out) {
-    std::stable_sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-    found.resize(kMostNeighbours);
+  *left_out = neighbours.size() > kMostNeighbours;
+  if (!*left_out) return neighbours;
+  const Flight flight = FlightOf(scene, trial);
+  std::vector<std::pair<double, size_t>> order;  // by gap
+  for (size_t n = 0; n < neighbours.size(); ++n) {
+    double gap = 0;
+    if (n >= removals) {
+      const PhaseGuess guess = GuessFrom(scene, flight, neighbours[n]);
+      gap = std::max(0.0, GapAt(scene, neighbours[n][places[n]], guess.before[places[n]]));
+    }
+    order.push_back({gap, n});
   }
-  std::vector<SearchNeighbour> neighbours;
-  for (auto& [gap, neighbour] : found) neighbours.push_back(std::move(neighbour));
-  return neighbours;
-}
-
-SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task,
-                        const WantsNeighbours& wants_neighbours) {
-  SearchFinding finding = Solve(request, options, task);
-  if (finding.trial.exact.ok && finding.trial.exact.only_impacts && wants_neighbours(finding.trial)) {
-    finding.neighbours = NeighboursOf(request.scene, finding.trial, &finding.neighbours_left_out);
-  }
-  return finding;
+  std::sort(order.begin(), order.end());
+  std::vector<ContactSequence> nearest;
+  for (size_t n = 0; n < kMostNeighbours; ++n) nearest.push_back(std::move(neighbours[order[n].second]));
+  return nearest;
 }
 
 }  // namespace saltus

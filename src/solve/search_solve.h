@@ -2,7 +2,6 @@
 // motion it finds. Each is a function of its task alone, so that several run at the same time.
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -15,25 +14,16 @@ namespace saltus {
 
 struct SearchTask {
   enum class Kind {
-    kAlong,    // along `sequence` from `guess`
+    kAlong,    // along `sequence` from the motion `from`
     kMend,     // from the motion `from`, along the sequences that mending leads to (sequence_mending.h)
-    kShoot,    // by ceres_lm from constant `forces`
-    kDescend,  // by gd from there
+    kShoot,    // by ceres_lm from constant `forces`, or from the control of `from`
+    kDescend,  // by gd from `forces`
     kShare,    // along `sequence` from the optimum `from`, with intervals shared better between its phases
   };
   Kind kind = Kind::kAlong;
   ContactSequence sequence = {};
-  PhaseGuess guess = {};
-  std::shared_ptr<const Trial> from = nullptr;
+  std::shared_ptr<const Trial> from = nullptr;  // shared by the neighbours of a motion
   std::vector<Vec2d> forces = {};
-
-  std::size_t bytes() const;  // about what it keeps
-};
-
-// A sequence that differs by one impact, and where to start along it.
-struct SearchNeighbour {
-  ContactSequence sequence;
-  PhaseGuess guess;
 };
 
 // What a solve has found.
@@ -42,19 +32,13 @@ struct SearchFinding {
   bool optimal = false;  // it is an optimum, and really happens
   std::string remark;    // why it is none
   std::optional<Certificate> certificate;
-  std::vector<Trial> aside;                 // of a saddle: better motions beside it
-  std::vector<SearchNeighbour> neighbours;  // if they were asked for
-  bool neighbours_left_out = false;         // there are more of them
+  std::vector<Trial> aside;  // of a saddle: better motions beside it
   int jacobians = 0;
 };
-
-// `wants_neighbours` is asked about a motion with impacts only.
-using WantsNeighbours = std::function<bool(const Trial&)>;
-SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task,
-                        const WantsNeighbours& wants_neighbours);
+SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task);
 
 // The sequences that differ from that of `trial` by one impact inserted, removed or replaced by one of another pair: at
 // most so many, first of all removals, then those whose new pair comes nearest to a touch. Precondition: impacts only.
-std::vector<SearchNeighbour> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out);
+std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out);
 
 }  // namespace saltus

@@ -1,6 +1,7 @@
 #include "search_starts.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "physics/random.h"
 
@@ -57,6 +58,33 @@ std::vector<Vec2d> SearchStart(const Scene& scene, std::uint64_t seed, int numbe
     forces[c] = 2 * scene.bodies[body].mass / (t * t) * (place - DriftOf(scene, body, t));
   }
   return forces;
+}
+
+std::vector<double> ControlAround(const Scene& scene, const ControlGuess& control, std::uint64_t seed, int number) {
+  constexpr double kSizes[] = {0.1, 0.3, 1};
+  const int pushed = scene.num_controlled();
+  std::vector<double> u = control.control;
+  Random random(seed * 1000003 + 500009 + number);
+  for (int c = 0; c < pushed; ++c) {
+    const auto at = [&](size_t k) { return 2 * (k * pushed + c); };
+    double mean = 0, whole = 0;
+    for (size_t k = 0; k < control.durations.size(); ++k) {
+      mean += control.durations[k] * std::hypot(u[at(k)], u[at(k) + 1]);
+      whole += control.durations[k];
+    }
+    // At least what moves the disc by its radius.
+    const Body& body = scene.bodies[scene.control.bodies[c]];
+    const double size = kSizes[number % 3] * std::max(mean / whole, 2 * body.mass * body.radius / (whole * whole));
+    double random_forces[4];
+    for (double& force : random_forces) force = size * random.Symmetric();
+    double begin = 0;
+    for (size_t k = 0; k < control.durations.size(); ++k) {
+      const double place = 2 * (begin + 0.5 * control.durations[k]) / whole - 1;  // in [-1, 1]
+      for (int j = 0; j < 2; ++j) u[at(k) + j] += random_forces[j] + place * random_forces[2 + j];
+      begin += control.durations[k];
+    }
+  }
+  return u;
 }
 
 std::optional<Scene> BeginAtRandom(Scene scene, std::uint64_t seed, int number) {

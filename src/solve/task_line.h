@@ -1,0 +1,117 @@
+// Tasks that several threads work off, with the outcome of one.
+//
+// A task is drawn, solved by any thread, and looked at. Drawing and looking are for the calling thread, and their order
+// depends on the tasks alone: the oldest is looked at first, but a long one as if it had been drawn `ahead` others
+// later, so that these go on beside it. After each look so many are drawn that kMostUnderWay short ones are under way.
+#pragma once
+
+#include <condition_variable>
+#include <functional>
+#include <list>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace saltus {
+
+inline constexpr int kMostUnderWay = 8;
+
+template <typename Task, typename Finding>
+struct TaskLine {
+  std::function<std::optional<Task>()> draw;        // the next; nothing if there is none until another is looked at
+  std::function<Finding(const Task&)> solve;        // called by several threads at the same time
+  std::function<void(const Task&, Finding)> look;   // at what the task has found
+  std::function<int(const Task&)> ahead = nullptr;  // of long tasks; 0 and, without it, all are short
+
+  // Until nothing is under way and nothing is drawn. Precondition: threads > 0; with one all is done by the caller.
+  void WorkOff(int threads);
+
+ private:
+  enum class State { kWaiting, kBegun, kSolved };
+  struct Entry {
+    Task task;
+    long long due = 0;
+    bool is_long = false;
+    State state = State::kWaiting;
+    Finding finding = {};
+  };
+  struct Shared {
+    std::mutex mutex;
+    std::condition_variable changed;
+    std::list<Entry> entries;  // in the order in which they are looked at
+    bool closed = false;
+  };
+
+  void Fill(Shared* shared, long long* drawn, int* short_ones) const;
+  void Help(Shared* shared) const;
+};
+
+template <typename Task, typename Finding>
+void TaskLine<Task, Finding>::Fill(Shared* shared, long long* drawn, int* short_ones) const {
+  while (*short_ones < kMostUnderWay) {
+    std::optional<Task> task = draw();
+    if (!task) return;
+    const int wait = ahead ? ahead(*task) : 0;
+    const std::lock_guard lock(shared->mutex);
+    const long long due = (*drawn)++ + wait;
+    auto at = shared->entries.end();
+    while (at != shared->entries.begin() && std::prev(at)->due > due) --at;
+    shared->entries.insert(at, Entry{std::move(*task), due, wait > 0});
+    if (wait == 0) ++*short_ones;
+    shared->changed.notify_all();
+  }
+}
+
+// Solves what waits, the next one to be looked at first, until the line is closed.
+template <typename Task, typename Finding>
+void TaskLine<Task, Finding>::Help(Shared* shared) const {
+  std::unique_lock lock(shared->mutex);
+  while (!shared->closed) {
+    auto next = shared->entries.begin();
+    while (next != shared->entries.end() && next->state != State::kWaiting) ++next;
+    if (next == shared->entries.end()) {
+      shared->changed.wait(lock);
+      continue;
+    }
+    next->state = State::kBegun;
+    lock.unlock();
+    Finding finding = solve(next->task);  // nobody else touches an entry that is begun
+    lock.lock();
+    next->finding = std::move(finding);
+    next->state = State::kSolved;
+    shared->changed.notify_all();
+  }
+}
+
+template <typename Task, typename Finding>
+void TaskLine<Task, Finding>::WorkOff(int threads) {
+  Shared shared;
+  long long drawn = 0;
+  int short_ones = 0;
+  std::vector<std::thread> helpers;
+  for (int i = 0; threads > 1 && i < threads; ++i) helpers.emplace_back([&] { Help(&shared); });
+  for (Fill(&shared, &drawn, &short_ones); !shared.entries.empty(); Fill(&shared, &drawn, &short_ones)) {
+    std::list<Entry> first;
+    if (helpers.empty()) {
+      Entry& entry = shared.entries.front();
+      entry.finding = solve(entry.task);
+      first.splice(first.begin(), shared.entries, shared.entries.begin());
+    } else {
+      std::unique_lock lock(shared.mutex);
+      shared.changed.wait(lock, [&] { return shared.entries.front().state == State::kSolved; });
+      first.splice(first.begin(), shared.entries, shared.entries.begin());
+    }
+    if (!first.front().is_long) --short_ones;
+    look(first.front().task, std::move(first.front().finding));
+  }
+  {
+    const std::lock_guard lock(shared.mutex);
+    shared.closed = true;
+  }
+  shared.changed.notify_all();
+  for (std::thread& helper : helpers) helper.join();
+}
+
+}  // namespace saltus
