@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <numeric>
 #include <utility>
 
@@ -13,6 +14,7 @@
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/geometry.h"
+#include "solve/phase_run.h"
 
 namespace saltus {
 namespace internal {
@@ -178,15 +180,30 @@ Attribution Attributor::Run() {
   }
   initial_ = InitialState(scene_);
   control_ = InitialControl(scene_, model_->num_steps());
+  const auto stopped = [&] { return stop_ && stop_(); };
   if (!model_->Rollout(initial_, control_)) {
+    if (stopped()) {
+      out.limit = "no contacts";
+      return out;
+    }
     out.reason = "the rollout fails: " + model_->WhyFailed();
     return out;
   }
   const std::vector<Interval> intervals = FindIntervals();
-  FindCostates(intervals);
-  for (size_t i = 0; i < intervals.size() && !model_->stopped(); ++i)
-    out.contacts.push_back(Compare(intervals[i], costates_[i]));
-  out.sequence = CompareSequences(intervals);
+  if (!stopped()) FindCostates(intervals);
+  for (size_t i = 0; i < intervals.size() && !stopped(); ++i) {
+    if (status_) {
+      status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
+              std::to_string(model_->num_steps()) + " steps");
+    }
+    ContactError error = Compare(intervals[i], costates_[i]);
+    if (!stopped()) out.contacts.push_back(std::move(error));
+  }
+  if (out.contacts.size() == intervals.size()) {
+    out.sequence = CompareSequences(intervals);
+  } else {
+    out.limit = std::to_string(out.contacts.size()) + " of " + std::to_string(intervals.size()) + " contacts";
+  }
   return out;
 }
 
@@ -201,6 +218,12 @@ namespace {
 constexpr int kRefinement = 8, kMostRefinement = 256;
 constexpr int kClearSteps = 2000;
 constexpr double kStays = 0.25;
+
+std::string Seconds(double seconds) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g s", seconds);
+  return text;
+}
 
 }  // namespace
 
@@ -218,23 +241,31 @@ const char* BlockToString(Block block) {
   LOG(FATAL) << "no such block";
 }
 
-Attribution AttributeError(const Contact& contact, const Scene& given, const StopRequest& stop) {
+Attribution AttributeError(const Contact& contact, const Scene& given, const AttributionOptions& options) {
+  CHECK_GE(options.seconds, 0);
   Attribution refused;
   refused.reason = WhyNotApplicable(contact, given);
   if (!refused.ok()) return refused;
   const Scene scene = InNaturalUnits(given);
-  Attribution own = Attributor(contact, scene, stop).Run();
+  const StopRequest end = StopAfter(options.seconds, options.stop);
+  Attribution own = Attributor(contact, scene, StopAfter(options.seconds / 2, options.stop), options.status).Run();
+  const std::string after = " compared in " + Seconds(options.seconds);
+  if (!own.limit.empty()) own.limit += after;
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.
   Scene refined = scene;
   refined.steps = std::clamp(kClearSteps / scene.steps, kRefinement, kMostRefinement) * scene.steps +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-  const Attribution fine = Attributor(contact, refined, stop).Run();
+  const Attribution fine = Attributor(contact, refined, end, options.status).Run();
+  if (!fine.limit.empty()) {
+    own.limit += (own.limit.empty() ? "" : "; ") + fine.limit + " with more steps" + after;
+  }
   for (size_t i = 0; i < own.contacts.size(); ++i) {
     ContactError& error = own.contacts[i];
     const ContactError* same = i < fine.contacts.size() ? &fine.contacts[i] : nullptr;
     if (same != nullptr && (same->a != error.a || same->b != error.b)) same = nullptr;
-    error.stays = error.error > kSmallError && (same == nullptr || same->error > kStays * error.error);
+    const bool cut = same == nullptr && !fine.limit.empty();  // then the steps may be to blame, or not
+    error.stays = error.error > kSmallError && !cut && (same == nullptr || same->error > kStays * error.error);
     // An impulse, whose closed form is that of a point in time, is judged by the smallest steps; a force that acts for
     // a while by the scene's own.
     const ContactError& finest = same != nullptr ? *same : error;

@@ -58,12 +58,15 @@ struct Interval {
 
 class Attributor {
  public:
-  Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop)
+  // Simulates until `stop`, which may be that of AttributionOptions or a limit of time.
+  Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop,
+             const std::function<void(const std::string&)>& status)
       : contact_(contact),
         scene_(scene),
         size_(NumbersOfDisc(scene)),
         walls_(WallPartsOf(scene)),
         stop_(stop),
+        status_(status),
         model_(Simulate(contact, scene)) {}
 
   Attribution Run();
@@ -150,7 +153,8 @@ class Attributor {
   Scene scene_;
   int size_;  // numbers of a disc
   std::vector<WallPart> walls_;
-  const StopRequest& stop_;
+  const StopRequest stop_;
+  const std::function<void(const std::string&)> status_;
   std::unique_ptr<Simulator> model_;
   std::string exact_contact_;
   std::vector<double> initial_, control_;

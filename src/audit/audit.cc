@@ -149,6 +149,9 @@ std::string CauseOf(const ModelAudit& audit) {
   }
   if (audit.attribution && !audit.attribution->sequence.empty()) return audit.attribution->sequence;
   if (audit.attribution && !audit.attribution->ok()) return audit.attribution->reason;
+  if (audit.attribution && !audit.attribution->limit.empty()) {
+    return "not traced to a contact in time: " + audit.attribution->limit;
+  }
   if (audit.attribution) return "no single contact is wrong";
   if (audit.black_box && recognition && recognition->contact_class != ContactClass::kUnclear) {
     return recognition->words + (audit.widths ? "; " + audit.widths->Summary() : "");
@@ -281,7 +284,7 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     audit.verdict = refinement.verdict;
     audit.refinement = std::move(refinement);
     if (options.attribution && IsWrong(audit.verdict)) {
-      Attribution attribution = AttributeError(contact, scene, stop);
+      Attribution attribution = AttributeError(contact, scene, {stop, options.attribution_seconds, options.status});
       if (interrupted()) return audit;
       audit.attribution = std::move(attribution);
     }

@@ -319,7 +319,8 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     if (options.attribution && traits.step && IsWrong(audit.verdict)) {
       AskingOptions touching = AskingWith(findings);
       touching.touches = true;
-      Attribution attribution = AttributeError(ContactOf(box, traits, touching), scene, stop);
+      Attribution attribution =
+          AttributeError(ContactOf(box, traits, touching), scene, {stop, options.attribution_seconds, options.status});
       if (interrupted()) return audit;
       audit.attribution = std::move(attribution);
     }

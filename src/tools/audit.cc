@@ -16,6 +16,8 @@
 #include "tools/report_parts.h"
 #include "tools/surrogate_flags.h"
 
+DEFINE_double(attribution_seconds, 0,
+              "how long the error of a wrong gradient may be traced to contacts, for each model; 0: no limit");
 DEFINE_bool(width_sweep, false,
             "differences of the loss of every width, too (always where there is no exact gradient)");
 DEFINE_string(given, "", "a gradient computed elsewhere, to be audited too: JSON with the keys of those of --json");
@@ -118,6 +120,8 @@ std::vector<std::string> RemarksOn(const ModelAudit& audit) {
 AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
   AuditOptions options;
   options.width_sweep = FLAGS_width_sweep;
+  if (!(FLAGS_attribution_seconds >= 0)) throw InputError("--attribution_seconds: expected seconds, or 0 for no limit");
+  options.attribution_seconds = FLAGS_attribution_seconds;
   options.surrogate = request.options.surrogate;
   if (options.surrogate && FLAGS_width_sweep) {
     throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
@@ -135,9 +139,11 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
       request.contacts,
       request.threads,
       &progress,
-      [request, reference = report.reference, options](int i, const SayNote&, const auto&) {
+      [request, reference = report.reference, options](int i, const SayNote& say, const auto&) {
+        AuditOptions own = options;
+        own.status = say;
         try {
-          return AuditModel(request.contacts[i], request.scene, request.precision, reference, options);
+          return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
         } catch (const std::bad_alloc&) {
           return WithoutGradient(request.contacts[i], kOutOfMemory);
         }
@@ -191,6 +197,9 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
     if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
     if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; there is no more than its gradient");
     if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
+    if (audit.attribution && !audit.attribution->limit.empty()) {
+      remark(contact, "traced no further by --attribution_seconds: " + audit.attribution->limit);
+    }
   }
   std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
 }

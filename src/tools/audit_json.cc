@@ -155,6 +155,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (audit.attribution && audit.attribution->ok()) {
     item["contacts"] = ContactsToJson(*audit.attribution);
     item["sequence"] = audit.attribution->sequence;
+    if (!audit.attribution->limit.empty()) item["attribution_limit"] = audit.attribution->limit;
   }
   if (audit.widths && audit.widths->ok()) item["width_sweep"] = WidthsToJson(*audit.widths);
   return item;

@@ -8,6 +8,7 @@
 
 #include "audit/pulled_costate.h"
 #include "audit/step_map.h"
+#include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
 #include "test_scenes.h"
 
@@ -126,6 +127,32 @@ TEST(Attribution, AnotherSequenceOfContactsIsReported) {
   Scene scene = ProblemScene("single_collision");
   scene.contact.restitution = 0.5;
   EXPECT_THAT(AttributeError("compliant_brax", scene).sequence, HasSubstr("striker - target"));
+}
+
+TEST(Attribution, ALimitOfTimeIsSaid) {
+  AttributionOptions options{.seconds = 1e-9};  // which is over before anything is compared
+  const Attribution cut = AttributeError("compliant_warp", ProblemScene("two_balls"), options);
+  EXPECT_TRUE(cut.ok()) << cut.reason;
+  EXPECT_THAT(cut.limit, HasSubstr("no contacts compared in 1e-09 s"));
+  EXPECT_THAT(cut.contacts, IsEmpty());
+  EXPECT_EQ(cut.first_wrong, -1);
+  AuditOptions audit_options;
+  audit_options.attribution_seconds = options.seconds;
+  const Scene scene = ProblemScene("two_balls");
+  const ModelAudit audit = AuditModel("direct", scene, Precision::kDouble, ExactGradientOf(scene), audit_options);
+  EXPECT_FALSE(audit.interrupted);
+  EXPECT_THAT(audit.Why(), HasSubstr("not traced to a contact in time"));
+}
+
+TEST(Attribution, SaysWhatItIsAt) {
+  std::vector<std::string> said;
+  AttributionOptions options{.seconds = 1e9};
+  options.status = [&](const std::string& what) { said.push_back(what); };
+  const Attribution attribution = AttributeError("compliant_warp", ProblemScene("two_balls"), options);
+  EXPECT_THAT(attribution.limit, IsEmpty());
+  EXPECT_EQ(FirstWrong(attribution).why, FirstWrong(AttributeError("compliant_warp", ProblemScene("two_balls"))).why);
+  ASSERT_EQ(said.size(), 2u);
+  EXPECT_EQ(said[0], "contact 1 of 1 at 480 steps");
 }
 
 TEST(Attribution, SeveralDiscsAndFixedOnes) {

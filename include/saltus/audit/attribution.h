@@ -17,6 +17,7 @@
 // What is due to finite steps only is told apart by doing all of this once more with at least eight times the steps.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -44,14 +45,24 @@ struct Attribution {
   std::vector<ContactError> contacts;  // in order of time, at most kMostContacts of them
   int first_wrong = -1;  // index of the first contact whose error is not small and stays; -1 if there is none
   std::string sequence;  // how the contacts differ from the exact ones; empty if they do not
+  std::string limit;     // what the limit of time has kept it from, in words; empty if nothing
 
   static constexpr int kMostContacts = 64;
 
   bool ok() const { return reason.empty(); }
 };
 
-// At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason. What
-// was stopped is of no use.
-Attribution AttributeError(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
+struct AttributionOptions {
+  StopRequest stop = nullptr;  // what was stopped is of no use
+  // Limit of time; 0: none. The contacts compared until then are kept, half of the time being for the scene's own
+  // steps.
+  double seconds = 0;
+  // Called for a person, with what it is at.
+  std::function<void(const std::string&)> status = nullptr;
+};
+
+// At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason.
+// Precondition: options.seconds >= 0.
+Attribution AttributeError(const Contact& contact, const Scene& scene, const AttributionOptions& options = {});
 
 }  // namespace saltus

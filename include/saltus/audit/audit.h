@@ -9,6 +9,7 @@
 // further code is needed. tests/audit/mirror_model.h is an example.
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -56,14 +57,16 @@ struct OwnDifferences {
 
 struct AuditOptions {
   RefinementOptions refinement = {};
-  bool attribution = true;   // of wrong gradients to contacts
-  bool width_sweep = false;  // also where there is an exact gradient
+  bool attribution = true;         // of wrong gradients to contacts
+  double attribution_seconds = 0;  // its limit of time; 0: none
+  bool width_sweep = false;        // also where there is an exact gradient
   WidthSweepOptions widths = {};
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;  // for its samples, and in the place of refinement.threads
   // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
   StopRequest stop = nullptr;
+  std::function<void(const std::string&)> status = nullptr;  // as of AttributionOptions
 };
 
 // Of a simulator that is asked from outside (black_box.h), what its final states tell beside its gradient.
