@@ -271,19 +271,18 @@ void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
   }
   energy_.assign(n, 0.0);  // twice the kinetic energy that a group can have during the step
   group_size_.assign(n, 0);
+  for (int i = 0; i < n; ++i) group_size_[Root(i)] += !discs_[i].fixed;
+  const auto may_gain = [&](int i) { return group_size_[Root(i)] > 1 || discs_[i].gyration2 > 0; };
   for (int i = 0; i < n; ++i) {
-    if (discs_[i].fixed) continue;
+    if (discs_[i].fixed || !may_gain(i)) continue;
     const double speed = now_[i].v.norm();
     const double all = now_[i].turning == 0 ? speed : std::hypot(speed, now_[i].turning);
     const double fastest = all + acceleration_[i] * options_.dt;
     energy_[Root(i)] += discs_[i].mass * fastest * fastest;
-    ++group_size_[Root(i)];
   }
   for (int i = 0; i < n; ++i) {
-    const int root = Root(i);
     // A group gains speed from forces too: each disc at most its own acceleration, times the mass ratio after impacts.
-    const bool may_gain = group_size_[root] > 1 || discs_[i].gyration2 > 0;
-    if (may_gain) speed_[i] = std::max(speed_[i], std::sqrt(energy_[root] / discs_[i].mass));
+    if (may_gain(i)) speed_[i] = std::max(speed_[i], std::sqrt(energy_[Root(i)] / discs_[i].mass));
   }
 }
 

@@ -274,13 +274,15 @@ class ModelSimulator final : public Simulator {
     in.bodies = {&body, 1};
     in.force = {&force, 1};
     State x = *at;
+    // For all that the compiler knows, a state that is written could change these.
+    const std::ptrdiff_t stride = control_.stride(), discs = num_bodies();
     for (int j = 0; j < steps; ++j) {
       if (u != nullptr) {
         force = Vec2<S>(u[0], u[1]);
-        u += control_.stride();
+        u += stride;
       }
       x = model_.Free(in, 0, x);
-      at += num_bodies();
+      at += discs;
       *at = x;
     }
   }
