@@ -58,21 +58,41 @@
 
 #include <type_traits>
 
+#include "contact/event_crowd.h"
 #include "contact/event_step.h"
 
 namespace saltus {
 namespace internal {
 
+// A step of `model` in a crowd (event_crowd.h).
+template <typename M, typename T, typename State>
+void TakeCrowdStep(const M& model, const StepInput<T>& in, std::span<const State> x, std::span<State> next) {
+  CrowdStep<T> step(in, x);
+  const std::string_view why = step.Run();
+  if (!why.empty()) in.Fail(why);
+  const T none(std::numeric_limits<double>::quiet_NaN());
+  for (int i = 0; i < static_cast<int>(x.size()); ++i) {
+    next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
+    if (!why.empty()) next[i] = {{none, none}, {none, none}};
+  }
+}
+
 // A step of `model` with candidates, whose impacts obey `law` (event_step.h).
 template <typename M, typename T, typename Law, typename State>
 void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::span<const State> x,
                    std::span<State> next) {
+  if constexpr (M::kRotation == 0) {
+    if (CrowdStep<T>::IsRecorded(in)) return TakeCrowdStep(model, in, x, next);
+  }
   EventStep<T, M::kRotation, Law> step(in, law, x);
   // Derivatives are asked for only where something does.
   if constexpr (std::is_same_v<T, double>) {
     if (!step.AnythingMayHappen()) return FreeFlight(model, in, x, next);
   }
   step.Run();
+  if constexpr (step.kMayCrowd) {
+    if (step.Crowded()) return TakeCrowdStep(model, in, x, next);
+  }
   for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
 }
 

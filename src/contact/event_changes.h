@@ -31,14 +31,24 @@ class EventChanges : protected EventQueue<T, kRotation> {
   using Discs = EventQueue<T, kRotation>;
   using Discs::in_, Discs::discs_, Discs::pairs_, Discs::ForEachPairOf, Discs::Moves, Discs::CandidateOf,
       Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::Report, Discs::Slide, Discs::SlideOn, Discs::impacts_,
-      Discs::pocketed_energy_;
+      Discs::pocketed_energy_, Discs::TouchesAlone;
   using typename Discs::State, typename Discs::Disc;
 
   EventChanges(const StepInput<T>& in, const Law& law, std::span<const State> x) : Discs(in, x), law_(law) {}
 
+  // A step of many discs that fails is taken at once instead, if contacts are the scene's own.
+  static constexpr bool kMayCrowd = kRotation == 0 && std::is_same_v<Law, SceneLaw<T>>;
+  bool MayCrowd() const {
+    return kMayCrowd && discs_.size() >= kFewestCrowd && in_.table < 0 && in_.num_pockets == 0;
+  }
+
   void Fail(std::string_view why) {
     failed_ = true;
-    in_.Fail(why);
+    if (MayCrowd()) {
+      crowded_ = true;
+    } else {
+      in_.Fail(why);
+    }
   }
 
   SALTUS_FLATTEN void MoveTo(int i, const T& time) {
@@ -123,9 +133,14 @@ class EventChanges : protected EventQueue<T, kRotation> {
   int order_ = 0;           // number of the event
   bool inelastic_ = false;  // impacts have no restitution
   bool failed_ = false;
+  bool crowded_ = false;
 
  private:
   void CountImpact(int q) {
+    if (++pairs_[q].meetings > kCrowdedImpacts && MayCrowd()) {
+      const bool many = discs_.size() >= kCrowd || (impacts_ > kManyImpacts && Value(in_.contact.friction) > 0);
+      if (many && !TouchesAlone(q, Value(discs_[CandidateOf(q).a].t))) return Fail("a crowd");
+    }
     if (++impacts_ <= kManyImpacts) return;
     const Candidate& c = CandidateOf(q);
     ++pairs_[q].impacts;

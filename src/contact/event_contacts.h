@@ -40,6 +40,8 @@ class PressedContacts {
 
   // The discs of the step, which the functions below read and change. They must stay where they are.
   void SetDiscs(std::span<Disc> discs) { discs_ = discs; }
+  // Whether a step that fails is taken at once instead: forces of many contacts are then not looked for long.
+  void SetInCrowd(bool in_crowd) { in_crowd_ = in_crowd; }
   // To be called before anything else.
   void Clear() {
     for (const Contact& contact : contacts_) Mark(contact.pair, 0);
@@ -112,6 +114,7 @@ class PressedContacts {
   const StepInput<T>& in_;
   std::span<Disc> discs_;
   bool wedged_ = false;  // sliding ends at once
+  bool in_crowd_ = false;
   std::pmr::vector<Contact> contacts_;
 
  private:
@@ -161,7 +164,8 @@ class PressedContacts {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
-    return SolvePressingForces(Value(in_.contact.friction), inverse_mass, acceleration_, forces_, turning_);
+    return SolvePressingForces(Value(in_.contact.friction), inverse_mass, acceleration_, forces_, turning_,
+                               in_crowd_ && forces_.size() >= kCrowd);
   }
 
   void Measure(Contact* contact) const {

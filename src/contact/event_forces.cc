@@ -18,6 +18,7 @@ constexpr int kLongSweeps = 1024;  // before all guesses are tried
 constexpr int kMostGuesses = 4096;
 constexpr int kMostPivots = 1000;
 constexpr int kFirstPivots = 12;  // of many contacts, before the first sweep
+constexpr int kHastyPivots = 4;
 constexpr int kBlockPatience = 3;
 constexpr double kConverged = 1e-14;  // of the largest acceleration given
 constexpr double kExact = 1e-12;      // likewise, of a direct solution
@@ -359,7 +360,7 @@ double NumGuesses(double friction, std::span<const PressingContact> contacts) {
 }  // namespace
 
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                             std::span<PressingContact> contacts, std::span<double> turning) {
+                             std::span<PressingContact> contacts, std::span<double> turning, bool hasty) {
   const Accelerations of{acceleration, turning};
   const KeptAccelerations given(of);
   std::vector<Guess> guesses(contacts.size());
@@ -378,9 +379,11 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
       const PressingContact& c = contacts[k];
       guesses[k] = c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
     }
-    if (SolveByPivoting(friction, kExact * scale, kFirstPivots, inverse_mass, given, guesses, many, of, contacts)) {
+    const int pivots = hasty ? kHastyPivots : kFirstPivots;
+    if (SolveByPivoting(friction, kExact * scale, pivots, inverse_mass, given, guesses, many, of, contacts)) {
       return Pressing::kSolved;
     }
+    if (hasty) return Pressing::kUnsolved;
   }
   int direct = kFirstSweeps;
   for (int sweep = 1; sweep <= kMaxSweeps; ++sweep) {

@@ -54,9 +54,9 @@ inline double RimAcceleration(const PressingContact& c, std::span<const double> 
 
 // Overwrites the forces, and `acceleration` (per disc, m/s^2) with the one under them; so `turning`, the angular
 // accelerations (rad/s^2), which is empty if no disc spins. inverse_mass: per disc, 1/kg; 0 if it does not move. Unless
-// solved, none is of use. Where discs spin, f_t acts and t.b is measured at the points of contact.
+// solved, none is of use. If `hasty`, what many contacts do is guessed a few times only. Where discs spin, f_t acts and t.b is measured at the points of contact.
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                             std::span<PressingContact> contacts, std::span<double> turning = {});
+                             std::span<PressingContact> contacts, std::span<double> turning = {}, bool hasty = false);
 
 // How far a disc that rests and sticks is carried along its tangent, as a multiple of the height from which it is
 // dropped on its contact, until it rests again. `pressing` (> 0) and `tangential` are the accelerations at which it

@@ -28,6 +28,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
   EventStep(const StepInput<T>& in, const Law& law, std::span<const State> x)
       : Discs(in, law, x), tied_(in.scratch), trial_(in.scratch), group_(in) {
     group_.SetDiscs(discs_);
+    group_.SetInCrowd(MayCrowd());
   }
 
   // True if some pair may touch within the step.
@@ -37,6 +38,16 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       if (!StaysApart(ApproachAt(c, 0).polynomial, in_.h)) return true;
     }
     return false;
+  }
+
+  // Whether the step is to be taken at once instead (event_crowd.h). Nothing is reported of it then.
+  using EventChanges<T, kRotation, Law>::kMayCrowd;
+  bool Crowded() const {
+    if (!this->crowded_) return false;
+    if (in_.touches != nullptr) in_.touches->clear();
+    if (in_.ties != nullptr) in_.ties->clear();
+    if (in_.solved != nullptr) in_.solved->Clear();
+    return true;
   }
 
   // GCC 12 cannot flatten it as a whole.
@@ -88,7 +99,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       Discs::IsTable, Discs::IsPocket, Discs::IsOut, Discs::LiesIn, Discs::PocketTime, Discs::TakeOut, Discs::Slide,
       Discs::SlideOn, Discs::NextPair, Discs::LeftAfter, Discs::Predict, Discs::EventTime, Discs::SlowSpeed,
       Discs::impacts_, Discs::Fail, Discs::MoveTo, Discs::Release, Discs::Stop, Discs::Impact, Discs::order_,
-      Discs::inelastic_, Discs::failed_;
+      Discs::inelastic_, Discs::failed_, Discs::MayCrowd;
   using typename Discs::Pair;
 
   // What there was before an order of tied impacts was tried, and what the first of the orders led to.
@@ -265,6 +276,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     group_.Clear();
     Join(q, time);
     while (Grow(time)) continue;
+    if (MayCrowd() && group_.contacts().size() >= kCrowd && ++settled_ > kMostSettled) return Fail("a crowd");
     if (!group_.SolveForces() || !group_.Close()) return Fail("the forces of contacts at rest are not found");
     if (group_.RollsAround()) {
       return Fail("discs that spin press against each other or a wall that bends: with friction that is not resolved");
@@ -400,6 +412,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     ForEachPairBeside(c, [&](int other) { Gather(other, time); });
   }
 
+  int settled_ = 0;             // how often many contacts were
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
   Group group_;

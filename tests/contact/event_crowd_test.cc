@@ -1,6 +1,7 @@
 // Many discs in lasting contact: stacks, piles, rows and cradles, by exact references, differences and Jets.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <random>
@@ -208,6 +209,84 @@ TEST(EventCrowd, AValleyWithoutFrictionFills) {
 
 // At their first impact on the ground, with all above them still falling.
 TEST(EventCrowd, ManyDiscsBecomeAPile) { ExpectNoOverlapAndNoGain(EventRun(Bag(50, 0, 0.5, 0.36, 36))); }
+
+// As above, but every other row falls into the gaps of the one below.
+Scene StaggeredBag(int n, double friction, double duration, int steps) {
+  Scene scene = Bag(n, friction, 0.3, duration, steps);
+  const int width = static_cast<int>(std::lround(std::sqrt(n)));
+  for (int i = 0; i < n; ++i) scene.bodies[i].position[0] += i / width % 2 * 0.1;
+  scene.planes.back().point[0] += 0.1;
+  return scene;
+}
+
+// Steps that are taken at once: of contacts that are no events.
+int NumStepsAtOnce(const EventRun& run) {
+  std::vector<char> at_once(run.simulator.num_steps());
+  for (const StepTouch& at : run.simulator.touches()) at_once[at.step] = at_once[at.step] || at.touch.time < 0;
+  return static_cast<int>(std::ranges::count(at_once, 1));
+}
+
+TEST(EventCrowd, AJammedBagSettles) {
+  for (const double friction : {0.0, 0.3}) {
+    const EventRun run(StaggeredBag(50, friction, 2, 400));
+    EXPECT_LT(ExpectNoOverlapAndNoGain(run), friction > 0 ? 1e-15 : 1) << friction;
+    EXPECT_GT(NumStepsAtOnce(run), 20) << friction;
+  }
+}
+
+// What rests is not moved, and needs no such step.
+TEST(EventCrowd, ABagThatRestsStays) {
+  Scene scene = StaggeredBag(50, 0.3, 2, 400);
+  const EventRun run(scene);
+  const std::vector<double> end = run.End(), before = run.State(390);
+  for (std::size_t i = 0; i < end.size(); ++i) EXPECT_NEAR(end[i], before[i], 1e-9) << i;
+}
+
+// By velocities, forces and friction, wherever the difference to one side is that to the other.
+TEST(EventCrowd, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
+  for (const double friction : {0.0, 0.3}) {
+    const int n = 50;
+    const Scene scene = StaggeredBag(n, friction, 2, 400);
+    const EventRun whole(scene);
+    const std::vector<double> cotangent = Cotangent(4 * n), direction = Cotangent(4 * n), push = Cotangent(2 * n);
+    Scene part = scene;
+    part.steps = 1;
+    part.duration = scene.duration / scene.steps;
+    for (int i = 0; i < n; ++i) part.control.bodies.push_back(i);
+    part.control.initial.assign(n, Vec2d(0, 0));
+    int smooth = 0;
+    for (int k = 50; k < 150; k += 3) {
+      const std::vector<double> start = whole.State(k);
+      const auto after = [&](double by, double by_friction, testing::EventSimulator* simulator) {
+        std::vector<double> x = start, force = push;
+        Scene moved = part;
+        moved.contact.friction += by_friction * by;
+        testing::EventSimulator own(moved, Precision::kDouble);
+        if (simulator == nullptr) simulator = &own;
+        for (int i = 0; i < 4 * n; ++i) x[i] += i % 4 < 2 ? 0 : by * direction[i];
+        for (double& entry : force) entry *= by;
+        EXPECT_TRUE(simulator->Rollout(x, force));
+        simulator->GetState(1, x);
+        return std::inner_product(x.begin(), x.end(), cotangent.begin(), 0.0);
+      };
+      const double by = 1e-5, by_friction = friction > 0 ? 1 : 0;
+      const double more = after(by, by_friction, nullptr), less = after(-by, by_friction, nullptr);
+      testing::EventSimulator simulator(part, Precision::kDouble);
+      const double here = after(0, 0, &simulator);
+      const bool at_once =
+          std::ranges::any_of(simulator.touches(), [](const StepTouch& at) { return at.touch.time < 0; });
+      if (!at_once || std::abs((more - here) - (here - less)) > 1e-3 * std::abs(more - less)) continue;
+      Sensitivity gradient;
+      simulator.Adjoint(cotangent, true, &gradient);
+      double exact = std::inner_product(push.begin(), push.end(), gradient.control.begin(), 0.0) +
+                     by_friction * gradient.parameters.friction;
+      for (int i = 0; i < 4 * n; ++i) exact += i % 4 < 2 ? 0 : direction[i] * gradient.initial[i];
+      ++smooth;
+      EXPECT_NEAR(exact, (more - less) / (2 * by), 1e-3 * std::abs(exact)) << "step " << k << ", friction " << friction;
+    }
+    EXPECT_GT(smooth, 3) << friction;
+  }
+}
 
 // By forces on all discs, on the way to rest: wherever the difference to one side is that to the other.
 TEST(EventCrowd, TheGradientOfASettlingBagEqualsDifferences) {
