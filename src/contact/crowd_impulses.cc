@@ -11,8 +11,8 @@ namespace {
 constexpr double kFirstCompliance = 1e-2;  // of a row, relative to its own inverse mass
 constexpr double kUsualCompliance = 2e-6;
 constexpr double kLeastCompliance = 5e-8;  // where impulses of rows that depend on each other creep
-constexpr double kConverged = 1e-13;  // of the largest velocity given
-constexpr double kArrived = 1e-9;     // likewise: it is small enough
+constexpr double kConverged = 1e-13;       // of the largest velocity given
+constexpr double kArrived = 1e-9;          // likewise: it is small enough
 constexpr int kSweeps = 50;
 constexpr int kMostSteps = 300;    // of the augmented Lagrangian
 constexpr int kMostNewton = 100;   // in each
@@ -212,11 +212,11 @@ class Solver {
   std::span<const Vec2d> given_;
   std::vector<Vec2d> velocity_;
   std::span<CrowdRow> rows_;
-  std::vector<double> mass_;    // effective masses of the rows, kg
-  std::vector<char> presses_;   // of each row: it does
-  std::vector<int> number_;     // of the discs that move, else -1
-  int count_ = 0;               // of these
-  double scale_ = 0;            // m/s
+  std::vector<double> mass_;   // effective masses of the rows, kg
+  std::vector<char> presses_;  // of each row: it does
+  std::vector<int> number_;    // of the discs that move, else -1
+  int count_ = 0;              // of these
+  double scale_ = 0;           // m/s
   double compliance_ = kFirstCompliance;
   bool factored_ = false;
   std::vector<Eigen::Triplet<double>> entries_;

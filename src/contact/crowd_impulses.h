@@ -17,8 +17,8 @@ struct CrowdRow {
 };
 
 // The impulses f >= 0 and the velocities under them with direction.(v_a - v_b) + apart >= 0, and = 0 where f > 0: the
-// least kinetic energy of the change of velocity. Overwrites `velocity`, per disc. inverse_mass: per disc, 1/kg; 0 if it
-// does not move. False if they are not found.
+// least kinetic energy of the change of velocity. Overwrites `velocity`, per disc. inverse_mass: per disc, 1/kg; 0 if
+// it does not move. False if they are not found.
 //
 // Sweeps (projected Gauss-Seidel) guess which rows press; an augmented Lagrangian with Newton's method mends that. Its
 // matrices, of the velocities, are symmetric and positive definite and as sparse as the contacts, however many of these

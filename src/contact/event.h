@@ -38,6 +38,10 @@
 // Piles. Without friction each bounce within a pile sets off others, ever smaller and in ever shorter times. After
 //   kManyImpacts in a step, a pair that touches others and has met kCrowdedImpacts times more, its discs others as
 //   often, does not bounce below a speed that doubles with every further time, up to kLargestSlowSpeed: that ends.
+// Crowds. A step of five or more discs that would fail, and one in which a pile of kCrowd or more stirs without end
+//   (event_disc.h), is taken at once instead, to first order in its length, without restitution (event_crowd.h). Not of
+//   discs that spin, on tables, among pockets, or by a learned law. Contacts that press in it are reported as
+//   sustained, from its start; all other pairs of the discs without a time.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, at the end of which they are exactly in contact and no work was done. Everything else is exact.
 // Spin. What sticks rolls: it is the points of contact that do not move along each other, and a disc begins and ceases

@@ -38,9 +38,7 @@ class EventChanges : protected EventQueue<T, kRotation> {
 
   // A step of many discs that fails is taken at once instead, if contacts are the scene's own.
   static constexpr bool kMayCrowd = kRotation == 0 && std::is_same_v<Law, SceneLaw<T>>;
-  bool MayCrowd() const {
-    return kMayCrowd && discs_.size() >= kFewestCrowd && in_.table < 0 && in_.num_pockets == 0;
-  }
+  bool MayCrowd() const { return kMayCrowd && discs_.size() >= kFewestCrowd && in_.table < 0 && in_.num_pockets == 0; }
 
   void Fail(std::string_view why) {
     failed_ = true;

@@ -164,7 +164,11 @@ class PressedContacts {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
-    return SolvePressingForces(Value(in_.contact.friction), inverse_mass, acceleration_, forces_, turning_,
+    return SolvePressingForces(Value(in_.contact.friction),
+                               inverse_mass,
+                               acceleration_,
+                               forces_,
+                               turning_,
                                in_crowd_ && forces_.size() >= kCrowd);
   }
 

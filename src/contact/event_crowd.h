@@ -42,6 +42,7 @@ class CrowdStep {
         discs_(x.size(), in.scratch),
         contacts_(in.scratch),
         joining_(in.scratch),
+        bounds_(in.candidates.size(), 0, in.scratch),
         rows_(in) {
     for (std::size_t i = 0; i < x.size(); ++i) {
       const Vec2<T> a = in.Acceleration(static_cast<int>(i));
@@ -114,10 +115,11 @@ class CrowdStep {
     return ApartAt(c, [&](int i) { return discs_[i].start.p; }).distance;
   }
   double GapAtEnd(const Candidate& c) const {
-    return ApartAt(c, [&](int i) {
-             const Disc& disc = discs_[i];
-             return disc.in_crowd ? Vec2d(disc.start.p + in_.h * disc.after) : disc.start.After(in_.h).p;
-           })
+    return ApartAt(c,
+                   [&](int i) {
+                     const Disc& disc = discs_[i];
+                     return disc.in_crowd ? Vec2d(disc.start.p + in_.h * disc.after) : disc.start.After(in_.h).p;
+                   })
         .distance;
   }
   Contact MeasureContact(int pair) const {
@@ -145,7 +147,9 @@ class CrowdStep {
       const Contact contact = MeasureContact(pair);
       double closing = std::max(0.0, -Dot(contact.normal, discs_[c.a].given));
       if (!c.plane) closing += std::max(0.0, Dot(contact.normal, discs_[c.b].given));
-      if (contact.apart <= closing) Include(c);
+      if (contact.apart > closing) continue;
+      bounds_[pair] = 1;
+      Include(c);
     }
   }
   void Include(const Candidate& c) {
@@ -156,15 +160,16 @@ class CrowdStep {
     return takes(c.a) && (c.plane || takes(c.b));
   }
 
+  bool Bounds(int pair) const { return bounds_[pair] && Takes(in_.candidates[pair]); }
+
   bool Solve() {
     contacts_.clear();
     std::vector<CrowdRow> rows;
     const bool slips = Friction() > 0;
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
-      if (!Takes(c)) continue;
+      if (!Bounds(pair)) continue;
       const Contact contact = MeasureContact(pair);
-      if (contact.apart == kNever) continue;
       contacts_.push_back(contact);
       const Vec2d slope = Friction() * Perpendicular(contact.normal);
       rows.push_back({c.a, c.plane ? -1 : c.b, contact.normal - slope, contact.apart});
@@ -202,15 +207,17 @@ class CrowdStep {
       if (!pressed[i] && !discs_[i].meets) discs_[i].in_crowd = false;
     }
   }
-  // True if a disc that flies would meet something.
+  // True if a pair that was not among the contacts would meet.
   bool Join() {
     joining_.clear();
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
-      if (!Takes(c) && GapAtEnd(c) < std::min(GapAtStart(c), 0.0) - kRoundingGap) joining_.push_back(pair);
+      if (Bounds(pair)) continue;
+      if (GapAtEnd(c) < std::min(GapAtStart(c), 0.0) - kRoundingGap) joining_.push_back(pair);
     }
     for (int pair : joining_) {
       const Candidate& c = in_.candidates[pair];
+      bounds_[pair] = 1;
       for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].meets = discs_[i].meets || !discs_[i].in_crowd;
       Include(c);
     }
@@ -292,6 +299,7 @@ class CrowdStep {
   std::pmr::vector<Disc> discs_;
   std::pmr::vector<Contact> contacts_;
   std::pmr::vector<int> joining_;  // pairs
+  std::pmr::vector<char> bounds_;  // of each pair: it may be a contact
   double largest_ = 0;             // impulse
   bool failed_ = false;
   ForceRows<T, 0> rows_;

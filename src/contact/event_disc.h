@@ -29,10 +29,10 @@ inline constexpr int kMaxEvents = 100000;
 inline constexpr int kManyImpacts = 2000;
 inline constexpr int kCrowdedImpacts = 32;
 inline constexpr double kLargestSlowSpeed = 1e-2;
-// A step is taken at once (event_crowd.h) if it would fail, with at least kFewestCrowd discs; or if a pair within a pile
-// meets more than kCrowdedImpacts times, from kCrowd discs on, of fewer with friction after kManyImpacts; or, of so many,
-// if kCrowd contacts or more that last are settled together more than kMostSettled times. These bounds are of numbers
-// that are no larger if pairs that do not touch are left out, as they are where derivatives are taken.
+// A step is taken at once (event_crowd.h) if it would fail, with at least kFewestCrowd discs; or if a pair within a
+// pile meets more than kCrowdedImpacts times, from kCrowd discs on, of fewer with friction after kManyImpacts; or, of
+// so many, if kCrowd contacts or more that last are settled together more than kMostSettled times. These bounds are of
+// numbers that are no larger if pairs that do not touch are left out, as they are where derivatives are taken.
 inline constexpr std::size_t kFewestCrowd = 5;
 inline constexpr std::size_t kCrowd = 32;
 inline constexpr int kMostSettled = 2;

@@ -54,7 +54,8 @@ inline double RimAcceleration(const PressingContact& c, std::span<const double> 
 
 // Overwrites the forces, and `acceleration` (per disc, m/s^2) with the one under them; so `turning`, the angular
 // accelerations (rad/s^2), which is empty if no disc spins. inverse_mass: per disc, 1/kg; 0 if it does not move. Unless
-// solved, none is of use. If `hasty`, what many contacts do is guessed a few times only. Where discs spin, f_t acts and t.b is measured at the points of contact.
+// solved, none is of use. If `hasty`, what many contacts do is guessed a few times only. Where discs spin, f_t acts and
+// t.b is measured at the points of contact.
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                              std::span<PressingContact> contacts, std::span<double> turning = {}, bool hasty = false);
 

@@ -40,7 +40,7 @@ class EventMotion {
     int passed = -1;       // number of the event since which it is ignored while it touches
     int released = -1;     // number of the event that last ended held
     int impacts = 0;
-    int meetings = 0;      // impacts in this step
+    int meetings = 0;        // impacts in this step
     bool waits = false;      // touches slowly, and impacts at the same time come first
     bool held = false;       // closed, and kept closed by the accelerations of its discs
     bool curved = false;     // its discs move around each other while held, or did

@@ -16,8 +16,8 @@ struct Crowd {
   std::vector<CrowdRow> rows;
 };
 
-// Discs on a triangular lattice above a floor, all contacts of which are in both directions of the cone of friction: far
-// more rows than velocities.
+// Discs on a triangular lattice above a floor, all contacts of which are in both directions of the cone of friction:
+// far more rows than velocities.
 Crowd Lattice(int side, double friction, unsigned seed) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> uniform(-1, 1);
