@@ -21,7 +21,7 @@ using Kind = Question::Kind;
 }  // namespace
 
 Question BlackBoxSimulator::Ask(Kind kind, int steps) const {
-  const std::size_t width = 2 * num_controlled(), all = steps * model_.grid_steps;
+  const std::size_t width = control_width(), all = steps * model_.grid_steps;
   return {kind,
           steps * model_.grid_steps,
           steps * step(),
@@ -40,7 +40,7 @@ bool BlackBoxSimulator::Rollout(std::span<const double> initial, std::span<const
   failure_.reset();
   touches_.clear();
   initial_.assign(initial.begin(), initial.end());
-  const std::size_t width = 2 * num_controlled();
+  const std::size_t width = control_width();
   control_.clear();
   for (std::size_t i = 0; i < control.size(); i += std::max<std::size_t>(width, 1)) {
     for (int j = 0; j < model_.grid_steps; ++j) {
@@ -58,7 +58,7 @@ bool BlackBoxSimulator::Rollout(std::span<const double> initial, std::span<const
 
 std::vector<double> BlackBoxSimulator::ForceIn(int k) const {
   std::vector<double> force(2 * num_bodies());
-  const std::size_t width = 2 * num_controlled();
+  const std::size_t width = control_width();
   if (width > 0) ExpandForce(std::span(control_).subspan(k * model_.grid_steps * width, width), 0, force);
   return force;
 }
@@ -136,7 +136,7 @@ bool BlackBoxSimulator::AdjointByItself(std::span<const double> cotangent, const
   for (std::size_t i = 0; i < out.initial.size(); ++i) {
     out.initial[i] = scene_.bodies[i / kNumbers].fixed ? 0.0 : answer.initial[i];
   }
-  const std::size_t width = 2 * num_controlled();
+  const std::size_t width = control_width();
   for (std::size_t i = 0; !out.control.empty() && i < answer.control.size(); ++i) {
     out.control[i / width / model_.grid_steps * width + i % width] += answer.control[i];
   }
@@ -179,7 +179,7 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
   }
   const int steps = num_steps_ * model_.grid_steps, segments = std::min(options_.segments, num_steps_);
   for (int s = 0; with_control && s < segments; ++s) {
-    for (int i = 0; i < 2 * num_controlled(); ++i) {
+    for (int i = 0; i < control_width(); ++i) {
       const double mass = scene_.bodies[scene_.control.bodies[i / 2]].mass;
       const auto at = [&](std::int64_t segment) { return static_cast<int>(segment * steps / segments); };
       variables.push_back({i, true, at(s), at(s + 1), segments * 2 * mass * driven / (T * T)});
@@ -190,7 +190,7 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
 
 void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, const SensitivityView& out) {
   const std::vector<Variable> variables = Variables(!out.control.empty());
-  const std::size_t pushed = 2 * num_controlled();
+  const std::size_t pushed = control_width();
   std::vector<Question> questions;
   for (const Variable& variable : variables) {
     for (const double width : {variable.width, -variable.width}) {

@@ -24,7 +24,7 @@ Verdict Judge(double given, double exact, double largest, double tolerance) {
 std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact) {
   CHECK(exact.ok());
   CHECK_EQ(static_cast<int>(exact.gradient.initial.size()), InitialSize(scene));
-  CHECK_EQ(exact.gradient.control.size(), 2 * scene.control.bodies.size() * exact.num_steps);
+  CHECK_EQ(static_cast<int>(exact.gradient.control.size()), scene.control_width() * exact.num_steps);
   std::vector<GivenEntry> entries;
   const auto judge = [&](double value, double at, double largest) {
     return exact.ambiguous.empty() ? Judge(value, at, largest, given.tolerance) : Verdict::kAmbiguous;
@@ -65,7 +65,7 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
       add(given.control[k][c],
           "u",
           "[" + std::to_string(k) + "] " + scene.bodies[scene.control.bodies[c]].name,
-          &control[2 * (k * scene.num_controlled() + c)],
+          &control[scene.ForceIndex(k, c)],
           largest);
     }
   }

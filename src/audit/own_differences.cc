@@ -142,7 +142,7 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
   controlled.optimize = Optimize::kControl;
   Loss by_control(contact, controlled, SingleShooting::Variables::kOfScene, stop);
   for (int n = 0; n < kDirections && by_control.ok(); ++n) {
-    std::vector<double> row(2 * scene.num_controlled()), direction(by_control.num_variables());
+    std::vector<double> row(scene.control_width()), direction(by_control.num_variables());
     for (double& entry : row) entry = sign();
     for (std::size_t i = 0; i < direction.size(); ++i) direction[i] = row[i % row.size()];
     add(Compare(&by_control, direction, kWidest * 2 * length * smallest_mass / (T * T)), Quantity::kControl);

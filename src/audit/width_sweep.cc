@@ -51,7 +51,7 @@ class Line {
   double LossAt(const Direction& direction, double offset) {
     std::vector<double> initial = initial_, control = control_;
     if (direction.quantity == Quantity::kControl) {
-      const size_t width = 2 * simulator_->num_controlled();
+      const size_t width = simulator_->control_width();
       for (size_t i = direction.index; i < control.size(); i += width) control[i] += offset;
     } else {
       initial[direction.index] += offset;
@@ -253,7 +253,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     sweep.quantity = direction.quantity;
     sweep.entry = direction.entry;
     sweep.grid_width = direction.grid_width;
-    sweep.gradient = GradientAlong(direction, own, 2 * scene.num_controlled());
+    sweep.gradient = GradientAlong(direction, own, scene.control_width());
     const int count = static_cast<int>(options.per_decade * std::log10(options.largest / options.smallest)) + 1;
     for (int i = 0; i < count; ++i) {
       const double width = direction.grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade);

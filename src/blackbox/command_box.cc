@@ -34,7 +34,7 @@ Scene WithoutMotion(Scene scene) {
 
 std::size_t MostCharacters(const Scene& scene, const Question& question) {
   const std::size_t steps = question.steps + 1;
-  return kShortLine + kDigits * steps * (4 * scene.num_bodies() + 2 * scene.num_controlled());
+  return kShortLine + kDigits * steps * (4 * scene.num_bodies() + scene.control_width());
 }
 
 }  // namespace

@@ -151,7 +151,7 @@ std::string QuestionLine(const Scene& scene, const Question& question, std::int6
   text += ", \"initial\": ";
   AppendRows(question.initial, 4, &text);
   text += ", \"control\": ";
-  AppendControl(question.control, 2 * scene.num_controlled(), &text);
+  AppendControl(question.control, scene.control_width(), &text);
   if (question.kind == Question::Kind::kGradient) {
     text += ", \"of_final\": ";
     AppendRows(question.of_final, 4, &text);

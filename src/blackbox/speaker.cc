@@ -110,7 +110,7 @@ Simulator& Speaker::SimulatorOf(int steps, double duration) {
 }
 
 std::vector<double> Speaker::OwnControl(const ProtocolJson& question, int steps) const {
-  const std::size_t width = 2 * scene_->num_controlled();
+  const std::size_t width = scene_->control_width();
   if (width == 0) return {};
   const ProtocolJson& rows = Require(question, "control");
   const bool one = rows.is_array() && rows.size() == 1;
@@ -148,7 +148,7 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   Sensitivity gradient;
   simulator.Adjoint(cotangent, /*with_parameters=*/false, &gradient);
   std::vector<double> by_control;
-  const std::size_t width = 2 * scene_->num_controlled();
+  const std::size_t width = scene_->control_width();
   for (std::size_t i = 0; i < steps * width; ++i) {
     by_control.push_back(gradient.control[i / width / grid_steps_ * width + i % width] / grid_steps_);
   }

@@ -33,7 +33,7 @@ double FactorOf(TerminalTerm::Quantity quantity, const UnitFactors& by) {
 std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
                                     const std::vector<double>& durations) {
   if (!durations.empty()) return durations;
-  const size_t intervals = control.size() / (2 * scene.num_controlled());
+  const size_t intervals = control.size() / scene.control_width();
   return std::vector<double>(intervals, scene.duration / intervals);
 }
 

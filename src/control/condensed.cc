@@ -16,7 +16,7 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       theta_(std::move(theta)),
       restrictions_(std::move(restrictions)),
       soft_(scene.objective),
-      width_(2 * scene.num_controlled()) {
+      width_(scene.control_width()) {
   std::erase_if(soft_.terminal, [](const TerminalTerm& term) { return term.hard; });
   num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
   const std::vector<Flight::Hit>& hits = flight.hits();

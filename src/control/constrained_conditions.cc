@@ -74,7 +74,7 @@ class ConstrainedCertifier {
   double effort() const { return scene_.objective.effort; }
   double Mass(int c) const { return scene_.bodies[scene_.control.bodies[c]].mass; }
   Vec2d Force(int interval, int c) const {
-    const double* u = &motion_.control[2 * (static_cast<size_t>(interval) * scene_.num_controlled() + c)];
+    const double* u = &motion_.control[scene_.ForceIndex(interval, c)];
     return {u[0], u[1]};
   }
   double EffortRate(int interval) const {

@@ -301,7 +301,7 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
     CrossFlight(piece, length, here, &now, &push);
     for (int c = 0; c < width; ++c) {
       const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-      double* g = gradient.data() + 2 * (static_cast<size_t>(piece.interval) * width + c);
+      double* g = gradient.data() + scene_.ForceIndex(piece.interval, c);
       for (int d = 0; d < 2; ++d) g[d] += inverse_mass * push[c][d];
     }
     for (; hit >= 0 && segment_after_[hit] == i; --hit)

@@ -72,7 +72,7 @@ std::vector<double> EventPhases::Variables(std::span<const double> times, std::s
 void EventPhases::Control(const Path<double>& path, std::vector<double>* control,
                           std::vector<double>* durations) const {
   CHECK(!intervals_.empty());
-  const int width = 2 * scene_.num_controlled();
+  const int width = scene_.control_width();
   std::vector<int> column(scene_.num_bodies(), -1);
   for (int c = 0; c < scene_.num_controlled(); ++c) column[scene_.control.bodies[c]] = 2 * c;
   control->clear();

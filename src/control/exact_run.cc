@@ -78,7 +78,7 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   const auto sizes = [](const char* what, size_t found, const std::string& expected) {
     return std::string(what) + ": found " + std::to_string(found) + " numbers, expected " + expected;
   };
-  const size_t size = InitialSize(scene), width = 2 * scene.control.bodies.size();
+  const size_t size = InitialSize(scene), width = scene.control_width();
   if (initial.size() != size) return sizes("initial state", initial.size(), std::to_string(size));
   if (!durations.empty() && control.size() != width * durations.size()) {
     return sizes("control", control.size(), std::to_string(width * durations.size()));
@@ -139,7 +139,7 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
   if (durations.empty()) {
     if (!RunEqualIntervals(how, scene, control, 0, 0, &run.end, &run)) return run;
   } else {
-    const size_t width = 2 * scene.num_controlled();
+    const size_t width = scene.control_width();
     double start = 0;
     for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
       while (end < durations.size() && durations[end] == durations[begin]) ++end;
@@ -229,7 +229,7 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   if (reason.empty()) reason = WhyNotShaped(scene, initial, control, durations);
   if (!reason.empty()) return refuse(reason);
   Scene part = scene;
-  if (!control.empty()) part.steps = static_cast<int>(control.size() / (2 * scene.num_controlled()));
+  if (!control.empty()) part.steps = static_cast<int>(control.size() / scene.control_width());
   if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
   How how{std::string(exact->name), 0, most_impacts};

@@ -39,7 +39,7 @@ Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
 Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
                std::span<const double> durations, const ExactRun& run) {
   CHECK(run.ok);
-  const size_t width = 2 * scene.num_controlled();
+  const size_t width = scene.control_width();
   CHECK_EQ(control.size(), durations.size() * width);
   DiscStates x;
   const size_t moves = 4 * scene.bodies.size();

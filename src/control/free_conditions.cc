@@ -64,7 +64,7 @@ class Certifier {
   bool IsPushed(int body) const { return pushed_[body] >= 0; }
   static bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane && c.b == body); }
   Vec2d Force(int c, int interval) const {
-    const double* u = &control_[2 * (static_cast<size_t>(interval) * scene_.num_controlled() + c)];
+    const double* u = &control_[scene_.ForceIndex(interval, c)];
     return {u[0], u[1]};
   }
 
@@ -325,7 +325,7 @@ class Certifier {
   // The gradient by each force as what is left of 2 effort m u + lambda_v in the mean over its interval: the largest.
   double RelativeGradient(const Eigen::VectorXd& gradient) const {
     double largest = 0;
-    const int width = 2 * scene_.num_controlled();
+    const int width = scene_.control_width();
     for (Eigen::Index i = 0; i < gradient.size(); ++i) {
       const double mass = scene_.bodies[scene_.control.bodies[i % width / 2]].mass;
       largest = std::max(largest, mass / lengths_[i / width] * std::abs(gradient[i]));

@@ -116,7 +116,6 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
 OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
                            std::span<const double> control, std::span<const double> durations) {
   OwnValues sum;
-  const int num_controlled = scene.num_controlled();
   for (const OwnTerm& term : terms) {
     const OwnTermCost cost(term, scene.units, /*steps=*/1);
     std::vector<double> residuals(cost.num_residuals());
@@ -152,7 +151,7 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
     for (const Flight::Piece& piece : flight.pieces()) {
       if (piece.interval == interval) continue;  // cut by an impact within the step
       interval = piece.interval;
-      add(piece.at_start, control.data() + 2 * interval * num_controlled, 0, durations[interval]);
+      add(piece.at_start, control.data() + scene.ForceIndex(interval, 0), 0, durations[interval]);
     }
   }
   return sum;

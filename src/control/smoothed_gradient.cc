@@ -55,7 +55,7 @@ SmoothedGradient::SmoothedGradient(const Contact& contact, const Scene& scene, P
   CHECK(WhyNotApplicable(surrogate, contact, scene).empty()) << WhyNotApplicable(surrogate, contact, scene);
   const int steps = scene.steps / FindContactModel(contact)->grid_steps;
   step_ = scene.duration / steps;
-  const int width = 2 * scene.num_controlled();
+  const int width = scene.control_width();
   const std::int64_t segments = surrogate.segments == 0 ? steps : surrogate.segments;
   multiplicity_.resize(controls_ ? segments * width : num_variables());
   for (int i = 0; i < num_variables(); ++i) {

@@ -23,7 +23,7 @@ StepCost::StepCost(std::shared_ptr<const Simulator> simulator) : simulator_(std:
   set_num_residuals(size);
   std::vector<int>& blocks = *mutable_parameter_block_sizes();
   blocks.push_back(size);
-  if (simulator_->num_controlled() > 0) blocks.push_back(2 * simulator_->num_controlled());
+  if (simulator_->num_controlled() > 0) blocks.push_back(simulator_->control_width());
   blocks.push_back(size);
 }
 
@@ -34,7 +34,7 @@ bool StepCost::Evaluate(double const* const* parameters, double* residuals, doub
   const std::span<const double> x(parameters[0], size);
   std::vector<double> force(2 * simulator_->num_bodies());
   if (controlled) {
-    simulator_->ExpandForce({parameters[1], static_cast<size_t>(2 * simulator_->num_controlled())}, 0, force);
+    simulator_->ExpandForce({parameters[1], static_cast<size_t>(simulator_->control_width())}, 0, force);
   }
 
   Eigen::Map<Eigen::VectorXd> r(residuals, size);

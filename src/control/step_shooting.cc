@@ -20,7 +20,7 @@ StepShooting::StepShooting(const SingleShooting* shooting, std::span<const doubl
 }
 
 std::vector<double*> StepShooting::StepBlocks(int k) {
-  const int forces = 2 * simulator().num_controlled();
+  const int forces = simulator().control_width();
   if (forces == 0) return {State(k), State(k + 1)};
   return {State(k), &control_[static_cast<size_t>(k) * forces], State(k + 1)};
 }
@@ -36,7 +36,7 @@ void StepShooting::AddEffort(const std::function<void(std::unique_ptr<ceres::Cos
   const Scene& scene = shooting_->scene();
   if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
   const double scale = std::sqrt(scene.objective.effort * simulator().step());
-  const int forces = 2 * simulator().num_controlled();
+  const int forces = simulator().control_width();
   for (int k = 0; k < num_steps(); ++k) {
     add(std::make_unique<EffortCost>(scale, forces), StepBlocks(k)[1]);
   }

@@ -73,7 +73,7 @@ class ExactWayCosts final : public WayCosts {
       by_scale += found.hamiltonian[i] + piece.start * found.drift[i] + found.drift_moment[i];
       for (int c = 0; c < scene_.num_controlled() && !control.empty(); ++c) {
         const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-        double* g = &control[2 * (static_cast<size_t>(piece.interval) * scene_.num_controlled() + c)];
+        double* g = &control[scene_.ForceIndex(piece.interval, c)];
         for (int d = 0; d < 2; ++d) g[d] += inverse_mass * found.push[i][c][d];
       }
     }
@@ -96,7 +96,7 @@ class ExactWayCosts final : public WayCosts {
     std::fill(control.begin(), control.end(), 0.0);
     std::fill(initial.begin(), initial.end(), 0.0);
     const size_t width = control.size() / num_residuals_;
-    std::vector<double> ignored(2 * static_cast<size_t>(num_steps_) * scene_.num_controlled());
+    std::vector<double> ignored(static_cast<size_t>(num_steps_) * scene_.control_width());
     size_t at = 0;
     const auto forces = [&] { return width > 0 ? control.subspan(at * width, width) : std::span<double>(ignored); };
     const auto put = [&](const CostateSweep::Derivatives& of, double by_duration) {
@@ -341,7 +341,7 @@ class SteppedWayCosts final : public WayCosts {
     for (int k = last; k-- > 0;) {
       steps[k].ApplyTranspose(lambda, before, force);
       for (int c = 0; c < pushed && !control.empty(); ++c) {
-        std::copy_n(&force[2 * scene_.control.bodies[c]], 2, &control[2 * (static_cast<size_t>(k) * pushed + c)]);
+        std::copy_n(&force[2 * scene_.control.bodies[c]], 2, &control[scene_.ForceIndex(k, c)]);
       }
       for (size_t i = 0; i < size; ++i) lambda[i] = before[i] + cotangents[k * size + i];
     }

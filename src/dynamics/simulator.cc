@@ -128,10 +128,10 @@ void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters,
 void Simulator::ExpandForce(std::span<const double> control, int k, std::span<double> force) const {
   CHECK(k >= 0 && k < num_steps_) << "found step " << k << ", expected 0 to " << num_steps_ - 1;
   // A control of fewer steps will do, as of one step in a cost.
-  CHECK_GE(control.size(), (k + std::size_t{1}) * 2 * num_controlled());
+  CHECK_GE(control.size(), (k + std::size_t{1}) * control_width());
   CHECK_EQ(static_cast<int>(force.size()), 2 * num_bodies());
   std::fill(force.begin(), force.end(), 0.0);
-  const double* u = control.data() + static_cast<size_t>(k) * num_controlled() * 2;
+  const double* u = control.data() + scene_.ForceIndex(k, 0);
   for (int body : scene_.control.bodies) {
     force[2 * body] = *u++;
     force[2 * body + 1] = *u++;
@@ -173,7 +173,7 @@ std::vector<double> InitialState(const Scene& scene) {
 
 std::vector<double> InitialControl(const Scene& scene, int num_steps) {
   std::vector<double> control;
-  control.reserve(static_cast<size_t>(num_steps) * scene.control.initial.size() * 2);
+  control.reserve(static_cast<size_t>(num_steps) * scene.control_width());
   for (int k = 0; k < num_steps; ++k) {
     for (const Vec2d& force : scene.control.initial) control.insert(control.end(), {force[0], force[1]});
   }

@@ -22,7 +22,7 @@ std::vector<double> Boundaries(const ControlGuess& guess, size_t intervals) {
 }  // namespace
 
 std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene) {
-  const size_t width = 2 * scene.control.bodies.size(), found = guess.control.size();
+  const size_t width = scene.control_width(), found = guess.control.size();
   if (width == 0) return "guess: a control, expected a scene in which something is pushed";
   if (found == 0 || found % width != 0) {
     return "guess: found a control of " + std::to_string(found) + " numbers, expected a positive multiple of " +
@@ -51,7 +51,7 @@ std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene) {
 
 std::vector<double> LengthsOf(const ControlGuess& guess, const Scene& scene) {
   if (!guess.durations.empty()) return guess.durations;
-  const size_t intervals = guess.control.size() / (2 * scene.control.bodies.size());
+  const size_t intervals = guess.control.size() / scene.control_width();
   return std::vector<double>(intervals, scene.duration / static_cast<double>(intervals));
 }
 
@@ -60,8 +60,8 @@ double DurationOf(const ControlGuess& guess, const Scene& scene) {
   return std::accumulate(guess.durations.begin(), guess.durations.end(), 0.0);
 }
 
-std::vector<double> MeanOverSteps(const ControlGuess& guess, int controlled, int steps) {
-  const size_t width = 2 * static_cast<size_t>(controlled), intervals = guess.control.size() / width;
+std::vector<double> MeanOverSteps(const ControlGuess& guess, int numbers, int steps) {
+  const size_t width = numbers, intervals = guess.control.size() / width;
   const std::vector<double> at = Boundaries(guess, intervals);
   std::vector<double> means(width * steps, 0.0);
   const double smallest = 1e-12 / steps;  // overlaps below this are rounding

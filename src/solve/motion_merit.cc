@@ -25,7 +25,7 @@ Trial Between(const Scene& scene, const Trial& to, const Trial& from, double par
     for (int c = 0; c < scene.num_controlled(); ++c) {
       const Vec2d old = before(c, stretch * (begin + 0.5 * to.durations[k]));
       for (int j = 0; j < 2; ++j) {
-        double& u = between.control[2 * (k * scene.num_controlled() + c) + j];
+        double& u = between.control[scene.ForceIndex(k, c) + j];
         u = part * u + (1 - part) * old[j];
       }
     }

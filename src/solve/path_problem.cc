@@ -199,7 +199,7 @@ Gap GapAfterFlight(const Simulator& simulator, const Candidate& candidate, const
 
   Gap gap;
   gap.by_state = Eigen::VectorXd::Zero(simulator.state_size());
-  for (Eigen::VectorXd& slope : gap.by_force) slope = Eigen::VectorXd::Zero(2 * simulator.num_controlled());
+  for (Eigen::VectorXd& slope : gap.by_force) slope = Eigen::VectorXd::Zero(simulator.control_width());
   const auto add = [&](int body, const Vec2d& normal) {
     if (scene.bodies[body].fixed) return;
     gap.by_state.segment<2>(body * simulator.body_size()) += normal;
@@ -231,7 +231,7 @@ class ArrivalOnPath final : public ceres::CostFunction {
  public:
   ArrivalOnPath(const Path* path, const Arrival& arrival) : path_(path), arrival_(arrival) {
     set_num_residuals(1);
-    const int forces = 2 * path->simulator().num_controlled();
+    const int forces = path->simulator().control_width();
     *mutable_parameter_block_sizes() = {path->simulator().state_size(), forces, forces};
   }
 
@@ -347,7 +347,7 @@ ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tol
 double PathProblem::loss() const { return parts_->path.loss(); }
 
 Gap PathProblem::Parts::GapAt(const Arrival& arrival, const std::vector<double>& z) const {
-  const int forces = 2 * path.simulator().num_controlled();
+  const int forces = path.simulator().control_width();
   const int first = arrival.node - 2;
   const double* u = &z[static_cast<size_t>(first) * forces];
   return GapAfterFlight(path.simulator(), arrival.candidate, path.State(first), {u, u + forces});
@@ -360,7 +360,7 @@ Eigen::VectorXd PathProblem::Gaps() const {
 }
 
 Eigen::MatrixXd PathProblem::GapJacobian() const {
-  const int forces = 2 * parts_->path.simulator().num_controlled();
+  const int forces = parts_->path.simulator().control_width();
   Eigen::MatrixXd jacobian = Eigen::MatrixXd::Zero(parts_->arrivals.size(), z_.size());
   for (int i = 0; i < jacobian.rows(); ++i) {
     const int first = parts_->arrivals[i].node - 2;

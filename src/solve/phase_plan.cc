@@ -55,7 +55,7 @@ std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& 
   return [&scene, &trial, ends = std::move(ends)](int c, double t) {
     const size_t last = ends.size() - 1;
     const size_t k = std::min<size_t>(std::upper_bound(ends.begin(), ends.end(), t) - ends.begin(), last);
-    const double* u = &trial.control[2 * (k * scene.num_controlled() + c)];
+    const double* u = &trial.control[scene.ForceIndex(k, c)];
     return Vec2d(u[0], u[1]);
   };
 }

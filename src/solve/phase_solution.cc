@@ -200,7 +200,7 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
   constexpr int kLargest = 4, kLengths = 24;  // powers of two
   // Of the control, in the mean over time; or a force that moves a disc by its radius.
   double size = 0;
-  const size_t width = 2 * scene.num_controlled();
+  const size_t width = scene.control_width();
   for (size_t i = 0; i < trial.control.size(); ++i) {
     size += trial.durations[i / width] * trial.control[i] * trial.control[i];
   }

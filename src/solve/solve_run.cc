@@ -25,7 +25,7 @@ SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request)
 // The decision variables of a control that is given.
 std::vector<double> DecisionsOf(const ControlGuess& guess, const SingleShooting& shooting) {
   const Scene& scene = shooting.scene();
-  std::vector<double> z = MeanOverSteps(guess, scene.num_controlled(), shooting.simulator().num_steps());
+  std::vector<double> z = MeanOverSteps(guess, scene.control_width(), shooting.simulator().num_steps());
   if (shooting.has_duration()) {
     const FreeDuration& free = *scene.objective.duration;
     z.push_back(std::clamp(DurationOf(guess, scene), free.min, free.max));

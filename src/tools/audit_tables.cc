@@ -37,7 +37,7 @@ std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell 
       for (int j = 0; j < 2; ++j) row.emplace_back(initial[4 * i + offset + j]);
     }
   }
-  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
+  for (int i = 0; i < scene.control_width(); ++i) row.emplace_back(control[i]);
   return row;
 }
 

@@ -48,7 +48,7 @@ Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int
 
 Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
   Json intervals = Json::array();
-  const size_t width = 2 * scene.num_controlled();
+  const size_t width = scene.control_width();
   for (size_t begin = 0; width > 0 && begin < control.size(); begin += width) {
     Json forces = Json::array();
     for (size_t i = begin; i < begin + width; i += 2) {

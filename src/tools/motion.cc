@@ -207,7 +207,7 @@ class ExactMotion {
   }
 
   Motion Run(std::vector<double> x, const std::vector<double>& control, const std::vector<double>& lengths) {
-    const size_t width = 2 * scene_.num_controlled();
+    const size_t width = scene_.control_width();
     if (motion_.failure.empty()) recorder_.AddNode(0, ToState(x, scene_.num_bodies()), size_);
     for (const Group& group : GroupsOf(lengths)) {
       if (!motion_.failure.empty()) break;
@@ -365,7 +365,7 @@ Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionIn
   if (contact.entry()->traits.event_driven) return SimulateExactMotion(given, input, options);
   const int steps = scene.steps / contact.entry()->traits.grid_steps;
   std::vector<double> control = input.control;
-  if (!control.empty()) control = MeanOverSteps({control, input.durations}, scene.num_controlled(), steps);
+  if (!control.empty()) control = MeanOverSteps({control, input.durations}, scene.control_width(), steps);
 
   Motion motion;
   Recorder recorder(scene, options, steps + 1, &motion);

@@ -69,10 +69,10 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
   if (input.control.empty() || scene.control.bodies.empty()) return replay;
   // More intervals than a page can show are joined.
   ControlGuess control{input.control, input.durations};
-  const size_t width = 2 * scene.control.bodies.size(), most = 4000;
+  const size_t width = scene.control_width(), most = 4000;
   const double duration = DurationOf(control, scene);
   if (control.control.size() / width > most) {
-    control.control = MeanOverSteps(control, scene.num_controlled(), most);
+    control.control = MeanOverSteps(control, scene.control_width(), most);
     control.durations.assign(most, duration / most);
   }
   replay.pushed = scene.control.bodies;

@@ -150,7 +150,7 @@ class Reader {
   }
 
   void CheckDurations() const {
-    const size_t width = 2 * scene_.control.bodies.size();
+    const size_t width = scene_.control_width();
     if (solution_.durations.size() * width == solution_.control.size()) return;
     Fail(
         "durations",

@@ -25,7 +25,7 @@ std::optional<double> LossUnderModel(const Scene& given, const Contact& contact,
   SingleShooting shooting(MakeSimulator(contact, scene, precision));
   std::vector<double> z;
   if (scene.num_controlled() > 0) {
-    z = MeanOverSteps({report.control, report.durations}, scene.num_controlled(), shooting.simulator().num_steps());
+    z = MeanOverSteps({report.control, report.durations}, scene.control_width(), shooting.simulator().num_steps());
   }
   double loss = 0;
   if (shooting.Evaluate(z, &loss, nullptr)) return loss + price_of_time;

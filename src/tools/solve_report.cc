@@ -140,10 +140,10 @@ void AddTrajectories(const Request& request, const std::vector<const SolvedRun*>
 // Forces are constant over intervals: two points each.
 Series StepsOf(const Scene& scene, const SolveReport& run, size_t column, const RunStyle& style) {
   ControlGuess control{run.control, run.durations};
-  const size_t width = 2 * scene.control.bodies.size();
+  const size_t width = scene.control_width();
   const double duration = DurationOf(control, scene);
   if (control.control.size() / width > kMostIntervals) {
-    control.control = MeanOverSteps(control, scene.num_controlled(), kMostIntervals);
+    control.control = MeanOverSteps(control, scene.control_width(), kMostIntervals);
     control.durations.assign(kMostIntervals, duration / kMostIntervals);
   }
   Series series{.label = LabelOfRun(run), .x = {}, .y = {}, .colour = style.colour, .dash = style.dash};

@@ -129,13 +129,13 @@ TEST(Motion, LongMotionsAreThinnedAndKeepTheirEnds) {
 
 TEST(Motion, MeansOverStepsKeepImpulses) {
   const ControlGuess thirds{{1, 0, 4, 0, -2, 0}, {}};
-  EXPECT_EQ(MeanOverSteps(thirds, 1, 3), thirds.control);
-  const std::vector<double> halves = MeanOverSteps(thirds, 1, 2);
+  EXPECT_EQ(MeanOverSteps(thirds, 2, 3), thirds.control);
+  const std::vector<double> halves = MeanOverSteps(thirds, 2, 2);
   EXPECT_NEAR(halves[0], (1 * 2 + 4) / 3.0, 1e-15);
   EXPECT_NEAR(halves[2], (4 - 2 * 2) / 3.0, 1e-15);
-  EXPECT_THAT(MeanOverSteps(thirds, 1, 6), testing::ElementsAre(1, 0, 1, 0, 4, 0, 4, 0, -2, 0, -2, 0));
+  EXPECT_THAT(MeanOverSteps(thirds, 2, 6), testing::ElementsAre(1, 0, 1, 0, 4, 0, 4, 0, -2, 0, -2, 0));
   const ControlGuess uneven{{1, 0, 4, 0, 7, 7}, {0.25, 0.75, 0}};
-  EXPECT_THAT(MeanOverSteps(uneven, 1, 4), testing::ElementsAre(1, 0, 4, 0, 4, 0, 4, 0));
+  EXPECT_THAT(MeanOverSteps(uneven, 2, 4), testing::ElementsAre(1, 0, 4, 0, 4, 0, 4, 0));
 }
 
 }  // namespace

@@ -135,7 +135,8 @@ class Simulator {
   virtual int body_size() const = 0;
   int state_size() const { return num_bodies() * body_size(); }
   int initial_size() const { return InitialSize(scene_); }
-  int control_size() const { return num_steps_ * num_controlled() * 2; }
+  int control_width() const { return scene_.control_width(); }  // numbers of a control in each step
+  int control_size() const { return num_steps_ * control_width(); }
 
   // Runs all K steps from `initial` under `control` (K x C x 2). False if a state is not finite, if the
   // iterations of a step do not arrive, or if the model breaks its contract (contact_model.h); then neither Adjoint nor

@@ -59,7 +59,8 @@ struct TypedScene {
 template <typename S>
 class HeldControl {
  public:
-  explicit HeldControl(const Scene& scene) : bodies_(scene.control.bodies), place_(scene.bodies.size(), -1) {
+  explicit HeldControl(const Scene& scene)
+      : bodies_(scene.control.bodies), stride_(scene.control_width()), place_(scene.bodies.size(), -1) {
     for (std::size_t c = 0; c < bodies_.size(); ++c) place_[bodies_[c]] = static_cast<int>(c);
   }
 
@@ -73,7 +74,7 @@ class HeldControl {
   bool Pushes(int body) const { return place_[body] >= 0; }
   // Where the forces on a disc that is pushed from step k on begin. From one step to the next it is stride() numbers.
   std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
-  std::ptrdiff_t stride() const { return 2 * static_cast<std::ptrdiff_t>(bodies_.size()); }
+  std::ptrdiff_t stride() const { return stride_; }
   // The forces there; null if the disc is not pushed.
   const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
 
@@ -109,7 +110,8 @@ class HeldControl {
 
  private:
   std::vector<int> bodies_;  // those that are controlled
-  std::vector<int> place_;   // of each disc among them; -1 if it is not
+  std::ptrdiff_t stride_;
+  std::vector<int> place_;  // of each disc among them; -1 if it is not
   std::vector<S> forces_;
 };
 

@@ -6,6 +6,7 @@
 // flight and the loss are far from overflow in double.
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <string>
 #include <vector>
@@ -252,6 +253,10 @@ struct Scene {
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
+  // Numbers of a control in each of its intervals, one after the other: [u_x u_y] of each controlled body.
+  int control_width() const { return 2 * num_controlled(); }
+  // Where in a control the force on controlled body c in interval k begins.
+  std::size_t ForceIndex(std::size_t k, int c) const { return k * control_width() + 2 * static_cast<std::size_t>(c); }
   // True if there is a disc that spins.
   bool Spins() const;
   // True if there are walls that end: segments, polygons or arcs.
