@@ -117,7 +117,7 @@ bool Attributor::HasExactImpact(const Interval& interval) const {
 
 // One sweep of the model's own adjoint from the end.
 void Attributor::FindCostates(const std::vector<Interval>& intervals) {
-  std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(2 * model_->num_bodies());
+  std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(model_->force_size());
   std::vector<double> unused(u.size());
   TerminalGradient(scene_.objective, StateAt(model_->num_steps()), model_->body_size(), lambda);
   costates_.resize(intervals.size());

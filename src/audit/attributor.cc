@@ -91,6 +91,11 @@ StepMap Attributor::MapOver(const Contact& contact, const Interval& interval, in
       scene.control.bodies.push_back(at);
       scene.control.initial.push_back(scene_.control.initial[c]);
     }
+    for (int t = 0; t < scene_.num_turned(); ++t) {
+      if (scene_.control.turned[t] != i) continue;
+      scene.control.turned.push_back(at);
+      scene.control.initial_torque.push_back(scene_.control.initial_torque[t]);
+    }
   }
   const std::unique_ptr<Simulator> simulator = Simulate(contact, scene);
   const std::vector<double> control = InitialControl(scene, simulator->num_steps());
@@ -248,7 +253,7 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
   until.end = interval.begin + at.step;
   std::vector<double> x = PlainStateAt(interval.begin);
   if (at.step > 0) x = ExactOver(until, nullptr).end;
-  std::vector<double> force(2 * model_->num_bodies());
+  std::vector<double> force(model_->force_size());
   ForcesFrom(interval.begin)(at.step, force);
   const double time = at.touch.time;
   struct Motion {
@@ -289,6 +294,9 @@ std::optional<PairImpact> Attributor::OnlyImpact(const Interval& interval, const
     if (!body.Spins()) continue;
     impact.inverse_inertia[side] = 1 / body.MomentOfInertia();
     impact.spin[side] = x[size_ * i + 5];
+    if (scene_.num_turned() == 0) continue;
+    const double torque = body.radius * force[2 * scene_.bodies.size() + i];
+    impact.spin[side] += time * torque * impact.inverse_inertia[side];
   }
   impact.spins = scene_.Spins();
   impact.restitution = scene_.contact.restitution;

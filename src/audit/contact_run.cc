@@ -44,7 +44,7 @@ StepLinearization::FreeFlight FreeFlightOf(const Simulator& simulator) {
   StepLinearization step;
   std::vector<double> x(simulator.state_size());
   simulator.ExpandInitial(InitialState(simulator.scene()), x);
-  simulator.Linearize(x, std::vector<double>(2 * simulator.num_bodies()), /*with_parameters=*/false, &step);
+  simulator.Linearize(x, std::vector<double>(simulator.force_size()), /*with_parameters=*/false, &step);
   return step.free;
 }
 
@@ -152,7 +152,7 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
   for (const StepTouch& at : model->touches()) {
     Touching& touching = FindTouching(at, &pairs);
     if (at.step < touching.end()) continue;
-    Encounter encounter{at.step, touching.pair, {}, std::vector<double>(2 * model->num_bodies())};
+    Encounter encounter{at.step, touching.pair, {}, std::vector<double>(model->force_size())};
     model->ExpandForce(control, at.step, encounter.force);
     const PairMotion motion(*model, free, touching.pair, encounter.force);
     const std::vector<double> x = state(at.step);

@@ -69,6 +69,17 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
           largest);
     }
   }
+  for (size_t k = 0; k < given.torque.size(); ++k) {
+    for (size_t t = 0; t < given.torque[k].size(); ++t) {
+      if (!given.torque[k][t]) continue;
+      const Body& body = scene.bodies[scene.control.turned[t]];
+      const double by_force = *given.torque[k][t] * body.radius, at = control[scene.TurnIndex(k, static_cast<int>(t))];
+      entries.push_back({"torque[" + std::to_string(k) + "] " + body.name,
+                         *given.torque[k][t],
+                         at / body.radius,
+                         judge(by_force, at, largest)});
+    }
+  }
   return entries;
 }
 

@@ -19,6 +19,7 @@ std::string WhyNotGradient(const Scene& scene) {
   Scene unbounded = scene;
   unbounded.control.max.clear();
   unbounded.control.max_norm.clear();
+  unbounded.control.max_torque.clear();
   unbounded.no_contact.clear();
   const std::string found = BeyondTerminalCost(unbounded);
   return found.empty() ? "" : "the scene has " + found + ", of which there is no gradient by shooting";

@@ -65,6 +65,9 @@ std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int i
         for (int body : scene.control.bodies) {
           add_vector("u", "[" + std::to_string(k) + "] " + scene.bodies[body].name);
         }
+        for (int body : scene.control.turned) {
+          names.push_back("torque/radius[" + std::to_string(k) + "] " + scene.bodies[body].name);
+        }
       }
       break;
     case Quantity::kMass:

@@ -39,7 +39,7 @@ Eigen::MatrixXd DenseOver(const StepLinearization& step, const std::vector<int>&
 StepMap Run(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
             const std::vector<int>* bodies) {
   StepMap map;
-  std::vector<double> x(begin.begin(), begin.end()), next(x.size()), u(2 * simulator.num_bodies());
+  std::vector<double> x(begin.begin(), begin.end()), next(x.size()), u(simulator.force_size());
   std::vector<Touch> touches;
   StepLinearization linearization;
   Eigen::MatrixXd A;

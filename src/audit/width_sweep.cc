@@ -29,7 +29,7 @@ constexpr double kMostSteps = 20000;    // of the refined simulation
 struct Direction {
   Quantity quantity;
   std::string entry;
-  int index;  // into the initial state (B x 4), or into the forces of one step (C x 2)
+  int index;  // into the initial state (B x 4), or into the control of one step
   double grid_width;
   double most = std::numeric_limits<double>::infinity();  // width at which discs may overlap at the start
 };
@@ -121,6 +121,14 @@ std::vector<Direction> DirectionsOf(const Scene& scene, double speed, double ste
                             2 * c + j,
                             2 * length * body.mass / (T * T)});
     }
+  }
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    const double mass = body.MomentOfInertia() / (body.radius * body.radius);  // of the rim
+    directions.push_back({Quantity::kControl,
+                          "torque/radius " + body.name,
+                          static_cast<int>(scene.TurnIndex(0, t)),
+                          2 * length * mass / (T * T)});
   }
   return directions;
 }

@@ -66,6 +66,7 @@ struct CompliantBraxIn {
     next.p += Scale(h, x.v);
     if constexpr (kOfScene) next.rotation[0] += h * x.rotation[1];
     next.v += Scale(h, in.Acceleration(i));
+    if constexpr (kOfScene) next.rotation[1] += h * in.AngularAcceleration(i);
     return next;
   }
 

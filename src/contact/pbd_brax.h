@@ -111,7 +111,9 @@ struct PbdBraxIn {
     State<T> next = x;
     next.v += Scale(h, in.Acceleration(i));
     for (int j = 0; j < 2; ++j) next.p[j] = FusedMultiplyAdd(h, next.v[j], x.p[j]);
-    const T half_turn = (h / S(2)) * x.rotation[0];
+    T spin = x.rotation[0];
+    if constexpr (kOfScene) spin -= h * in.AngularAcceleration(i);
+    const T half_turn = (h / S(2)) * spin;
     next.rotation[1] -= half_turn * x.rotation[2];
     next.rotation[2] += half_turn * x.rotation[1];
     Normalise(&next);

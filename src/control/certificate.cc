@@ -13,8 +13,7 @@ namespace {
 
 std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   if (scene.optimize != Optimize::kControl || scene.control.bodies.empty()) return "no control is optimized";
-  const bool bounded = !scene.control.max.empty() || !scene.control.max_norm.empty();
-  if (scene.objective.effort == 0 && !bounded) {
+  if (scene.objective.effort == 0 && !scene.control.IsBounded()) {
     return "without a cost of effort forces and costates are not related";
   }
   if (!exact.ok) return exact.reason;
@@ -62,7 +61,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   if (scene.objective.duration) whole.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
   const Flight flight(whole, initial, control, lengths, exact);
   const ControlledMotion motion{whole, control, lengths, flight, exact};
-  if (BeyondTerminalCost(scene).empty()) return FreeConditions(motion);
+  if (BeyondTerminalCost(scene).empty() && scene.num_turned() == 0) return FreeConditions(motion);
   certificate.reason = WhyNotConstrainedConditions(whole, flight);
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }
@@ -92,7 +91,9 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations) {
   const ExactRun exact = SimulateExactly(scene, initial, control, durations);
-  if (!WhyNotCertify(scene, exact).empty() || !BeyondTerminalCost(scene).empty()) return std::nullopt;
+  if (!WhyNotCertify(scene, exact).empty() || !BeyondTerminalCost(scene).empty() || scene.num_turned() > 0) {
+    return std::nullopt;
+  }
   const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   const Flight flight(scene, initial, control, lengths, exact);
   return FindCurvature(CondensedLoss(scene, flight, control, lengths));

@@ -3,7 +3,8 @@
 // Along a given motion the costates are affine in the multipliers of impacts and of hard terms, theta, and so are what
 // is left of the conditions:
 //
-//   force          2 effort m u + lambda_v, in the mean over an interval, is opposite to a normal of the bounds at u
+//   force          2 effort m u + lambda_v, in the mean over an interval, is opposite to a normal of the bounds at u;
+//                  so is, of a torque with f = torque / radius, 2 effort (I/r^2) f + lambda_w / r
 //   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
 //   final time     nor does moving that; at its bounds the loss may fall towards outside.
 //
@@ -14,9 +15,9 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "cone_conditions.h"
+#include "control_bounds.h"
 #include "costate_sweep.h"
 #include "optimality_conditions.h"
 #include "physics/time_grid.h"
@@ -26,7 +27,6 @@ namespace {
 
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
-constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
 
 class ConstrainedCertifier {
  public:
@@ -80,8 +80,12 @@ class ConstrainedCertifier {
   double EffortRate(int interval) const {
     double sum = 0;
     for (int c = 0; c < scene_.num_controlled(); ++c) sum += effort() * Force(interval, c).squaredNorm();
+    for (int t = 0; t < scene_.num_turned(); ++t) sum += effort() * Turn(interval, t) * Turn(interval, t);
     return sum;
   }
+
+  const Body& Turned(int t) const { return scene_.bodies[scene_.control.turned[t]]; }
+  double Turn(int interval, int t) const { return motion_.control[scene_.TurnIndex(interval, t)]; }
 
   // The sweep of the objective alone, and of each unknown: of impacts k for which `unknown[k]`, then of hard terms, two
   // each. Other impacts keep the Hamiltonian.
@@ -142,6 +146,13 @@ class ConstrainedCertifier {
     return cone;
   }
 
+  NormalCone TurnConeAt(int interval, int t) const {
+    NormalCone cone;
+    const double turn = Turn(interval, t), most = MostTurn(scene_, t);
+    if (std::abs(turn) >= (1 - kAtBound) * most) cone.Add(Vec2d(turn > 0 ? 1 : -1, 0));
+    return cone;
+  }
+
   bool HasCondition(size_t interval) const { return motion_.lengths[interval] > kNoInterval * scene_.duration; }
 
   void AddForces(const std::vector<Result>& sweeps, ConeConditions* conditions) const {
@@ -165,6 +176,24 @@ class ConstrainedCertifier {
         conditions->AddForce(
             of.col(0) + 2 * effort() * Mass(c) * Force(interval, c), of.rightCols(n), ConeAt(interval, c));
       }
+    }
+    for (int t = 0; t < scene_.num_turned(); ++t) AddTorques(t, sweeps, conditions);
+  }
+
+  // Of one turned disc, as forces with a second component that is always 0.
+  void AddTorques(int t, const std::vector<Result>& sweeps, ConeConditions* conditions) const {
+    const int n = static_cast<int>(sweeps.size()) - 1;
+    const double radius = Turned(t).radius, mass = Turned(t).MomentOfInertia() / (radius * radius);
+    std::vector<Eigen::Matrix2Xd> mean(motion_.lengths.size(), Eigen::Matrix2Xd::Zero(2, n + 1));
+    for (int i = 0; i < num_segments(); ++i) {
+      const int interval = sweep_.segments()[i].piece.interval;
+      for (int j = 0; j <= n; ++j) mean[interval](0, j) += sweeps[j].turn[i][t] / (radius * motion_.lengths[interval]);
+    }
+    for (size_t k = 0; k < mean.size(); ++k) {
+      if (!HasCondition(k)) continue;
+      const int interval = static_cast<int>(k);
+      const Vec2d own(2 * effort() * mass * Turn(interval, t), 0);
+      conditions->AddForce(mean[k].col(0) + own, mean[k].rightCols(n), TurnConeAt(interval, t));
     }
   }
 
@@ -208,6 +237,7 @@ class ConstrainedCertifier {
       const Costate<double>& costate = sweep.after_impact[k][i];
       sum += costate.position.dot(x.v[i]) + costate.velocity.dot(piece.acceleration[i]);
       if (costate.angle != 0) sum += costate.angle * x.spin[i];
+      if (!piece.turning.empty()) sum += costate.angular_velocity * piece.turning[i];
     }
     return sum;
   }
@@ -335,6 +365,7 @@ class ConstrainedCertifier {
     if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
     if (!objective.running.empty()) return with("running terms");
     if (!objective.via.empty()) return with("via terms");
+    if (scene_.num_turned() > 0) return with("torques");
     if (objective.duration) return with("a free duration");
     for (int k = 0; k < num_hits(); ++k) {
       if (IsAtEnd(k)) return with("an impact at the final time");
@@ -399,35 +430,7 @@ class ConstrainedCertifier {
   Restrictions restrictions_;
 };
 
-// The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
-double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
-  constexpr int kSamples = 4;  // of a piece
-  const Candidate c{pair.a, pair.b, pair.plane};
-  const double contact_distance = MakeImpactLaw(scene, c).contact_distance;
-  double least = std::numeric_limits<double>::infinity();
-  for (const Flight::Piece& piece : flight.pieces()) {
-    for (int i = 0; i <= kSamples; ++i) {
-      const double s = piece.duration * i / kSamples;
-      const auto at = [&](int body) -> Vec2d {
-        return piece.at_start.p[body] + s * (piece.at_start.v[body] + 0.5 * s * piece.acceleration[body]);
-      };
-      const double distance = pair.plane ? Separate<double>(at(pair.a), MakeHalfPlane(scene.planes[pair.b])).distance
-                                         : (at(pair.a) - at(pair.b)).norm();
-      least = std::min(least, distance / contact_distance - 1);
-    }
-  }
-  return least;
-}
-
 }  // namespace
-
-std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight) {
-  for (const NoContact& pair : scene.no_contact) {
-    if (LeastGap(scene, flight, pair) > kApart) continue;
-    return "a pair that must not touch holds the motion back; the conditions are those without";
-  }
-  return "";
-}
 
 Certificate ConstrainedConditions(const ControlledMotion& motion) { return ConstrainedCertifier(motion).Run(); }
 

@@ -1,4 +1,5 @@
-// The bounds on forces: of each component (Control::max), and of the length (Control::max_norm).
+// The bounds on forces: of each component (Control::max), and of the length (Control::max_norm); and on torques
+// (Control::max_torque).
 #pragma once
 
 #include <algorithm>
@@ -11,8 +12,6 @@
 #include "saltus/physics/scene.h"
 
 namespace saltus {
-
-inline bool HasBounds(const Control& control) { return !control.max.empty() || !control.max_norm.empty(); }
 
 // The force on pushed disc c within its bounds that is nearest to u.
 template <typename T>
@@ -36,15 +35,25 @@ Vec2<T> NearestWithinBounds(const Control& control, int c, const Vec2<T>& u) {
   return corner;
 }
 
-// All forces of a control (K x C x 2) at once.
-inline void MoveWithinBounds(const Control& bounds, std::span<double> control) {
-  if (!HasBounds(bounds)) return;
-  const size_t pushed = bounds.bodies.size();
-  for (size_t k = 0; k < control.size() / 2; ++k) {
-    const Vec2d u =
-        NearestWithinBounds<double>(bounds, static_cast<int>(k % pushed), {control[2 * k], control[2 * k + 1]});
-    control[2 * k] = u[0];
-    control[2 * k + 1] = u[1];
+// The largest |torque / radius| of turned disc t, N; infinity without a bound.
+inline double MostTurn(const Scene& scene, int t) {
+  if (scene.control.max_torque.empty()) return std::numeric_limits<double>::infinity();
+  return scene.control.max_torque[t] / scene.bodies[scene.control.turned[t]].radius;
+}
+
+// All intervals of a control at once.
+inline void MoveWithinBounds(const Scene& scene, std::span<double> control) {
+  if (!scene.control.IsBounded()) return;
+  for (size_t k = 0; k < control.size() / scene.control_width(); ++k) {
+    for (int c = 0; c < scene.num_controlled(); ++c) {
+      double* force = &control[scene.ForceIndex(k, c)];
+      const Vec2d u = NearestWithinBounds<double>(scene.control, c, {force[0], force[1]});
+      std::copy_n(u.data(), 2, force);
+    }
+    for (int t = 0; t < scene.num_turned(); ++t) {
+      double& turn = control[scene.TurnIndex(k, t)];
+      turn = std::clamp(turn, -MostTurn(scene, t), MostTurn(scene, t));
+    }
   }
 }
 

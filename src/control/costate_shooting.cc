@@ -94,7 +94,7 @@ std::string CostateShooting::WhyNot(const Scene& scene) {
     return "without a cost of effort the forces at their bounds switch, and do not follow from costates";
   }
   if (!scene.no_contact.empty()) return "pairs that must not touch hold a motion back by more than impacts";
-  const bool bounded = !scene.control.max.empty() || !scene.control.max_norm.empty();
+  const bool bounded = scene.control.IsBounded();
   for (const RunningTerm& term : scene.objective.running) {
     const auto& pushed = scene.control.bodies;
     if (bounded && std::find(pushed.begin(), pushed.end(), term.body) != pushed.end()) {
@@ -263,7 +263,7 @@ void CostateShooting::FlyAtBounds(int body, const T& length, Flying<T>* x, T* lo
 
 template <typename T>
 void CostateShooting::Fly(int body, const T& from, const T& length, Flying<T>* x, T* loss) const {
-  const bool bounded = !scene_.control.max.empty() || !scene_.control.max_norm.empty();
+  const bool bounded = scene_.control.IsBounded();
   if (bounded && place_[body] >= 0) {
     FlyAtBounds(body, length, x, loss);
     return;

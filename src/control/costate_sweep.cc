@@ -59,8 +59,10 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
         const Point x = After(whole, b, to - whole.start);
         part.at_start.p[b] = x.p;
         part.at_start.v[b] = x.v;
-        if (scene.Spins())
-          part.at_start.angle[b] = whole.at_start.angle[b] + (to - whole.start) * part.at_start.spin[b];
+        if (!scene.Spins()) continue;
+        const double s = to - whole.start, turning = whole.TurningOf(b);
+        part.at_start.angle[b] = whole.at_start.angle[b] + s * (whole.at_start.spin[b] + 0.5 * s * turning);
+        part.at_start.spin[b] = whole.at_start.spin[b] + s * turning;
       }
       part.start = to;
     };
@@ -82,16 +84,21 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
 
 double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
   const int next = std::min<int>(segment_after_[k], static_cast<int>(segments_.size()) - 1);
-  return jump.MultiplierAt(segments_[next].piece.acceleration, flight_.hits()[k].impact.speed, gain);
+  return jump.MultiplierAt(segments_[next].piece, flight_.hits()[k].impact.speed, gain);
 }
 
 double CostateSweep::Early(int k, const ImpactJump& jump, double gain) const {
   const int last = std::max(segment_after_[k] - 1, 0);
-  return jump.MultiplierAt(segments_[last].piece.acceleration, flight_.hits()[k].impact.speed, gain);
+  return jump.MultiplierAt(segments_[last].piece, flight_.hits()[k].impact.speed, gain);
 }
 
 void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms,
-                               std::vector<Costate<double>>* now, std::vector<Vec2d>* push) const {
+                               std::vector<Costate<double>>* now, std::vector<Vec2d>* push,
+                               std::vector<double>* turn) const {
+  for (int t = 0; t < scene_.num_turned(); ++t) {
+    const Costate<double>& costate = (*now)[scene_.control.turned[t]];
+    (*turn)[t] += length * (0.5 * length * costate.angle + costate.angular_velocity);
+  }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
     Costate<double>& costate = (*now)[i];
@@ -129,8 +136,9 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double
     const double push = end[i].velocity.dot(piece.acceleration[i]);
     at_end += kinetic + push;
     balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
-    if (end[i].angle == 0) continue;
-    const double turning = end[i].angle * piece.at_start.spin[i];
+    if (end[i].angle == 0 && piece.turning.empty()) continue;
+    const double rate = piece.TurningOf(i);
+    const double turning = end[i].angle * (piece.at_start.spin[i] + h * rate) + end[i].angular_velocity * rate;
     at_end += turning;
     balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push) + std::abs(turning));
   }
@@ -216,6 +224,7 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
   std::vector<Costate<double>> now = AtEnd(source);
   const int count = static_cast<int>(segments_.size());
   result.push.assign(count, std::vector<Vec2d>(scene_.num_controlled(), Vec2d(0, 0)));
+  result.turn.assign(count, std::vector<double>(scene_.num_turned(), 0.0));
   result.hamiltonian.resize(count);
   result.drift.resize(count);
   result.drift_moment.resize(count);
@@ -225,6 +234,12 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
     for (const Costate<double>& costate : now) {
       result.largest_position = std::max(result.largest_position, costate.position.norm());
       result.largest_velocity = std::max(result.largest_velocity, costate.velocity.norm());
+    }
+    for (const int body : scene_.control.turned) {  // as of the rim
+      const Costate<double>& costate = now[body];
+      const double radius = scene_.bodies[body].radius;
+      result.largest_position = std::max(result.largest_position, std::abs(costate.angle) / radius);
+      result.largest_velocity = std::max(result.largest_velocity, std::abs(costate.angular_velocity) / radius);
     }
   };
   const RunningTerms terms = source.objective ? RunningTerms(scene_.objective.running) : RunningTerms();
@@ -256,7 +271,7 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
     result.drift[i - 1] = balance.drift;
     result.drift_moment[i - 1] = balance.drift_moment;
     result.largest_hamiltonian = std::max(result.largest_hamiltonian, balance.largest);
-    CrossFlight(piece, piece.duration, terms, &now, &result.push[i - 1]);
+    CrossFlight(piece, piece.duration, terms, &now, &result.push[i - 1], &result.turn[i - 1]);
   }
   note();
   result.start = std::move(now);
@@ -288,6 +303,7 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
   const int width = scene_.num_controlled();
   Derivatives result;
   std::vector<Vec2d> push(width);
+  std::vector<double> turn(scene_.num_turned());
   const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return Late(k, jump, gain); };
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   while (hit >= 0 && segment_after_[hit] > segment) --hit;
@@ -298,7 +314,12 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
     const Balance balance = BalanceOf(piece, length, here, now);
     result.by_duration += balance.hamiltonian + piece.start * balance.drift + balance.drift_moment;
     std::fill(push.begin(), push.end(), Vec2d(0, 0));
-    CrossFlight(piece, length, here, &now, &push);
+    std::fill(turn.begin(), turn.end(), 0.0);
+    CrossFlight(piece, length, here, &now, &push, &turn);
+    for (int t = 0; t < scene_.num_turned(); ++t) {
+      const Body& body = scene_.bodies[scene_.control.turned[t]];
+      gradient[scene_.TurnIndex(piece.interval, t)] += body.radius / body.MomentOfInertia() * turn[t];
+    }
     for (int c = 0; c < width; ++c) {
       const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
       double* g = gradient.data() + scene_.ForceIndex(piece.interval, c);

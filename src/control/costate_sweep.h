@@ -57,6 +57,8 @@ class CostateSweep {
   struct Result {
     std::vector<Costate<double>> start;    // of each disc, at time 0
     std::vector<std::vector<Vec2d>> push;  // of each segment and pushed disc: the integral of lambda_v
+    std::vector<std::vector<double>>
+        turn;  // of each segment and turned disc: that of the costate of its angular velocity
     // Of each segment: the integral of the Hamiltonian, without the effort, and those of its partial derivative by time
     // and of that times the time since the segment began.
     std::vector<double> hamiltonian, drift, drift_moment;
@@ -72,7 +74,7 @@ class CostateSweep {
     double by_duration = 0;              // if all control intervals scale with the final time
   };
   // Those of scale * q_axis(t) of a disc, t being `offset` after the start of a segment and scaling too. Impact times
-  // follow the motion, late. Adds those by the forces to `gradient` (K x C x 2).
+  // follow the motion, late. Adds those by the control to `gradient`, of its shape.
   Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
                       std::span<double> gradient) const;
   // Those of `scale` times the integral of a running term over segments first..end-1.
@@ -86,9 +88,9 @@ class CostateSweep {
   };
 
   // All costates from `length` after the start of a segment back to that; `push`, of pushed discs, gains the integral
-  // of lambda_v.
+  // of lambda_v, and `turn`, of turned discs, that of the costate of their angular velocity.
   void CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms, std::vector<Costate<double>>* now,
-                   std::vector<Vec2d>* push) const;
+                   std::vector<Vec2d>* push, std::vector<double>* turn) const;
   Balance BalanceOf(const Flight::Piece& piece, double length, RunningTerms terms,
                     const std::vector<Costate<double>>& end) const;
   double CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,

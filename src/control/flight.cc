@@ -16,6 +16,10 @@ DiscStates After(const Flight::Piece& piece, double s) {
     x.v[i] += s * piece.acceleration[i];
   }
   for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
+  for (size_t i = 0; i < piece.turning.size(); ++i) {
+    x.angle[i] += 0.5 * s * s * piece.turning[i];
+    x.spin[i] += s * piece.turning[i];
+  }
   return x;
 }
 
@@ -27,6 +31,16 @@ std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
     acceleration[body] += Vec2d(forces[2 * c], forces[2 * c + 1]) / scene.bodies[body].mass;
   }
   return acceleration;
+}
+
+// Under the rows of a control.
+std::vector<double> Turnings(const Scene& scene, const double* row) {
+  std::vector<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    turning[scene.control.turned[t]] = row[scene.TurnIndex(0, t)] * body.radius / body.MomentOfInertia();
+  }
+  return turning;
 }
 
 Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
@@ -55,10 +69,11 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   size_t next = 0;
   for (size_t k = 0; k < durations.size(); ++k) {
     const std::vector<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
+    const std::vector<double> turning = Turnings(scene, control.data() + k * width);
     const double h = durations[k], margin = kNodeMargin * h;
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
-      const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration};
+      const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration, turning};
       x = After(piece, to - now);
       if (to - now > margin) pieces_.push_back(piece);
       now = to;

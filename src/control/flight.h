@@ -1,5 +1,5 @@
-// The exact motion of all discs under a piecewise constant control, as pieces of constant acceleration (and angular
-// velocity) and the impacts between them: what an exact re-simulation has found, written out for those who need it
+// The exact motion of all discs under a piecewise constant control, as pieces of constant accelerations (angular ones
+// too) and the impacts between them: what an exact re-simulation has found, written out for those who need it
 // between grid nodes.
 #pragma once
 
@@ -32,7 +32,10 @@ class Flight {
     int interval = 0;
     double start = 0, duration = 0;  // s
     DiscStates at_start;
-    std::vector<Vec2d> acceleration;  // m/s^2, of every disc, gravity included
+    std::vector<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
+    std::vector<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
+
+    double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
   };
   struct Hit {
     double time = 0;

@@ -278,7 +278,7 @@ class Certifier {
   double UnpushedMultiplier(int k, const ImpactJump& jump) {
     const Flight::Hit& hit = flight_.hits()[k];
     if (hit.on_node) return (next_hamiltonian_ - PhaseHamiltonian(k)) / hit.impact.speed;
-    return jump.MultiplierAt(flight_.pieces()[hit.next_piece].acceleration, hit.impact.speed);
+    return jump.MultiplierAt(flight_.pieces()[hit.next_piece], hit.impact.speed);
   }
 
   std::optional<double> Theta(int k, const ImpactJump& jump, double multiplier) const {
@@ -293,8 +293,8 @@ class Certifier {
     const Flight::Hit& hit = flight_.hits()[k];
     const int next = std::min<int>(hit.next_piece, static_cast<int>(flight_.pieces().size()) - 1);
     const int last = std::max(hit.next_piece - 1, 0);
-    return {jump.MultiplierAt(flight_.pieces()[last].acceleration, hit.impact.speed),
-            jump.MultiplierAt(flight_.pieces()[next].acceleration, hit.impact.speed)};
+    return {jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
+            jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed)};
   }
 
   void GridGradients(Certificate* result) const {

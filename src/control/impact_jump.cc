@@ -4,14 +4,17 @@
 
 namespace saltus {
 
-double ImpactJump::MultiplierAt(const std::vector<Vec2d>& acceleration, double speed, double gain) const {
+double ImpactJump::MultiplierAt(const Flight::Piece& piece, double speed, double gain) const {
   double power = gain;
   for (int side = 0; side < 2; ++side) {
     if (body[side] < 0) continue;
-    const Vec2d& a = acceleration[body[side]];
+    const Vec2d& a = piece.acceleration[body[side]];
     power += after[side].position.dot(velocity_after[side]) + after[side].velocity.dot(a) -
              before[side].position.dot(velocity_before[side]) - before[side].velocity.dot(a);
     if (spin_gain[side] != 0) power += after[side].angle * spin_gain[side];
+    if (!piece.turning.empty()) {
+      power += (after[side].angular_velocity - before[side].angular_velocity) * piece.turning[body[side]];
+    }
   }
   return power / speed;
 }

@@ -27,9 +27,9 @@ struct ImpactJump {
   std::array<Vec2d, 2> velocity_before, velocity_after;
   std::array<double, 2> spin_gain = {0, 0};  // rad/s
 
-  // The multiplier that keeps the Hamiltonian if accelerations are the same before and after, and what the motion
-  // costs on its way is `gain` more after the impact.
-  double MultiplierAt(const std::vector<Vec2d>& acceleration, double speed, double gain = 0) const;
+  // The multiplier that keeps the Hamiltonian if accelerations are the same before and after, those of `piece`, and
+  // what the motion costs on its way is `gain` more after the impact.
+  double MultiplierAt(const Flight::Piece& piece, double speed, double gain = 0) const;
 };
 
 // The derivatives of the soft terminal terms by the state of a disc that is not fixed.

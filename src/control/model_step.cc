@@ -1,5 +1,6 @@
 #include "model_step.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -66,6 +67,46 @@ bool ModelStep::Evaluate(double const* const* parameters, double* rows, double**
   fill(times + 2, [&](const auto& set) {
     for (int r = 0; r < 4; ++r) set(r, r, 1);
   });
+  return true;
+}
+
+ModelTurn::ModelTurn(const Simulator& simulator, StepOfPhase step, const ModelStep::Push& push)
+    : simulator_(simulator), step_(step), push_(push) {
+  *mutable_parameter_block_sizes() = {2, 1, 1, 1, 2};
+  set_num_residuals(TurnedStep::kRows);
+}
+
+bool ModelTurn::Evaluate(double const* const* parameters, double* rows, double** jacobians) const {
+  const double *x = parameters[0], turn = parameters[1][0], *next = parameters[4];
+  const double h = step_.Length(parameters[2], parameters[3]);
+  const std::optional<FlightOver> over = simulator_.FreeFlightOver(h);
+  if (!over) return false;
+  const auto fly = [&](const StepLinearization::FreeFlight& by, double* to) {
+    const double a = push_.inverse_mass * turn;
+    to[0] = by.pp * x[0] + by.pv * x[1] + by.pa * a;
+    to[1] = by.vp * x[0] + by.vv * x[1] + by.va * a;
+  };
+  fly(over->turn, rows);
+  for (int r = 0; r < 2; ++r) rows[r] = next[r] - rows[r];
+  const bool grows = h > push_.least;
+  const double scale = std::sqrt(push_.effort * std::max(h, push_.least));
+  rows[2] = scale * turn;
+  if (!std::all_of(rows, rows + 3, [](double row) { return std::isfinite(row); })) return false;
+  if (jacobians == nullptr) return true;
+  using Rows = Eigen::Matrix<double, TurnedStep::kRows, Eigen::Dynamic, Eigen::RowMajor>;
+  const auto put = [&](int block, const auto& jacobian) {
+    if (jacobians[block] != nullptr) Eigen::Map<Rows>(jacobians[block], 3, jacobian.cols()) = jacobian;
+  };
+  const StepLinearization::FreeFlight& by = over->turn;
+  put(0, Eigen::Matrix<double, 3, 2>{{-by.pp, -by.pv}, {-by.vp, -by.vv}, {0, 0}});
+  put(1, Eigen::Vector3d(-by.pa * push_.inverse_mass, -by.va * push_.inverse_mass, scale));
+  double by_length[2];
+  fly(over->turn_by_time, by_length);
+  const double cost = grows ? 0.5 * rows[2] / h : 0;
+  const Eigen::Vector3d by_end = Eigen::Vector3d(-by_length[0], -by_length[1], cost) / step_.count;
+  put(2, Eigen::Vector3d(-by_end));
+  put(3, by_end);
+  put(4, Eigen::Matrix<double, 3, 2>{{1, 0}, {0, 1}, {0, 0}});
   return true;
 }
 

@@ -37,4 +37,19 @@ class ModelStep final : public ceres::CostFunction {
   std::optional<Push> push_;
 };
 
+// The same of a disc that is turned, as TurnedStep. Blocks: rotation, torque / radius, begin, end, next rotation. Rows:
+// 2 equalities and a cost.
+class ModelTurn final : public ceres::CostFunction {
+ public:
+  // `simulator` must outlive this object.
+  ModelTurn(const Simulator& simulator, StepOfPhase step, const ModelStep::Push& push);
+
+  bool Evaluate(double const* const* parameters, double* rows, double** jacobians) const override;
+
+ private:
+  const Simulator& simulator_;
+  StepOfPhase step_;
+  ModelStep::Push push_;  // with r^2 / I
+};
+
 }  // namespace saltus

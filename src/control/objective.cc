@@ -29,7 +29,7 @@ std::string BeyondTerminalCost(const Scene& scene) {
   if (!objective.via.empty()) return "via terms";
   if (objective.duration) return "a free duration";
   if (objective.HasConstraints()) return "hard terms";
-  if (!scene.control.max.empty() || !scene.control.max_norm.empty()) return "bounds on the control";
+  if (scene.control.IsBounded()) return "bounds on the control";
   if (!scene.no_contact.empty()) return "pairs that must not touch";
   return "";
 }

@@ -93,6 +93,26 @@ struct Turning {
   }
 };
 
+// A step of a disc that is turned, as PushedStep: [r angle, r w] is to torque / radius as a position and a velocity
+// are to a force, with r^2 / I in place of 1/m. Blocks: rotation, torque / radius, begin, end, next rotation. Rows: 2
+// equalities, and the cost sqrt(effort h) torque / radius.
+struct TurnedStep {
+  StepOfPhase step;
+  double inverse_mass, effort;  // r^2 / I
+  double least;                 // s, as of PushedStep
+
+  static constexpr int kEqualities = 2, kRows = 3;
+  template <typename T>
+  bool operator()(const T* x, const T* turn, const T* begin, const T* end, const T* next, T* rows) const {
+    using std::sqrt;
+    const T h = step.Length(begin, end), a = inverse_mass * turn[0];
+    rows[0] = next[0] - (x[0] + h * (x[1] + 0.5 * h * a));
+    rows[1] = next[1] - (x[1] + h * a);
+    rows[2] = std::sqrt(effort) * (Value(h) > least ? T(sqrt(h)) : T(std::sqrt(least))) * turn[0];
+    return true;
+  }
+};
+
 // scale (q - target) with q an angle or an angular velocity. Block: rotation. Row: 1, a cost or an equality.
 struct RotationTarget {
   TerminalTerm::Quantity quantity;
@@ -237,6 +257,18 @@ struct NormBound {
   template <typename T>
   bool operator()(const T* force, T* rows) const {
     rows[0] = 0.5 * ((force[0] * force[0] + force[1] * force[1]) / (most * most) - 1.0);
+    return true;
+  }
+};
+
+// |torque / radius| <= most, in parts of the bound. Block: torque / radius. Rows: 2 inequalities.
+struct TurnBound {
+  double most;
+  static constexpr int kRows = 2;
+  template <typename T>
+  bool operator()(const T* turn, T* rows) const {
+    rows[0] = turn[0] / most - 1.0;
+    rows[1] = -turn[0] / most - 1.0;
     return true;
   }
 };

@@ -9,10 +9,13 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-// Columns of `b` that belong to controlled discs.
-Eigen::MatrixXd ControlColumns(const Eigen::MatrixXd& b, const std::vector<int>& controlled) {
-  Eigen::MatrixXd columns(b.rows(), 2 * controlled.size());
-  for (size_t c = 0; c < controlled.size(); ++c) columns.middleCols<2>(2 * c) = b.middleCols<2>(2 * controlled[c]);
+// Columns of `b` that belong to the control.
+RowMajor ControlColumns(const Simulator& simulator, const RowMajor& b) {
+  const auto size = static_cast<size_t>(b.cols()), width = static_cast<size_t>(simulator.control_width());
+  RowMajor columns(b.rows(), width);
+  for (Eigen::Index row = 0; row < b.rows(); ++row) {
+    simulator.SelectControl({b.row(row).data(), size}, {columns.row(row).data(), width});
+  }
   return columns;
 }
 
@@ -32,7 +35,7 @@ bool StepCost::Evaluate(double const* const* parameters, double* residuals, doub
   const int size = simulator_->state_size();
   const bool controlled = simulator_->num_controlled() > 0;
   const std::span<const double> x(parameters[0], size);
-  std::vector<double> force(2 * simulator_->num_bodies());
+  std::vector<double> force(simulator_->force_size());
   if (controlled) {
     simulator_->ExpandForce({parameters[1], static_cast<size_t>(simulator_->control_width())}, 0, force);
   }
@@ -52,7 +55,7 @@ bool StepCost::Evaluate(double const* const* parameters, double* residuals, doub
     if (jacobians[block] != nullptr) Eigen::Map<RowMajor>(jacobians[block], size, jacobian.cols()) = jacobian;
   };
   write(0, -a);
-  if (controlled) write(1, -ControlColumns(b, simulator_->scene().control.bodies));
+  if (controlled) write(1, -ControlColumns(*simulator_, b));
   write(controlled ? 2 : 1, Eigen::MatrixXd::Identity(size, size));
   return true;
 }

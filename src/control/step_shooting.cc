@@ -77,7 +77,7 @@ std::vector<double> LargestDefects(const Simulator& simulator, std::span<const d
                                    std::span<const double> control) {
   const size_t size = simulator.state_size();
   CHECK_EQ(states.size(), (simulator.num_steps() + 1) * size);
-  std::vector<double> force(2 * simulator.num_bodies()), next(size), largest(simulator.num_steps());
+  std::vector<double> force(simulator.force_size()), next(size), largest(simulator.num_steps());
   for (int k = 0; k < simulator.num_steps(); ++k) {
     simulator.ExpandForce(control, k, force);
     simulator.Step(states.subspan(k * size, size), force, next);

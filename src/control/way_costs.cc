@@ -76,6 +76,10 @@ class ExactWayCosts final : public WayCosts {
         double* g = &control[scene_.ForceIndex(piece.interval, c)];
         for (int d = 0; d < 2; ++d) g[d] += inverse_mass * found.push[i][c][d];
       }
+      for (int t = 0; t < scene_.num_turned() && !control.empty(); ++t) {
+        const Body& body = scene_.bodies[scene_.control.turned[t]];
+        control[scene_.TurnIndex(piece.interval, t)] += body.radius / body.MomentOfInertia() * found.turn[i][t];
+      }
     }
     Put(found.start, initial);
     if (duration != nullptr) *duration = by_scale / scene_.duration;
@@ -322,7 +326,7 @@ class SteppedWayCosts final : public WayCosts {
 
   std::vector<StepLinearization> Linearized() const {
     std::vector<StepLinearization> steps(num_steps_);
-    std::vector<double> force(2 * scene_.bodies.size());
+    std::vector<double> force(simulator_->force_size());
     for (int k = 0; k < num_steps_; ++k) {
       simulator_->ExpandForce(control_, k, force);
       simulator_->Linearize(StateAt(k), force, /*with_parameters=*/false, &steps[k]);
@@ -334,14 +338,13 @@ class SteppedWayCosts final : public WayCosts {
   void PullBack(const std::vector<StepLinearization>& steps, const std::vector<double>& cotangents, int last,
                 std::span<double> control, std::span<double> initial) const {
     const size_t size = simulator_->state_size();
-    const int pushed = scene_.num_controlled();
     std::vector<double> lambda(cotangents.begin() + last * size, cotangents.begin() + (last + 1) * size);
-    std::vector<double> before(size), force(2 * scene_.bodies.size());
+    std::vector<double> before(size), force(simulator_->force_size());
     std::fill(control.begin(), control.end(), 0.0);
     for (int k = last; k-- > 0;) {
       steps[k].ApplyTranspose(lambda, before, force);
-      for (int c = 0; c < pushed && !control.empty(); ++c) {
-        std::copy_n(&force[2 * scene_.control.bodies[c]], 2, &control[scene_.ForceIndex(k, c)]);
+      if (!control.empty()) {
+        simulator_->SelectControl(force, control.subspan(scene_.ForceIndex(k, 0), scene_.control_width()));
       }
       for (size_t i = 0; i < size; ++i) lambda[i] = before[i] + cotangents[k * size + i];
     }

@@ -73,6 +73,9 @@ class ConvertedSimulator final : public Simulator {
     for (double& inverse_mass : linearization->inverse_mass) inverse_mass *= to_inner_.mass;
     for (StepLinearization::Island& island : linearization->islands) ConvertIsland(&island);
     for (Eigen::MatrixXd& turn : linearization->rotation) ConvertTurn(&turn);
+    for (Eigen::Vector2d& by_force : linearization->turning) {
+      for (int row = 0; row < 2; ++row) by_force[row] *= FactorOf(to_outer_, 4 + row, body_size()) * to_inner_.force;
+    }
   }
 
   std::optional<FlightOver> FreeFlightOver(double h) const override {
@@ -82,6 +85,10 @@ class ConvertedSimulator final : public Simulator {
     ConvertFlight(&over->by_time);
     StepLinearization::FreeFlight& by = over->by_time;
     for (double* entry : {&by.pp, &by.pv, &by.pa, &by.vp, &by.vv, &by.va}) *entry *= to_inner_.time;
+    ConvertTurning(&over->turn);
+    ConvertTurning(&over->turn_by_time);
+    StepLinearization::FreeFlight& turn = over->turn_by_time;
+    for (double* entry : {&turn.pp, &turn.pv, &turn.pa, &turn.vp, &turn.vv, &turn.va}) *entry *= to_inner_.time;
     return over;
   }
 
@@ -105,6 +112,14 @@ class ConvertedSimulator final : public Simulator {
     flight->pa *= to_inner_.acceleration * to_outer_.length;
     flight->vp *= to_inner_.length * to_outer_.speed;
     flight->va *= to_inner_.acceleration * to_outer_.speed;
+  }
+
+  // Of angle, angular velocity and angular acceleration.
+  void ConvertTurning(StepLinearization::FreeFlight* turn) const {
+    turn->pv *= to_inner_.rate;
+    turn->pa *= to_inner_.rate * to_inner_.rate;
+    turn->vp *= to_outer_.rate;
+    turn->va *= to_inner_.rate;
   }
 
   // States with so many numbers for a disc; `out` may be `in`.

@@ -12,7 +12,7 @@ void CheckSizes(const StepLinearization& linearization, std::size_t x, std::size
   const std::size_t num_bodies = linearization.inverse_mass.size();
   CHECK_EQ(x, num_bodies * linearization.body_size);
   CHECK_EQ(next, num_bodies * linearization.body_size);
-  CHECK_EQ(force, 2 * num_bodies);
+  CHECK_EQ(force, linearization.force_size());
 }
 
 }  // namespace
@@ -31,14 +31,17 @@ void StepLinearization::Apply(std::span<const double> x, std::span<const double>
     }
     if (rotation_size == 0) continue;
     const Eigen::Map<const Eigen::VectorXd> from(&x[i * body_size + 4], rotation_size);
-    Eigen::Map<Eigen::VectorXd>(&next[i * body_size + 4], rotation_size) = rotation[f] * from;
+    Eigen::Map<Eigen::VectorXd> to(&next[i * body_size + 4], rotation_size);
+    to = rotation[f] * from;
+    if (turns) to += force[2 * inverse_mass.size() + i] * turning[f];
   }
   for (const Island& island : islands) {
     const int n = static_cast<int>(island.bodies.size());
-    Eigen::VectorXd from(n * body_size), push(2 * n);
+    Eigen::VectorXd from(n * body_size), push((turns ? 3 : 2) * n);
     for (int i = 0; i < n; ++i) {
       std::copy_n(&x[island.bodies[i] * body_size], body_size, from.data() + i * body_size);
       std::copy_n(&force[2 * island.bodies[i]], 2, push.data() + 2 * i);
+      if (turns) push[2 * n + i] = force[2 * inverse_mass.size() + island.bodies[i]];
     }
     const Eigen::VectorXd to = island.A * from + island.B * push;
     for (int i = 0; i < n; ++i) {
@@ -63,6 +66,7 @@ void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<d
     if (rotation_size == 0) continue;
     const Eigen::Map<const Eigen::VectorXd> from(&next[i * body_size + 4], rotation_size);
     Eigen::Map<Eigen::VectorXd>(&x[i * body_size + 4], rotation_size) = rotation[f].transpose() * from;
+    if (turns) force[2 * inverse_mass.size() + i] = turning[f].dot(from);
   }
   for (const Island& island : islands) {
     const int n = static_cast<int>(island.bodies.size());
@@ -75,6 +79,7 @@ void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<d
     for (int i = 0; i < n; ++i) {
       std::copy_n(to.data() + i * body_size, body_size, &x[island.bodies[i] * body_size]);
       std::copy_n(push.data() + 2 * i, 2, &force[2 * island.bodies[i]]);
+      if (turns) force[2 * inverse_mass.size() + island.bodies[i]] = push[2 * n + i];
     }
   }
 }
@@ -83,13 +88,13 @@ void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
   const int num_bodies = static_cast<int>(inverse_mass.size());
   const int size = num_bodies * body_size;
   A->resize(size, size);
-  B->resize(size, 2 * num_bodies);
-  Eigen::VectorXd next = Eigen::VectorXd::Zero(size), x(size), force(2 * num_bodies);
+  const auto forces = static_cast<Eigen::Index>(force_size());
+  B->resize(size, forces);
+  Eigen::VectorXd next = Eigen::VectorXd::Zero(size), x(size), force(forces);
   for (int row = 0; row < size; ++row) {
     next[row] = 1;
-    ApplyTranspose({next.data(), static_cast<size_t>(size)},
-                   {x.data(), static_cast<size_t>(size)},
-                   {force.data(), static_cast<size_t>(2 * num_bodies)});
+    ApplyTranspose(
+        {next.data(), static_cast<size_t>(size)}, {x.data(), static_cast<size_t>(size)}, {force.data(), force_size()});
     A->row(row) = x;
     B->row(row) = force;
     next[row] = 0;
@@ -129,13 +134,22 @@ void Simulator::ExpandForce(std::span<const double> control, int k, std::span<do
   CHECK(k >= 0 && k < num_steps_) << "found step " << k << ", expected 0 to " << num_steps_ - 1;
   // A control of fewer steps will do, as of one step in a cost.
   CHECK_GE(control.size(), (k + std::size_t{1}) * control_width());
-  CHECK_EQ(static_cast<int>(force.size()), 2 * num_bodies());
+  CHECK_EQ(static_cast<int>(force.size()), force_size());
   std::fill(force.begin(), force.end(), 0.0);
   const double* u = control.data() + scene_.ForceIndex(k, 0);
   for (int body : scene_.control.bodies) {
     force[2 * body] = *u++;
     force[2 * body + 1] = *u++;
   }
+  for (int body : scene_.control.turned) force[2 * num_bodies() + body] = *u++;
+}
+
+void Simulator::SelectControl(std::span<const double> force, std::span<double> row) const {
+  CHECK_EQ(static_cast<int>(force.size()), force_size());
+  CHECK_EQ(static_cast<int>(row.size()), control_width());
+  double* u = row.data();
+  for (int body : scene_.control.bodies) u = std::copy_n(&force[2 * body], 2, u);
+  for (int body : scene_.control.turned) *u++ = force[2 * num_bodies() + body];
 }
 
 int InitialSize(const Scene& scene) { return (scene.Spins() ? 4 + kSpin : 4) * scene.num_bodies(); }
@@ -176,6 +190,9 @@ std::vector<double> InitialControl(const Scene& scene, int num_steps) {
   control.reserve(static_cast<size_t>(num_steps) * scene.control_width());
   for (int k = 0; k < num_steps; ++k) {
     for (const Vec2d& force : scene.control.initial) control.insert(control.end(), {force[0], force[1]});
+    for (int t = 0; t < scene.num_turned(); ++t) {
+      control.push_back(scene.control.initial_torque[t] / scene.bodies[scene.control.turned[t]].radius);
+    }
   }
   return control;
 }

@@ -183,15 +183,30 @@ std::vector<double> SceneReader::ReadBounds(const Value& value, size_t count) {
 }
 
 Control SceneReader::ReadControl(const Value& value) {
-  const Fields fields = ReadFields(value, {"bodies", "initial", "max", "max_norm"});
+  const Fields fields = ReadFields(value, {"bodies", "torque", "initial", "max", "max_norm", "max_torque"});
   Control control;
   control.bodies = ReadBodyNames(fields.Require("bodies", "a list of names of bodies"));
+  if (const Value* torque = fields.Find("torque")) control.turned = ReadBodyNames(*torque);
+  control.initial_torque.assign(control.turned.size(), 0.0);
   const Value& initial = fields.Require("initial", "a list with one force [x, y] per controlled body, in N");
   for (const Value& force : ReadList(initial, "a list with one force [x, y] per controlled body")) {
-    control.initial.push_back(ReadVector(force));
+    const auto begin = control.turned.begin(), end = control.turned.end();
+    const auto turned = control.initial.size() < control.bodies.size()
+                            ? std::find(begin, end, control.bodies[control.initial.size()])
+                            : end;
+    if (turned == end) {
+      control.initial.push_back(ReadVector(force));
+      continue;
+    }
+    constexpr char kExpected[] = "[x, y, torque], in N and N m, as the body is turned too";
+    const std::vector<Value> entries = ReadList(force, kExpected);
+    if (entries.size() != 3) FailExpected(force, kExpected);
+    control.initial.emplace_back(ReadNumber(entries[0]), ReadNumber(entries[1]));
+    control.initial_torque[turned - begin] = ReadNumber(entries[2]);
   }
   if (const Value* max = fields.Find("max")) control.max = ReadBounds(*max, control.bodies.size());
   if (const Value* norm = fields.Find("max_norm")) control.max_norm = ReadBounds(*norm, control.bodies.size());
+  if (const Value* max = fields.Find("max_torque")) control.max_torque = ReadBounds(*max, control.turned.size());
   return control;
 }
 

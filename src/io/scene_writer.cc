@@ -140,11 +140,23 @@ void WriteBounds(YAML::Emitter* out, const char* key, const std::vector<double>&
 void WriteControl(YAML::Emitter* out, const Scene& scene) {
   *out << YAML::Key << "control" << YAML::Value << YAML::BeginMap;
   WriteNames(out, "bodies", scene, scene.control.bodies);
+  if (scene.num_turned() > 0) WriteNames(out, "torque", scene, scene.control.turned);
   *out << YAML::Key << "initial" << YAML::Value << YAML::Flow << YAML::BeginSeq;
-  for (const Vec2d& force : scene.control.initial) *out << force;
+  for (std::size_t c = 0; c < scene.control.initial.size(); ++c) {
+    const Vec2d& force = scene.control.initial[c];
+    const std::vector<int>& turned = scene.control.turned;
+    const auto at = std::find(turned.begin(), turned.end(), scene.control.bodies[c]);
+    if (at == turned.end()) {
+      *out << force;
+      continue;
+    }
+    *out << YAML::Flow << YAML::BeginSeq << ToText(force[0]) << ToText(force[1])
+         << ToText(scene.control.initial_torque[at - turned.begin()]) << YAML::EndSeq;
+  }
   *out << YAML::EndSeq;
   WriteBounds(out, "max", scene.control.max);
   WriteBounds(out, "max_norm", scene.control.max_norm);
+  WriteBounds(out, "max_torque", scene.control.max_torque);
   *out << YAML::EndMap;
 }
 

@@ -266,19 +266,43 @@ class Rules {
              std::to_string(control.bodies.size()) + " controlled bodies";
     });
     for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
-    Bounds("control.max", control.max);
-    Bounds("control.max_norm", control.max_norm);
+    Bounds("control.max", control.max, control.bodies, " controlled bodies");
+    Bounds("control.max_norm", control.max_norm, control.bodies, " controlled bodies");
+    CheckTurned();
     if (!all_) return;
     Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
            {"optimize"},
            "found control, expected velocity, position or none: no body is controlled");
   }
 
-  // Of the forces on the controlled bodies.
-  void Bounds(const char* key, const std::vector<double>& bounds) {
-    Expect(bounds.empty() || bounds.size() == scene_.control.bodies.size(), {key}, [&] {
+  void CheckTurned() {
+    const Control& control = scene_.control;
+    Movable("control.torque", control.turned);
+    for (std::size_t i = 0; i < control.turned.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[control.turned[i]];
+      const auto& bodies = control.bodies;
+      Expect(std::find(bodies.begin(), bodies.end(), control.turned[i]) != bodies.end(), At("control.torque", i), [&] {
+        return "found " + body.name + ", expected one of control.bodies";
+      });
+      Expect(body.Spins(), At("control.torque", i), [&] {
+        return "found " + body.name + ", which has no inertia; expected a body that spins";
+      });
+    }
+    Expect(control.initial_torque.size() == control.turned.size(), {"control.initial"}, [&] {
+      return "found " + std::to_string(control.initial_torque.size()) + " torques, expected one for each of the " +
+             std::to_string(control.turned.size()) + " bodies in control.torque";
+    });
+    for (std::size_t i = 0; i < control.initial_torque.size(); ++i) {
+      Number(At("control.initial", i), control.initial_torque[i], kAny);
+    }
+    Bounds("control.max_torque", control.max_torque, control.turned, " bodies in control.torque");
+  }
+
+  // One for each of these bodies, or none.
+  void Bounds(const char* key, const std::vector<double>& bounds, const std::vector<int>& bodies, const char* which) {
+    Expect(bounds.empty() || bounds.size() == bodies.size(), {key}, [&] {
       return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
-             std::to_string(scene_.control.bodies.size()) + " controlled bodies";
+             std::to_string(bodies.size()) + which;
     });
     for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], kPositive);
   }
@@ -406,33 +430,6 @@ class Rules {
 };
 
 }  // namespace
-
-bool Objective::HasConstraints() const {
-  const auto hard = [](const auto& term) { return term.hard; };
-  return std::any_of(terminal.begin(), terminal.end(), hard) || std::any_of(via.begin(), via.end(), hard);
-}
-
-bool Objective::IsSumOfSquares() const {
-  return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
-}
-
-bool Scene::Spins() const {
-  return std::any_of(bodies.begin(), bodies.end(), [](const Body& body) { return body.Spins(); });
-}
-
-const char* OptimizeToString(Optimize optimize) {
-  switch (optimize) {
-    case Optimize::kControl:
-      return "control";
-    case Optimize::kVelocity:
-      return "velocity";
-    case Optimize::kPosition:
-      return "position";
-    case Optimize::kNone:
-      return "none";
-  }
-  LOG(FATAL) << "not an Optimize: " << static_cast<int>(optimize);
-}
 
 std::optional<SceneError> Validate(const Scene& scene) { return Rules(scene, /*structure_only=*/false).Check(); }
 

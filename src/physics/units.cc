@@ -101,6 +101,11 @@ double SpeedOf(const Scene& scene, double length) {
     const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
     acceleration = std::max(acceleration, gravity + push);
   }
+  for (int t = 0; t < scene.num_turned(); ++t) {  // of the rim
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    const double push = std::abs(scene.control.initial_torque[t]) * body.radius / body.MomentOfInertia();
+    acceleration = std::max(acceleration, gravity + push);
+  }
   for (const TerminalTerm& term : scene.objective.terminal) {
     const bool velocity = term.quantity == TerminalTerm::Quantity::kVelocity && !term.component;
     if (velocity) square = std::max(square, term.target.squaredNorm());
@@ -254,6 +259,8 @@ Scene InUnits(const Scene& scene, const Units& units) {
   for (Vec2d& force : out.control.initial) force *= by.force;
   out.control.max = Multiplied(std::move(out.control.max), by.force);
   out.control.max_norm = Multiplied(std::move(out.control.max_norm), by.force);
+  out.control.initial_torque = Multiplied(std::move(out.control.initial_torque), by.force * by.length);
+  out.control.max_torque = Multiplied(std::move(out.control.max_torque), by.force * by.length);
   using Quantity = TerminalTerm::Quantity;
   const auto size_of = [&](const auto& term) {
     switch (term.quantity) {

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <span>
 
 #include "ceres_common.h"
@@ -151,15 +152,23 @@ const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* 
   return terminal;
 }
 
-// Bounds on each component of each force; z starts within them.
+// The largest magnitude of an entry of the rows of a control; infinity without a bound.
+double LargestComponent(const Scene& scene, int entry) {
+  const int turn = entry - 2 * scene.num_controlled();
+  if (turn >= 0) return MostTurn(scene, turn);
+  return scene.control.max.empty() ? std::numeric_limits<double>::infinity() : scene.control.max[entry / 2];
+}
+
+// Bounds on each component of each force, and on torques; z starts within them.
 void SetBounds(const SingleShooting& shooting, std::vector<double>* z, ceres::Problem* problem) {
   const Scene& scene = shooting.scene();
-  if (scene.optimize != Optimize::kControl || scene.control.max.empty()) return;
+  if (scene.optimize != Optimize::kControl || !scene.control.IsBounded()) return;
   size_t at = 0;
   for (int size : BlockSizes(shooting)) {
     double* block = z->data() + at;
     for (int i = 0; i < size && at + i < z->size() - shooting.has_duration(); ++i) {
-      const double most = scene.control.max[(at + i) / 2 % scene.num_controlled()];
+      const double most = LargestComponent(scene, static_cast<int>((at + i) % scene.control_width()));
+      if (std::isinf(most)) continue;
       problem->SetParameterLowerBound(block, i, -most);
       problem->SetParameterUpperBound(block, i, most);
     }
@@ -195,7 +204,7 @@ SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& opt
   std::vector<double> z = run.initial_guess();
   if (run.shooting().scene().optimize == Optimize::kControl) {
     const size_t forces = z.size() - run.shooting().has_duration();
-    MoveWithinBounds(run.shooting().scene().control, std::span(z).first(forces));
+    MoveWithinBounds(run.shooting().scene(), std::span(z).first(forces));
   }
   double guess_loss = 0;
   if (!run.shooting().Evaluate(z, &guess_loss, nullptr)) {

@@ -50,7 +50,7 @@ class Step {
   }
 
   void MoveWithin(std::vector<double>* z) const {
-    if (scene_.optimize == Optimize::kControl) MoveWithinBounds(scene_.control, std::span(*z).first(forces_));
+    if (scene_.optimize == Optimize::kControl) MoveWithinBounds(scene_, std::span(*z).first(forces_));
     if (forces_ == z->size()) return;
     z->back() = std::clamp(z->back(), scene_.objective.duration->min, scene_.objective.duration->max);
   }

@@ -22,12 +22,9 @@ Trial Between(const Scene& scene, const Trial& to, const Trial& from, double par
   const double stretch = DurationOf(from) / DurationOf(to);
   double begin = 0;
   for (size_t k = 0; k < to.durations.size(); ++k) {
-    for (int c = 0; c < scene.num_controlled(); ++c) {
-      const Vec2d old = before(c, stretch * (begin + 0.5 * to.durations[k]));
-      for (int j = 0; j < 2; ++j) {
-        double& u = between.control[scene.ForceIndex(k, c) + j];
-        u = part * u + (1 - part) * old[j];
-      }
+    for (int entry = 0; entry < scene.control_width(); ++entry) {
+      double& u = between.control[scene.ForceIndex(k, 0) + entry];
+      u = part * u + (1 - part) * before(entry, stretch * (begin + 0.5 * to.durations[k]));
     }
     begin += to.durations[k];
     between.durations[k] *= part + (1 - part) * stretch;
@@ -45,7 +42,7 @@ double MeritOf(const Scene& scene, const Trial& trial) {
 
 Trial WithinBounds(const Scene& scene, const std::vector<OwnTerm>& terms, Trial trial) {
   const std::vector<double> control = trial.control;
-  MoveWithinBounds(scene.control, trial.control);
+  MoveWithinBounds(scene, trial.control);
   if (trial.control != control) Simulate(scene, terms, &trial);
   return trial;
 }
@@ -57,7 +54,7 @@ std::optional<Trial> WalkTo(const Scene& scene, const std::vector<OwnTerm>& term
   double part = 1;
   for (int i = 0; i <= kHalvings; ++i, part /= 2) {
     Trial between = Between(scene, to, from, part);
-    MoveWithinBounds(scene.control, between.control);
+    MoveWithinBounds(scene, between.control);
     Simulate(scene, terms, &between);
     const double merit = MeritOf(scene, between);
     if (!(merit < least)) continue;

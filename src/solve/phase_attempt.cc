@@ -207,7 +207,7 @@ void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Tr
     const double whole = DurationOf(*trial);
     for (double& duration : trial->durations) duration *= scene.duration / whole;
   }
-  MoveWithinBounds(scene.control, trial->control);  // multipliers leave about 1e-10 beyond
+  MoveWithinBounds(scene, trial->control);  // multipliers leave about 1e-10 beyond
 }
 
 void RollOut(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan,

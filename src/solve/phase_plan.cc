@@ -49,14 +49,13 @@ bool PlanAttempt::feasible() const { return realized && violation <= kFeasible; 
 
 double DurationOf(const Trial& trial) { return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0); }
 
-std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& trial) {
+std::function<double(int entry, double t)> ForcesOf(const Scene& scene, const Trial& trial) {
   std::vector<double> ends(trial.durations.size());
   std::partial_sum(trial.durations.begin(), trial.durations.end(), ends.begin());
-  return [&scene, &trial, ends = std::move(ends)](int c, double t) {
+  return [&scene, &trial, ends = std::move(ends)](int entry, double t) {
     const size_t last = ends.size() - 1;
     const size_t k = std::min<size_t>(std::upper_bound(ends.begin(), ends.end(), t) - ends.begin(), last);
-    const double* u = &trial.control[scene.ForceIndex(k, c)];
-    return Vec2d(u[0], u[1]);
+    return trial.control[scene.ForceIndex(k, 0) + entry];
   };
 }
 

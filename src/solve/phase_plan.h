@@ -67,7 +67,7 @@ double ViolationOf(const Scene& scene, const Trial& trial);
 bool IsForbidden(const Scene& scene, const Candidate& c);
 double DurationOf(const Trial& trial);
 // Force k of a trial holds at its time. The trial must outlive it.
-std::function<Vec2d(int c, double t)> ForcesOf(const Scene& scene, const Trial& trial);
+std::function<double(int entry, double t)> ForcesOf(const Scene& scene, const Trial& trial);
 
 // In words: a plan; several in their order; the kinks of the loss that it holds on to; what the trial misses most.
 std::string NameOf(const Scene& scene, const PhasePlan& plan);

@@ -5,13 +5,18 @@
 #include <algorithm>
 #include <cmath>
 
+#include "control/model_step.h"
 #include "control/phase_costs.h"
 #include "phase_functions.h"
 
 namespace saltus {
 
-PhaseRotations::PhaseRotations(const Scene& scene)
-    : scene_(scene), initial_(scene.bodies.size(), -1), last_(initial_), since_(scene.bodies.size(), 0) {}
+PhaseRotations::PhaseRotations(const Scene& scene, const Simulator* flight)
+    : scene_(scene),
+      flight_(flight),
+      initial_(scene.bodies.size(), -1),
+      last_(initial_),
+      since_(scene.bodies.size(), 0) {}
 
 void PhaseRotations::Add(int body) {
   const Body& disc = scene_.bodies[body];
@@ -28,6 +33,30 @@ int PhaseRotations::TurnTo(int body, int time, std::span<const double> times) {
   last_[body] = turns_.back().to;
   since_[body] = time;
   return last_[body];
+}
+
+double PhaseRotations::InverseMass(int body) const {
+  const Body& disc = scene_.bodies[body];
+  return disc.radius * disc.radius / disc.MomentOfInertia();
+}
+
+void PhaseRotations::TurnUnder(int body, const Span& span, const Torques& torques, std::span<const double> turns,
+                               std::span<const double> times) {
+  const double h = span.steps == 0 ? 0.0 : (times[span.end] - times[span.begin]) / span.steps;
+  for (int k = 0; k < span.steps; ++k) {
+    const int torque = torques.first + k * torques.stride;
+    const auto [way, speed] = rotations_[last_[body]];
+    const double a = InverseMass(body) * turns[torque];
+    std::array<double, 2> next = {way + h * (speed + 0.5 * h * a), speed + h * a};
+    if (flight_ != nullptr) {
+      const StepLinearization::FreeFlight by = flight_->FreeFlightOver(h).value().turn;
+      next = {by.pp * way + by.pv * speed + by.pa * a, by.vp * way + by.vv * speed + by.va * a};
+    }
+    steps_.push_back({body, last_[body], static_cast<int>(rotations_.size()), span, k, torque});
+    rotations_.push_back(next);
+    last_[body] = steps_.back().to;
+  }
+  since_[body] = span.end;
 }
 
 int PhaseRotations::Strike(int body, double gain) {
@@ -51,7 +80,23 @@ bool PhaseRotations::IsFree(int body) const {
   return scene_.optimize == Optimize::kVelocity && std::find(free.begin(), free.end(), body) != free.end();
 }
 
-void PhaseRotations::AddTo(std::span<double> times, AugmentedLagrangian* problem) {
+void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, double least,
+                           AugmentedLagrangian* problem) {
+  for (const Step& step : steps_) {
+    const std::vector<double*> blocks = {
+        At(step.from), &turns[step.torque], &times[step.span.begin], &times[step.span.end], At(step.to)};
+    const StepOfPhase place{step.index, step.span.steps};
+    const double inverse_mass = InverseMass(step.body), effort = scene_.objective.effort;
+    if (flight_ != nullptr) {
+      problem->Add(std::make_unique<ModelTurn>(*flight_, place, ModelStep::Push{inverse_mass, effort, least}),
+                   {.equalities = TurnedStep::kEqualities},
+                   blocks);
+    } else {
+      problem->Add(Sized<2, 1, 1, 1, 2>(TurnedStep{place, inverse_mass, effort, least}),
+                   {.equalities = TurnedStep::kEqualities},
+                   blocks);
+    }
+  }
   for (const Turn& turn : turns_) {
     problem->Add(Sized<2, 1, 1, 2>(Turning{}),
                  {.equalities = Turning::kRows},
@@ -65,6 +110,9 @@ void PhaseRotations::AddTo(std::span<double> times, AugmentedLagrangian* problem
                  {At(last_[term.body])});
   }
   ceres::Problem& unknowns = problem->problem();
+  for (double& turn : turns) {
+    if (scene_.optimize != Optimize::kControl) unknowns.SetParameterBlockConstant(&turn);
+  }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (initial_[i] < 0) continue;
     double* x = At(initial_[i]);

@@ -44,6 +44,7 @@ struct Finding {
 Scene Relaxed(Scene scene) {
   scene.control.max.clear();
   scene.control.max_norm.clear();
+  scene.control.max_torque.clear();
   scene.no_contact.clear();
   scene.objective.running.clear();
   scene.objective.via.clear();

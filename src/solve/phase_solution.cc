@@ -217,7 +217,7 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
       for (size_t i = 0; i < moved.control.size(); ++i) {
         moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
       }
-      MoveWithinBounds(scene.control, moved.control);
+      MoveWithinBounds(scene, moved.control);
       Simulate(scene, {}, &moved);
       if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
       better.push_back(std::move(moved));

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "control/control_bounds.h"
 #include "control/model_step.h"
 #include "phase_functions.h"
 
@@ -38,7 +39,7 @@ bool TakesPart(const Candidate& c, int body) { return c.a == body || (!c.plane &
 }  // namespace
 
 PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms,
-                                       std::vector<PhaseCut> cuts, std::vector<int> steps, const ForceAt& force,
+                                       std::vector<PhaseCut> cuts, std::vector<int> steps, const ControlAt& force,
                                        const ContactSequence& apart, double margin, const Simulator* flight)
     : scene_(scene),
       terms_(terms),
@@ -47,7 +48,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
       steps_(std::move(steps)),
       place_(scene.bodies.size(), -1),
       stepped_(scene.bodies.size(), false),
-      rotations_(scene_) {
+      rotations_(scene_, flight) {
   CHECK_EQ(steps_.size(), cuts_.size() + 1);
   for (const int body : scene_.control.bodies) stepped_[body] = true;
   for (const RunningTerm& term : scene_.objective.running) stepped_[term.body] = true;
@@ -70,7 +71,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
   AddSteps();
   HoldWhatIsGiven();
   AddImpacts();
-  rotations_.AddTo(times_, &problem_);
+  rotations_.AddTo(times_, turns_, LeastLength(), &problem_);
   AddBounds();
   AddTerms();
   for (const OwnTerm& term : terms_) AddOwn(term);
@@ -95,7 +96,7 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
 }
 
 // Nodes, from a motion with open gaps at its impacts.
-void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart) {
+void PhaseTranscription::Lay(const ControlAt& force, const ContactSequence& apart) {
   std::vector<int> last(scene_.num_bodies(), -1);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     const Body& body = scene_.bodies[i];
@@ -110,10 +111,11 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
     first_force_.push_back(static_cast<int>(forces_.size()));
     for (int k = 0; k < steps_[j]; ++k) {
       for (int c = 0; c < scene_.num_controlled(); ++c) {
-        const Vec2d u = force(c, begin + (k + 0.5) * length / steps_[j]);
-        forces_.push_back({u[0], u[1]});
+        const double middle = begin + (k + 0.5) * length / steps_[j];
+        forces_.push_back({force(2 * c, middle), force(2 * c + 1, middle)});
       }
     }
+    LayTurns(j, force);
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       if (last[i] < 0) continue;
       std::vector<int> track = {last[i]};
@@ -129,6 +131,21 @@ void PhaseTranscription::Lay(const ForceAt& force, const ContactSequence& apart)
   }
   rotations_.End(boundary_.back(), times_);
   final_ = last;
+}
+
+// How discs turn under torques in a phase.
+void PhaseTranscription::LayTurns(int phase, const ControlAt& force) {
+  const double begin = *Begin(phase), length = *End(phase) - begin;
+  const int first = static_cast<int>(turns_.size()), stride = scene_.num_turned();
+  for (int k = 0; k < steps_[phase]; ++k) {
+    for (int t = 0; t < stride; ++t) {
+      turns_.push_back(force(2 * scene_.num_controlled() + t, begin + (k + 0.5) * length / steps_[phase]));
+    }
+  }
+  for (int t = 0; t < stride; ++t) {
+    const PhaseRotations::Span span{boundary_[phase], boundary_[phase + 1], steps_[phase]};
+    rotations_.TurnUnder(scene_.control.turned[t], span, {first + t, stride}, turns_, times_);
+  }
 }
 
 PhaseTranscription::Node PhaseTranscription::FlyOnce(int body, const Node& x, const double* force, double h) const {
@@ -283,6 +300,10 @@ void PhaseTranscription::AddBounds() {
       problem_.Add(Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1}, {forces_[k].data()});
     }
   }
+  for (size_t k = 0; scene_.optimize == Optimize::kControl && k < turns_.size(); ++k) {
+    const double most = MostTurn(scene_, static_cast<int>(k) % scene_.num_turned());
+    if (std::isfinite(most)) problem_.Add(Sized<1>(TurnBound{most}), {.inequalities = 2}, {&turns_[k]});
+  }
 }
 
 void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
@@ -358,7 +379,15 @@ void PhaseTranscription::Control(std::vector<double>* control, std::vector<doubl
     for (int k = 0; k < steps_[j]; ++k)
       durations->push_back((times_[boundary_[j + 1]] - times_[boundary_[j]]) / steps_[j]);
   }
-  for (const std::array<double, 2>& force : forces_) control->insert(control->end(), force.begin(), force.end());
+  const int pushed = scene_.num_controlled(), turned = scene_.num_turned();
+  for (size_t k = 0; k < durations->size() && pushed > 0; ++k) {
+    for (int c = 0; c < pushed; ++c) {
+      const std::array<double, 2>& force = forces_[k * pushed + c];
+      control->insert(control->end(), force.begin(), force.end());
+    }
+    const auto turns = turns_.begin() + static_cast<std::ptrdiff_t>(k) * turned;
+    control->insert(control->end(), turns, turns + turned);
+  }
 }
 
 }  // namespace saltus

@@ -32,8 +32,8 @@ struct PhaseCut {
   std::optional<ContactMode> mode = {};  // of the impact: slips or sticks; none: by Coulomb's law
 };
 
-// Pieces of constant force: that on controlled disc c at time t.
-using ForceAt = std::function<Vec2d(int c, double t)>;
+// A piecewise constant control: an entry of its rows (Scene::control_width()) at time t.
+using ControlAt = std::function<double(int entry, double t)>;
 
 class PhaseTranscription {
  public:
@@ -45,8 +45,8 @@ class PhaseTranscription {
   // ends. Discs fly as in a step of `flight`, which must outlive this object and fly over any length; if it is null,
   // exactly.
   PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms, std::vector<PhaseCut> cuts,
-                     std::vector<int> steps, const ForceAt& force, const ContactSequence& apart = {}, double margin = 0,
-                     const Simulator* flight = nullptr);
+                     std::vector<int> steps, const ControlAt& force, const ContactSequence& apart = {},
+                     double margin = 0, const Simulator* flight = nullptr);
   PhaseTranscription(const PhaseTranscription&) = delete;
 
   AugmentedLagrangian::Summary Minimize(AugmentedLagrangian::Options options);
@@ -58,7 +58,7 @@ class PhaseTranscription {
   double Duration() const { return times_.back(); }
   // As of a simulator.
   std::vector<double> InitialState() const;
-  // One row a step, of all controlled discs, and the steps' lengths.
+  // One row a step, and the steps' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
 
  private:
@@ -81,7 +81,8 @@ class PhaseTranscription {
   double* Begin(int phase) { return &times_[boundary_[phase]]; }
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
 
-  void Lay(const ForceAt& force, const ContactSequence& apart);
+  void Lay(const ControlAt& force, const ContactSequence& apart);
+  void LayTurns(int phase, const ControlAt& force);
   Node FlyOnce(int body, const Node& x, const double* force, double h) const;
   void Strike(int index, std::vector<int>* last);
   std::vector<double*> BlocksOf(const ImpactCut& cut, const ImpactNodes& nodes);
@@ -113,6 +114,7 @@ class PhaseTranscription {
   std::vector<int> final_;                             // of each disc: its last node
   std::vector<ImpactNodes> impacts_;
   std::vector<std::array<double, 2>> forces_;  // step by step, of all controlled discs
+  std::vector<double> turns_;                  // likewise torque / radius of all turned discs
   std::vector<int> first_force_;               // of each phase
   AugmentedLagrangian problem_;
 };

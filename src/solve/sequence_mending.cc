@@ -388,7 +388,7 @@ class Mending {
   // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
   void Certify() {
     if (!run_.terms().empty() || scene_.optimize != Optimize::kControl) return;
-    if (scene_.objective.effort == 0 && !HasBounds(scene_.control)) return;
+    if (scene_.objective.effort == 0 && !scene_.control.IsBounded()) return;
     Certificate certificate = CertifyTrial(scene_, best_->trial);
     const bool kinks = best_plan_.HasTies() || best_plan_.HasModes() || !best_plan_.apart.empty();
     if (kinks && !certificate.IsStationary()) {

@@ -95,7 +95,7 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
   };
   if (scene.objective.HasConstraints()) return refuse("hard terms", "which take multipliers");
   if (!scene.no_contact.empty()) return refuse("pairs that must not touch", "which take multipliers");
-  if (!scene.control.max.empty() && !bounds.components) {
+  if (!(scene.control.max.empty() && scene.control.max_torque.empty()) && !bounds.components) {
     return refuse("bounds on the control", "which its steps would leave");
   }
   if (!scene.control.max_norm.empty() && !bounds.norm) {

@@ -15,6 +15,7 @@ struct GivenGradient {
   double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
   std::vector<std::optional<Vec2d>> position, velocity;    // per disc of the scene
   std::vector<std::vector<std::optional<Vec2d>>> control;  // per control interval and controlled disc
+  std::vector<std::vector<std::optional<double>>> torque;  // by the torque, 1/(N m): likewise and per turned disc
   int intervals = 0;                                       // of the control, equal parts of the horizon; 0: one a step
 };
 

@@ -51,8 +51,8 @@ namespace saltus {
 //       calls visit(ModelOption, member) for each of its options; members are double, int or bool
 //   void Linearize(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                  Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B) const
-//       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island; to
-//       overwrite
+//       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island, but without
+//       those of torques: the step is taken to begin with changes of velocities by forces and torques; to overwrite
 //   bool complementarity_aware, an option, and
 //   void PullBack(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                 std::span<const double> after, std::span<double> before) const

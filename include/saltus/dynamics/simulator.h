@@ -5,9 +5,11 @@
 // Shapes. A scene has B discs, C of them controlled. A model takes K steps of length step(): K = scene.steps, divided
 // by the grid steps that one step of the model covers. A body's state is [p_x p_y v_x v_y rotation...], of body_size()
 // numbers; the state of the scene is that of all discs in scene order, state_size() = B * body_size() numbers.
-// A control is K x C x 2 forces in N, row by row. The initial state is B x 4: [p_x p_y v_x v_y] of each disc; if the
-// scene has discs that spin, B x 2 more follow: [angle, angular velocity] of each. The rotation in a body's state is
-// the same two numbers then.
+// A control is K rows of [u_x u_y] of each controlled disc, in N; if R of them are turned, torque / radius of each
+// follows, in N too: K x (2 C + R) numbers (Scene::control_width()). The forces on all discs in one step are B x 2
+// numbers; if any disc is turned, B more follow, torque / radius of each. The initial state is B x 4: [p_x p_y v_x v_y]
+// of each disc; if the scene has discs that spin, B x 2 more follow: [angle, angular velocity] of each. The rotation in
+// a body's state is the same two numbers then.
 #pragma once
 
 #include <Eigen/Core>
@@ -66,17 +68,17 @@ struct ParameterGradient {
 // Derivatives of one number with respect to all that determines a rollout.
 struct Sensitivity {
   std::vector<double> initial;   // as the initial state; 0 for fixed discs and what cannot spin
-  std::vector<double> control;   // K x C x 2
+  std::vector<double> control;   // as the control
   ParameterGradient parameters;  // if asked for
 };
 
 // Where to write a sensitivity. What is empty or null is not wanted, and costs nothing.
 struct SensitivityView {
   std::span<double> initial;                // as the initial state
-  std::span<double> control;                // K x C x 2
+  std::span<double> control;                // as the control
   ParameterGradient* parameters = nullptr;  // its vectors are resized
-  // Added to the sensitivity to the control: factor * addend (K x C x 2), such as the gradient of another function.
-  // Done in one go, a long control passes through memory once.
+  // Added to the sensitivity to the control: factor * addend (as the control), such as the gradient of another
+  // function. Done in one go, a long control passes through memory once.
   double factor = 0;
   std::span<const double> addend = {};
 };
@@ -85,9 +87,9 @@ struct SensitivityView {
 // something in the step, constant for those that fly.
 class StepLinearization {
  public:
-  // Discs that are stepped together. Columns of A: their states; of B: the forces on them; of P: restitution, friction,
-  // stiffness, damping, their masses and, if the scene has discs that spin, their inverse moments of inertia (only if
-  // parameters were asked for).
+  // Discs that are stepped together. Columns of A: their states; of B: the forces on them and, if discs are turned,
+  // then torque / radius of each; of P: restitution, friction, stiffness, damping, their masses and, if the scene has
+  // discs that spin, their inverse moments of inertia (only if parameters were asked for).
   struct Island {
     std::vector<int> bodies;
     Eigen::MatrixXd A, B, P;
@@ -104,18 +106,24 @@ class StepLinearization {
   std::vector<int> flying;                // discs that are in no island
   std::vector<Eigen::MatrixXd> rotation;  // of each flying disc, rotation' by rotation; empty without rotation
   std::vector<double> inverse_mass;       // of all discs, 1/kg; 0 if fixed
+  bool turns = false;                     // some disc of the scene is turned
+  std::vector<Eigen::Vector2d> turning;   // if so, of each flying disc, rotation' by torque / radius
 
-  // next = A x + B force, with x of state_size() and force of B x 2 numbers.
+  // Numbers of the forces in a step.
+  std::size_t force_size() const { return (turns ? 3 : 2) * inverse_mass.size(); }
+  // next = A x + B force, with x of state_size() and force of force_size() numbers.
   void Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const;
   // x = A^T next, force = B^T next.
   void ApplyTranspose(std::span<const double> next, std::span<double> x, std::span<double> force) const;
-  // Dense A (state_size x state_size) and B (state_size x 2 B), for tests and small solvers.
+  // Dense A (state_size x state_size) and B (state_size x force_size()), for tests and small solvers.
   void ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const;
 };
 
 // Free flight for some time, and its derivative by that time.
 struct FlightOver {
   StepLinearization::FreeFlight flight, by_time;
+  // The same of the angle, the angular velocity and the angular acceleration of discs that spin.
+  StepLinearization::FreeFlight turn = {}, turn_by_time = {};
 };
 
 // Numbers of the initial state of a scene.
@@ -137,8 +145,9 @@ class Simulator {
   int initial_size() const { return InitialSize(scene_); }
   int control_width() const { return scene_.control_width(); }  // numbers of a control in each step
   int control_size() const { return num_steps_ * control_width(); }
+  int force_size() const { return (scene_.num_turned() > 0 ? 3 : 2) * num_bodies(); }
 
-  // Runs all K steps from `initial` under `control` (K x C x 2). False if a state is not finite, if the
+  // Runs all K steps from `initial` under `control`. False if a state is not finite, if the
   // iterations of a step do not arrive, or if the model breaks its contract (contact_model.h); then neither Adjoint nor
   // states after that step may be asked for. False too if it was stopped; then nothing may.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
@@ -175,8 +184,8 @@ class Simulator {
   void set_stop(StopRequest stop) { stop_ = std::move(stop); }
   bool stopped() const { return stop_ && stop_(); }
 
-  // One step from any state under any force (B x 2, on every disc), what touches in it, and its linearization. What
-  // makes a rollout fail makes `next` not a number. Thread-safe among themselves.
+  // One step from any state under any force (force_size() numbers, on every disc), what touches in it, and its
+  // linearization. What makes a rollout fail makes `next` not a number. Thread-safe among themselves.
   virtual void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
                     std::vector<Touch>* touches = nullptr) const = 0;
   virtual void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
@@ -188,8 +197,10 @@ class Simulator {
   // The full state that belongs to `initial`: rotation that is not in it at its start value, fixed discs at rest.
   virtual void ExpandInitial(std::span<const double> initial, std::span<double> x) const = 0;
 
-  // The force on every disc (B x 2) in step k of a control (K x C x 2); zero on discs that are not controlled.
+  // The force on every disc (force_size() numbers) in step k of a control; zero on discs that are not controlled.
   void ExpandForce(std::span<const double> control, int k, std::span<double> force) const;
+  // The other way round: of numbers for every disc, such as derivatives by the force, those of a row of a control.
+  void SelectControl(std::span<const double> force, std::span<double> row) const;
 
  protected:
   Simulator(const Scene& scene, Precision precision, int grid_steps)
@@ -213,7 +224,7 @@ class Simulator {
 std::vector<double> ToInitial(std::span<const double> state, int num_bodies);
 std::vector<double> ToState(std::span<const double> initial, int num_bodies);
 
-// The scene's own initial state, and its initial control held over K steps (K x C x 2).
+// The scene's own initial state, and its initial control held over K steps.
 std::vector<double> InitialState(const Scene& scene);
 std::vector<double> InitialControl(const Scene& scene, int num_steps);
 

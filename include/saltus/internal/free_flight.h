@@ -109,15 +109,16 @@ BodyState<S, M::kRotation> AtRest() {
   return x;
 }
 
-// The free flight of one disc by the model, under the force in it and no gravity.
+// The free flight of one disc by the model, under the force in it, the torque if there is one, and no gravity.
 template <ContactModel M, typename T, typename H>
 BodyState<T, M::kRotation> FlyOnce(const M& model, const H& h, const BodyConstants<T>& body, const Vec2<T>& force,
-                                   const BodyState<T, M::kRotation>& x) {
+                                   const BodyState<T, M::kRotation>& x, const T* torque = nullptr) {
   StepInput<T, H> in{};
   in.h = h;
   in.gravity = Vec2<Base<T>>::Zero();
   in.bodies = {&body, 1};
   in.force = {&force, 1};
+  if (torque != nullptr) in.torque = {torque, 1};
   return model.Free(in, 0, x);
 }
 
@@ -173,6 +174,27 @@ Eigen::Matrix<S, M::kRotation, M::kRotation> DifferentiateRotation(const M& mode
   return jacobian;
 }
 
+// The same of a disc that spins as the scene says and is turned, by angle, angular velocity and torque.
+template <ContactModel M, typename S>
+Eigen::Matrix<S, 2, 3> DifferentiateTurn(const M& model, S h, const BodyConstants<S>& body,
+                                         const BodyState<S, M::kRotation>& x, S torque) {
+  static_assert(M::kRotation == kSpin);
+  using Jet = StepJet<S>;
+  BodyState<Jet, kSpin> jets{};
+  for (int j = 0; j < 2; ++j) {
+    jets.p[j] = Jet(x.p[j]);
+    jets.v[j] = Jet(x.v[j]);
+    jets.rotation[j] = Jet(x.rotation[j], j);
+  }
+  const BodyConstants<Jet> constants{
+      Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed, Jet(body.inverse_inertia)};
+  const Jet by_torque(torque, 2);
+  const auto next = FlyOnce(model, h, constants, Vec2<Jet>(Jet(S(0)), Jet(S(0))), jets, &by_torque);
+  Eigen::Matrix<S, 2, 3> jacobian;
+  for (int r = 0; r < 2; ++r) jacobian.row(r) = next.rotation[r].v.template head<3>();
+  return jacobian;
+}
+
 // The free flight over h with its derivative by h, if the model has it for lengths that are Jets.
 template <ContactModel M, typename S>
 std::optional<FlightOver> DifferentiateByLength(const M& model, double h) {
@@ -195,8 +217,31 @@ std::optional<FlightOver> DifferentiateByLength(const M& model, double h) {
     const auto pick = [&](const auto& part) -> StepLinearization::FreeFlight {
       return {part(by_p.p[0]), part(by_v.p[0]), part(by_a.p[0]), part(by_p.v[0]), part(by_v.v[0]), part(by_a.v[0])};
     };
-    return FlightOver{pick([](const Jet& x) { return double(x.a); }),
-                      pick([](const Jet& x) { return double(x.v[0]); })};
+    FlightOver over{pick([](const Jet& x) { return double(x.a); }), pick([](const Jet& x) { return double(x.v[0]); })};
+    if constexpr (requires { requires M::kLinearRotation && M::kRotation == kSpin; }) {
+      const BodyConstants<Jet> spinning{Jet(S(1)), Jet(S(1)), S(1), false, Jet(S(1))};
+      const auto turn = [&](S angle, S speed, S torque) {
+        auto x = State{};
+        x.rotation[0] = Jet(angle);
+        x.rotation[1] = Jet(speed);
+        const Jet by(torque);
+        const auto next = FlyOnce(model, Jet(S(h), 0), spinning, Vec2<Jet>(Jet(S(0)), Jet(S(0))), x, &by);
+        return std::array{next.rotation[0], next.rotation[1]};
+      };
+      const auto by_angle = turn(S(1), S(0), S(0)), by_speed = turn(S(0), S(1), S(0)),
+                 by_torque = turn(S(0), S(0), S(1));
+      const auto pick_turn = [&](const auto& part) -> StepLinearization::FreeFlight {
+        return {part(by_angle[0]),
+                part(by_speed[0]),
+                part(by_torque[0]),
+                part(by_angle[1]),
+                part(by_speed[1]),
+                part(by_torque[1])};
+      };
+      over.turn = pick_turn([](const Jet& x) { return double(x.a); });
+      over.turn_by_time = pick_turn([](const Jet& x) { return double(x.v[0]); });
+    }
+    return over;
   }
   return std::nullopt;
 }

@@ -27,11 +27,11 @@ class IslandDerivative {
   using State = BodyState<S, kRotation>;
   using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-  // Columns of the Jacobian for n discs: their states, the forces on them and, if asked for, restitution, friction,
-  // stiffness, damping, their masses and, if they spin as the scene says, their inverse moments of inertia. Rows: their
-  // next states.
-  static int NumColumns(int n, bool with_parameters) {
-    return n * (kSize + 2) + (with_parameters ? 4 + (kRotation == kSpin ? 2 : 1) * n : 0);
+  // Columns of the Jacobian for n discs: their states, the forces on them, the torques on them if there are any (where
+  // discs spin as the scene says) and, if asked for, restitution, friction, stiffness, damping, their masses and, if
+  // they spin so, their inverse moments of inertia. Rows: their next states.
+  static int NumColumns(int n, bool with_torques, bool with_parameters) {
+    return n * (kSize + 2 + with_torques) + (with_parameters ? 4 + (kRotation == kSpin ? 2 : 1) * n : 0);
   }
 
   // before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
@@ -44,8 +44,13 @@ class IslandDerivative {
     }
     int first = 0;
     if constexpr (requires { &M::Linearize; }) {
-      first = NumColumns(n, false);
-      PullBackAsPublished(model, in, x, after, before.first(first));
+      first = NumColumns(n, HasTorques(in), false);
+      PullBackAsPublished(model, in, x, after, before.first(NumColumns(n, false, false)));
+      if constexpr (kRotation == kSpin) {
+        for (int i = 0; HasTorques(in) && i < n; ++i) {
+          before[n * (kSize + 2) + i] = TorqueAsSpin(in, i) * before[i * kSize + 5];
+        }
+      }
     }
     const bool shares_motion = first == 0 && OnlyRelativeMotionMatters(in);
     ForEachPass(model, in, x, with_parameters, first, shares_motion ? n - 1 : -1, [&](const auto& columns) {
@@ -61,13 +66,18 @@ class IslandDerivative {
   void Evaluate(const M& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
                 Matrix* jacobian) {
     const int n = static_cast<int>(x.size());
-    jacobian->setZero(n * kSize, NumColumns(n, with_parameters));
+    jacobian->setZero(n * kSize, NumColumns(n, HasTorques(in), with_parameters));
     int first = 0;
     if constexpr (requires { &M::Linearize; }) {
       const auto [A, B] = LinearizeAsPublished(model, in, x);
       jacobian->leftCols(A.cols()) = A.template cast<S>();
       jacobian->middleCols(A.cols(), B.cols()) = B.template cast<S>();
-      first = NumColumns(n, false);
+      if constexpr (kRotation == kSpin) {
+        for (int i = 0; HasTorques(in) && i < n; ++i) {
+          jacobian->col(n * (kSize + 2) + i) = TorqueAsSpin(in, i) * jacobian->col(i * kSize + 5);
+        }
+      }
+      first = NumColumns(n, HasTorques(in), false);
     }
     ForEachPass(model, in, x, with_parameters, first, -1, [&](const auto& columns) {
       const auto* next = reinterpret_cast<const StepJet<S>*>(next_.data());
@@ -88,6 +98,11 @@ class IslandDerivative {
     int index[kJetWidth];
     void Add(int column) { index[count++] = column; }
   };
+
+  static bool HasTorques(const StepInput<S>& in) { return !in.torque.empty(); }
+  // Models with a Jacobian of their source's begin with a change of velocities: a torque is as good as so much of
+  // angular velocity.
+  static S TorqueAsSpin(const StepInput<S>& in, int i) { return in.h * in.bodies[i].inverse_inertia; }
 
   // In single precision the derivatives are those of the published programs to the last digits, so nothing is
   // rearranged.
@@ -153,7 +168,8 @@ class IslandDerivative {
         for (int j = 4; j < kSize; ++j) add(i * kSize + j);
       }
     }
-    for (int column = n * (kSize + 2); column < NumColumns(n, with_parameters); ++column) add(column);
+    const int more = first == 0 ? n * (kSize + 2) : first;
+    for (int column = more; column < NumColumns(n, HasTorques(in), with_parameters); ++column) add(column);
     if (columns.count > 0) RunPass(model, in, columns, use);
   }
 
@@ -214,7 +230,7 @@ class IslandDerivative {
   void Seed(const StepInput<S>& in, const Columns& columns, S one) {
     for (int direction = 0; direction < columns.count; ++direction)
       Variable(columns.index[direction]).v[direction] = one;
-    const int first_mass = NumColumns(static_cast<int>(x_.size()), false) + 4;
+    const int first_mass = NumColumns(static_cast<int>(x_.size()), HasTorques(in), false) + 4;
     if (columns.count == 0 || columns.index[columns.count - 1] < first_mass) return;
     for (size_t i = 0; i < x_.size(); ++i) {
       if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
@@ -228,6 +244,9 @@ class IslandDerivative {
     column -= n * kSize;
     if (column < 2 * n) return force_[column / 2][column % 2];
     column -= 2 * n;
+    const int torques = static_cast<int>(torque_.size());
+    if (column < torques) return torque_[column];
+    column -= torques;
     ContactConstants<Jet>& c = jets_.contact;
     Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
     if (column < 4) return *contact[column];
@@ -253,6 +272,8 @@ class IslandDerivative {
       vary(reinterpret_cast<Taped*>(from.data())[i], reinterpret_cast<const S*>(x.data())[i]);
     }
     for (std::size_t i = 0; i < 2 * n; ++i) vary(force[i / 2][i % 2], in.force[i / 2][i % 2]);
+    std::vector<Taped> torque(in.torque.size());
+    for (std::size_t i = 0; i < torque.size(); ++i) vary(torque[i], in.torque[i]);
     ContactConstants<Taped> contact;
     vary(contact.restitution, in.contact.restitution);
     vary(contact.friction, in.contact.friction);
@@ -268,7 +289,6 @@ class IslandDerivative {
     for (std::size_t i = 0; kRotation == kSpin && i < n; ++i) {
       vary(bodies[i].inverse_inertia, in.bodies[i].inverse_inertia);
     }
-    const std::vector<Taped> torque(in.torque.begin(), in.torque.end());
     const StepInput<Taped> taped{.h = in.h,
                                  .gravity = in.gravity,
                                  .contact = contact,

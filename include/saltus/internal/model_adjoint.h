@@ -45,7 +45,7 @@ class ModelAdjoint {
   // Pulls the discs that touched in step k, by touches first..end-1 of the record, back to its beginning.
   void PullBackStep(int k, int first, int end, const RolloutRecord<State>& record, Stepper<M, S>* stepper,
                     Trajectory<State>* trajectory) {
-    control_.SetForce(k, stepper->force());
+    control_.SetForce(k, stepper->force(), stepper->torque());
     const std::span<const StepTouch> touches(record.touches().data() + first, end - first);
     stepper->FindTouchedIslands(touches, [](const StepTouch& at) -> const Touch& { return at.touch; });
     for (int q = 0; q < stepper->islands().size(); ++q) {
@@ -140,7 +140,7 @@ class ModelAdjoint {
     const int n = static_cast<int>(island.size());
     const bool with_parameters = out_.parameters != nullptr;
     after_.resize(n * kSize);
-    before_.resize(IslandDerivative<M, S>::NumColumns(n, with_parameters));
+    before_.resize(IslandDerivative<M, S>::NumColumns(n, scene_.turns, with_parameters));
     for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &after_[i * kSize]);
     derivative_.ApplyTranspose(
         model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
@@ -153,11 +153,21 @@ class ModelAdjoint {
       const Vec2<S> push(before_[n * kSize + 2 * i], before_[n * kSize + 2 * i + 1]);
       if (IsControlWanted(body)) GradientOf(body, k).Put(0, push[0], push[1]);
       if (with_parameters) AddConstantForce(body, push);
+      if (IsTorqueWanted(body)) PutTorque(body, k, before_[n * (kSize + 2) + i]);
     }
-    if (with_parameters) AddContactParameters(island, &before_[n * (kSize + 2)]);
+    const int parameters = IslandDerivative<M, S>::NumColumns(n, scene_.turns, false);
+    if (with_parameters) AddContactParameters(island, &before_[parameters]);
   }
 
   bool IsControlWanted(int body) const { return control_.Pushes(body) && !out_.control.empty(); }
+  bool IsTorqueWanted(int body) const { return control_.Turns(body) && !out_.control.empty(); }
+
+  // The sensitivity to the torque on a disc in step k, as one to torque / radius.
+  void PutTorque(int body, int k, S sensitivity) const {
+    const std::ptrdiff_t at = control_.TurnOffset(body, k);
+    const double by_force = scene_.bodies[body].radius * sensitivity;
+    out_.control[at] = out_.factor == 0 ? by_force : by_force + out_.factor * out_.addend[at];
+  }
 
   // Where the sensitivity to the forces on one disc goes, from some step on.
   struct ForceSink {
@@ -252,9 +262,31 @@ class ModelAdjoint {
     });
   }
 
+  // That of a disc that is turned.
+  void PullBackTurn(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
+    const BodyConstants<S>& body = scene_.bodies[i];
+    Eigen::Map<Eigen::Matrix<S, 2, 1>> cotangent(lambda);
+    const bool none = cotangent.isZero(S(0));
+    Eigen::Matrix<S, 2, 3> jacobian = Eigen::Matrix<S, 2, 3>::Zero();
+    if constexpr (kLinear) jacobian = DifferentiateTurn(model_, scene_.h, body, AtRest<M, S>(), S(0));
+    for (int j = k + steps - 1; j >= k; --j) {
+      const S torque = control_.Torque(i, j);
+      if constexpr (!kLinear) {
+        if (!none) jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->At(j)[i], torque);
+      }
+      const Eigen::Matrix<S, 3, 1> before = jacobian.transpose() * cotangent;
+      if (IsTorqueWanted(i)) PutTorque(i, j, before[2]);
+      if (out_.parameters != nullptr) out_.parameters->inertia[i] -= before[2] * torque * body.inverse_inertia;
+      cotangent = before.template head<2>();
+    }
+  }
+
   // The same for the rotation, which a flight changes by itself.
   void PullBackRotation(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
     Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
+    if constexpr (kRotation == kSpin) {
+      if (control_.Turns(i)) return PullBackTurn(k, steps, i, trajectory, lambda);
+    }
     if (cotangent.isZero(S(0))) return;
     RotationMatrix jacobian = RotationMatrix::Zero();
     if constexpr (kLinear) {

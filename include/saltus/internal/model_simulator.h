@@ -155,9 +155,11 @@ class ModelSimulator final : public Simulator {
         double(free_.pp), double(free_.pv), double(free_.pa), double(free_.vp), double(free_.vv), double(free_.va)};
     out.inverse_mass.assign(num_bodies(), 0.0);
     for (int i = 0; i < num_bodies(); ++i) out.inverse_mass[i] = typed_.bodies[i].inverse_mass;
+    out.turns = typed_.turns;
     out.islands.clear();
     out.flying.clear();
     out.rotation.clear();
+    out.turning.clear();
     std::vector<char> flying(num_bodies(), 1);
     stepper.FindTouchedIslands(stepper.touches(), [](const Touch& touch) -> const Touch& { return touch; });
     for (int q = 0; q < stepper.islands().size(); ++q) {
@@ -169,11 +171,15 @@ class ModelSimulator final : public Simulator {
       derivative.Evaluate(model_, stepper.LocalInput(), stepper.local_states(), with_parameters, &jacobian);
       stepper.ReleaseScratch();
       const int n = static_cast<int>(island.size());
-      const Eigen::MatrixXd wide = jacobian.template cast<double>();
+      Eigen::MatrixXd wide = jacobian.template cast<double>();
+      const int forces = (typed_.turns ? 3 : 2) * n;
+      for (int i = 0; i < forces - 2 * n; ++i) {
+        wide.col(n * (kSize + 2) + i) *= double(typed_.bodies[island[i]].radius);
+      }
       out.islands.push_back({{island.begin(), island.end()},
                              wide.leftCols(n * kSize),
-                             wide.middleCols(n * kSize, 2 * n),
-                             wide.rightCols(wide.cols() - n * (kSize + 2))});
+                             wide.middleCols(n * kSize, forces),
+                             wide.rightCols(wide.cols() - n * kSize - forces)});
     }
     for (int i = 0; i < num_bodies(); ++i) {
       if (!flying[i]) continue;
@@ -181,6 +187,13 @@ class ModelSimulator final : public Simulator {
       if constexpr (kRotation > 0) {
         out.rotation.push_back(
             DifferentiateRotation(model_, typed_.h, typed_.bodies[i], from[i]).template cast<double>());
+      }
+      if constexpr (kRotation == kSpin) {
+        if (!typed_.turns) continue;
+        const BodyConstants<S>& body = typed_.bodies[i];
+        const auto turn = DifferentiateTurn(model_, typed_.h, body, from[i], stepper.torque()[i]);
+        out.rotation.back() = turn.template leftCols<2>().template cast<double>();
+        out.turning.push_back(double(body.radius) * turn.col(2).template cast<double>());
       }
     }
   }
@@ -236,7 +249,7 @@ class ModelSimulator final : public Simulator {
         k += steps;
         continue;
       }
-      control_.SetForce(k, stepper_.force());
+      control_.SetForce(k, stepper_.force(), stepper_.torque());
       stepper_.set_finds_ties(ties_.size() < kMostTies);
       stepper_.Step(k, trajectory_.At(k), trajectory_.At(k + 1));
       if (stepper_.failure()) break;
@@ -262,17 +275,21 @@ class ModelSimulator final : public Simulator {
   // Free flight of all discs for some steps from step k on: disc by disc, so that a state stays in registers.
   void Fly(int k, int steps) const {
     State* first = trajectory_.At(k).data();
-    for (int i = 0; i < num_bodies(); ++i) FlyAlone(i, control_.On(i, k), steps, first + i);
+    for (int i = 0; i < num_bodies(); ++i) FlyAlone(i, k, steps, first + i);
   }
 
-  void FlyAlone(int i, const S* u, int steps, State* at) const {
+  void FlyAlone(int i, int k, int steps, State* at) const {
     const BodyConstants<S> body = typed_.bodies[i];
+    const S* u = control_.On(i, k);
     Vec2<S> force = Vec2<S>::Zero();
+    S torque = S(0);
     StepInput<S> in{};
     in.h = typed_.h;
     in.gravity = typed_.gravity;
     in.bodies = {&body, 1};
     in.force = {&force, 1};
+    const bool turns = control_.Turns(i);
+    if (turns) in.torque = {&torque, 1};
     State x = *at;
     // For all that the compiler knows, a state that is written could change these.
     const std::ptrdiff_t stride = control_.stride(), discs = num_bodies();
@@ -281,6 +298,7 @@ class ModelSimulator final : public Simulator {
         force = Vec2<S>(u[0], u[1]);
         u += stride;
       }
+      if (turns) torque = control_.Torque(i, k + j);
       x = model_.Free(in, 0, x);
       at += discs;
       *at = x;
@@ -291,7 +309,7 @@ class ModelSimulator final : public Simulator {
   Stepper<M, S> StepOnce(std::span<const double> x, std::span<const double> force, std::vector<State>* from,
                          std::vector<State>* to) const {
     CHECK_EQ(static_cast<int>(x.size()), state_size());
-    CHECK_EQ(static_cast<int>(force.size()), 2 * num_bodies());
+    CHECK_EQ(static_cast<int>(force.size()), force_size());
     Stepper<M, S> stepper(model_, typed_, step());
     std::copy(x.begin(), x.end(), Flat(from->data()));
     std::vector<double> push(num_bodies());
@@ -299,9 +317,14 @@ class ModelSimulator final : public Simulator {
       push[i] =
           scene_.gravity.norm() + std::hypot(force[2 * i], force[2 * i + 1]) * double(typed_.bodies[i].inverse_mass);
     }
+    const auto torque = [&](int i) { return typed_.bodies[i].radius * S(force[2 * num_bodies() + i]); };
+    for (int i = 0; typed_.turns && i < num_bodies(); ++i) {
+      push[i] += HeldControl<S>::AccelerationByTorque(typed_.bodies[i], std::abs(double(torque(i))));
+    }
     stepper.set_tie_order(tie_order_);
     stepper.Begin(push);
     for (int i = 0; i < num_bodies(); ++i) stepper.force()[i] = Vec2<S>(S(force[2 * i]), S(force[2 * i + 1]));
+    for (int i = 0; typed_.turns && i < num_bodies(); ++i) stepper.torque()[i] = torque(i);
     stepper.FindCandidates(*from);
     stepper.StepAtOnce(*from, *to);
     return stepper;

@@ -30,7 +30,9 @@ class Stepper {
 
   // Both must outlive this object.
   Stepper(const M& model, const TypedScene<S>& scene, double step)
-      : model_(model), scene_(scene), broad_phase_(MakeBroadPhase(scene, step)), force_(scene.bodies.size()) {}
+      : model_(model), scene_(scene), broad_phase_(MakeBroadPhase(scene, step)), force_(scene.bodies.size()) {
+    if (scene.turns) torque_.resize(scene.bodies.size());
+  }
 
   void set_tie_order(int order) { tie_order_ = order; }
   void set_finds_ties(bool finds) { finds_ties_ = finds; }
@@ -39,10 +41,13 @@ class Stepper {
   void Begin(std::span<const double> push) {
     broad_phase_.SetAccelerations(push);
     std::fill(force_.begin(), force_.end(), Vec2<S>::Zero());
+    std::fill(torque_.begin(), torque_.end(), S(0));
     failure_.reset();
   }
   // The force on every disc in the next step, N.
   std::span<Vec2<S>> force() { return force_; }
+  // Likewise the torque, N m; empty if there are none.
+  std::span<S> torque() { return torque_; }
   // What can touch in the step from x. If nothing can, returns for how many steps that is so.
   int FindCandidates(std::span<const State> x) { return broad_phase_.Find(Flat(x), kSize, &candidates_); }
   bool AllFly() const { return candidates_.empty(); }
@@ -95,9 +100,11 @@ class Stepper {
   SolveRecord& local_solved() { return local_.solved; }
   void GatherAllButStates(int q) {
     local_.force.clear();
+    local_.torque.clear();
     local_.bodies.clear();
     for (int i : islands_.bodies(q)) {
       local_.force.push_back(force_[i]);
+      if (!torque_.empty()) local_.torque.push_back(torque_[i]);
       local_.bodies.push_back(scene_.bodies[i]);
     }
     LocalPairs(islands_.pairs(q), islands_.bodies(q), &local_.candidates);
@@ -111,6 +118,7 @@ class Stepper {
     StepInput<S> in = Input();
     in.bodies = local_.bodies;
     in.force = local_.force;
+    in.torque = local_.torque;
     in.candidates = local_.candidates;
     in.solved = &local_.solved;
     local_.failure = {};
@@ -128,6 +136,7 @@ class Stepper {
   struct LocalScene {
     std::vector<State> x, next;
     std::vector<Vec2<S>> force;
+    std::vector<S> torque;
     std::vector<BodyConstants<S>> bodies;
     std::vector<Candidate> candidates;
     std::vector<Touch> touches;
@@ -167,7 +176,8 @@ class Stepper {
             .table = scene_.table,
             .first_pocket = scene_.first_pocket,
             .num_pockets = scene_.num_pockets,
-            .slowing = scene_.slowing};
+            .slowing = scene_.slowing,
+            .torque = torque_};
   }
 
   // `next` has free flight and gets the step.
@@ -244,6 +254,7 @@ class Stepper {
   BroadPhase broad_phase_;
   ScratchMemory scratch_;
   std::vector<Vec2<S>> force_;
+  std::vector<S> torque_;
   int tie_order_ = 0;
   bool finds_ties_ = false;
   std::vector<Candidate> candidates_;

@@ -28,6 +28,7 @@ struct TypedScene {
       if (body.Spins()) bodies.back().inverse_inertia = S(1) / S(body.MomentOfInertia());
       fixed.push_back(body.fixed);
     }
+    turns = scene.num_turned() > 0;
     if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);
     for (WallPart& part : WallPartsOf(scene)) {
       const Wall<double>& wall = part.wall;
@@ -51,17 +52,26 @@ struct TypedScene {
   int first_pocket = 0;              // where its pockets begin among them, ...
   int num_pockets = 0;               // ... and how many there are
   S slowing = S(0);                  // m/s^2, of discs that slide on it
+  bool turns = false;                // there are torques
   std::vector<WallExtent> extents;   // of each of these
   std::vector<WallPart> wall_parts;  // the same, not rounded
 };
 
-// K x C x 2 forces, each held over a step.
+// The forces and torques of a control, each held over a step.
 template <typename S>
 class HeldControl {
  public:
   explicit HeldControl(const Scene& scene)
-      : bodies_(scene.control.bodies), stride_(scene.control_width()), place_(scene.bodies.size(), -1) {
+      : bodies_(scene.control.bodies),
+        turned_(scene.control.turned),
+        stride_(scene.control_width()),
+        place_(scene.bodies.size(), -1),
+        turn_place_(scene.bodies.size(), -1) {
     for (std::size_t c = 0; c < bodies_.size(); ++c) place_[bodies_[c]] = static_cast<int>(c);
+    for (std::size_t t = 0; t < turned_.size(); ++t) {
+      turn_place_[turned_[t]] = static_cast<int>(scene.TurnIndex(0, static_cast<int>(t)));
+    }
+    for (const Body& body : scene.bodies) radius_.push_back(S(body.radius));
   }
 
   void Resize(std::size_t size) { forces_.resize(size); }
@@ -78,12 +88,18 @@ class HeldControl {
   // The forces there; null if the disc is not pushed.
   const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
 
-  // Sets the forces of step k; those on other discs stay.
-  void SetForce(int k, std::span<Vec2<S>> force) const {
+  bool Turns(int body) const { return turn_place_[body] >= 0; }
+  // Likewise where torque / radius of a disc that is turned stands, and the torque, N m; 0 if it is not turned.
+  std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
+  S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
+
+  // Sets the forces and torques of step k; those on other discs stay.
+  void SetForce(int k, std::span<Vec2<S>> force, std::span<S> torque) const {
     for (int body : bodies_) {
       const S* u = On(body, k);
       force[body] = Vec2<S>(u[0], u[1]);
     }
+    for (int body : turned_) torque[body] = Torque(body, k);
   }
 
   // Adds to `push`, of every disc, the largest of its accelerations by the forces of steps begin..end-1, m/s^2.
@@ -106,12 +122,25 @@ class HeldControl {
       const double square = *std::max_element(largest, largest + kLanes);
       push[body] += std::sqrt(square) * double(bodies[body].inverse_mass);
     }
+    for (int body : turned_) {
+      double largest = 0;
+      for (int k = begin; k < end; ++k) largest = std::max(largest, std::abs(double(Torque(body, k))));
+      push[body] += AccelerationByTorque(bodies[body], largest);
+    }
+  }
+
+  // By how much a torque may speed a disc up, m/s^2: what its radius of gyration gains, which friction turns into
+  // speed.
+  static double AccelerationByTorque(const BodyConstants<S>& body, double torque) {
+    return torque * std::sqrt(double(body.inverse_inertia) * double(body.inverse_mass));
   }
 
  private:
-  std::vector<int> bodies_;  // those that are controlled
+  std::vector<int> bodies_, turned_;  // those that are controlled, and of these those that are turned
   std::ptrdiff_t stride_;
-  std::vector<int> place_;  // of each disc among them; -1 if it is not
+  std::vector<int> place_;       // of each disc among them; -1 if it is not
+  std::vector<int> turn_place_;  // of each disc: where in a step torque / radius stands; -1 if it is not turned
+  std::vector<S> radius_;        // m, of each disc
   std::vector<S> forces_;
 };
 

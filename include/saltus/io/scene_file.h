@@ -8,7 +8,9 @@
 //                                            refused)
 //   planes                                   default none: a list of name, point, normal
 //   contact                                  restitution, friction, stiffness, damping: defaults of ContactParameters
-//   control                                  optional: bodies (a list of names), initial (a list of [x, y])
+//   control                                  optional: bodies (a list of names), initial (a list of [x, y]); torque
+//                                            (names of those that are turned too, of which initial has [x, y, torque]);
+//                                            max, max_norm, max_torque (a number, or a list)
 //   objective                                terminal (required: a list of body, quantity, weight (default 1), and
 //   either
 //                                            target or component), effort (default 0)

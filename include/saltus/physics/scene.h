@@ -117,12 +117,20 @@ struct ContactParameters {
   bool operator==(const ContactParameters&) const = default;
 };
 
-// Which bodies are pushed, and the constant force on each with which optimisation starts.
+// Which bodies are pushed and turned, and the constant force and torque on each with which optimisation starts.
+//
+// A control is made of forces only: a torque is there as torque / radius, the force at the rim that would turn the disc
+// so. In these, and only these, terms effort and bounds are the same for both.
 struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
   // Bounds, > 0, one per controlled body, or none: N, of each component of the force, and of its length.
   std::vector<double> max = {}, max_norm = {};
+  std::vector<int> turned = {};             // those of the bodies, which spin, that have a torque on them too
+  std::vector<double> initial_torque = {};  // N m, counter-clockwise, one per turned body
+  std::vector<double> max_torque = {};      // N m, > 0, of its magnitude; one per turned body, or none
+
+  bool IsBounded() const { return !max.empty() || !max_norm.empty() || !max_torque.empty(); }
 
   bool operator==(const Control&) const = default;
 };
@@ -177,7 +185,8 @@ struct FreeDuration {
   bool operator==(const FreeDuration&) const = default;
 };
 
-// loss = sum of terminal, running and via terms + effort * sum over controlled bodies of the integral of |u|^2 dt
+// loss = sum of terminal, running and via terms + effort * sum over controlled bodies of the integral of |u|^2 dt, and
+// of that of (torque / radius)^2 for those that are turned
 struct Objective {
   std::vector<TerminalTerm> terminal;
   double effort = 0;  // >= 0
@@ -253,10 +262,14 @@ struct Scene {
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
-  // Numbers of a control in each of its intervals, one after the other: [u_x u_y] of each controlled body.
-  int control_width() const { return 2 * num_controlled(); }
+  int num_turned() const { return static_cast<int>(control.turned.size()); }
+  // Numbers of a control in each of its intervals, one after the other: [u_x u_y] of each controlled body, and then
+  // torque / radius of each that is turned. All are forces, N.
+  int control_width() const { return 2 * num_controlled() + num_turned(); }
   // Where in a control the force on controlled body c in interval k begins.
   std::size_t ForceIndex(std::size_t k, int c) const { return k * control_width() + 2 * static_cast<std::size_t>(c); }
+  // Where torque / radius of turned body t in interval k stands.
+  std::size_t TurnIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
   // True if there is a disc that spins.
   bool Spins() const;
   // True if there are walls that end: segments, polygons or arcs.
