@@ -162,6 +162,7 @@ Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double 
   CHECK_EQ(motion.states.size(), motion.times.size() * discs * 4);
   CHECK(motion.angles.empty() || motion.angles.size() == motion.times.size() * discs);
   CHECK_EQ(motion.control.size(), motion.ends.size() * motion.pushed.size() * 2);
+  CHECK(motion.torques.empty() || motion.torques.size() == motion.ends.size() * motion.pushed.size());
   const double position = kPositionQuantum * size, velocity = kOtherQuantum * speed;
   const double force = kOtherQuantum * Largest(motion.control, 0, 2);
   return {{"label", motion.label},
@@ -176,7 +177,11 @@ Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double 
           {"touches", TouchesToJson(motion)},
           {"pushed", motion.pushed},
           {"ends", Base64(motion.ends)},
-          {"control", Pack(motion.control, 2 * motion.pushed.size(), {force})}};
+          {"control", Pack(motion.control, 2 * motion.pushed.size(), {force})},
+          {"torques",
+           motion.torques.empty()
+               ? Json()
+               : Pack(motion.torques, motion.pushed.size(), {kOtherQuantum * Largest(motion.torques, 0, 1)})}};
 }
 
 // JSON that may stand in a script element: nothing in it can end that.

@@ -52,6 +52,7 @@ struct ReplayMotion {
   std::vector<ReplayTouch> touches;
   std::vector<int> pushed;      // discs with a force on them
   std::vector<double> control;  // K x pushed x 2, N
+  std::vector<double> torques;  // K x pushed, N m; empty if no disc is turned
   std::vector<double> ends;     // of the K intervals, s
 };
 

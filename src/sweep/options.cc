@@ -119,6 +119,13 @@ int FindForce(int body, const Scene& scene) {
 
 bool IsForce(const std::string& field) { return field == "force_x" || field == "force_y"; }
 
+// Likewise the torque on a body that is turned.
+int FindTorque(int body, const Scene& scene) {
+  const std::vector<int>& turned = scene.control.turned;
+  const auto found = std::find(turned.begin(), turned.end(), body);
+  return found == turned.end() ? -1 : static_cast<int>(found - turned.begin());
+}
+
 bool IsWord(const std::string& name) { return name == "contact" || name == "solver" || name == "precision"; }
 
 template <typename Entries>
@@ -137,6 +144,10 @@ void SetWord(const std::string& name, const std::string& word, Request* request)
 void SetBodyField(const BodyField& found, double value, Scene* scene) {
   if (const BodyOption* option = FindBodyNumber(found.field)) {
     option->set(value, &scene->bodies[found.body]);
+  } else if (found.field == "torque") {
+    const int torque = FindTorque(found.body, *scene);
+    CHECK_GE(torque, 0);
+    scene->control.initial_torque[torque] = value;
   } else {
     const int force = FindForce(found.body, *scene);
     CHECK_GE(force, 0);
@@ -151,8 +162,9 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
   if (const NumberOption* option = FindNumber(name)) return option->kind;
   const std::optional<BodyField> found = FindBodyField(name, scene);
   if (!found) return std::nullopt;
-  const bool known =
-      FindBodyNumber(found->field) != nullptr || (IsForce(found->field) && FindForce(found->body, scene) >= 0);
+  const bool known = FindBodyNumber(found->field) != nullptr ||
+                     (IsForce(found->field) && FindForce(found->body, scene) >= 0) ||
+                     (found->field == "torque" && FindTorque(found->body, scene) >= 0);
   return known ? std::optional(kReal) : std::nullopt;
 }
 

@@ -2,7 +2,8 @@
 // and the precision; or the scene itself, by the seed of a control problem (physics/control_problems.h).
 //
 // Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,
-// position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled.
+// position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled,
+// torque if it is turned.
 #pragma once
 
 #include <optional>

@@ -123,7 +123,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (!audit.gradient.initial_error.empty()) {
     item["standard_error"] = {{"position", VectorsToJson(scene, audit.gradient.initial_error, 0)},
                               {"velocity", VectorsToJson(scene, audit.gradient.initial_error, 2)},
-                              {"control", ControlToJson(scene, audit.gradient.control_error)}};
+                              {"control", ControlGradientToJson(scene, audit.gradient.control_error)}};
   }
   if (audit.error) {
     item["relative_error"] = NumberToJson(audit.error->relative);

@@ -8,7 +8,7 @@ namespace saltus {
 namespace {
 
 // One column a component, named as a derivative of the loss: position and velocity of every disc that moves, and the
-// first force on every controlled disc.
+// first force on every controlled disc, and the first torque.
 std::vector<Column> GradientColumns(const Scene& scene) {
   std::vector<Column> columns = {{"contact"}, {"loss", 8}};
   for (const char* quantity : {"p", "v"}) {
@@ -22,6 +22,7 @@ std::vector<Column> GradientColumns(const Scene& scene) {
     for (const char* axis : {"x", "y"})
       columns.push_back({"d/du" + std::string(axis) + "[0] " + scene.bodies[body].name, 5});
   }
+  for (int body : scene.control.turned) columns.push_back({"d/dtorque[0] " + scene.bodies[body].name, 5});
   columns.push_back({"rel. error", 3});
   columns.push_back({"angle, rad", 3});
   return columns;
@@ -37,7 +38,10 @@ std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell 
       for (int j = 0; j < 2; ++j) row.emplace_back(initial[4 * i + offset + j]);
     }
   }
-  for (int i = 0; i < scene.control_width(); ++i) row.emplace_back(control[i]);
+  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    row.emplace_back(control[scene.TurnIndex(0, t)] / scene.bodies[scene.control.turned[t]].radius);
+  }
   return row;
 }
 

@@ -1,5 +1,7 @@
 #include "tools/given_gradient.h"
 
+#include <algorithm>
+
 #include "io/file.h"
 #include "saltus/dynamics/registry.h"
 #include "tools/json_output.h"
@@ -58,6 +60,20 @@ void ReadContact(const Json& contact, const Reader& reader, const Scene& scene, 
   if (traits != nullptr && scene.steps % traits->grid_steps == 0) given->intervals = scene.steps / traits->grid_steps;
 }
 
+// One of the control: [x, y], or of a disc that is turned [x, y, torque] too.
+void ReadInterval(Json list, const std::string& key, const Reader& reader, const Scene& scene, GivenGradient* given) {
+  const std::vector<int>& turned = scene.control.turned;
+  std::vector<std::optional<double>> torques(turned.size());
+  for (size_t c = 0; list.is_array() && c < std::min<size_t>(list.size(), scene.num_controlled()); ++c) {
+    const auto at = std::find(turned.begin(), turned.end(), scene.control.bodies[c]);
+    if (at == turned.end() || !list[c].is_array() || list[c].size() != 3 || !list[c][2].is_number()) continue;
+    torques[at - turned.begin()] = list[c][2].get<double>();
+    list[c].erase(2);
+  }
+  given->control.push_back(reader.Vectors(list, key, scene.num_controlled()));
+  given->torque.push_back(std::move(torques));
+}
+
 void ReadGradient(const Json& document, const Reader& reader, const Scene& scene, GivenGradient* given) {
   if (const auto intervals = document.find("intervals"); intervals != document.end()) {
     const int64_t count = intervals->is_number_integer() ? intervals->get<int64_t>() : 0;
@@ -83,7 +99,7 @@ void ReadGradient(const Json& document, const Reader& reader, const Scene& scene
       if (!value.is_array() || value.size() > most)
         reader.Fail(key, "a list of at most " + std::to_string(most) + " intervals");
       for (size_t k = 0; k < value.size(); ++k) {
-        given->control.push_back(reader.Vectors(value[k], key + "[" + std::to_string(k) + "]", scene.num_controlled()));
+        ReadInterval(value[k], key + "[" + std::to_string(k) + "]", reader, scene, given);
       }
     } else if (key == "parameters") {
       if (!value.is_object() && !value.is_null()) reader.Fail(key, "an object or null");

@@ -2,10 +2,12 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cmath>
 #include <iostream>
 
 #include "output/json_number.h"
+#include "saltus/control/control_rows.h"
 
 namespace saltus {
 namespace {
@@ -46,17 +48,35 @@ Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int
   return rotations;
 }
 
-Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
+namespace {
+
+// From rows (control_rows.h).
+Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
   Json intervals = Json::array();
-  const size_t width = scene.control_width();
-  for (size_t begin = 0; width > 0 && begin < control.size(); begin += width) {
+  const std::vector<int>& turned = scene.control.turned;
+  const size_t columns = ControlColumns(scene), width = columns * scene.num_controlled();
+  for (size_t begin = 0; width > 0 && begin < rows.size(); begin += width) {
     Json forces = Json::array();
-    for (size_t i = begin; i < begin + width; i += 2) {
-      forces.push_back({NumberToJson(control[i]), NumberToJson(control[i + 1])});
+    for (int c = 0; c < scene.num_controlled(); ++c) {
+      const double* row = &rows[begin + c * columns];
+      Json force = {NumberToJson(row[0]), NumberToJson(row[1])};
+      const bool turns = std::find(turned.begin(), turned.end(), scene.control.bodies[c]) != turned.end();
+      if (turns) force.push_back(NumberToJson(row[2]));
+      forces.push_back(std::move(force));
     }
     intervals.push_back(std::move(forces));
   }
   return intervals;
+}
+
+}  // namespace
+
+Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
+  return RowsToJson(scene, RowsOfControl(scene, control));
+}
+
+Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient) {
+  return RowsToJson(scene, RowsOfGradient(scene, gradient));
 }
 
 Json EventsToJson(const std::vector<Event>& events) {
@@ -158,7 +178,7 @@ Json NumbersToJson(const std::vector<double>& values) {
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
   Json item = {{"position", VectorsToJson(scene, gradient.initial, 0)},
                {"velocity", VectorsToJson(scene, gradient.initial, 2)},
-               {"control", ControlToJson(scene, gradient.control)},
+               {"control", ControlGradientToJson(scene, gradient.control)},
                {"parameters", ParametersToJson(gradient.parameters)}};
   if (!scene.Spins()) return item;
   item["angle"] = RotationsToJson(scene, gradient.initial, 0);

@@ -17,8 +17,10 @@ using Json = nlohmann::ordered_json;
 Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset);
 // The angles (entry 0) or angular velocities (entry 1) of all discs in it. Precondition: the scene has discs that spin.
 Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry);
-// [[ [x, y] per controlled disc ] per control interval], from K x C x 2 numbers; [] without control.
+// [[ [x, y] per controlled disc ] per control interval]; [] without control. Of discs that are turned [x, y, torque].
 Json ControlToJson(const Scene& scene, const std::vector<double>& control);
+// The same of derivatives by a control.
+Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient);
 Json EventsToJson(const std::vector<Event>& events);
 // Adds "ambiguous": [{ "time", "bodies" }, ...] and "loss_spread": [lowest, highest], where there are ambiguous ties.
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);

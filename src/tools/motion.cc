@@ -57,7 +57,7 @@ class Way {
     ok_ = simulator_->Rollout(initial, control);
     x_.resize(simulator_->state_size());
     next_ = x_;
-    force_.resize(2 * simulator_->num_bodies());
+    force_.resize(simulator_->force_size());
     if (ok_) {
       simulator_->GetState(0, x_);
     } else {

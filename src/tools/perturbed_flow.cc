@@ -42,8 +42,8 @@ Place PlaceOf(const Scene& scene, const ContactError& error, const std::vector<d
 
 // From state x at step `begin` to step `end`.
 PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Place& place, int begin, int end) {
-  const int size = simulator.body_size(), discs = simulator.num_bodies();
-  std::vector<double> tangent(x.size(), 0.0), next(x.size()), force(2 * discs), none(2 * discs, 0.0);
+  const int size = simulator.body_size();
+  std::vector<double> tangent(x.size(), 0.0), next(x.size()), force(simulator.force_size()), none(force.size(), 0.0);
   for (int j = 0; j < 2; ++j) tangent[place.a * size + j] = place.normal[j];
   const auto along = [&](int i) {
     return place.normal[0] * tangent[i * size] + place.normal[1] * tangent[i * size + 1];

@@ -268,10 +268,13 @@ class Reader {
     for (const Json& row : run["control"]) {
       if (!row.is_array() || row.size() != scene_pushed_.size()) Fail(place + "control", "[x, y] of each pushed disc");
       for (const Json& force : row) {
-        const std::array<double, 2> pair = PairIn(force, place + "control");
+        const bool turns = force.is_array() && force.size() == 3;  // [x, y, torque]
+        const std::array<double, 2> pair = PairIn(turns ? Json{force[0], force[1]} : force, place + "control");
         motion->control.insert(motion->control.end(), pair.begin(), pair.end());
+        motion->torques.push_back(turns ? NumberIn(force[2], place + "control") : 0);
       }
     }
+    if (!turns_) motion->torques.clear();
     std::vector<double> durations;
     if (run.contains("durations")) {
       for (const Json& length : run["durations"]) durations.push_back(NumberIn(length, place + "durations"));
@@ -312,6 +315,7 @@ class Reader {
       if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
       file_.drawn = ReplayOf(std::get<Scene>(scene));
       scene_pushed_ = std::get<Scene>(scene).control.bodies;
+      turns_ = std::get<Scene>(scene).num_turned() > 0;
       return;
     }
     const auto radius = arrays.find("radius");
@@ -343,7 +347,16 @@ class Reader {
       ReadStateArray(states->second, prefix + "states", &motion);
       ReadTouchArrays(arrays, prefix, &motion);
       if (const auto control = arrays.find("control"); control != arrays.end() && !scene_pushed_.empty()) {
-        motion.control = Numbers(control->second, "control");
+        const int64_t columns = turns_ ? 3 : 2, pushed = static_cast<int64_t>(scene_pushed_.size());
+        if (turns_ && (control->second.shape.size() != 3 || control->second.shape[1] != pushed ||
+                       control->second.shape[2] != columns)) {
+          Fail("control", "a shape of (K, " + std::to_string(pushed) + ", " + std::to_string(columns) + ")");
+        }
+        const std::vector<double> rows = Numbers(control->second, "control");
+        for (size_t i = 0; i < rows.size(); i += columns) {
+          motion.control.insert(motion.control.end(), {rows[i], rows[i + 1]});
+          if (turns_) motion.torques.push_back(rows[i + 2]);
+        }
         const auto durations = arrays.find("durations");
         SetIntervals(
             durations == arrays.end() ? std::vector<double>() : Numbers(durations->second, "durations"), "", &motion);
@@ -412,6 +425,7 @@ class Reader {
   std::string path_;
   bool given_;
   std::vector<int> scene_pushed_;  // of the scene in the file
+  bool turns_ = false;             // it has torques
   ReplayFile file_;
 };
 

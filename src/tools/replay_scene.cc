@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "saltus/control/control_rows.h"
 #include "saltus/physics/walls.h"
 #include "solve/control_guess.h"
 #include "tools/outlines.h"
@@ -26,6 +27,14 @@ void AddWalls(const Scene& scene, Replay* replay) {
   for (const WallPart& part : WallPartsOf(scene)) replay->walls.push_back(ToReplayWall(part));
   for (size_t i = 0; i < scene.planes.size(); ++i) replay->walls[i].point = Pair(scene.planes[i].point);
   replay->outlines = OutlinesOf(scene);
+}
+
+void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMotion* motion) {
+  const size_t columns = ControlColumns(scene);
+  for (size_t i = 0; i + columns <= rows.size(); i += columns) {
+    motion->control.insert(motion->control.end(), {rows[i], rows[i + 1]});
+    if (columns > 2) motion->torques.push_back(rows[i + 2]);
+  }
 }
 
 Replay ReplayOf(const Scene& scene) {
@@ -60,6 +69,7 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
                       .touches = {},
                       .pushed = {},
                       .control = {},
+                      .torques = {},
                       .ends = {}};
   for (size_t i = 0; i < motion.rotations.size(); i += 2) replay.angles.push_back(motion.rotations[i]);
   for (const TouchSpan& touch : motion.touches) {
@@ -78,7 +88,7 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
   replay.pushed = scene.control.bodies;
   double end = 0;
   for (const double length : LengthsOf(control, scene)) replay.ends.push_back(end += length);
-  replay.control = std::move(control.control);
+  SplitControl(scene, RowsOfControl(scene, control.control), &replay);
   return replay;
 }
 

@@ -20,6 +20,9 @@ Replay ReplayOf(const Scene& scene);
 // How many nodes each of `motions` motions may have in a page.
 MotionOptions ReplayOptions(const Scene& scene, std::size_t motions);
 
+// Into forces and torques, from rows (control_rows.h).
+void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMotion* motion);
+
 // `input` is what the motion was simulated from: its control is drawn too. Precondition: the motion has states.
 ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const MotionInput& input,
                             const std::string& label, std::string_view style_of_model);

@@ -5,6 +5,7 @@
 
 #include "io/file.h"
 #include "output/npz.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/dynamics/simulator.h"
 #include "tools/json_output.h"
 #include "tools/program.h"
@@ -36,17 +37,51 @@ class Reader {
     throw InputError(flag_ + ": " + path_ + ": " + key + ": expected " + expected);
   }
 
-  // The numbers of [[x, y], ...], `rows` of them; a null is a number that was not finite.
+  // A null is a number that was not finite.
+  static bool IsVector(const Json& item, size_t size) {
+    const auto is_number = [](const Json& number) { return number.is_number(); };
+    return item.is_array() && item.size() == size && std::all_of(item.begin(), item.end(), is_number);
+  }
+
+  // The numbers of [[x, y], ...], `rows` of them.
   std::vector<double> Vectors(const Json& list, const std::string& key, size_t rows) const {
     if (!list.is_array() || list.size() != rows) Fail(key, "a list of " + std::to_string(rows) + " times [x, y]");
     std::vector<double> numbers;
     for (size_t i = 0; i < rows; ++i) {
       const Json& item = list[i];
-      const bool is_vector = item.is_array() && item.size() == 2 && item[0].is_number() && item[1].is_number();
-      if (!is_vector) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers");
+      if (!IsVector(item, 2)) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers");
       numbers.insert(numbers.end(), {item[0].get<double>(), item[1].get<double>()});
     }
     return numbers;
+  }
+
+  // One interval of a control, as rows of it have it (control_rows.h).
+  std::vector<double> Interval(const Json& list, const std::string& key) const {
+    const size_t rows = scene_.num_controlled();
+    if (scene_.num_turned() == 0) return Vectors(list, key, rows);
+    if (!list.is_array() || list.size() != rows) {
+      Fail(key, "a list of " + std::to_string(rows) + " times [x, y], or [x, y, torque] of discs that are turned");
+    }
+    std::vector<double> numbers;
+    for (size_t c = 0; c < rows; ++c) {
+      const std::vector<int>& turned = scene_.control.turned;
+      const bool turns = std::find(turned.begin(), turned.end(), scene_.control.bodies[c]) != turned.end();
+      if (!IsVector(list[c], turns ? 3 : 2)) {
+        Fail(key + "[" + std::to_string(c) + "]",
+             turns ? "[x, y, torque] of finite numbers" : "[x, y] of finite numbers");
+      }
+      for (const Json& number : list[c]) numbers.push_back(number.get<double>());
+      if (!turns) numbers.push_back(0);
+    }
+    return numbers;
+  }
+
+  // From rows; also what is wrong with them.
+  void SetControl(const std::vector<double>& rows) {
+    if (const std::string why = WhyNoControl(scene_, rows); !why.empty()) {
+      throw InputError(flag_ + ": " + path_ + ": control: " + why);
+    }
+    solution_.control = ControlOfRows(scene_, rows);
   }
 
   void ReadJson(const std::string& text) {
@@ -71,11 +106,12 @@ class Reader {
   void ReadRun(const Json& run) {
     if (const auto control = run.find("control"); control != run.end()) {
       if (!control->is_array()) Fail("control", "a list of intervals");
+      std::vector<double> rows;
       for (size_t k = 0; k < control->size(); ++k) {
-        const std::vector<double> row =
-            Vectors((*control)[k], "control[" + std::to_string(k) + "]", scene_.num_controlled());
-        solution_.control.insert(solution_.control.end(), row.begin(), row.end());
+        const std::vector<double> row = Interval((*control)[k], "control[" + std::to_string(k) + "]");
+        rows.insert(rows.end(), row.begin(), row.end());
       }
+      SetControl(rows);
     }
     if (const auto durations = run.find("durations"); durations != run.end()) {
       if (!durations->is_array()) Fail("durations", "a list of numbers");
@@ -121,10 +157,11 @@ class Reader {
     if (const auto control = arrays->find("control"); control != arrays->end()) {
       std::vector<int64_t> shape = control->second.shape;
       if (shape.size() == 2 && controlled == 1) shape.insert(shape.begin() + 1, 1);
-      if (shape.size() != 3 || shape[1] != controlled || shape[2] != 2) {
-        Fail("control", "a shape of (K, " + std::to_string(controlled) + ", 2)");
+      const int64_t columns = ControlColumns(scene_);
+      if (shape.size() != 3 || shape[1] != controlled || shape[2] != columns) {
+        Fail("control", "a shape of (K, " + std::to_string(controlled) + ", " + std::to_string(columns) + ")");
       }
-      solution_.control = Numbers(control->second, "control");
+      SetControl(Numbers(control->second, "control"));
     }
     if (const auto durations = arrays->find("durations"); durations != arrays->end()) {
       solution_.durations = Numbers(durations->second, "durations");

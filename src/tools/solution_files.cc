@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "output/npz.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/io/scene_file.h"
 #include "saltus/physics/walls.h"
 #include "tools/simulated_run.h"
@@ -108,21 +109,21 @@ void AddInitial(const std::string& prefix, const std::vector<double>& initial, i
 NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
   const SolveReport& report = run.report;
   const int64_t bodies = request.scene.num_bodies();
-  const int64_t controlled = request.scene.num_controlled();
+  const int64_t controlled = request.scene.num_controlled(), columns = ControlColumns(request.scene);
   NpzArrays arrays;
   if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
   AddInitial("initial_", report.initial_state, bodies, &arrays);
   if (controlled > 0) {
-    const int64_t intervals = static_cast<int64_t>(report.control.size()) / (2 * controlled);
-    arrays["control"] = {{intervals, controlled, 2}, report.control};
+    const int64_t intervals = static_cast<int64_t>(report.control.size()) / request.scene.control_width();
+    arrays["control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.control)};
     if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
   }
   if (report.best && !report.best->initial_state.empty()) {
     arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
     AddInitial("best_initial_", report.best->initial_state, bodies, &arrays);
     if (controlled > 0) {
-      const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / (2 * controlled);
-      arrays["best_control"] = {{intervals, controlled, 2}, report.best->control};
+      const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / request.scene.control_width();
+      arrays["best_control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.best->control)};
       if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
     }
   }

@@ -159,36 +159,52 @@ Series StepsOf(const Scene& scene, const SolveReport& run, size_t column, const 
   return series;
 }
 
+// A panel of one number of the rows of a control, times `factor`.
+Panel ControlPanel(const Request& request, const std::vector<const SolvedRun*>& runs, size_t column,
+                   const std::string& title, const std::string& label, double factor = 1) {
+  Panel panel;
+  panel.title = title;
+  panel.x.label = "time (s)";
+  panel.y.label = label;
+  for (size_t i = 0; i < std::min(runs.size(), kMostMotions); ++i) {
+    panel.series.push_back(StepsOf(request.scene, runs[i]->report, column, StyleOfRun(request, runs[i]->report)));
+    for (double& y : panel.series.back().y) y *= factor;
+  }
+  const std::vector<Event>& events = runs[0]->exact.events;
+  for (size_t e = 0; e < std::min(events.size(), kMostImpacts); ++e) {
+    panel.reference_lines.push_back({.value = events[e].time,
+                                     .label = events[e].a + " meets " + events[e].b,
+                                     .vertical = true,
+                                     .colour = "#6e7781",
+                                     .dash = Dash::kDotted});
+  }
+  return panel;
+}
+
 void AddControls(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {
   const Scene& scene = request.scene;
   if (scene.num_controlled() == 0 || runs.empty()) return;
   Figure figure;
-  for (size_t c = 0; c < std::min<size_t>(scene.control.bodies.size(), 4); ++c) {
-    for (size_t j = 0; j < 2; ++j) {
-      Panel panel;
-      panel.title = scene.bodies[scene.control.bodies[c]].name;
-      panel.x.label = "time (s)";
-      panel.y.label = std::string(j == 0 ? "force x" : "force y") + " (N)";
-      for (size_t i = 0; i < std::min(runs.size(), kMostMotions); ++i) {
-        panel.series.push_back(StepsOf(scene, runs[i]->report, 2 * c + j, StyleOfRun(request, runs[i]->report)));
-      }
-      const std::vector<Event>& events = runs[0]->exact.events;
-      for (size_t e = 0; e < std::min(events.size(), kMostImpacts); ++e) {
-        panel.reference_lines.push_back({.value = events[e].time,
-                                         .label = events[e].a + " meets " + events[e].b,
-                                         .vertical = true,
-                                         .colour = "#6e7781",
-                                         .dash = Dash::kDotted});
-      }
-      figure.panels.push_back(std::move(panel));
+  constexpr int kMostDiscs = 4;
+  for (int c = 0; c < std::min(scene.num_controlled(), kMostDiscs); ++c) {
+    const std::string& name = scene.bodies[scene.control.bodies[c]].name;
+    for (const int j : {0, 1}) {
+      const std::string label = std::string(j == 0 ? "force x" : "force y") + " (N)";
+      figure.panels.push_back(ControlPanel(request, runs, 2 * c + j, name, label));
     }
+  }
+  for (int t = 0; t < std::min(scene.num_turned(), kMostDiscs); ++t) {
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    figure.panels.push_back(ControlPanel(request, runs, scene.TurnIndex(0, t), body.name, "torque (N m)", body.radius));
   }
   figure.columns = 2;
   figure.width = 1100;
   figure.legend = Legend::kBelow;
   report->AddHeading(1, "Controls");
-  AddFigureOrReason(
-      figure, "Forces over time. Dotted: impacts of the run of least exact loss, in exact dynamics.", report);
+  AddFigureOrReason(figure,
+                    std::string(scene.num_turned() > 0 ? "Forces and torques" : "Forces") +
+                        " over time. Dotted: impacts of the run of least exact loss, in exact dynamics.",
+                    report);
 }
 
 void AddLearningCurves(const Request& request, const std::vector<const SolvedRun*>& runs, HtmlReport* report) {

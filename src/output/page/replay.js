@@ -32,12 +32,13 @@ class Replay {
     const most = (value) => Math.max(0, ...this.motions.map(value));
     this.fastest = most((motion) => motion.fastest);
     this.strongest = most((motion) => motion.strongest);
+    this.twisted = most((motion) => motion.twisted);
     this.hardest = most((motion) => motion.hardest);
     this.duration = most((motion) => motion.end);
     this.memory = 0.04 * this.duration;
     this.impacts = [...new Set(this.motions.flatMap(({touches}) => touches.map(({begin}) => begin)))].sort((a, b) => a - b);
     this.options = {
-      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest > 0, touches: true,
+      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest + this.twisted > 0, touches: true,
       impulses: this.discs.length <= MANY_DISCS,
       names: true, apart: false,
     };
@@ -113,7 +114,7 @@ class Replay {
     const group = element('div', {class: 'options', role: 'group', 'aria-label': 'what is drawn'});
     for (const [key, words] of OPTIONS) {
       if (key === 'apart' && this.motions.length < 2) continue;
-      if (key === 'forces' && this.strongest === 0) continue;
+      if (key === 'forces' && this.strongest + this.twisted === 0) continue;
       const box = element('input', {type: 'checkbox', onchange: () => { this.options[key] = box.checked; this.redraw(); }});
       box.checked = this.options[key];
       group.append(element('label', {}, box, ` ${words}`));

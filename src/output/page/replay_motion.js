@@ -14,9 +14,11 @@ class Motion {
     this.pushed = data.pushed;
     this.ends = doublesOf(data.ends);  // of the control's intervals, s
     this.control = unpack(data.control, this.ends.length, 2 * data.pushed.length);
+    this.torques = data.torques && unpack(data.torques, this.ends.length, data.pushed.length);  // N m; null if no disc is turned
     this.visible = data.shown !== false;
     this.fastest = this.largestOf((i) => Math.hypot(this.states[i + 2], this.states[i + 3]), this.states.length, 4);
     this.strongest = this.largestOf((i) => Math.hypot(this.control[i], this.control[i + 1]), this.control.length, 2);
+    this.twisted = this.torques ? this.largestOf((i) => Math.abs(this.torques[i]), this.torques.length, 1) : 0;
     this.hardest = Math.max(0, ...this.touches.slice(0, 10000).map(({impulse}) => Math.hypot(...impulse)));
     this.longestTouch = this.touches.reduce((longest, {begin, end}) => Math.max(longest, end - begin), 0);
   }
@@ -77,17 +79,30 @@ class Motion {
     }
   }
 
-  // [disc, force x, force y] of every disc that is pushed.
-  forcesAt(time) {
-    if (this.ends.length === 0 || time > this.end) return [];
+  // The interval of the control at `time`; -1 if there is none.
+  intervalAt(time) {
+    if (this.ends.length === 0 || time > this.end) return -1;
     let low = 0, high = this.ends.length - 1;
     while (low < high) {
       const middle = (low + high) >> 1;
       if (this.ends[middle] > time) high = middle;
       else low = middle + 1;
     }
-    const width = 2 * this.pushed.length;
-    return this.pushed.map((disc, c) => [disc, this.control[low * width + 2 * c], this.control[low * width + 2 * c + 1]]);
+    return low;
+  }
+
+  // [disc, force x, force y] of every disc that is pushed.
+  forcesAt(time) {
+    const k = this.intervalAt(time), width = 2 * this.pushed.length;
+    if (k < 0) return [];
+    return this.pushed.map((disc, c) => [disc, this.control[k * width + 2 * c], this.control[k * width + 2 * c + 1]]);
+  }
+
+  // [disc, torque] of every disc that is turned.
+  torquesAt(time) {
+    const k = this.intervalAt(time);
+    if (k < 0 || !this.torques) return [];
+    return this.pushed.map((disc, c) => [disc, this.torques[k * this.pushed.length + c]]).filter(([, torque]) => torque !== 0);
   }
 
   // What touches at `time`, or did up to `memory` seconds before, with its `age` from 0 (now) to 1.

@@ -197,6 +197,7 @@ class View {
     if (options.forces) {
       const unit = ARROW * this.extent / (strongest || 1);
       this.drawArrows(context, motion.forcesAt(time).map(([i, fx, fy]) => arrow(i, unit, fx, fy)), FORCE);
+      this.drawTorques(context, motion.torquesAt(time), x);
     }
     if (options.names && first && discs.length <= MANY_DISCS) {
       discs.forEach((disc, i) => {
@@ -329,6 +330,26 @@ class View {
   }
 
   // Arrows from (x, y), as long as (dx, dy): all shafts, then all heads.
+  // Arcs around discs, from the right and as long as the torque is large, with a head where they point.
+  drawTorques(context, torques, x) {
+    context.strokeStyle = context.fillStyle = FORCE;
+    context.lineWidth = 2;
+    for (const [i, torque] of torques) {
+      const angle = 1.5 * Math.PI * torque / this.replay.twisted, radius = this.scale * this.replay.discs[i].radius + 4;
+      const left = this.toX(x[4 * i]), top = this.toY(x[4 * i + 1]), side = Math.sign(torque);
+      context.beginPath();
+      context.arc(left, top, radius, 0, -angle, torque > 0);
+      context.stroke();
+      const tipX = left + radius * Math.cos(angle), tipY = top - radius * Math.sin(angle);
+      const alongX = -side * Math.sin(angle), alongY = -side * Math.cos(angle), head = 5;
+      context.beginPath();
+      context.moveTo(tipX + head * alongX, tipY + head * alongY);
+      context.lineTo(tipX - head * alongY, tipY + head * alongX);
+      context.lineTo(tipX + head * alongY, tipY - head * alongX);
+      context.fill();
+    }
+  }
+
   drawArrows(context, arrows, colour) {
     const tips = [];
     context.beginPath();
