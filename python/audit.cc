@@ -14,6 +14,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "output/palette.h"
+#include "saltus/control/control_rows.h"
 #include "tools/audit.h"
 
 namespace saltus::python {
@@ -27,7 +28,9 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
   std::vector<double> given;
   if (!control.is_none()) {
     const int steps = scene.steps / FindContactModel(contact)->grid_steps;
-    given = ToVector(ReadArray(control, "control", {steps, scene.num_controlled(), 2}));
+    const Array rows = ReadArray(control, "control", {steps, scene.num_controlled(), ControlColumns(scene)});
+    CheckRows(scene, "control", View(rows));
+    given = ControlOfRows(scene, View(rows));
   }
   const Precision arithmetic = ReadPrecision(precision);
   ModelGradient gradient;

@@ -8,6 +8,7 @@
 #include "convert.h"
 #include "motion.h"
 #include "physics/units.h"
+#include "saltus/control/control_rows.h"
 
 namespace saltus::python {
 namespace {
@@ -19,10 +20,15 @@ class PointsOfScene {
     CheckTakes(contact, near_);
     batch_ = std::make_unique<Batch>(contact, near_, ReadPrecision(precision), ReadThreads(threads));
     batch_->set_stop(user_.stop());
+    num_variables_ = batch_->num_variables();
+    if (!HasTorques(scene_)) return;
+    const int behind = scene_.objective.duration.has_value();
+    const int steps = (num_variables_ - behind) / scene_.control_width();
+    num_variables_ = steps * scene_.num_controlled() * ControlColumns(scene_) + behind;
   }
 
   int num_threads() const { return batch_->num_threads(); }
-  int num_variables() const { return batch_->num_variables(); }
+  int num_variables() const { return num_variables_; }
 
   py::tuple LossAndGradient(const py::object& points, const py::object& losses_out, const py::object& gradients_out) {
     const Array read = ReadPoints(points);
@@ -56,7 +62,7 @@ class PointsOfScene {
     Computation computation;
     computation.RunOrThrow([&] {
       const OneUser::Use use(&user_, &computation);
-      EvaluateFinite(NearVariables(scene_, near_, View(points), &shifted_), losses, gradients);
+      EvaluateFinite(NearVariables(scene_, near_, View(points), &moved_, losses.size()), losses, gradients);
     });
     const bool all = std::none_of(losses.begin(), losses.end(), [](double loss) { return std::isnan(loss); });
     if (!all) CheckFinite(points, "points");
@@ -66,12 +72,17 @@ class PointsOfScene {
   // As Batch::Evaluate(), with NaN for points that are not finite. Each is looked at just before it is used, as a pass
   // over all points would cost a tenth of the gradients.
   void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
-    const size_t size = batch_->num_variables();
+    const size_t size = batch_->num_variables(), columns = num_variables_;
+    const bool torques = HasTorques(scene_);
     batch_->ForEach(static_cast<int>(losses.size()), [&](SingleShooting* shooting, int i) {
       const std::span<const double> point = points.subspan(i * size, size);
-      const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * size, size);
-      double* const to = gradient.empty() ? nullptr : gradient.data();
-      if (AllFinite(point) && shooting->Evaluate(point, &losses[i], to)) return;
+      const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * columns, columns);
+      std::vector<double> own(torques && !gradient.empty() ? size : 0);
+      double* const to = gradient.empty() ? nullptr : torques ? own.data() : gradient.data();
+      if (AllFinite(point) && shooting->Evaluate(point, &losses[i], to)) {
+        if (!own.empty()) PutGradient(scene_, own, gradient);
+        return;
+      }
       losses[i] = std::numeric_limits<double>::quiet_NaN();
       std::fill(gradient.begin(), gradient.end(), losses[i]);
     });
@@ -79,7 +90,8 @@ class PointsOfScene {
 
   Scene scene_, near_;
   std::unique_ptr<Batch> batch_;
-  std::vector<double> shifted_;
+  int num_variables_ = 0;  // of a point, as Python has it
+  std::vector<double> moved_;
   OneUser user_;
 };
 

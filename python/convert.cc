@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <thread>
 
+#include "saltus/control/control_rows.h"
+
 namespace saltus::python {
 
 py::object ToPython(const Json& value) {
@@ -28,6 +30,10 @@ Precision ReadPrecision(const std::string& name) {
   if (name == "double") return Precision::kDouble;
   if (name == "float") return Precision::kFloat;
   throw py::value_error("precision: found '" + name + "', expected 'double' or 'float'");
+}
+
+void CheckRows(const Scene& scene, const std::string& name, std::span<const double> rows) {
+  if (const std::string why = WhyNoControl(scene, rows); !why.empty()) throw py::value_error(name + ": " + why);
 }
 
 void CheckTakes(const Contact& contact, const Scene& scene) {

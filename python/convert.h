@@ -3,6 +3,7 @@
 
 #include <pybind11/pybind11.h>
 
+#include <span>
 #include <string>
 
 #include "saltus/dynamics/registry.h"
@@ -18,6 +19,9 @@ py::object ToPython(const Json& value);
 
 // "double" or "float". ValueError.
 Precision ReadPrecision(const std::string& name);
+
+// ValueError if a control in rows (control_rows.h) has torques on discs that are not turned.
+void CheckRows(const Scene& scene, const std::string& name, std::span<const double> rows);
 
 // ValueError with the reason if the model cannot take the scene.
 void CheckTakes(const Contact& contact, const Scene& scene);

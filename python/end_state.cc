@@ -5,6 +5,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "physics/units.h"
+#include "saltus/control/control_rows.h"
 
 namespace saltus::python {
 namespace {
@@ -20,10 +21,12 @@ class EndState {
 
   // Of scenes with discs that spin as all states are here: angle and angular velocity of a disc behind its velocity.
   Shape InitialShape() const { return {scene_.num_bodies(), InitialSize(scene_) / scene_.num_bodies()}; }
-  Shape ControlShape() const { return {simulator_->num_steps(), scene_.num_controlled(), 2}; }
+  Shape ControlShape() const { return {simulator_->num_steps(), scene_.num_controlled(), ControlColumns(scene_)}; }
   Shape FinalShape() const { return {scene_.num_bodies(), simulator_->body_size()}; }
   Array Initial() const { return ToArray(ToState(InitialState(scene_), scene_.num_bodies()), InitialShape()); }
-  Array Control() const { return ToArray(InitialControl(scene_, simulator_->num_steps()), ControlShape()); }
+  Array Control() const {
+    return ToArray(RowsOfControl(scene_, InitialControl(scene_, simulator_->num_steps())), ControlShape());
+  }
 
   Array Evaluate(const py::object& initial, const py::object& control) {
     const Motion motion = Read(initial, control);
@@ -44,7 +47,7 @@ class EndState {
     const Motion motion = Read(initial, control);
     const Array by_final = ReadArray(cotangent, "cotangent", FinalShape());
     std::vector<double> by_initial(InitialSize(scene_));
-    Array by_control(ControlShape());
+    std::vector<double> by_control(simulator_->control_size());
     std::string failure;
     Computation computation;
     computation.Run([&] {
@@ -53,11 +56,12 @@ class EndState {
       if (!failure.empty()) return;
       SensitivityView out;
       out.initial = by_initial;
-      out.control = MutableView(by_control);
+      out.control = by_control;
       simulator_->AdjointInto(View(by_final), out);
     });
     Check(computation, failure);
-    return py::make_tuple(ToArray(ToState(by_initial, scene_.num_bodies()), InitialShape()), by_control);
+    return py::make_tuple(ToArray(ToState(by_initial, scene_.num_bodies()), InitialShape()),
+                          ToArray(RowsOfGradient(scene_, by_control), ControlShape()));
   }
 
  private:
@@ -67,8 +71,10 @@ class EndState {
   };
 
   Motion Read(const py::object& initial, const py::object& control) const {
+    const Array rows = ReadArray(control, "control", ControlShape());
+    CheckRows(scene_, "control", View(rows));
     Motion motion{ToInitial(View(ReadArray(initial, "initial", InitialShape())), scene_.num_bodies()),
-                  ToVector(ReadArray(control, "control", ControlShape()))};
+                  ControlOfRows(scene_, View(rows))};
     motion.initial = ConvertInitial(std::move(motion.initial), scene_.num_bodies(), scene_.units, near_.units);
     return motion;
   }

@@ -10,14 +10,19 @@
 
 namespace saltus::python {
 
-// How the decision variables of `scene` are arranged for a model that takes `num_steps`: (K, C, 2) for a control, (F,
-// 2) for velocities and positions of F discs; flat with a free final time or angular velocities behind.
+// How the decision variables of `scene` are arranged for a model that takes `num_steps`: (K, C, 2) for a control, (K,
+// C, 3) with torques (control_rows.h), (F, 2) for velocities and positions of F discs; flat with a free final time or
+// angular velocities behind.
 Shape VariablesShape(const SingleShooting& shooting);
+// Whether these are not those of the library, as torques are among them.
+bool HasTorques(const Scene& scene);
 
-// Positions among the decision variables, from the scene's origin to that of the computation. `z` as it is if there are
-// none, else `shifted` holds them.
+// Decision variables of `points` points as the library has them: positions from the scene's origin to that of the
+// computation, torques where they belong. `z` as it is if there is nothing to do, else `moved` holds them.
 std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
-                                      std::vector<double>* shifted);
+                                      std::vector<double>* moved, size_t points = 1);
+// The other way round, of a gradient of one point. Precondition: HasTorques(scene).
+void PutGradient(const Scene& scene, std::span<const double> gradient, std::span<double> to);
 
 // Loss and gradient by the decision variables. Used by one thread at a time: others wait.
 class Simulation {
@@ -27,7 +32,7 @@ class Simulation {
   const Scene& scene() const { return scene_; }
   const std::string& contact() const { return contact_; }
   Shape shape() const { return VariablesShape(shooting_); }
-  py::ssize_t num_variables() const { return shooting_.num_variables(); }
+  py::ssize_t num_variables() const { return SizeOf(shape()); }
   py::ssize_t num_steps() const { return shooting_.simulator().num_steps(); }
   int body_size() const { return shooting_.simulator().body_size(); }
   Array InitialGuess() const;
@@ -55,7 +60,7 @@ class Simulation {
   Scene scene_, near_;
   std::string contact_;
   SingleShooting shooting_;
-  std::vector<double> shifted_;
+  std::vector<double> moved_, gradient_;
   OneUser user_;
 };
 

@@ -106,6 +106,7 @@ void BindScene(py::module_* module) {
       .def_property_readonly("optimize", [](const Scene& scene) { return OptimizeToString(scene.optimize); })
       .def_property_readonly("bodies", [](const Scene& scene) { return NamesOf(scene, AllBodies(scene)); })
       .def_property_readonly("controlled", [](const Scene& scene) { return NamesOf(scene, scene.control.bodies); })
+      .def_property_readonly("turned", [](const Scene& scene) { return NamesOf(scene, scene.control.turned); })
       .def_property_readonly("position", [](const Scene& scene) { return VectorsOf(scene, &Body::position); })
       .def_property_readonly("velocity", [](const Scene& scene) { return VectorsOf(scene, &Body::velocity); })
       .def_property_readonly("spins", &Scene::Spins)

@@ -4,6 +4,7 @@
 #include "convert.h"
 #include "motion.h"
 #include "physics/units.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/dynamics/events.h"
 
 namespace saltus::python {
@@ -30,20 +31,43 @@ SingleShooting MakeShooting(const Contact& contact, const Scene& near, const std
 
 Shape VariablesShape(const SingleShooting& shooting) {
   const Scene& scene = shooting.scene();
-  if (shooting.has_duration() || !scene.free_spin.empty()) return {shooting.num_variables()};
-  if (scene.optimize == Optimize::kControl) return {shooting.simulator().num_steps(), scene.num_controlled(), 2};
+  if (!scene.free_spin.empty()) return {shooting.num_variables()};
+  if (scene.optimize == Optimize::kControl) {
+    const Shape control{shooting.simulator().num_steps(), scene.num_controlled(), ControlColumns(scene)};
+    return shooting.has_duration() ? Shape{SizeOf(control) + 1} : control;
+  }
   return {shooting.num_variables() / 2, 2};
 }
 
+bool HasTorques(const Scene& scene) { return scene.optimize == Optimize::kControl && scene.num_turned() > 0; }
+
 std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
-                                      std::vector<double>* shifted) {
+                                      std::vector<double>* moved, size_t points) {
+  if (HasTorques(scene)) {
+    moved->clear();
+    const size_t size = z.size() / points, forces = size - scene.objective.duration.has_value();
+    for (size_t i = 0; i < points; ++i) {
+      const std::span<const double> point = z.subspan(i * size, size);
+      const std::vector<double> control = ControlOfRows(scene, point.first(forces));
+      moved->insert(moved->end(), control.begin(), control.end());
+      moved->insert(moved->end(), point.begin() + static_cast<std::ptrdiff_t>(forces), point.end());
+    }
+    return *moved;
+  }
   if (scene.optimize != Optimize::kPosition) return z;
-  shifted->resize(z.size());
+  moved->resize(z.size());
   for (size_t i = 0; i + 1 < z.size(); i += 2) {
     const Vec2d position = ConvertPosition({z[i], z[i + 1]}, scene.units, near.units);
-    std::copy_n(position.data(), 2, shifted->data() + i);
+    std::copy_n(position.data(), 2, moved->data() + i);
   }
-  return *shifted;
+  return *moved;
+}
+
+void PutGradient(const Scene& scene, std::span<const double> gradient, std::span<double> to) {
+  const size_t behind = scene.objective.duration.has_value();
+  const std::vector<double> rows = RowsOfGradient(scene, gradient.first(gradient.size() - behind));
+  std::copy(rows.begin(), rows.end(), to.begin());
+  if (behind > 0) to.back() = gradient.back();
 }
 
 Simulation::Simulation(const Scene& scene, const Contact& contact, const std::string& precision, double memory_limit)
@@ -59,6 +83,13 @@ Simulation::Simulation(const Scene& scene, const Contact& contact, const std::st
 }
 
 Array Simulation::InitialGuess() const {
+  if (HasTorques(scene_)) {
+    const std::vector<double> known = shooting_.initial_guess();
+    const size_t behind = shooting_.has_duration();
+    std::vector<double> rows = RowsOfControl(scene_, std::span(known).first(known.size() - behind));
+    rows.insert(rows.end(), known.end() - static_cast<std::ptrdiff_t>(behind), known.end());
+    return ToArray(rows, shape());
+  }
   Array guess = ToArray(shooting_.initial_guess(), shape());
   if (scene_.optimize != Optimize::kPosition) return guess;
   for (size_t i = 0; i < scene_.free.size(); ++i) {
@@ -68,9 +99,11 @@ Array Simulation::InitialGuess() const {
 }
 
 Array Simulation::Variables(const py::object& z) const {
-  return z.is_none()
-             ? InitialGuess()
-             : ReadArray(z, scene_.optimize == Optimize::kNone ? "z" : OptimizeToString(scene_.optimize), shape());
+  if (z.is_none()) return InitialGuess();
+  const std::string name = scene_.optimize == Optimize::kNone ? "z" : OptimizeToString(scene_.optimize);
+  const Array read = ReadArray(z, name, shape());
+  if (HasTorques(scene_)) CheckRows(scene_, name, View(read).first(read.size() - shooting_.has_duration()));
+  return read;
 }
 
 template <typename Evaluate>
@@ -89,7 +122,7 @@ void Simulation::Compute(const Evaluate& evaluate) {
 double Simulation::Loss(const py::object& z) {
   const Array variables = Variables(z);
   double loss = 0;
-  Compute([&] { return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr); });
+  Compute([&] { return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_), &loss, nullptr); });
   return ConvertLoss(loss, near_.units, scene_.units);
 }
 
@@ -99,10 +132,14 @@ py::tuple Simulation::LossAndGradient(const py::object& z, const py::object& out
   Array gradient = out.is_none() ? Array(Shape(variables.shape(), variables.shape() + variables.ndim()))
                                  : WritableArray(out, "out", shape(), &variables);
   double loss = 0;
+  const bool torques = HasTorques(scene_);
+  gradient_.resize(torques ? shooting_.num_variables() : 0);
   Compute([&] {
-    return shooting_.Evaluate(
-        NearVariables(scene_, near_, View(variables), &shifted_), &loss, MutableView(gradient).data());
+    return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_),
+                              &loss,
+                              torques ? gradient_.data() : MutableView(gradient).data());
   });
+  if (torques) PutGradient(scene_, gradient_, MutableView(gradient));
   return py::make_tuple(ConvertLoss(loss, near_.units, scene_.units), gradient);
 }
 
@@ -113,8 +150,18 @@ py::tuple Simulation::Residuals(const py::object& z) {
   const Array variables = Variables(z);
   Array residuals(Shape{shooting_.num_residuals()}), jacobian(Shape{shooting_.num_residuals(), num_variables()});
   Compute([&] {
-    return shooting_.EvaluateResiduals(
-        NearVariables(scene_, near_, View(variables), &shifted_), residuals.mutable_data(), jacobian.mutable_data());
+    const std::span<const double> near = NearVariables(scene_, near_, View(variables), &moved_);
+    if (!HasTorques(scene_)) {
+      return shooting_.EvaluateResiduals(near, residuals.mutable_data(), jacobian.mutable_data());
+    }
+    const size_t rows = shooting_.num_residuals(), width = shooting_.num_variables(), columns = num_variables();
+    std::vector<double> own(rows * width);
+    if (!shooting_.EvaluateResiduals(near, residuals.mutable_data(), own.data())) return false;
+    for (size_t row = 0; row < rows; ++row) {
+      PutGradient(
+          scene_, std::span(own).subspan(row * width, width), MutableView(jacobian).subspan(row * columns, columns));
+    }
+    return true;
   });
   return py::make_tuple(residuals, jacobian);
 }
@@ -134,7 +181,7 @@ py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
   Json events, ties = Json::object();
   std::vector<int> touched;
   Compute([&] {
-    if (!shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &shifted_), &loss, nullptr)) return false;
+    if (!shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_), &loss, nullptr)) return false;
     const Simulator& simulator = shooting_.simulator();  // of the final time in z, if that is free
     for (int k = 0; k <= simulator.num_steps(); ++k) times.mutable_data()[k] = k * simulator.step();
     const size_t size = simulator.state_size();
@@ -169,12 +216,14 @@ Array Simulation::NearState(const py::object& state) const {
 
 Array Simulation::Force(const py::object& force) const {
   const Simulator& simulator = shooting_.simulator();
-  Array on_all(Shape{2 * scene_.num_bodies()});
-  std::vector<double> control(simulator.control_size());
-  const Array row = force.is_none() ? ToArray(InitialControl(scene_, 1), {scene_.num_controlled(), 2})
-                                    : ReadArray(force, "force", {scene_.num_controlled(), 2});
-  std::copy_n(row.data(), row.size(), control.begin());
-  simulator.ExpandForce(control, 0, MutableView(on_all));
+  Array on_all(Shape{simulator.force_size()});
+  std::vector<double> row = InitialControl(scene_, 1);
+  if (!force.is_none()) {
+    const Array read = ReadArray(force, "force", {scene_.num_controlled(), ControlColumns(scene_)});
+    CheckRows(scene_, "force", View(read));
+    row = ControlOfRows(scene_, View(read));
+  }
+  simulator.ExpandForce(row, 0, MutableView(on_all));
   return on_all;
 }
 
@@ -195,13 +244,15 @@ py::tuple Simulation::Linearize(const py::object& state, const py::object& force
     shooting_.simulator().Linearize(View(x), View(u), /*with_parameters=*/false, &linearization);
     linearization.ToDense(&A, &B);
   });
-  const py::ssize_t size = A.rows(), controlled = scene_.num_controlled();
-  Array by_state(Shape{size, size}), by_force(Shape{size, controlled, 2});
+  const py::ssize_t size = A.rows(), columns = scene_.num_controlled() * ControlColumns(scene_);
+  Array by_state(Shape{size, size}), by_force(Shape{size, scene_.num_controlled(), ControlColumns(scene_)});
+  std::vector<double> by_all(B.cols()), by_control(scene_.control_width());
   for (py::ssize_t row = 0; row < size; ++row) {
     for (py::ssize_t column = 0; column < size; ++column) by_state.mutable_at(row, column) = A(row, column);
-    for (py::ssize_t c = 0; c < controlled; ++c) {
-      for (int j = 0; j < 2; ++j) by_force.mutable_at(row, c, j) = B(row, 2 * scene_.control.bodies[c] + j);
-    }
+    Eigen::Map<Eigen::RowVectorXd>(by_all.data(), B.cols()) = B.row(row);
+    shooting_.simulator().SelectControl(by_all, by_control);
+    const std::vector<double> rows = RowsOfGradient(scene_, by_control);
+    std::copy(rows.begin(), rows.end(), by_force.mutable_data() + row * columns);
   }
   return py::make_tuple(by_state, by_force);
 }

@@ -25,7 +25,8 @@ Results         Result: the keys of the programs' JSON; save, load_result
 
 Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
 model takes K steps. A state is (B, 4): [p_x p_y v_x v_y] of each disc; in scenes with discs that spin (B, 6), with angle and
-angular velocity behind. A control is (K, C, 2), forces in N held over each step.
+angular velocity behind. A control is (K, C, 2), forces in N held over each step; in scenes with torques (K, C, 3), with the
+torque in N m behind, 0 for discs that are not turned.
 
 Numbers are those of the programs saltus_solve, saltus_audit and saltus_identify, bit by bit. What is wrong raises a
 ValueError (SceneError in scenes) or TypeError that names the argument and what was expected; a rollout that fails, a

@@ -34,6 +34,16 @@ def _number_array(value: Any) -> Any:
     try:
         return np.array(value, dtype=float)
     except (TypeError, ValueError):
+        return _with_torques(value)
+
+
+def _with_torques(value: Any) -> Any:
+    """A control of which some discs are turned, (K, C, 3), with 0 for the others; anything else as it is."""
+    try:
+        rows = [[row + [0.0] * (3 - len(row)) for row in interval] for interval in value]
+        known = all(len(row) in (2, 3) for interval in value for row in interval)
+        return np.array(rows, dtype=float) if known else value
+    except (TypeError, ValueError):
         return value
 
 

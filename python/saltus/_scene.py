@@ -39,7 +39,8 @@ class Scene(_saltus.Scene):
     ``Scene(data)`` with a dict, or ``Scene(name=..., duration=..., steps=..., bodies=[...], ...)``: the keys of a scene
     file (SI units, radians, vectors ``[x, y]``), validated with the same messages.
 
-    Attributes: ``name``, ``duration`` (s), ``steps``, ``dt`` (s), ``optimize``, ``bodies`` and ``controlled`` (names),
+    Attributes: ``name``, ``duration`` (s), ``steps``, ``dt`` (s), ``optimize``, ``bodies``, ``controlled`` and
+    ``turned`` (names),
     ``position`` (B, 2) in m and ``velocity`` (B, 2) in m/s at the start; ``spins``, whether there are discs that spin (a
     body has an ``inertia``), and their ``angle`` (B,) in rad and ``angular_velocity`` (B,) in rad/s.
 

@@ -19,7 +19,7 @@ class Simulation(_saltus.Simulation):
 
     ``Simulation(scene, contact="event", *, precision="double", memory_limit=1024)``; memory_limit is in MiB, for the
     states of a rollout. The decision variables z are what the scene optimizes, in the shape ``shape``: a control
-    (K, C, 2) in N, or velocities or positions (F, 2) of the discs that are free; flat with the final time or the angular
+    (K, C, 2) in N ((K, C, 3) with torques in N m), or velocities or positions (F, 2) of the discs that are free; flat with the final time or the angular
     velocities behind where these are free. A flat array of as many numbers will do, None is the initial guess.
 
     Attributes: ``scene``, ``contact``, ``shape``, ``num_variables``, ``num_steps`` (K), ``initial_guess``.
@@ -115,7 +115,8 @@ def rollout(
 ) -> Rollout:
     """Simulates a scene.
 
-    control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's.
+    control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's. In
+    scenes with torques (K, C, 3), with the torque in N m behind.
     position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's. angle, angular_velocity:
     (B,), rad and rad/s, of discs that spin; 0 for the others.
 
@@ -165,7 +166,7 @@ def linearize(
 ) -> tuple[Floats, Floats]:
     """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
 
-    Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control. Arguments and errors
+    Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control, in its shape. Arguments and errors
     as those of `rollout`.
     """
     expect("text", precision=precision)
@@ -173,7 +174,7 @@ def linearize(
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision)
     states = simulation.rollout(control)["states"]
     rows: list[Any] = [None] * simulation.num_steps if control is None else list(
-        np.reshape(np.asarray(control, dtype=float), (simulation.num_steps, -1, 2)))
+        np.reshape(np.asarray(control, dtype=float), (simulation.num_steps, -1, 3 if given.turned else 2)))
     if control is None and given.optimize == "control" and len(simulation.shape) == 3:
         rows = list(simulation.initial_guess)
     pairs = [simulation.linearize(state, row) for state, row in zip(states, rows)]

@@ -57,14 +57,15 @@ def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
 
 
 def controls(scene: SceneLike, run: Run, ax: Any = None) -> Any:
-    """The forces of a solution over time, held over each interval."""
+    """The forces, and torques, of a solution over time, held over each interval."""
     read = as_scene(scene)
     control = run.control
     lengths = run.durations if "durations" in run else np.full(len(control), read.duration / len(control))
     edges = np.concatenate([[0.0], np.cumsum(lengths)])
-    ax = _axes(ax, "time (s)", "force (N)")
+    ax = _axes(ax, "time (s)", "force (N), torque (N m)" if read.turned else "force (N)")
     for c, body in enumerate(read.controlled):
-        for j, component in enumerate("xy"):
+        components = ["x", "y", "torque"] if body in read.turned else ["x", "y"]
+        for j, component in enumerate(components):
             ax.stairs(control[:, c, j], edges, baseline=None, label=f"{body} {component}", linewidth=1.5)
     for event in run["events"]:
         ax.axvline(event["time"], color="black", linewidth=0.8, linestyle="dotted")

@@ -171,3 +171,60 @@ def test_torch(spinning_ball):
     end = saltus.torch.EndState(spinning_ball)
     initial = end.initial.requires_grad_()
     assert torch.autograd.gradcheck(lambda initial: end(initial, end.control), (initial,), eps=1e-6, atol=1e-5)
+
+
+@pytest.fixture
+def turned_pair():
+    """Two discs that are pushed, of which the second is turned too."""
+    return saltus.Scene(
+        name="turned", duration=1, steps=8, optimize="control",
+        bodies=[{"name": "a", "radius": 0.3, "mass": 1, "position": [0, 0]},
+                {"name": "b", "radius": 0.3, "mass": 2, "position": [2, 0], "inertia": "solid"}],
+        control={"bodies": ["a", "b"], "torque": ["b"], "initial": [[0.1, 0], [0, 0.2, 0.02]]},
+        objective={"terminal": [{"body": "b", "quantity": "angle", "target": 1},
+                                {"body": "a", "quantity": "position", "target": [0.5, 0]}], "effort": 0.1},
+    )
+
+
+def test_torques_are_a_third_column(turned_pair):
+    """The loss, and its derivative by every number of a control, against differences."""
+    assert turned_pair.turned == ["b"]
+    simulation = saltus.Simulation(turned_pair)
+    assert simulation.shape == (8, 2, 3) and simulation.num_variables == 48
+    z = simulation.initial_guess
+    np.testing.assert_array_equal(z[0], [[0.1, 0, 0], [0, 0.2, 0.02]])
+    z[:, 1, 2] *= np.linspace(1, 2, 8)
+    loss, gradient = simulation.loss_and_gradient(z)
+    assert saltus.rollout(turned_pair, control=z).loss == loss
+    moved = z.copy()
+    for k in (0, 5):
+        for column in range(3):
+            moved[k, 1, column] += 1e-5
+            above = simulation.loss(moved)
+            moved[k, 1, column] -= 2e-5
+            np.testing.assert_allclose((above - simulation.loss(moved)) / 2e-5, gradient[k, 1, column], rtol=1e-6, atol=1e-9)
+            moved[k, 1, column] = z[k, 1, column]
+    np.testing.assert_array_equal(gradient[:, 0, 2], 0)
+    np.testing.assert_array_equal(saltus.loss_and_gradient(turned_pair, control=z).gradient.control[:, 1], gradient[:, 1])
+    losses, gradients = saltus.Batch(turned_pair).loss_and_gradient(np.array([z, 2 * z]))
+    assert losses[0] == loss
+    np.testing.assert_array_equal(gradients[0], gradient.ravel())
+    end = saltus.EndState(turned_pair)
+    _, by_control = end.vjp(end.initial, z, [[0] * 6, [0, 0, 0, 0, 0, 1]])
+    np.testing.assert_allclose(by_control[:, 1, 2], 0.125 / (0.5 * 2 * 0.09), rtol=1e-12)
+    _, B = saltus.linearize(turned_pair, control=z)
+    assert B.shape == (8, 12, 2, 3)
+    np.testing.assert_allclose(B[3, 11, 1], [0, 0, 0.125 / 0.09], rtol=1e-12)
+    z[2, 0, 2] = 1
+    with pytest.raises(ValueError, match="found a torque on a in interval 2, expected 0"):
+        simulation.loss(z)
+
+
+def test_optimal_torques(turned_pair):
+    run = saltus.solve(turned_pair, "event", "ceres_lm")
+    assert run.converged and run.control.shape == (8, 2, 3)
+    np.testing.assert_array_equal(run.control[:, 0, 2], 0)
+    simulation = saltus.Simulation(turned_pair)
+    loss, gradient = simulation.loss_and_gradient(run.control)
+    np.testing.assert_allclose(loss, run.final_loss, rtol=1e-12)
+    np.testing.assert_allclose(gradient, 0, atol=1e-6)

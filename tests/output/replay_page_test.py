@@ -252,6 +252,24 @@ class Replays(Pages):
             self.js("for (const motion of saltusReplays[0].motions) motion.angles = null")
             self.assertNotEqual(self.js(picture), turning)
 
+    # The torque of each interval, in N m, and an arc that shows it.
+    def test_torques_are_drawn(self):
+        text = BALL.replace("FRICTION", "0.2").replace("velocity: [3, 0]", "velocity: [3, 0], inertia: solid")
+        control = "control: {bodies: [ball], torque: [ball], initial: [[0, 0, 0.02]]}\n"
+        scene = self.write("turned.yaml", text + control)
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        page = os.path.join(self.folder, "turned.html")
+        run("saltus_replay", os.path.join(folder, "falls_event_none.npz"), f"--output={page}")
+        for path in (os.path.join(folder, "report.html"), page):
+            self.open(path)
+            torques = self.js("return saltusReplays[0].motions[0].torquesAt(0.3)")
+            self.assertEqual(len(torques), 1)
+            self.assertAlmostEqual(torques[0][1], 0.02, delta=1e-7)
+            picture = "saltusReplays[0].seek(0.3); return document.querySelector('.replay canvas').toDataURL()"
+            turning = self.js(picture)
+            self.js("for (const motion of saltusReplays[0].motions) motion.torques = null")
+            self.assertNotEqual(self.js(picture), turning)
+
     def test_names_are_text(self):
         states = [[[0.1 * k, 0], [1, 0]] for k in range(11)]
         document = {
