@@ -26,7 +26,8 @@ Panel ScenePanel(const Scene& scene, const std::string& title) {
   }
   panel.outlines = OutlinesOf(scene);
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (!term.component) panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
+    if (term.component || term.quantity != TerminalTerm::Quantity::kPosition) continue;
+    panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
   }
   return panel;
 }
