@@ -199,7 +199,7 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
   for (const ModelTraits& traits : AllContactModels()) {
     if (!traits.event_driven) continue;
     ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble, stop);
-    if (exact.ok()) {
+    if (exact.ok() && exact.unresolved_steps == 0) {
       if (!exact.ambiguous.empty()) {
         const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps));
         exact.ambiguous = run.ambiguous;
@@ -220,11 +220,13 @@ const ContactError* ModelAudit::FirstWrong() const {
 }
 
 std::string ModelAudit::Why() const {
-  if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
+  const bool resolved = gradient.unresolved_steps == 0;
+  if (resolved && (verdict == Verdict::kRight || verdict == Verdict::kConsistent)) return "";
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
   if (interrupted) return "interrupted";
   if (verdict == Verdict::kNotApplicable) return not_comparable;
   if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
+  if (!resolved) return DescribeUnresolved(gradient.unresolved_steps, gradient.num_steps);
   const std::string cause = CauseOf(*this);
   if (!own || own->agreement != Agreement::kDiffers || (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
     return cause;

@@ -55,6 +55,7 @@ void FillIn(const Contact& contact, const Scene& scene, Precision precision, con
   result->events = EventsOf(shooting.simulator());
   result->ambiguous = TiesOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
+  result->unresolved_steps = NumUnresolvedSteps(shooting.simulator());
 }
 
 // The estimate about the initial guess; false if a sample is not finite, or it was stopped.

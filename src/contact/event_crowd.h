@@ -234,14 +234,14 @@ class CrowdStep {
     return found;
   }
 
-  // Pairs that do not press are reported without a time, so as no event: the derivatives are of the crowd as a whole.
+  // Without a time, so as no event; pairs that do not press too: the derivatives are of the crowd as a whole.
   void Report(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const bool left = contact.left > 0, right = contact.right > 0, rough = Friction() > 0 && (left || right);
     const ContactMode mode = !rough          ? ContactMode::kFrictionless
                              : left && right ? ContactMode::kStick
                                              : ContactMode::kSlip;
-    in_.Report(c, mode, left || right ? 0 : -1, ContactKind::kSustained);
+    in_.Report(c, mode, -1, ContactKind::kSustained);
   }
 
   // The impulses found, then what is missing: derivatives. Values are those found with the impulses, to the last bit

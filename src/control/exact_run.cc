@@ -52,6 +52,10 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     run->reason = "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
+  if (const int unresolved = NumUnresolvedSteps(*simulator)) {
+    run->reason = "there is no exact motion: " + DescribeUnresolved(unresolved, simulator->num_steps());
+    return false;
+  }
   std::vector<double> end(simulator->state_size());
   simulator->GetState(simulator->num_steps(), end);
   *x = ToInitial(end, scene.num_bodies());

@@ -44,6 +44,23 @@ std::vector<Event> EventsOf(const Simulator& simulator) {
   return events;
 }
 
+int NumUnresolvedSteps(const Simulator& simulator) {
+  if (!simulator.traits().event_driven) return 0;
+  int steps = 0, last = -1;
+  for (const StepTouch& at : simulator.touches()) {
+    if (at.touch.time >= 0 || at.step == last) continue;
+    last = at.step;
+    ++steps;
+  }
+  return steps;
+}
+
+std::string DescribeUnresolved(int unresolved_steps, int num_steps) {
+  if (unresolved_steps == 0) return "";
+  return std::to_string(unresolved_steps) + " of " + std::to_string(num_steps) +
+         " steps, in which a crowd of discs stirs without end, are taken at once";
+}
+
 std::vector<Tie> TiesOf(const Simulator& simulator) {
   struct Group {
     double time;

@@ -11,6 +11,7 @@
 #include "physics/units.h"
 #include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
+#include "saltus/dynamics/events.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/walls.h"
 
@@ -94,6 +95,7 @@ class SceneCheck {
       return counts_;
     }
     CountTouches();
+    if (NumUnresolvedSteps(*simulator_) > 0) Count("scenes with steps taken at once");
     CheckStates();
     if (gradient) CheckGradient();
     return counts_;

@@ -7,6 +7,8 @@
 #include <random>
 
 #include "contact/event_run.h"
+#include "saltus/audit/audit.h"
+#include "saltus/control/exact_run.h"
 
 namespace saltus {
 namespace {
@@ -317,6 +319,25 @@ TEST(EventCrowd, TheGradientOfASettlingBagEqualsDifferences) {
     EXPECT_NEAR(exact, (more - less) / (2 * by), 1e-4 * std::abs(exact)) << k;
   }
   EXPECT_GT(smooth, 5);
+}
+
+// What is right to first order judges nothing: there is no exact motion, and no exact gradient.
+TEST(EventCrowd, StepsTakenAtOnceAreNoReference) {
+  Scene scene = StaggeredBag(50, 0.3, 0.5, 100);
+  scene.objective.terminal = {{.body = 0, .target = {0, 0}, .weight = 1}};
+  scene.optimize = Optimize::kVelocity;
+  scene.free = {0};
+  const ModelGradient own = ComputeGradient("event", scene, Precision::kDouble);
+  ASSERT_TRUE(own.ok()) << own.reason;
+  EXPECT_GT(own.unresolved_steps, 10);
+  EXPECT_FALSE(ExactGradientOf(scene));
+  const ExactRun run = SimulateExactly(scene, InitialState(scene), {});
+  EXPECT_FALSE(run.ok);
+  EXPECT_EQ(run.reason, "there is no exact motion: " + DescribeUnresolved(own.unresolved_steps, scene.steps));
+  EXPECT_EQ(DescribeUnresolved(12, 400),
+            "12 of 400 steps, in which a crowd of discs stirs without end, are taken at once");
+  const ModelAudit audit = AuditModel("event", scene, Precision::kDouble, {}, {.attribution = false});
+  EXPECT_EQ(audit.Why(), DescribeUnresolved(own.unresolved_steps, scene.steps));
 }
 
 // A row of discs that touch, struck at one end: the last leaves, at its speed, and all others stay.

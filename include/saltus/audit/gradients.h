@@ -26,6 +26,7 @@ struct ModelGradient {
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
+  int unresolved_steps = 0;   // of an event-driven model (events.h); if any, it is not exact
   // Of an exact gradient: its entries by the initial state that are derivatives from one side, or from none.
   std::vector<OneSided> one_sided;
 

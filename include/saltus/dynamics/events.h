@@ -33,6 +33,13 @@ std::vector<Event> EventsOf(const Simulator& simulator);
 // The ambiguous ties of the simulator's last rollout, in order of time. Empty for models that resolve no impact times.
 std::vector<Tie> TiesOf(const Simulator& simulator);
 
+// Steps of its last rollout that an event-driven model did not resolve into events: it took them at once, as crowds
+// (src/contact/event_crowd.h), right to first order only. 0 for models that resolve no impact times.
+int NumUnresolvedSteps(const Simulator& simulator);
+
+// "12 of 400 steps, in which a crowd of discs stirs without end, are taken at once"; empty if there are none.
+std::string DescribeUnresolved(int unresolved_steps, int num_steps);
+
 // "the order of the impacts of a, b and c at 0.5 s decides", of the first of the ties and how many there are more.
 // Empty if there is none.
 std::string TiesToString(const std::vector<Tie>& ties);
