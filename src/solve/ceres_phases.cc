@@ -132,8 +132,13 @@ std::string WhyNotPhases(const SolveRequest& request) {
     return "running costs are integrated along exact flight (contact model event)";
   }
   const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
-  if (simulator->FreeFlightOver(simulator->step())) return "";
-  return request.contact.name() + " has no free flight over steps of any length, with derivatives";
+  const std::optional<FlightOver> over = simulator->FreeFlightOver(simulator->step());
+  if (!over) return request.contact.name() + " has no free flight over steps of any length, with derivatives";
+  const bool turns = over->turn.pp != 0;  // linearly
+  if (request.scene.num_turned() > 0 && !turns) {
+    return request.contact.name() + " does not turn discs linearly, and some are turned by torques";
+  }
+  return "";
 }
 
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {

@@ -155,5 +155,12 @@ TEST(TorqueControl, SolversByClosedArcsRefuse) {
   }
 }
 
+// Half the change of an angle is kept as a sine there.
+TEST(TorqueControl, PhasesRefuseAModelThatTurnsOtherThanLinearly) {
+  const SolveReport report = Solve("ceres_phases", {RestToRest(20, /*hard=*/false), "pbd_brax"}, {});
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_THAT(report.reason, HasSubstr("does not turn discs linearly"));
+}
+
 }  // namespace
 }  // namespace saltus
