@@ -6,6 +6,7 @@
 #pragma once
 
 #include <condition_variable>
+#include <exception>
 #include <functional>
 #include <list>
 #include <mutex>
@@ -25,7 +26,8 @@ struct TaskLine {
   std::function<void(const Task&, Finding)> look;   // at what the task has found
   std::function<int(const Task&)> ahead = nullptr;  // of long tasks; 0 and, without it, all are short
 
-  // Until nothing is under way and nothing is drawn. Precondition: threads > 0; with one all is done by the caller.
+  // Until nothing is under way and nothing is drawn. What `solve` throws comes out here, where its outcome would be
+  // looked at. Precondition: threads > 0; with one all is done by the caller.
   void WorkOff(int threads);
 
  private:
@@ -36,12 +38,26 @@ struct TaskLine {
     bool is_long = false;
     State state = State::kWaiting;
     Finding finding = {};
+    std::exception_ptr thrown = nullptr;
   };
   struct Shared {
     std::mutex mutex;
     std::condition_variable changed;
     std::list<Entry> entries;  // in the order in which they are looked at
     bool closed = false;
+  };
+  // They end with what they are at.
+  struct Helpers {
+    Shared* shared;
+    std::vector<std::thread> threads = {};
+    ~Helpers() {
+      {
+        const std::lock_guard lock(shared->mutex);
+        shared->closed = true;
+      }
+      shared->changed.notify_all();
+      for (std::thread& helper : threads) helper.join();
+    }
   };
 
   void Fill(Shared* shared, long long* drawn, int* short_ones) const;
@@ -77,9 +93,12 @@ void TaskLine<Task, Finding>::Help(Shared* shared) const {
     }
     next->state = State::kBegun;
     lock.unlock();
-    Finding finding = solve(next->task);  // nobody else touches an entry that is begun
+    try {
+      next->finding = solve(next->task);  // nobody else touches an entry that is begun
+    } catch (...) {
+      next->thrown = std::current_exception();
+    }
     lock.lock();
-    next->finding = std::move(finding);
     next->state = State::kSolved;
     shared->changed.notify_all();
   }
@@ -90,11 +109,11 @@ void TaskLine<Task, Finding>::WorkOff(int threads) {
   Shared shared;
   long long drawn = 0;
   int short_ones = 0;
-  std::vector<std::thread> helpers;
-  for (int i = 0; threads > 1 && i < threads; ++i) helpers.emplace_back([&] { Help(&shared); });
+  Helpers helpers{&shared};
+  for (int i = 0; threads > 1 && i < threads; ++i) helpers.threads.emplace_back([&] { Help(&shared); });
   for (Fill(&shared, &drawn, &short_ones); !shared.entries.empty(); Fill(&shared, &drawn, &short_ones)) {
     std::list<Entry> first;
-    if (helpers.empty()) {
+    if (helpers.threads.empty()) {
       Entry& entry = shared.entries.front();
       entry.finding = solve(entry.task);
       first.splice(first.begin(), shared.entries, shared.entries.begin());
@@ -103,15 +122,10 @@ void TaskLine<Task, Finding>::WorkOff(int threads) {
       shared.changed.wait(lock, [&] { return shared.entries.front().state == State::kSolved; });
       first.splice(first.begin(), shared.entries, shared.entries.begin());
     }
+    if (first.front().thrown) std::rethrow_exception(first.front().thrown);
     if (!first.front().is_long) --short_ones;
     look(first.front().task, std::move(first.front().finding));
   }
-  {
-    const std::lock_guard lock(shared.mutex);
-    shared.closed = true;
-  }
-  shared.changed.notify_all();
-  for (std::thread& helper : helpers) helper.join();
 }
 
 }  // namespace saltus

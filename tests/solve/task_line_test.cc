@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <future>
+#include <new>
 #include <numeric>
 #include <string>
 
@@ -89,6 +90,18 @@ TEST(TaskLine, NothingToDo) {
   line.look = [](const int&, int) { ADD_FAILURE(); };
   line.WorkOff(1);
   line.WorkOff(4);
+}
+
+TEST(TaskLine, WhatATaskThrowsComesOut) {
+  for (const int threads : {1, 3}) {
+    TaskLine<int, int> line;
+    int drawn = 0, looked = 0;
+    line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
+    line.solve = [](const int& task) { return task == 11 ? throw std::bad_alloc() : task; };
+    line.look = [&](const int&, int) { ++looked; };
+    EXPECT_THROW(line.WorkOff(threads), std::bad_alloc);
+    EXPECT_EQ(looked, 11);
+  }
 }
 
 }  // namespace
