@@ -216,7 +216,7 @@ TEST(EventSpinStep, ForcesAndTorquesAtImpacts) {
   ExpectImpacts(impacts, expected["impacts"]);
   IslandDerivative<EventSpinning, double>::Matrix jacobian;
   IslandDerivative<EventSpinning, double>().Evaluate(model, in, x, /*with_parameters=*/true, &jacobian);
-  const int parameters = 2 * (6 + 2);  // after states and forces
+  const int parameters = 2 * (6 + 3);  // after states, forces and torques
   for (int i = 0; i < 2; ++i) {
     const double* end = reinterpret_cast<const double*>(&next[i]);
     for (int j = 0; j < 6; ++j) {
