@@ -336,7 +336,8 @@ TEST(EventCrowd, StepsTakenAtOnceAreNoReference) {
   EXPECT_EQ(run.reason, "there is no exact motion: " + DescribeUnresolved(own.unresolved_steps, scene.steps));
   EXPECT_EQ(DescribeUnresolved(12, 400),
             "12 of 400 steps, in which a crowd of discs stirs without end, are taken at once");
-  const ModelAudit audit = AuditModel("event", scene, Precision::kDouble, {}, {.attribution = false});
+  ModelAudit audit;
+  audit.gradient = own;
   EXPECT_EQ(audit.Why(), DescribeUnresolved(own.unresolved_steps, scene.steps));
 }
 
