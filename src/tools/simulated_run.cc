@@ -55,8 +55,8 @@ void CheckRun(const Scene& scene, const Contact& contact, Precision precision, S
   if (!run->certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
     run->certificate = Certify(scene, report.initial_state, report.control, report.durations);
   }
-  if (IsExact(contact)) {
-    if (run->exact.ok) run->final_state = run->exact.end;
+  if (IsExact(contact) && run->exact.ok) {
+    run->final_state = run->exact.end;
     return;
   }
   MotionOptions ends;
@@ -84,12 +84,12 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
   }
   CheckRun(scene, contact, request.precision, &run);
   std::optional<double> loss;
-  if (IsExact(contact)) {
-    if (run.exact.ok) loss = run.exact.loss;
-    report.reason = run.exact.reason;
+  if (IsExact(contact) && run.exact.ok) {
+    loss = run.exact.loss;
   } else {
     loss = LossUnderModel(scene, contact, request.precision, report, &report.reason);
   }
+  if (IsExact(contact)) report.reason = run.exact.reason;
   report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   run.simulated = loss && std::isfinite(*loss);
   if (!run.simulated) return run;
