@@ -59,7 +59,7 @@ class ForceRows {
     }
     PseudoInvert(n, matrix_);
     if constexpr (std::is_same_v<T, Taped>) {
-      SetForces(std::make_shared<const Inverse>(std::vector<double>(matrix_.begin(), matrix_.end())));
+      SetForces(std::make_shared<const Inverse>(Inverse{{matrix_.begin(), matrix_.end()}}));
     } else {
       for (int i = 0; i < n; ++i) {
         rows_[i].force = T(0.0);
