@@ -140,14 +140,18 @@ class CrowdStep {
     return {};
   }
 
-  // All that may meet, even if what comes towards it is stopped.
+  // All that may meet, even if what comes towards it is stopped, or pushed by what presses on it.
   void Gather() {
+    double pushed = 0;  // m/s
+    for (std::size_t i = 0; i < discs_.size(); ++i) {
+      if (Moves(static_cast<int>(i))) pushed = std::max(pushed, in_.h * discs_[i].start.a.norm());
+    }
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
       const Contact contact = MeasureContact(pair);
       double closing = std::max(0.0, -Dot(contact.normal, discs_[c.a].given));
       if (!c.plane) closing += std::max(0.0, Dot(contact.normal, discs_[c.b].given));
-      if (contact.apart > closing) continue;
+      if (contact.apart > closing + pushed) continue;
       bounds_[pair] = 1;
       Include(c);
     }
