@@ -141,6 +141,7 @@ void ContactSystem::Factor() const {
 }
 
 bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
+  if (Largest(x) == 0) return true;
   if (factors_ == nullptr) Factor();
   if (!factors_->regular) return false;
   const auto n = static_cast<Eigen::Index>(x.size());
@@ -183,7 +184,7 @@ void ContactSystem::SolveDense(bool transposed, std::span<double> x) const {
 }
 
 bool ContactSystem::SolveAs(bool transposed, std::span<double> x) const {
-  const bool sparse = Largest(x) == 0 || SolveSparse(transposed, x);
+  const bool sparse = SolveSparse(transposed, x);
   if (!sparse) SolveDense(transposed, x);
   return sparse;
 }

@@ -44,6 +44,8 @@ class ContactSystem {
   // Overwrites x, one number a row, with A^+ x, or with A^+^T x. True if the sparse factorization has arrived there.
   bool Solve(std::span<double> x) const { return SolveAs(false, x); }
   bool SolveTransposed(std::span<double> x) const { return SolveAs(true, x); }
+  // As Solve, but false, and nothing changed, where only the dense pseudo-inverse would do.
+  bool SolveOnlySparse(std::span<double> x) const { return SolveSparse(false, x); }
 
  private:
   struct Factors;

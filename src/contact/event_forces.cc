@@ -176,10 +176,16 @@ class RowSolver {
     decomposition_.setThreshold(kDependentRows);
     decomposition_.compute(matrix);
   }
-  Eigen::VectorXd Solve(Eigen::VectorXd right) const {
-    if (!system_) return decomposition_.solve(right);
-    system_->Solve({right.data(), static_cast<std::size_t>(right.size())});
-    return right;
+  // Overwrites `right` with the solution. If `hasty`, false where that would take long.
+  bool Solve(bool hasty, Eigen::VectorXd* right) const {
+    const std::span<double> x(right->data(), right->size());
+    if (system_ && hasty) return system_->SolveOnlySparse(x);
+    if (system_) {
+      system_->Solve(x);
+    } else {
+      *right = decomposition_.solve(*right);
+    }
+    return true;
   }
 
  private:
@@ -189,10 +195,10 @@ class RowSolver {
 
 // The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
 // that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, gets the contacts that are, none
-// if they cannot do together what was guessed.
+// if they cannot do together what was guessed or, if `hasty`, finding that out would take long.
 bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass,
                    const KeptAccelerations& given, std::span<const Guess> guesses, const Accelerations& of,
-                   std::span<PressingContact> contacts, std::vector<WrongGuess>* wrong = nullptr) {
+                   std::span<PressingContact> contacts, std::vector<WrongGuess>* wrong = nullptr, bool hasty = false) {
   if (wrong != nullptr) wrong->clear();
   std::vector<ForceRow> rows;
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
@@ -222,9 +228,9 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
     // The second time for what rounding leaves of the first.
     for (int pass = 0; pass < 2; ++pass) {
       accelerate();
-      Eigen::VectorXd right(n);
-      for (int i = 0; i < n; ++i) right[i] = -missing(rows[i]);
-      const Eigen::VectorXd change = solver.Solve(right);
+      Eigen::VectorXd change(n);
+      for (int i = 0; i < n; ++i) change[i] = -missing(rows[i]);
+      if (!solver.Solve(hasty, &change)) return false;
       for (int i = 0; i < n; ++i) {
         PressingContact& c = solved[rows[i].contact];
         c.normal_force += change[i] * Dot(c.normal, rows[i].row.push);
@@ -256,7 +262,7 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
 // that does not end in `most_pivots`.
 bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span<const double> inverse_mass,
                      const KeptAccelerations& given, std::vector<Guess> guesses, bool in_blocks,
-                     const Accelerations& of, std::span<PressingContact> contacts) {
+                     const Accelerations& of, std::span<PressingContact> contacts, bool hasty = false) {
   std::vector<PressingContact> start(contacts.begin(), contacts.end());
   std::vector<WrongGuess> wrong;
   std::size_t fewest = contacts.size() + 1;
@@ -267,7 +273,7 @@ bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span
       if (guesses[k] == Guess::kLeft) c.tangential_force = -friction * c.normal_force;
       if (guesses[k] == Guess::kRight) c.tangential_force = friction * c.normal_force;
     }
-    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, of, start, &wrong)) {
+    if (SolveDirectly(friction, allowed, inverse_mass, given, guesses, of, start, &wrong, hasty)) {
       std::copy(start.begin(), start.end(), contacts.begin());
       return true;
     }
@@ -380,7 +386,7 @@ Pressing SolvePressingForces(double friction, std::span<const double> inverse_ma
       guesses[k] = c.sliding > 0 ? Guess::kLeft : c.sliding < 0 || friction == 0 ? Guess::kRight : Guess::kStick;
     }
     const int pivots = hasty ? kHastyPivots : kFirstPivots;
-    if (SolveByPivoting(friction, kExact * scale, pivots, inverse_mass, given, guesses, many, of, contacts)) {
+    if (SolveByPivoting(friction, kExact * scale, pivots, inverse_mass, given, guesses, many, of, contacts, hasty)) {
       return Pressing::kSolved;
     }
     if (hasty) return Pressing::kUnsolved;

@@ -109,6 +109,21 @@ TEST(ContactSystem, WithForcesThatDoNotActAlongWhatIsMeasured) {
   ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass), 1e-10);
 }
 
+// Two rows measure the same along pushes that differ: nothing is left of the matrix's symmetry, and no force undoes
+// what they do not measure alike.
+TEST(ContactSystem, SaysWhereOnlyADenseMatrixWouldDo) {
+  const std::vector<ContactRow> rows = {{0, -1, {0, 1}, {0, 1}}, {0, -1, {0, 1}, {0.5, 1}}};
+  const std::vector<double> inverse_mass = {1};
+  const ContactSystem system(rows, inverse_mass);
+  std::vector<double> x = {1, -1};
+  EXPECT_FALSE(system.SolveOnlySparse(x));
+  EXPECT_EQ(x, (std::vector<double>{1, -1}));
+  EXPECT_FALSE(system.Solve(x));
+  x = {2, 2};
+  EXPECT_TRUE(system.SolveOnlySparse(x));
+  EXPECT_NEAR(x[0] + x[1], 2, 1e-9);
+}
+
 TEST(ContactSystem, BorrowsAFactorizationOfNearlyTheSame) {
   Pile stack(1);
   stack.rows.resize(1);
