@@ -20,9 +20,9 @@ struct CrowdRow {
 // least kinetic energy of the change of velocity. Overwrites `velocity`, per disc. inverse_mass: per disc, 1/kg; 0 if
 // it does not move. False if they are not found.
 //
-// Sweeps (projected Gauss-Seidel) guess which rows press; an augmented Lagrangian with Newton's method mends that. Its
-// matrices, of the velocities, are symmetric and positive definite and as sparse as the contacts, however many of these
-// depend on each other.
+// Sweeps (projected Gauss-Seidel) suffice where few rows depend on each other. Where many do, an interior-point method
+// (Mehrotra 1992) finds which of them press, in some tens of steps however many they are, and an augmented Lagrangian
+// the last digits. Its matrices, of the velocities, are symmetric and positive definite, and as sparse as the contacts.
 bool SolveCrowdImpulses(std::span<const double> inverse_mass, std::span<Vec2d> velocity, std::span<CrowdRow> rows);
 
 }  // namespace saltus

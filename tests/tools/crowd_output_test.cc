@@ -46,7 +46,9 @@ std::string Bag() {
 TEST(CrowdOutput, HasAMotionAndNoExactLoss) {
   const Outcome outcome = RunProgram("saltus_solve" + Bag() + "--contact=event,compliant_warp --solver=none");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
-  for (const json& run : json::parse(outcome.output)["runs"]) {
+  const json runs = json::parse(outcome.output)["runs"];
+  ASSERT_EQ(runs.size(), 2u);
+  for (const json& run : runs) {
     EXPECT_EQ(run["termination"], "converged");
     EXPECT_TRUE(run.contains("loss"));
     EXPECT_FALSE(run.contains("exact_loss"));
