@@ -92,4 +92,33 @@ Scene BilliardBreak(const BreakOptions& options, std::uint64_t seed) {
   return scene;
 }
 
+Scene FallingPile(const PileOptions& options, std::uint64_t seed) {
+  ExpectInRange(options.discs >= 1 && options.discs <= 100000 && options.radius > 0);
+  ExpectInRange(options.friction >= 0 && options.restitution >= 0 && options.restitution <= 1);
+  Random random(seed);
+  Scene scene;
+  scene.name = "falling_pile";
+  scene.duration = options.duration;
+  scene.steps = options.steps;
+  scene.gravity = {0, -9.8};
+  scene.contact.friction = options.friction;
+  scene.contact.restitution = options.restitution;
+
+  const double pitch = 2.5 * options.radius, disturbed = 0.1 * options.radius;
+  const int columns = static_cast<int>(std::ceil(std::sqrt(options.discs)));
+  for (int i = 0; i < options.discs; ++i) {
+    const int row = i / columns;
+    const double size = 1 + 0.1 * random.Symmetric();
+    Vec2d place(0.6 * pitch + (i % columns + 0.4 * (row % 2)) * pitch, (0.6 + row) * pitch);
+    for (int j = 0; j < 2; ++j) place[j] += disturbed * random.Symmetric();
+    scene.bodies.push_back(
+        {.name = "disc" + std::to_string(i), .radius = size * options.radius, .mass = size * size, .position = place});
+  }
+  const double width = (columns + 0.6) * pitch;
+  scene.planes = {{"ground", {0, 0}, {0, 1}}, {"left", {0, 0}, {1, 0}}, {"right", {width, 0}, {-1, 0}}};
+  scene.free = {options.discs - 1};
+  AimAt({0.5 * width, 0}, &scene);
+  return scene;
+}
+
 }  // namespace saltus

@@ -39,4 +39,19 @@ struct BreakOptions {
 // Precondition: as above.
 Scene BilliardBreak(const BreakOptions& options, std::uint64_t seed);
 
+struct PileOptions {
+  int discs = 100;           // 1 to 100 000
+  double radius = 0.1;       // m, of the mean disc, whose mass is 1 kg
+  double friction = 0.3;     // of discs, ground and walls
+  double restitution = 0.3;  // likewise
+  double duration = 3;       // s
+  int steps = 1000;
+};
+
+// Discs of one density, whose radii differ by up to a tenth, fall between two walls to the ground and come to rest: at
+// first in about as many rows as columns, every other row above the gaps of the one below, a little disturbed. The loss
+// is as of the others, from the middle of the ground; the velocity of the last disc, which lies on top, is free.
+// Precondition: as above.
+Scene FallingPile(const PileOptions& options, std::uint64_t seed);
+
 }  // namespace saltus

@@ -11,8 +11,8 @@
 
 DEFINE_string(
     kind, "gas",
-    "gas (in a box with four walls), break (a cue ball and a triangle of discs) or control (a control problem "
-    "of one of ten kinds, the seed modulo 10)");
+    "gas (in a box with four walls), break (a cue ball and a triangle of discs), pile (discs that fall between two "
+    "walls) or control (a control problem of one of ten kinds, the seed modulo 10)");
 DEFINE_int32(discs, 100, "how many, the cue ball included");
 DEFINE_int64(seed, 1, "the same seed gives the same scene");
 DECLARE_double(restitution);
@@ -21,7 +21,7 @@ DECLARE_int32(steps);
 namespace saltus {
 namespace {
 
-// The options of either kind, with what the flags say.
+// The options of a kind, with what the flags say.
 template <typename Options>
 Options ReadOptions(int fewest) {
   constexpr int kMost = 1000;  // a scene file is read with care for every pair, and has at most a megabyte
@@ -46,8 +46,9 @@ Scene GenerateControlProblem() {
 Scene Generate() {
   if (FLAGS_kind == "gas") return GasInABox(ReadOptions<GasOptions>(1), FLAGS_seed);
   if (FLAGS_kind == "break") return BilliardBreak(ReadOptions<BreakOptions>(2), FLAGS_seed);
+  if (FLAGS_kind == "pile") return FallingPile(ReadOptions<PileOptions>(1), FLAGS_seed);
   if (FLAGS_kind == "control") return GenerateControlProblem();
-  throw InputError("--kind=" + FLAGS_kind + "; expected gas, break or control");
+  throw InputError("--kind=" + FLAGS_kind + "; expected gas, break, pile or control");
 }
 
 }  // namespace

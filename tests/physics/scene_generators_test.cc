@@ -20,6 +20,9 @@ TEST(SceneGenerators, MakeValidScenesOfAnySize) {
       const std::optional<SceneError> error = Validate(gas);
       EXPECT_FALSE(error) << error->key << " " << error->message;
     }
+    const Scene pile = FallingPile({.discs = discs}, 7);
+    EXPECT_EQ(pile.num_bodies(), discs);
+    EXPECT_FALSE(Validate(pile)) << Validate(pile)->message;
     if (discs < 2) continue;
     const Scene rack = BilliardBreak({.discs = discs}, 7);
     EXPECT_EQ(rack.num_bodies(), discs);
@@ -42,6 +45,8 @@ TEST(SceneGenerators, SeedDecides) {
   EXPECT_NE(GasInABox({}, 4), GasInABox({}, 5));
   EXPECT_EQ(BilliardBreak({}, 4), BilliardBreak({}, 4));
   EXPECT_NE(BilliardBreak({}, 4), BilliardBreak({}, 5));
+  EXPECT_EQ(FallingPile({}, 4), FallingPile({}, 4));
+  EXPECT_NE(FallingPile({}, 4), FallingPile({}, 5));
 }
 
 // The first number of the 64-bit Mersenne twister of seed 5489 is 14514284786278117030 (Nishimura and Matsumoto).
@@ -56,6 +61,18 @@ TEST(SceneGenerators, TheCueBallHitsTheRack) {
   const Scene rack = BilliardBreak({.discs = 16}, 1);
   EXPECT_LT(rack.bodies[0].position[0] + 2 * rack.bodies[0].radius, rack.bodies[1].position[0]);
   EXPECT_GT(rack.bodies[0].velocity[0], 0);
+}
+
+TEST(SceneGenerators, DiscsOfAPileHaveOneDensityAndFallBetweenWalls) {
+  const Scene pile = FallingPile({.discs = 90, .radius = 0.2}, 1);
+  for (const Body& body : pile.bodies) {
+    EXPECT_NEAR(body.radius, 0.2, 0.02);
+    EXPECT_NEAR(body.mass, body.radius * body.radius / 0.04, 1e-12);
+    for (const Plane& plane : pile.planes) {
+      EXPECT_GT(plane.normal.dot(body.position - plane.point), body.radius) << body.name << " " << plane.name;
+    }
+  }
+  EXPECT_LT(pile.gravity[1], 0);
 }
 
 TEST(ControlProblems, AreValidAndOfTenKinds) {
