@@ -1,3 +1,4 @@
+// What scenes and objectives say of themselves (saltus/physics/scene.h).
 #include <glog/logging.h>
 
 #include <algorithm>
