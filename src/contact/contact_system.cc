@@ -15,6 +15,7 @@ constexpr double kAlike = 1e-6;       // directions of rows that share a factori
 constexpr double kRemainder = 1e-15;  // of what is to be undone: nothing is left
 constexpr double kArrived = 1e-10;    // likewise: this is rounding
 constexpr int kMostCorrections = 30;
+constexpr std::size_t kKeptFactors = 4;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Sparse = Eigen::SparseMatrix<double>;
@@ -106,6 +107,31 @@ void ContactSystem::Subtract(bool transposed, std::span<const double> x, std::sp
   }
 }
 
+// What rests is the same system in every step: the thread's last ones are kept, for those that are the same to the bit,
+// so that nothing depends on what was solved before.
+void ContactSystem::FindFactors() const {
+  struct Known {
+    std::vector<ContactRow> rows;
+    std::vector<double> inverse_mass;
+    std::shared_ptr<Factors> factors;
+  };
+  static thread_local std::vector<Known> kept;  // the latest first
+  const auto same = [](const ContactRow& r, const ContactRow& s) {
+    return r.a == s.a && r.b == s.b && r.measured == s.measured && r.push == s.push;
+  };
+  const auto known = std::ranges::find_if(kept, [&](const Known& system) {
+    return std::ranges::equal(system.rows, rows_, same) && std::ranges::equal(system.inverse_mass, inverse_mass_);
+  });
+  if (known == kept.end()) {
+    Factor();
+    if (kept.size() == kKeptFactors) kept.pop_back();
+    kept.insert(kept.begin(), {rows_, inverse_mass_, factors_});
+  } else {
+    factors_ = known->factors;
+    std::rotate(kept.begin(), known, known + 1);
+  }
+}
+
 void ContactSystem::Factor() const {
   const int n = static_cast<int>(rows_.size());
   std::vector<std::vector<int>> rows_of(inverse_mass_.size());
@@ -142,7 +168,7 @@ void ContactSystem::Factor() const {
 
 bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
   if (Largest(x) == 0) return true;
-  if (factors_ == nullptr) Factor();
+  if (factors_ == nullptr) FindFactors();
   if (!factors_->regular) return false;
   const auto n = static_cast<Eigen::Index>(x.size());
   const double given = Largest(x);

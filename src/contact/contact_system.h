@@ -56,6 +56,7 @@ class ContactSystem {
   void SolveDense(bool transposed, std::span<double> x) const;
   // y -= A x, or A^T x.
   void Subtract(bool transposed, std::span<const double> x, std::span<double> y) const;
+  void FindFactors() const;
   void Factor() const;
 
   std::vector<ContactRow> rows_;      // with the discs' numbers in the system, -1 if there is none that moves

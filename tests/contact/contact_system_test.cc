@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <random>
+#include <thread>
 
 namespace saltus {
 namespace {
@@ -138,6 +139,31 @@ TEST(ContactSystem, BorrowsAFactorizationOfNearlyTheSame) {
   // Others have one of their own.
   for (std::size_t i = 0; i < stack.rows.size(); i += 2) stack.rows[i].measured = stack.rows[i].push = {0.6, -0.8};
   ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass, &first), 1e-10);
+}
+
+// Threads keep the factors of their last systems: of those that are the same to the bit only.
+TEST(ContactSystem, DoesNotDependOnWhatWasSolvedBefore) {
+  const auto solve = [](const Pile& pile) {
+    std::vector<double> x = Measured(pile, 1, false);
+    EXPECT_TRUE(ContactSystem(pile.rows, pile.inverse_mass).Solve(x));
+    return x;
+  };
+  const auto nearly = [](double by) {
+    Pile pile(6);
+    pile.inverse_mass[0] *= 1 + by;
+    for (ContactRow& row : pile.rows) {
+      const double angle = std::atan2(row.measured[1], row.measured[0]) + by;
+      row.measured = row.push = Vec2d(std::cos(angle), std::sin(angle));
+    }
+    return pile;
+  };
+  for (int turn = 0; turn < 3; ++turn) {
+    for (const double by : {0.0, 1e-9, 0.0, 1e-3, 2e-3, 1e-9, 3e-3, 4e-3, 5e-3, 0.0}) {
+      std::vector<double> alone;
+      std::thread([&] { alone = solve(nearly(by)); }).join();
+      EXPECT_EQ(solve(nearly(by)), alone) << by;
+    }
+  }
 }
 
 }  // namespace
