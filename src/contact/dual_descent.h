@@ -64,8 +64,8 @@ struct DualDescentOf : SpringDescent<kTurn> {
     Vec2<T> applied = Vec2<T>(T(0.0), T(0.0));  // l n + s t
 
     bool SameAs(const Forces& other) const {
-      return SameBits(normal, other.normal) && SameBits(tangential, other.tangential) &&
-             SameBits(applied[0], other.applied[0]) && SameBits(applied[1], other.applied[1]);
+      return SameNumbers(normal, other.normal) && SameNumbers(tangential, other.tangential) &&
+             SameNumbers(applied[0], other.applied[0]) && SameNumbers(applied[1], other.applied[1]);
     }
   };
 

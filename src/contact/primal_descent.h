@@ -113,7 +113,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
         if (!problem.discs[i].fixed) MoveDisc(problem, blocks[i], static_cast<int>(i), z);
       }
       // What an iteration leaves as it was, the others would too.
-      if (SameBits<T>(z, before)) return;
+      if (SameNumbers<T>(z, before)) return;
       std::copy(z.begin(), z.end(), before.begin());
     }
   }

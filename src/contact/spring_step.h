@@ -155,7 +155,7 @@ struct SpringStep {
 
 // Whether two numbers are the same bit by bit, derivatives included (but for the sign of zeros).
 template <typename T>
-bool SameBits(const T& a, const T& b) {
+bool SameNumbers(const T& a, const T& b) {
   if constexpr (std::is_same_v<T, Base<T>>) {
     return a == b;
   } else {
@@ -163,8 +163,8 @@ bool SameBits(const T& a, const T& b) {
   }
 }
 template <typename T>
-bool SameBits(std::span<const T> a, std::span<const T> b) {
-  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const T& x, const T& y) { return SameBits(x, y); });
+bool SameNumbers(std::span<const T> a, std::span<const T> b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const T& x, const T& y) { return SameNumbers(x, y); });
 }
 
 // Largest |r(z)|, m/s, of discs that spin at their rims.

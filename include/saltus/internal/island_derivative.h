@@ -9,12 +9,15 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <span>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
 #include "saltus/internal/free_flight.h"
+#include "saltus/internal/same_bits.h"
 #include "saltus/internal/taped.h"
 
 namespace saltus {
@@ -258,6 +261,9 @@ class IslandDerivative {
   void PullBackOnTape(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
                       std::span<S> before) {
     const std::size_t n = x.size(), states = n * kSize;
+    for (Resting& resting : resting_) {
+      if (resting.Is(in, x)) return Sweep(&resting.tape, resting.to, resting.places, after, before);
+    }
     Tape& tape = Tape::OfThread();
     tape.Clear();
     std::vector<BodyState<Taped, kRotation>> from(n), to(n);
@@ -304,16 +310,67 @@ class IslandDerivative {
                                  .num_pockets = in.num_pockets,
                                  .slowing = in.slowing,
                                  .torque = torque};
+    const std::span<const double> recalled = Resting::NumbersOf(in);
+    std::vector<double> solved(recalled.begin(), recalled.end());  // before the step adds to them
     if (in.solved != nullptr) in.solved->Rewind();
     model.Step(taped, std::span<const BodyState<Taped, kRotation>>(from), std::span<BodyState<Taped, kRotation>>(to));
-    std::vector<std::pair<int, double>> cotangents;
-    for (std::size_t i = 0; i < states; ++i) {
-      cotangents.emplace_back(reinterpret_cast<const Taped*>(to.data())[i].place(), after[i]);
+    const std::span<const Taped> results(reinterpret_cast<const Taped*>(to.data()), states);
+    std::vector<int> to_places;
+    for (const Taped& result : results) to_places.push_back(result.place());
+    Sweep(&tape, to_places, places, after, before);
+    const S* start = reinterpret_cast<const S*>(x.data());
+    if (std::ranges::equal(results, std::span(start, states), {}, [](const Taped& result) { return result.value(); })) {
+      if (resting_.size() < kMostResting) resting_.emplace_back();
+      Resting& oldest = resting_[next_resting_++ % kMostResting];
+      oldest.Assign(in, x);
+      oldest.solved = std::move(solved);
+      oldest.to = std::move(to_places);
+      oldest.places = std::move(places);
+      std::swap(oldest.tape, tape);
     }
-    const std::span<const double> swept = tape.Sweep(cotangents);
-    for (std::size_t i = 0; i < before.size(); ++i) before[i] = swept[places[i]];
     tape.Clear();
   }
+
+  // before = J^T after, by the tape of the step: the places of its results, and of what it varies.
+  static void Sweep(Tape* tape, std::span<const int> to, std::span<const int> places, std::span<const S> after,
+                    std::span<S> before) {
+    std::vector<std::pair<int, double>> cotangents;
+    for (std::size_t i = 0; i < to.size(); ++i) cotangents.emplace_back(to[i], after[i]);
+    const std::span<const double> swept = tape->Sweep(cotangents);
+    for (std::size_t i = 0; i < before.size(); ++i) before[i] = swept[places[i]];
+  }
+
+  // The tape of a step that left an island as it was: that of the steps before and after, as long as it rests.
+  struct Resting {
+    std::vector<State> x;
+    std::vector<Vec2<S>> force;
+    std::vector<S> torque;
+    std::vector<BodyConstants<S>> bodies;
+    std::vector<Candidate> candidates;
+    std::vector<double> solved;
+    std::vector<int> to, places;
+    Tape tape;
+
+    void Assign(const StepInput<S>& in, std::span<const State> at) {
+      x.assign(at.begin(), at.end());
+      force.assign(in.force.begin(), in.force.end());
+      torque.assign(in.torque.begin(), in.torque.end());
+      bodies.assign(in.bodies.begin(), in.bodies.end());
+      candidates.assign(in.candidates.begin(), in.candidates.end());
+    }
+    bool Is(const StepInput<S>& in, std::span<const State> at) const {
+      return SameBits<State>(x, at) && SameBits<Vec2<S>>(force, in.force) && SameBits<S>(torque, in.torque) &&
+             std::ranges::equal(bodies, in.bodies, SameConstants) && std::ranges::equal(candidates, in.candidates) &&
+             SameBits<double>(solved, NumbersOf(in));
+    }
+    static std::span<const double> NumbersOf(const StepInput<S>& in) {
+      return in.solved != nullptr ? in.solved->numbers() : std::span<const double>{};
+    }
+    static bool SameConstants(const BodyConstants<S>& a, const BodyConstants<S>& b) {
+      return a.mass == b.mass && a.inverse_mass == b.inverse_mass && a.radius == b.radius && a.fixed == b.fixed &&
+             a.inverse_inertia == b.inverse_inertia;
+    }
+  };
 
   // The cotangents of states and forces as the model's source has them.
   void PullBackAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
@@ -345,6 +402,9 @@ class IslandDerivative {
   std::vector<BodyConstants<Jet>> bodies_;
   std::vector<Jet> torque_;
   StepInput<Jet> jets_;  // kept: it is large to set up
+  static constexpr std::size_t kMostResting = 4;
+  std::vector<Resting> resting_;  // the latest ones
+  std::size_t next_resting_ = 0;
   std::vector<double> published_;
 };
 

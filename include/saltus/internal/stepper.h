@@ -15,6 +15,7 @@
 #include "saltus/internal/broad_phase.h"
 #include "saltus/internal/islands.h"
 #include "saltus/internal/rollout_record.h"
+#include "saltus/internal/same_bits.h"
 #include "saltus/internal/scratch_memory.h"
 #include "saltus/internal/step_contract.h"
 #include "saltus/internal/typed_scene.h"
@@ -43,6 +44,7 @@ class Stepper {
     std::fill(force_.begin(), force_.end(), Vec2<S>::Zero());
     std::fill(torque_.begin(), torque_.end(), S(0));
     failure_.reset();
+    for (Rest& rest : rests_) rest.island.clear();
   }
   // The force on every disc in the next step, N.
   std::span<Vec2<S>> force() { return force_; }
@@ -145,6 +147,20 @@ class Stepper {
     std::string_view failure;
   };
 
+  // An island that a step has left as it was, bit by bit, and what the step gave. As long as nothing else is asked, the
+  // next step is that one.
+  struct Rest {
+    std::vector<int> island;  // empty if there is none
+    std::vector<State> x;
+    std::vector<Vec2<S>> force;
+    std::vector<S> torque;
+    std::vector<Candidate> candidates;
+    std::vector<Touch> touches;
+    SolveRecord solved;
+  };
+  // What comes to rest to the last bit are bodies under exact events; others need not be looked at.
+  static constexpr bool kMayRest = M::kTraits.event_driven;
+
   static const S* Flat(std::span<const State> x) { return reinterpret_cast<const S*>(x.data()); }
 
   static BroadPhase MakeBroadPhase(const TypedScene<S>& scene, double step) {
@@ -185,16 +201,16 @@ class Stepper {
     const std::span<const int> island = islands_.bodies(q);
     Gather(q, x);
     local_.next.resize(island.size());
-    local_.touches.clear();
     local_.ties.clear();
-    local_.solved.Clear();
-    StepInput<S> in = LocalInput();
-    in.touches = &local_.touches;
-    if (finds_ties_) in.ties = &local_.ties;
-    model_.Step(in, std::span<const State>(local_.x), std::span<State>(local_.next));
-    scratch_.Release();
-    Check(k, island, local_.touches, local_.next, [&](int i) -> const State& { return next[island[i]]; });
-    if (failure_) return;
+    if (RestsAsBefore(q, island)) {
+      local_.next = local_.x;
+      local_.touches = rests_[q].touches;
+      local_.solved.Assign(rests_[q].solved.numbers());
+    } else {
+      TakeStep(k, island, next);
+      if (failure_) return;
+      if (kMayRest && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
+    }
     // The derivative is of the pairs that touch only: it recalls this step if these are all there are.
     if (!local_.solved.numbers().empty() && local_.touches.size() == local_.candidates.size()) {
       solved_.Add(k, FirstPair(island), local_.candidates.size(), local_.solved.numbers());
@@ -210,6 +226,37 @@ class Stepper {
     for (const TiedContact& contact : local_.ties) {
       ties_.push_back({InScene(contact.candidate, island), contact.time, ties + contact.tie});
     }
+  }
+
+  // The step of the local scene. `next` has free flight.
+  void TakeStep(int k, std::span<const int> island, std::span<const State> next) {
+    local_.touches.clear();
+    local_.solved.Clear();
+    StepInput<S> in = LocalInput();
+    in.touches = &local_.touches;
+    if (finds_ties_) in.ties = &local_.ties;
+    model_.Step(in, std::span<const State>(local_.x), std::span<State>(local_.next));
+    scratch_.Release();
+    Check(k, island, local_.touches, local_.next, [&](int i) -> const State& { return next[island[i]]; });
+  }
+
+  bool RestsAsBefore(int q, std::span<const int> island) const {
+    if (!kMayRest || q >= static_cast<int>(rests_.size())) return false;
+    const Rest& rest = rests_[q];
+    return std::ranges::equal(rest.island, island) && SameBits<State>(rest.x, local_.x) &&
+           SameBits<Vec2<S>>(rest.force, local_.force) && SameBits<S>(rest.torque, local_.torque) &&
+           rest.candidates == local_.candidates;
+  }
+  void Remember(int q, std::span<const int> island) {
+    if (q >= static_cast<int>(rests_.size())) rests_.resize(q + 1);
+    Rest& rest = rests_[q];
+    rest.island.assign(island.begin(), island.end());
+    rest.x = local_.x;
+    rest.force = local_.force;
+    rest.torque = local_.torque;
+    rest.candidates = local_.candidates;
+    rest.touches = local_.touches;
+    rest.solved.Assign(local_.solved.numbers());
   }
 
   // Notes what is wrong with a step of the discs `island`, whose indices the touches are.
@@ -260,6 +307,7 @@ class Stepper {
   std::vector<Candidate> candidates_;
   Islands islands_;
   LocalScene local_;
+  std::vector<Rest> rests_;  // by island, where there was one at rest since Begin()
   std::vector<char> reported_;
   std::vector<Touch> touches_;
   std::vector<TiedContact> ties_;
