@@ -4,12 +4,14 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdio>
 #include <numeric>
 #include <utility>
 
 #include "audit/attributor.h"
+#include "control/parallel_for.h"
 #include "physics/units.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
@@ -30,7 +32,7 @@ std::string Attributor::PairName(const Candidate& pair) const {
 }
 
 bool Attributor::Overlap(const Interval& interval, int k) const {
-  const std::vector<double>& x = PlainStateAt(k);
+  const std::vector<double> x = PlainStateAt(k);
   const auto position = [&](int i) { return Vec2d(x[size_ * i], x[size_ * i + 1]); };
   return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
     const Candidate& pair = meeting.pair;
@@ -169,6 +171,28 @@ std::string Attributor::CompareSequences(const std::vector<Interval>& intervals)
   return "";
 }
 
+// The first ones, all unless it is stopped. They are begun in their order, so that few are lost then.
+std::vector<ContactError> Attributor::CompareAll(const std::vector<Interval>& intervals) const {
+  const auto stopped = [&] { return stop_ && stop_(); };
+  std::vector<std::optional<ContactError>> found(intervals.size());
+  std::atomic<std::size_t> next = 0;
+  std::mutex saying;
+  ParallelFor(threads_, threads_, [&](int, int) {
+    for (std::size_t i = next++; i < intervals.size() && !stopped(); i = next++) {
+      if (status_) {
+        const std::lock_guard lock(saying);
+        status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
+                std::to_string(model_->num_steps()) + " steps");
+      }
+      ContactError error = Compare(intervals[i], costates_[i]);
+      if (!stopped()) found[i] = std::move(error);
+    }
+  });
+  std::vector<ContactError> errors;
+  for (std::size_t i = 0; i < found.size() && found[i]; ++i) errors.push_back(std::move(*found[i]));
+  return errors;
+}
+
 Attribution Attributor::Run() {
   Attribution out;
   for (const ModelTraits& traits : AllContactModels()) {
@@ -191,14 +215,7 @@ Attribution Attributor::Run() {
   }
   const std::vector<Interval> intervals = FindIntervals();
   if (!stopped()) FindCostates(intervals);
-  for (size_t i = 0; i < intervals.size() && !stopped(); ++i) {
-    if (status_) {
-      status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
-              std::to_string(model_->num_steps()) + " steps");
-    }
-    ContactError error = Compare(intervals[i], costates_[i]);
-    if (!stopped()) out.contacts.push_back(std::move(error));
-  }
+  if (!stopped()) out.contacts = CompareAll(intervals);
   if (out.contacts.size() == intervals.size()) {
     out.sequence = CompareSequences(intervals);
   } else {
@@ -243,12 +260,14 @@ const char* BlockToString(Block block) {
 
 Attribution AttributeError(const Contact& contact, const Scene& given, const AttributionOptions& options) {
   CHECK_GE(options.seconds, 0);
+  CHECK_GT(options.threads, 0);
   Attribution refused;
   refused.reason = WhyNotApplicable(contact, given);
   if (!refused.ok()) return refused;
   const Scene scene = InNaturalUnits(given);
   const StopRequest end = StopAfter(options.seconds, options.stop);
-  Attribution own = Attributor(contact, scene, StopAfter(options.seconds / 2, options.stop), options.status).Run();
+  const StopRequest half = StopAfter(options.seconds / 2, options.stop);
+  Attribution own = Attributor(contact, scene, half, options.status, options.threads).Run();
   const std::string after = " compared in " + Seconds(options.seconds);
   if (!own.limit.empty()) own.limit += after;
   if (!own.ok() || own.contacts.empty()) return own;
@@ -256,7 +275,7 @@ Attribution AttributeError(const Contact& contact, const Scene& given, const Att
   Scene refined = scene;
   refined.steps = std::clamp(kClearSteps / scene.steps, kRefinement, kMostRefinement) * scene.steps +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-  const Attribution fine = Attributor(contact, refined, end, options.status).Run();
+  const Attribution fine = Attributor(contact, refined, end, options.status, options.threads).Run();
   if (!fine.limit.empty()) {
     own.limit += (own.limit.empty() ? "" : "; ") + fine.limit + " with more steps" + after;
   }

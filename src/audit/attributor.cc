@@ -76,6 +76,7 @@ StepMap Attributor::MapOver(const Contact& contact, const Interval& interval, in
   scene.free_spin.clear();
   scene.bodies.clear();
   std::vector<int> local;
+  const std::vector<double> begin_state = PlainStateAt(interval.begin);
   std::vector<double> moves, turns;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     const bool wanted = std::binary_search(bodies.begin(), bodies.end(), i);
@@ -83,7 +84,7 @@ StepMap Attributor::MapOver(const Contact& contact, const Interval& interval, in
     const int at = scene.num_bodies();
     if (wanted) local.push_back(at);
     scene.bodies.push_back(scene_.bodies[i]);
-    const auto state = PlainStateAt(interval.begin).begin() + size_ * i;
+    const auto state = begin_state.begin() + size_ * i;
     moves.insert(moves.end(), state, state + 4);
     turns.insert(turns.end(), state + 4, state + size_);
     for (int c = 0; c < scene_.num_controlled(); ++c) {

@@ -8,6 +8,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <vector>
@@ -58,15 +59,16 @@ struct Interval {
 
 class Attributor {
  public:
-  // Simulates until `stop`, which may be that of AttributionOptions or a limit of time.
+  // Simulates until `stop`, which may be that of AttributionOptions or a limit of time. The others are as there.
   Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop,
-             const std::function<void(const std::string&)>& status)
+             const std::function<void(const std::string&)>& status, int threads)
       : contact_(contact),
         scene_(scene),
         size_(NumbersOfDisc(scene)),
         walls_(WallPartsOf(scene)),
         stop_(stop),
         status_(status),
+        threads_(threads),
         model_(Simulate(contact, scene)) {}
 
   Attribution Run();
@@ -80,18 +82,21 @@ class Attributor {
     return simulator;
   }
 
+  // Of the rollout. The last ones are kept, as looking back may simulate again: by one thread at a time.
   std::vector<double> StateAt(int k) const {
-    std::vector<double> x(model_->state_size());
+    const std::lock_guard lock(looking_back_);
+    if (const auto known = states_.find(k); known != states_.end()) return known->second;
+    if (states_.size() >= kKeptNumbers / model_->state_size()) states_.clear();
+    std::vector<double>& x = states_[k];
+    x.resize(model_->state_size());
     model_->GetState(k, x);
     return x;
   }
-  // Without rotation that is the model's own; until the next call. The last ones are kept, as looking back may simulate
-  // again.
-  const std::vector<double>& PlainStateAt(int k) const {
-    if (const auto known = plain_.find(k); known != plain_.end()) return known->second;
-    if (plain_.size() >= kKeptNumbers / (size_ * model_->num_bodies())) plain_.clear();
-    const std::vector<double> x = StateAt(k);
-    std::vector<double>& plain = plain_[k];
+  // The same without rotation that is the model's own.
+  std::vector<double> PlainStateAt(int k) const {
+    std::vector<double> x = StateAt(k);
+    if (model_->body_size() == size_) return x;
+    std::vector<double> plain;
     for (int i = 0; i < model_->num_bodies(); ++i) {
       plain.insert(plain.end(), x.begin() + i * model_->body_size(), x.begin() + i * model_->body_size() + size_);
     }
@@ -148,6 +153,7 @@ class Attributor {
   double Norm(const Eigen::VectorXd& costate, const std::vector<int>& bodies) const;
   std::string PairName(const Candidate& pair) const;
   std::string CompareSequences(const std::vector<Interval>& intervals) const;
+  std::vector<ContactError> CompareAll(const std::vector<Interval>& intervals) const;
 
   Contact contact_;
   Scene scene_;
@@ -155,11 +161,13 @@ class Attributor {
   std::vector<WallPart> walls_;
   const StopRequest stop_;
   const std::function<void(const std::string&)> status_;
+  const int threads_;
   std::unique_ptr<Simulator> model_;
   std::string exact_contact_;
   std::vector<double> initial_, control_;
-  std::vector<Eigen::VectorXd> costates_;             // at the end of each interval
-  mutable std::map<int, std::vector<double>> plain_;  // by step
+  std::vector<Eigen::VectorXd> costates_;  // at the end of each interval
+  mutable std::mutex looking_back_;
+  mutable std::map<int, std::vector<double>> states_;  // by step
 };
 
 }  // namespace saltus::internal

@@ -243,11 +243,11 @@ std::string WhyNotComparable(const Contact& contact, const Scene& scene) {
 ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options) {
   const StopRequest& stop = options.stop;
+  const auto threads = [&] { return options.threads_now ? options.threads_now() : options.threads; };
   ModelAudit audit;
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
-  audit.gradient = options.surrogate
-                       ? ComputeSurrogate(contact, scene, precision, *options.surrogate, options.threads, stop)
-                       : ComputeGradient(contact, scene, precision, stop);
+  audit.gradient = options.surrogate ? ComputeSurrogate(contact, scene, precision, *options.surrogate, threads(), stop)
+                                     : ComputeGradient(contact, scene, precision, stop);
   if (!audit.gradient.ok()) {
     audit.interrupted = audit.gradient.reason == kStopped;
     return audit;
@@ -271,7 +271,7 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   ContactRecognition recognition = RecogniseContact(contact, scene, stop);
   if (interrupted()) return audit;
   audit.recognition = std::move(recognition);
-  OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop);
+  OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop, threads());
   if (interrupted()) return audit;
   audit.own = std::move(own);
   if (reference) audit.not_comparable = WhyNotComparable(contact, scene);
@@ -281,12 +281,14 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     audit.error = CompareGradients(audit.gradient, *reference);
     RefinementOptions refinement_options = options.refinement;
     refinement_options.threads = options.threads;
+    refinement_options.threads_now = options.threads_now;
     RefinementStudy refinement = StudyRefinement(contact, scene, refinement_options, stop);
     if (interrupted()) return audit;
     audit.verdict = refinement.verdict;
     audit.refinement = std::move(refinement);
     if (options.attribution && IsWrong(audit.verdict)) {
-      Attribution attribution = AttributeError(contact, scene, {stop, options.attribution_seconds, options.status});
+      Attribution attribution =
+          AttributeError(contact, scene, {stop, options.attribution_seconds, options.status, threads()});
       if (interrupted()) return audit;
       audit.attribution = std::move(attribution);
     }

@@ -2,12 +2,15 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <random>
 #include <vector>
 
+#include "control/parallel_for.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 
@@ -20,6 +23,8 @@ constexpr double kWidest = 0.1,
 constexpr int kWidths = 8;
 constexpr double kTolerance = 1e-3;  // relative, by which a gradient may miss its differences
 constexpr double kSettled = 0.1;     // of the miss, by which slopes of neighbouring widths may differ
+constexpr double kJumps = 0.5;       // of the change of loss over a width, that over the next: it does not vanish
+constexpr int kMostJumps = 3;        // widths in a row
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 // The loss of a model as a function of some of its variables.
@@ -77,11 +82,17 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   scale = std::max(std::sqrt(scale), std::abs(found.gradient));
   std::array<double, 2> before = {kNan, kNan};
   std::array<std::optional<double>, 2> settled;  // on another slope, on either side
+  std::array<double, 2> change_before = {kNan, kNan};
+  int jumps = 0;  // widths on end at which the loss jumps on both sides
   double width = widest;
-  for (int i = 0; i < kWidths; ++i, width *= kNarrower) {
+  for (int i = 0; i < kWidths && jumps < kMostJumps; ++i, width *= kNarrower) {
+    bool jumps_here = true;
     for (int side = 0; side < 2; ++side) {
       const double signed_width = side == 0 ? width : -width;
-      const double slope = (loss->At(direction, signed_width) - loss->value()) / signed_width;
+      const double change = loss->At(direction, signed_width) - loss->value();
+      jumps_here = jumps_here && std::abs(change) >= kJumps * std::abs(change_before[side]);
+      change_before[side] = change;
+      const double slope = change / signed_width;
       const double miss = std::abs(slope - found.gradient);
       if (miss <= kTolerance * std::max(scale, std::abs(slope))) {
         found.agreement = Agreement::kAgrees;
@@ -91,6 +102,7 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
       if (std::abs(slope - before[side]) <= kSettled * miss) settled[side] = slope;
       before[side] = slope;
     }
+    jumps = jumps_here ? jumps + 1 : 0;
   }
   if (settled[0] && settled[1]) {
     found.agreement = Agreement::kDiffers;
@@ -98,6 +110,40 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   }
   return found;
 }
+
+struct Direction {
+  Quantity quantity = Quantity::kPosition;
+  std::vector<double> along;  // again and again over the variables
+  double widest = 0;
+};
+
+// Of each of several threads the losses that its directions need.
+class LossesOfThreads {
+ public:
+  LossesOfThreads(const Contact& contact, const Scene& scene, const StopRequest& stop, int threads)
+      : contact_(contact), scene_(scene), controlled_(scene), stop_(stop), losses_(threads) {
+    controlled_.optimize = Optimize::kControl;
+  }
+  Loss& At(int thread, Quantity quantity) {
+    const bool control = quantity == Quantity::kControl;
+    std::unique_ptr<Loss>& loss = control ? losses_[thread].by_control : losses_[thread].by_state;
+    if (loss == nullptr) {
+      const auto variables = control ? SingleShooting::Variables::kOfScene : SingleShooting::Variables::kInitialState;
+      loss = std::make_unique<Loss>(contact_, control ? controlled_ : scene_, variables, stop_);
+    }
+    return *loss;
+  }
+
+ private:
+  struct Losses {
+    std::unique_ptr<Loss> by_state, by_control;
+  };
+  const Contact& contact_;
+  const Scene& scene_;
+  Scene controlled_;
+  const StopRequest& stop_;
+  std::vector<Losses> losses_;
+};
 
 // The worse of the two.
 OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
@@ -109,10 +155,12 @@ OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
 
 }  // namespace
 
-OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop) {
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop,
+                                         int threads) {
   OwnDifferences worst;
   if (!WhyNotApplicable(contact, scene).empty()) return worst;
-  Loss by_state(contact, scene, SingleShooting::Variables::kInitialState, stop);
+  LossesOfThreads losses(contact, scene, stop, threads);
+  const Loss& by_state = losses.At(0, Quantity::kPosition);
   if (!by_state.ok()) return worst;
   const double T = scene.duration;
   const Simulator& simulator = by_state.shooting().simulator();
@@ -123,29 +171,40 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
 
   std::mt19937 random(1);
   const auto sign = [&] { return random() % 2 == 0 ? 1.0 : -1.0; };
-  worst.agreement = Agreement::kAgrees;
-  const auto add = [&](OwnDifferences found, Quantity quantity) {
-    found.quantity = quantity;
-    worst = Worse(worst, found);
-  };
+  std::vector<Direction> directions;
   const int half = by_state.num_variables() / 2;  // positions, then velocities
   for (int n = 0; n < kDirections; ++n) {
     for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
       const bool position = quantity == Quantity::kPosition;
-      std::vector<double> direction(2 * half, 0.0);
-      for (int i = 0; i < half; ++i) direction[position ? i : half + i] = sign();
-      add(Compare(&by_state, direction, kWidest * (position ? length : length / T)), quantity);
+      std::vector<double> along(2 * half, 0.0);
+      for (int i = 0; i < half; ++i) along[position ? i : half + i] = sign();
+      directions.push_back({quantity, std::move(along), kWidest * (position ? length : length / T)});
     }
   }
-  if (scene.control.bodies.empty()) return worst;
-  Scene controlled = scene;
-  controlled.optimize = Optimize::kControl;
-  Loss by_control(contact, controlled, SingleShooting::Variables::kOfScene, stop);
-  for (int n = 0; n < kDirections && by_control.ok(); ++n) {
-    std::vector<double> row(scene.control_width()), direction(by_control.num_variables());
+  for (int n = 0; n < kDirections && !scene.control.bodies.empty(); ++n) {
+    std::vector<double> row(scene.control_width());
     for (double& entry : row) entry = sign();
-    for (std::size_t i = 0; i < direction.size(); ++i) direction[i] = row[i % row.size()];
-    add(Compare(&by_control, direction, kWidest * 2 * length * smallest_mass / (T * T)), Quantity::kControl);
+    directions.push_back({Quantity::kControl, std::move(row), kWidest * 2 * length * smallest_mass / (T * T)});
+  }
+
+  const int count = static_cast<int>(directions.size());
+  std::vector<std::optional<OwnDifferences>> found(count);
+  std::atomic<int> differs = count;  // none is worse, so what follows it is not needed
+  ParallelFor(threads, count, [&](int thread, int i) {
+    if (i > differs) return;
+    const Direction& direction = directions[i];
+    Loss& loss = losses.At(thread, direction.quantity);
+    if (!loss.ok()) return;
+    std::vector<double> along(loss.num_variables());
+    for (std::size_t j = 0; j < along.size(); ++j) along[j] = direction.along[j % direction.along.size()];
+    found[i] = Compare(&loss, along, direction.widest);
+    found[i]->quantity = direction.quantity;
+    if (found[i]->agreement != Agreement::kDiffers) return;
+    for (int other = differs; i < other && !differs.compare_exchange_weak(other, i);) continue;
+  });
+  worst.agreement = Agreement::kAgrees;
+  for (int i = 0; i <= std::min<int>(differs, count - 1); ++i) {
+    if (found[i]) worst = Worse(worst, *found[i]);
   }
   return worst;
 }

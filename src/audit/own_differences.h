@@ -2,15 +2,18 @@
 //
 // The loss is followed along a few directions, each a sum of all initial positions, velocities or forces with signs
 // that are fixed but arbitrary, by differences of decreasing width to either side. A gradient that is no derivative of
-// the steps (detached values, a forgotten dependence) agrees with none of them. This says nothing of whether the steps
-// are right, which is what the width sweep and the exact gradient are for.
+// the steps (detached values, a forgotten dependence) agrees with none of them. Where a hundredth and a thousandth of a
+// width change the loss as much as the whole, the loss jumps, and no narrower ones are tried. This says nothing of
+// whether the steps are right, which is what the width sweep and the exact gradient are for.
 #pragma once
 
 #include "saltus/audit/audit.h"
 
 namespace saltus {
 
-// Undecided where the model cannot take the scene. What was stopped is of no use.
-OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
+// Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
+// more than one needs a contact model whose simulators may run at the same time.
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
+                                         int threads = 1);
 
 }  // namespace saltus

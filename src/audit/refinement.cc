@@ -237,7 +237,8 @@ class Study {
     const int base = std::max(1, scene_.steps / unit_) << level;
     const auto steps_of = [&](int sample) { return unit_ * (base + sample); };
     std::vector<ModelGradient> gradients(options_.samples);
-    ParallelFor(options_.threads, options_.samples, [&](int, int sample) {
+    const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
+    ParallelFor(threads, options_.samples, [&](int, int sample) {
       Scene refined = scene_;
       refined.steps = steps_of(sample);
       gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);

@@ -2,7 +2,10 @@
 
 #include <gflags/gflags.h>
 
+#include <algorithm>
+#include <atomic>
 #include <iostream>
+#include <memory>
 #include <new>
 #include <optional>
 
@@ -126,7 +129,11 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
   if (options.surrogate && FLAGS_width_sweep) {
     throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
   }
-  if (request.contacts.size() == 1) options.threads = request.threads;
+  // The last models at work share the threads of those that are done.
+  const auto at_work = std::make_shared<std::atomic<int>>(static_cast<int>(request.contacts.size()));
+  options.threads_now = [at_work, threads = request.threads] {
+    return std::max(1, threads / std::max(1, at_work->load()));
+  };
   options.stop = AskedToStop;
   Progress progress(
       request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size() + simulators.size());
@@ -139,9 +146,10 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
       request.contacts,
       request.threads,
       &progress,
-      [request, reference = report.reference, options](int i, const SayNote& say, const auto&) {
+      [request, reference = report.reference, options, at_work](int i, const SayNote& say, const auto&) {
         AuditOptions own = options;
         own.status = say;
+        const std::shared_ptr<void> done(nullptr, [at_work](void*) { --*at_work; });
         try {
           return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
         } catch (const std::bad_alloc&) {

@@ -1,7 +1,9 @@
-// Several threads at once: steps of one simulator, solvers and audits side by side, and the refinement of one audit,
-// with the bits of one thread. What it does not notice by itself, ThreadSanitizer does (preset tsan).
+// Several threads at once: steps of one simulator, solvers and audits side by side, and the studies of one audit, with
+// the bits of one thread. What it does not notice by itself, ThreadSanitizer does (preset tsan).
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -11,6 +13,8 @@
 #include <utility>
 #include <vector>
 
+#include "audit/own_differences.h"
+#include "saltus/audit/attribution.h"
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/dynamics/registry.h"
@@ -120,6 +124,78 @@ TEST(Threads, RefinementOfOneModel) {
       EXPECT_EQ(several.quantities[q].levels[i].error, one.quantities[q].levels[i].error);
     }
   }
+}
+
+TEST(Threads, RefinementAsksBeforeEachLevelHowMany) {
+  const Scene scene = ProblemScene("bounce_once");
+  RefinementOptions options;
+  int asked = 0;
+  options.threads_now = [&] { return 1 + asked++ % kThreads; };
+  const RefinementStudy study = StudyRefinement("direct", scene, options);
+  ASSERT_TRUE(study.ok()) << study.reason;
+  EXPECT_EQ(asked, static_cast<int>(study.quantities[0].levels.size()));
+  EXPECT_EQ(study.quantities[0].finest, StudyRefinement("direct", scene).quantities[0].finest);
+}
+
+TEST(Threads, OwnDifferencesOfOneModel) {
+  for (const char* problem : {"two_balls", "multiple_collisions"}) {
+    for (const char* contact : {"lcp", "direct", "event", "lcp_pgs"}) {
+      const OwnDifferences one = CompareWithOwnDifferences(contact, ProblemScene(problem));
+      for (int threads = 2; threads <= kThreads; ++threads) {
+        const OwnDifferences several = CompareWithOwnDifferences(contact, ProblemScene(problem), nullptr, threads);
+        EXPECT_EQ(several.agreement, one.agreement) << contact;
+        EXPECT_EQ(several.quantity, one.quantity) << contact;
+        EXPECT_EQ(several.gradient, one.gradient) << contact;
+        EXPECT_EQ(several.difference, one.difference) << contact;
+      }
+    }
+  }
+}
+
+TEST(Threads, AttributionOfOneModel) {
+  for (const char* problem : {"ground_wall", "multiple_collisions"}) {
+    for (const char* contact : {"direct", "compliant_warp", "pbd_brax"}) {
+      const Scene scene = ProblemScene(problem);
+      const Attribution one = AttributeError(contact, scene);
+      int said = 0;  // by one thread at a time
+      const Attribution several =
+          AttributeError(contact, scene, {.status = [&](const std::string&) { ++said; }, .threads = kThreads});
+      ASSERT_TRUE(one.ok()) << one.reason;
+      EXPECT_GT(one.contacts.size(), 1u);
+      EXPECT_EQ(several.first_wrong, one.first_wrong);
+      EXPECT_EQ(several.sequence, one.sequence);
+      EXPECT_EQ(several.limit, "");
+      EXPECT_GE(said, static_cast<int>(one.contacts.size()));
+      ASSERT_EQ(several.contacts.size(), one.contacts.size());
+      for (std::size_t i = 0; i < one.contacts.size(); ++i) {
+        EXPECT_EQ(several.contacts[i].first_step, one.contacts[i].first_step);
+        EXPECT_EQ(several.contacts[i].error, one.contacts[i].error);
+        EXPECT_EQ(several.contacts[i].stays, one.contacts[i].stays);
+        EXPECT_EQ(several.contacts[i].why, one.contacts[i].why);
+      }
+    }
+  }
+}
+
+// Whenever it is stopped: the first contacts, without a gap, as one thread finds them; or all, and no limit.
+TEST(Threads, AttributionThatIsStopped) {
+  const Scene scene = ProblemScene("multiple_collisions");
+  const Attribution all = AttributeError("direct", scene);
+  int most = 0;
+  for (int allowed = 1; allowed < 4000; allowed = allowed * 5 / 4 + 1) {
+    std::atomic<int> asked = 0;
+    const auto stop = [&] { return ++asked > allowed; };
+    const Attribution cut = AttributeError("direct", scene, {.stop = stop, .threads = kThreads});
+    if (!cut.ok()) continue;
+    ASSERT_LE(cut.contacts.size(), all.contacts.size());
+    most = std::max(most, static_cast<int>(cut.contacts.size()));
+    EXPECT_TRUE(cut.contacts.size() == all.contacts.size() || !cut.limit.empty()) << allowed;
+    for (std::size_t i = 0; i < cut.contacts.size(); ++i) {
+      EXPECT_EQ(cut.contacts[i].first_step, all.contacts[i].first_step);
+      EXPECT_EQ(cut.contacts[i].error, all.contacts[i].error);
+    }
+  }
+  EXPECT_GT(most, 0);
 }
 
 }  // namespace

@@ -57,12 +57,15 @@ struct AttributionOptions {
   // Limit of time; 0: none. The contacts compared until then are kept, half of the time being for the scene's own
   // steps.
   double seconds = 0;
-  // Called for a person, with what it is at.
+  // Called for a person, with what it is at; by one thread at a time.
   std::function<void(const std::string&)> status = nullptr;
+  // On which contacts are compared; results are the same for any number. More than one needs a contact model whose
+  // simulators may run at the same time, as all in the registry.
+  int threads = 1;
 };
 
 // At the scene's own steps, initial state and control. Where the model cannot take the scene, that is the reason.
-// Precondition: options.seconds >= 0.
+// Preconditions: options.seconds >= 0, options.threads > 0.
 Attribution AttributeError(const Contact& contact, const Scene& scene, const AttributionOptions& options = {});
 
 }  // namespace saltus

@@ -63,7 +63,9 @@ struct AuditOptions {
   WidthSweepOptions widths = {};
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
-  int threads = 1;  // for its samples, and in the place of refinement.threads
+  int threads = 1;  // for its samples, what else is studied, and in the place of refinement.threads
+  // As of RefinementOptions, and before each study too.
+  std::function<int()> threads_now = nullptr;
   // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
   StopRequest stop = nullptr;
   std::function<void(const std::string&)> status = nullptr;  // as of AttributionOptions

@@ -25,6 +25,7 @@
 // all step counts have the same reference. The study computes in double whatever the scene is simulated in.
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -76,6 +77,8 @@ struct RefinementOptions {
   // On which the step counts of a level are run; results are the same for any number. More than one needs a contact
   // model whose simulators may run at the same time, as all in the registry.
   int threads = 1;
+  // If given, asked before each level for what stands in the place of `threads` from then on.
+  std::function<int()> threads_now = nullptr;
 };
 
 struct RefinementLevel {
