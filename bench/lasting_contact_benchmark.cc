@@ -1,11 +1,17 @@
-// Lasting contact: a step of a resting stack by exact events, alone and with its gradient; and a pile that falls and
-// comes to rest.
+// Lasting contact: a resting stack under exact events, and a pile that falls and comes to rest.
 //
-//   Stack      20 to 160 discs; `per_disc` is relative to the stack of 20 in the same minute, 1 if growth is linear
+//   Stack      a step, alone and with its gradient, 20 to 160 discs; `per_disc` is relative to the stack of 20 in the
+//              same minute, 1 if growth is linear
 //   Pile       50 to 1000 discs in 1000 steps; `per_disc` likewise, relative to the pile of 50
+//   Rest       every further step in which nothing moves, relative to the first, alone and with the gradient
+//   Audit      that of `event` on 20 discs, s by the clock on all cores and of CPU time
 #include <benchmark/benchmark.h>
 
+#include <chrono>
+
+#include "control/parallel_for.h"
 #include "physics/scene_generators.h"
+#include "saltus/audit/audit.h"
 #include "saltus/dynamics/registry.h"
 #include "timing.h"
 
@@ -14,11 +20,11 @@ namespace {
 
 constexpr int kSmallest = 20;
 
-Scene Stack(int discs, double friction) {
+Scene Stack(int discs, double friction, int steps) {
   Scene scene;
   scene.name = "stack";
-  scene.duration = 0.01;
-  scene.steps = 1;
+  scene.duration = 0.01 * steps;
+  scene.steps = steps;
   scene.gravity = {0, -9.8};
   scene.contact.restitution = 0.5;
   scene.contact.friction = friction;
@@ -30,15 +36,17 @@ Scene Stack(int discs, double friction) {
   return scene;
 }
 
-// A step and, if asked for, the gradient of one number by all that there is.
-class Step {
+// Steps and, if asked for, the gradient of one number by all that there is.
+class Steps {
  public:
-  Step(int discs, double friction)
-      : scene_(Stack(discs, friction)),
+  Steps(int discs, double friction, int steps)
+      : scene_(Stack(discs, friction, steps)),
         simulator_(MakeSimulator("event", scene_, Precision::kDouble)),
         initial_(InitialState(scene_)),
         cotangent_(simulator_->state_size(), 1.0) {}
-  void Run(bool with_gradient) const {
+  void Run(bool with_gradient) {
+    // Elsewhere each time, so that nothing is known of it.
+    for (int i = 0; i < scene_.num_bodies(); ++i) initial_[4 * i] += 1e-3;
     CHECK(simulator_->Rollout(initial_, {}));
     if (!with_gradient) return;
     Sensitivity sensitivity;
@@ -55,7 +63,7 @@ class Step {
 void BM_Stack(benchmark::State& state) {
   const int discs = static_cast<int>(state.range(0));
   const double friction = state.range(1) == 0 ? 0.0 : 0.5;
-  const Step small(kSmallest, friction), step(discs, friction);
+  Steps small(kSmallest, friction, 1), step(discs, friction, 1);
   for (auto _ : state) {
     const auto [first, plain, gradient] =
         TimeInTurns([&] { small.Run(true); }, [&] { step.Run(false); }, [&] { step.Run(true); });
@@ -85,6 +93,41 @@ void BM_Pile(benchmark::State& state) {
   }
 }
 BENCHMARK(BM_Pile)->ArgsProduct({{50, 200, 1000}})->ArgNames({"discs"})->Iterations(1);
+
+void BM_Rest(benchmark::State& state) {
+  const int discs = static_cast<int>(state.range(0));
+  const double friction = state.range(1) == 0 ? 0.0 : 0.5;
+  constexpr int kFurther = 100;
+  Steps one(discs, friction, 1), many(discs, friction, 1 + kFurther);
+  for (auto _ : state) {
+    const auto [first, first_gradient, all, all_gradient] =
+        TimeInTurns([&] { one.Run(false); }, [&] { one.Run(true); }, [&] { many.Run(false); }, [&] { many.Run(true); });
+    state.counters["further_us"] = 1e6 * (all - first) / kFurther;
+    state.counters["further_gradient_us"] = 1e6 * (all_gradient - first_gradient) / kFurther;
+    state.counters["ratio"] = (all - first) / kFurther / first;
+    state.counters["ratio_gradient"] = (all_gradient - first_gradient) / kFurther / first_gradient;
+  }
+}
+BENCHMARK(BM_Rest)->ArgsProduct({{20, 80}, {0, 1}})->ArgNames({"discs", "friction"})->Iterations(1);
+
+void BM_Audit(benchmark::State& state) {
+  Scene scene = Stack(kSmallest, state.range(0) == 0 ? 0.0 : 0.5, 240);
+  scene.duration = 1;
+  scene.contact.restitution = 0;
+  scene.objective.terminal = {{.body = kSmallest - 1, .quantity = TerminalTerm::Quantity::kPosition}};
+  for (auto _ : state) {
+    const std::clock_t work = std::clock();
+    const auto start = std::chrono::steady_clock::now();
+    const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+    CHECK(exact);
+    const ModelAudit audit =
+        AuditModel("event", scene, Precision::kDouble, exact, {.threads = NumThreads(/*threads=*/0)});
+    CHECK(audit.verdict == Verdict::kRight);
+    state.counters["seconds"] = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    state.counters["cpu_seconds"] = static_cast<double>(std::clock() - work) / CLOCKS_PER_SEC;
+  }
+}
+BENCHMARK(BM_Audit)->Arg(0)->Arg(1)->ArgName("friction")->Iterations(1);
 
 }  // namespace
 }  // namespace saltus

@@ -3,12 +3,14 @@
 //   Gradient   per contact model, on two balls with 480 steps and 960 controls; beside it code written by hand for this
 //              one scene and model, a lower bound
 //   Steps      the same per step, from 480 to 480 000 steps
+//   Growth     that at 480 000 steps relative to the others, in turns, so that what the machine does meanwhile cancels
 //   Bodies     per body and step: a gas in a box at fixed density, 10 to 1000 discs
 //   Throughput gradients per second of a batch, by number of threads (wall clock)
 #include <benchmark/benchmark.h>
 
 #include <chrono>
 #include <cmath>
+#include <memory>
 
 #include "physics/scene_generators.h"
 #include "saltus/control/batch.h"
@@ -168,6 +170,29 @@ void Steps(benchmark::State& state, const std::string& contact) {
   PerUnit(state, contact, ProblemScene("two_balls", steps), steps);
 }
 
+void Growth(benchmark::State& state, const std::string& contact) {
+  const auto run_of = [&](int steps) {
+    auto shooting =
+        std::make_shared<SingleShooting>(MakeSimulator(contact, ProblemScene("two_balls", steps), Precision::kDouble));
+    return [shooting, gradient = std::vector<double>(shooting->num_variables())](bool with_gradient) mutable {
+      double loss = 0;
+      CHECK(shooting->Evaluate(shooting->initial_guess(), &loss, with_gradient ? gradient.data() : nullptr));
+    };
+  };
+  auto a = run_of(480), b = run_of(4800), c = run_of(48'000), d = run_of(480'000);
+  for (auto _ : state) {
+    for (const bool with_gradient : {false, true}) {
+      const auto [few, more, many, most] = TimeInTurns(
+          [&] { a(with_gradient); }, [&] { b(with_gradient); }, [&] { c(with_gradient); }, [&] { d(with_gradient); });
+      const std::string of = with_gradient ? "gradient" : "forward";
+      state.counters[of + "_by_480"] = most / few / 1000;
+      state.counters[of + "_by_4800"] = most / more / 100;
+      state.counters[of + "_by_48000"] = most / many / 10;
+      state.SetIterationTime(most);
+    }
+  }
+}
+
 void Bodies(benchmark::State& state, const std::string& contact) {
   Scene scene = GasInABox({.discs = static_cast<int>(state.range(0))}, 1);
   scene.contact.stiffness = 1e5;
@@ -200,6 +225,7 @@ void RegisterAll() {
   for (const std::string name : {"direct_toi", "compliant_warp", "event"}) {
     auto* steps = once(benchmark::RegisterBenchmark(("Steps/" + name).c_str(), Steps, name));
     for (int n : {480, 4800, 48000, 480000}) steps->Arg(n);
+    once(benchmark::RegisterBenchmark(("Growth/" + name).c_str(), Growth, name));
     auto* bodies = once(benchmark::RegisterBenchmark(("Bodies/" + name).c_str(), Bodies, name));
     for (int n : {10, 30, 100, 300, 1000}) bodies->Arg(n);
     benchmark::RegisterBenchmark(("Throughput/" + name).c_str(), Throughput, name)
