@@ -18,6 +18,9 @@ constexpr int kMostCorrections = 30;
 constexpr std::size_t kKeptFactors = 4;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+// Not on the heap.
+using SmallMatrix =
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, kMostDenseRows, kMostDenseRows>;
 using Sparse = Eigen::SparseMatrix<double>;
 using Vector = Eigen::VectorXd;
 
@@ -46,11 +49,17 @@ void PseudoInvert(int n, std::span<double> matrix) {
     if (matrix[0] != 0) matrix[0] = 1 / matrix[0];
     return;
   }
-  Eigen::Map<Matrix> map(matrix.data(), n, n);
-  Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;
-  decomposition.setThreshold(kDependentRows);
-  decomposition.compute(map);
-  map = decomposition.pseudoInverse();
+  const auto invert = [&](auto decomposition) {
+    Eigen::Map<Matrix> map(matrix.data(), n, n);
+    decomposition.setThreshold(kDependentRows);
+    decomposition.compute(map);
+    map = decomposition.pseudoInverse();
+  };
+  if (n <= kMostDenseRows) {
+    invert(Eigen::CompleteOrthogonalDecomposition<SmallMatrix>());
+  } else {
+    invert(Eigen::CompleteOrthogonalDecomposition<Matrix>());
+  }
 }
 
 struct ContactSystem::Factors {

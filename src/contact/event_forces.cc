@@ -1,13 +1,15 @@
 #include "contact/event_forces.h"
 
-#include <Eigen/QR>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <memory_resource>
 #include <optional>
 #include <vector>
 
-#include "contact/contact_system.h"
+#include "contact/force_rows_solver.h"
 #include "contact/frictional_lcp.h"
+#include "contact/local_memory.h"
 
 namespace saltus {
 namespace {
@@ -32,15 +34,18 @@ struct Accelerations {
 };
 // The same, with memory of their own.
 struct KeptAccelerations {
-  explicit KeptAccelerations(const Accelerations& given)
-      : linear(given.linear.begin(), given.linear.end()), turning(given.turning.begin(), given.turning.end()) {}
+  KeptAccelerations(const Accelerations& given, std::pmr::memory_resource* memory)
+      : linear(given.linear.begin(), given.linear.end(), memory),
+        turning(given.turning.begin(), given.turning.end(), memory) {}
+  KeptAccelerations(const KeptAccelerations& other, std::pmr::memory_resource* memory)
+      : linear(other.linear, memory), turning(other.turning, memory) {}
   Accelerations view() { return {linear, turning}; }
   void CopyTo(const Accelerations& to) const {
     std::copy(linear.begin(), linear.end(), to.linear.begin());
     std::copy(turning.begin(), turning.end(), to.turning.begin());
   }
-  std::vector<Vec2d> linear;
-  std::vector<double> turning;
+  std::pmr::vector<Vec2d> linear;
+  std::pmr::vector<double> turning;
 };
 
 // At the points of contact.
@@ -95,13 +100,6 @@ void Accelerate(std::span<const double> inverse_mass, std::span<const PressingCo
   }
 }
 
-// An acceleration that must vanish, and the force that makes it do so.
-struct ForceRow {
-  int contact;
-  ContactRow row;
-  double turning;
-};
-
 // What a contact may be found to do.
 enum class Guess : char { kOpen, kLeft, kRight, kStick };  // kLeft, kRight: its friction is at that bound, - or +
 
@@ -140,67 +138,17 @@ std::optional<Guess> BetterGuess(double friction, double allowed, const Pressing
   return std::nullopt;
 }
 
-// How much the torque of the force of row j changes what row i measures.
-double TurnCoupling(const ForceRow& i, const ForceRow& j, std::span<const PressingContact> contacts) {
-  const PressingContact &c = contacts[i.contact], &d = contacts[j.contact];
-  double mobility = 0;
-  const auto meet = [&](int p, const PressingContact::Turns& disc, int q) {
-    if (p >= 0 && p == q) mobility += disc.radius * disc.radius * disc.inverse_inertia;
-  };
-  meet(c.a, c.turns_a, d.a);
-  meet(c.a, c.turns_a, d.b);
-  meet(c.b, c.turns_b, d.a);
-  meet(c.b, c.turns_b, d.b);
-  return mobility * Dot(Perpendicular(c.normal), i.row.measured) * Dot(Perpendicular(d.normal), j.row.push);
-}
-
-// Solves systems of the same rows: small ones densely, large ones sparsely.
-class RowSolver {
- public:
-  RowSolver(std::span<const ForceRow> rows, std::span<const double> inverse_mass,
-            std::span<const PressingContact> contacts, bool turns) {
-    std::vector<ContactRow> sides;
-    for (const ForceRow& row : rows) sides.push_back(row.row);
-    const int n = static_cast<int>(sides.size());
-    if (n > kMostDenseRows && !turns) {
-      system_.emplace(sides, inverse_mass);
-      return;
-    }
-    Eigen::MatrixXd matrix(n, n);
-    for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) {
-        matrix(i, j) = Coupling(sides[i], sides[j], inverse_mass);
-        if (turns) matrix(i, j) += TurnCoupling(rows[i], rows[j], contacts);
-      }
-    }
-    decomposition_.setThreshold(kDependentRows);
-    decomposition_.compute(matrix);
-  }
-  // Overwrites `right` with the solution. If `hasty`, false where that would take long.
-  bool Solve(bool hasty, Eigen::VectorXd* right) const {
-    const std::span<double> x(right->data(), right->size());
-    if (system_ && hasty) return system_->SolveOnlySparse(x);
-    if (system_) {
-      system_->Solve(x);
-    } else {
-      *right = decomposition_.solve(*right);
-    }
-    return true;
-  }
-
- private:
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition_;
-  std::optional<ContactSystem> system_;
-};
-
 // The forces under a guess of what each contact does: one linear system, from the forces as they are to the nearest
 // that solve it. False, and nothing changed, if the guess is wrong; `wrong`, if given, gets the contacts that are, none
 // if they cannot do together what was guessed or, if `hasty`, finding that out would take long.
 bool SolveDirectly(double friction, double allowed, std::span<const double> inverse_mass,
                    const KeptAccelerations& given, std::span<const Guess> guesses, const Accelerations& of,
-                   std::span<PressingContact> contacts, std::vector<WrongGuess>* wrong = nullptr, bool hasty = false) {
+                   std::span<PressingContact> contacts, std::pmr::vector<WrongGuess>* wrong = nullptr,
+                   bool hasty = false) {
   if (wrong != nullptr) wrong->clear();
-  std::vector<ForceRow> rows;
+  LocalMemory memory;
+  std::pmr::vector<ForceRow> rows(memory.get());
+  rows.reserve(2 * contacts.size());
   for (int k = 0; k < static_cast<int>(contacts.size()); ++k) {
     const PressingContact& c = contacts[k];
     const Vec2d tangent = Perpendicular(c.normal);
@@ -214,8 +162,8 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
     rows.push_back({k, {c.a, c.b, c.normal, c.normal + share * tangent}, c.turning});
   }
   const int n = static_cast<int>(rows.size());
-  std::vector<PressingContact> solved(contacts.begin(), contacts.end());
-  KeptAccelerations under = given;
+  std::pmr::vector<PressingContact> solved(contacts.begin(), contacts.end(), memory.get());
+  KeptAccelerations under(given, memory.get());
   const auto accelerate = [&] {
     under = given;
     Accelerate(inverse_mass, solved, under.view());
@@ -225,12 +173,12 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
   };
   if (n > 0) {
     const RowSolver solver(rows, inverse_mass, contacts, !of.turning.empty());
+    std::pmr::vector<double> change(n, memory.get());
     // The second time for what rounding leaves of the first.
     for (int pass = 0; pass < 2; ++pass) {
       accelerate();
-      Eigen::VectorXd change(n);
       for (int i = 0; i < n; ++i) change[i] = -missing(rows[i]);
-      if (!solver.Solve(hasty, &change)) return false;
+      if (!solver.Solve(hasty, change)) return false;
       for (int i = 0; i < n; ++i) {
         PressingContact& c = solved[rows[i].contact];
         c.normal_force += change[i] * Dot(c.normal, rows[i].row.push);
@@ -261,10 +209,12 @@ bool SolveDirectly(double friction, double allowed, std::span<const double> inve
 // Judice and Pires 1994); then the first, which arrives where matrices are positive definite (Murty 1974). False if
 // that does not end in `most_pivots`.
 bool SolveByPivoting(double friction, double allowed, int most_pivots, std::span<const double> inverse_mass,
-                     const KeptAccelerations& given, std::vector<Guess> guesses, bool in_blocks,
+                     const KeptAccelerations& given, std::span<const Guess> first_guesses, bool in_blocks,
                      const Accelerations& of, std::span<PressingContact> contacts, bool hasty = false) {
-  std::vector<PressingContact> start(contacts.begin(), contacts.end());
-  std::vector<WrongGuess> wrong;
+  LocalMemory memory;
+  std::pmr::vector<Guess> guesses(first_guesses.begin(), first_guesses.end(), memory.get());
+  std::pmr::vector<PressingContact> start(contacts.begin(), contacts.end(), memory.get());
+  std::pmr::vector<WrongGuess> wrong(memory.get());
   std::size_t fewest = contacts.size() + 1;
   for (int pivot = 0, patience = kBlockPatience; pivot < most_pivots; ++pivot) {
     for (std::size_t k = 0; k < start.size(); ++k) {
@@ -311,8 +261,9 @@ Eigen::MatrixXd Responses(std::span<const double> inverse_mass, const Accelerati
                           std::span<const PressingContact> contacts) {
   const int n = static_cast<int>(contacts.size());
   Eigen::MatrixXd responses(2 * n, 2 * n);
+  std::pmr::memory_resource* const memory = std::pmr::new_delete_resource();
   for (int column = 0; column < 2 * n; ++column) {
-    KeptAccelerations under(of);
+    KeptAccelerations under(of, memory);
     std::ranges::fill(under.linear, Vec2d(0, 0));
     std::ranges::fill(under.turning, 0.0);
     PressingContact unit = contacts[column / 2];
@@ -334,7 +285,7 @@ bool SolveAsComplementarity(double friction, double allowed, std::span<const dou
                             std::span<PressingContact> contacts) {
   const int n = static_cast<int>(contacts.size());
   if (n > kMostComplementaryRows) return false;
-  KeptAccelerations start = given;
+  KeptAccelerations start(given, std::pmr::new_delete_resource());
   Eigen::VectorXd without(2 * n);
   std::vector<int> sliding(n);
   for (int k = 0; k < n; ++k) {
@@ -368,8 +319,9 @@ double NumGuesses(double friction, std::span<const PressingContact> contacts) {
 Pressing SolvePressingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                              std::span<PressingContact> contacts, std::span<double> turning, bool hasty) {
   const Accelerations of{acceleration, turning};
-  const KeptAccelerations given(of);
-  std::vector<Guess> guesses(contacts.size());
+  LocalMemory memory;
+  const KeptAccelerations given(of, memory.get());
+  std::pmr::vector<Guess> guesses(contacts.size(), memory.get());
   double scale = 0;
   for (PressingContact& c : contacts) {
     c.normal_force = c.tangential_force = 0;

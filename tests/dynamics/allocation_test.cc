@@ -2,8 +2,9 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cerrno>
 #include <cstdlib>
-#include <new>
+#include <memory>
 
 #include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
@@ -14,26 +15,37 @@ namespace {
 
 std::atomic<long> allocations = 0;
 
-void* Allocate(std::size_t size, std::size_t alignment) {
-  ++allocations;
-  void* memory = alignment <= alignof(std::max_align_t)
-                     ? std::malloc(size)
-                     : std::aligned_alloc(alignment, (size + alignment - 1) / alignment * alignment);
-  if (memory == nullptr) throw std::bad_alloc();
-  return memory;
-}
-
 }  // namespace
 
-// Not inlined: GCC would take std::free for the wrong partner of operator new.
-[[gnu::noinline]] void* operator new(std::size_t size) { return Allocate(size, 1); }
-void* operator new(std::size_t size, std::align_val_t alignment) {
-  return Allocate(size, static_cast<std::size_t>(alignment));
+// Those of glibc under other names: all memory comes through here, that of Eigen's matrices too.
+extern "C" {
+void* __libc_malloc(std::size_t size);
+void* __libc_calloc(std::size_t count, std::size_t size);
+void* __libc_realloc(void* memory, std::size_t size);
+void* __libc_memalign(std::size_t alignment, std::size_t size);
+
+void* malloc(std::size_t size) {
+  ++allocations;
+  return __libc_malloc(size);
 }
-[[gnu::noinline]] void operator delete(void* memory) noexcept { std::free(memory); }
-[[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
-[[gnu::noinline]] void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
-[[gnu::noinline]] void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void* calloc(std::size_t count, std::size_t size) {
+  ++allocations;
+  return __libc_calloc(count, size);
+}
+void* realloc(void* memory, std::size_t size) {
+  ++allocations;
+  return __libc_realloc(memory, size);
+}
+void* aligned_alloc(std::size_t alignment, std::size_t size) {
+  ++allocations;
+  return __libc_memalign(alignment, size);
+}
+int posix_memalign(void** memory, std::size_t alignment, std::size_t size) {
+  ++allocations;
+  *memory = __libc_memalign(alignment, size);
+  return *memory == nullptr ? ENOMEM : 0;
+}
+}
 
 namespace saltus {
 namespace {
@@ -41,7 +53,35 @@ namespace {
 TEST(Allocation, IsCounted) {
   const long before = allocations;
   std::vector<double> some(100);
-  EXPECT_GT(allocations, before) << some[0];
+  EXPECT_EQ(allocations, before + 1) << some[0];
+  struct alignas(64) Aligned {
+    double x = 0;
+  };
+  auto aligned = std::make_unique<Aligned>();
+  EXPECT_EQ(allocations, before + 2) << aligned->x;
+  Eigen::VectorXd matrix(100);
+  EXPECT_EQ(allocations, before + 3) << matrix.size();
+}
+
+// Four discs one on the other, which lean, come down and stay.
+Scene Tower(double friction) {
+  Scene scene;
+  scene.name = "tower";
+  scene.duration = 0.25;
+  scene.steps = 60;
+  scene.gravity = {0, -9.8};
+  for (int i = 0; i < 4; ++i) {
+    scene.bodies.push_back({.name = "disc" + std::to_string(i),
+                            .radius = 0.1,
+                            .mass = 1,
+                            .position = {0.02 * i, 0.1 * (2 * i + 1) + 0.01 * i}});
+  }
+  scene.planes = {{"ground", {0, 0}, {0, 1}}};
+  scene.contact.restitution = 0.3;
+  scene.contact.friction = friction;
+  scene.objective.terminal = {{.body = 3}};
+  scene.optimize = Optimize::kVelocity;
+  return scene;
 }
 
 class AllocationOf : public testing::TestWithParam<std::string> {
@@ -66,6 +106,7 @@ TEST_P(AllocationOf, RolloutAndGradient) {
     ExpectNone(FourDiscs(0), precision);
     ExpectNone(FourDiscs(0.3), precision);
     ExpectNone(GasInABox({.discs = 60}, 1), precision);
+    for (const double friction : {0.0, 0.3}) ExpectNone(Tower(friction), precision);
   }
 }
 
