@@ -6,6 +6,7 @@
 #include <cmath>
 #include <random>
 #include <thread>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -148,20 +149,22 @@ TEST(ContactSystem, DoesNotDependOnWhatWasSolvedBefore) {
     EXPECT_TRUE(ContactSystem(pile.rows, pile.inverse_mass).Solve(x));
     return x;
   };
-  const auto nearly = [](double by) {
+  const auto nearly = [](double turned, double heavier) {
     Pile pile(6);
-    pile.inverse_mass[0] *= 1 + by;
+    pile.inverse_mass[0] /= 1 + heavier;
     for (ContactRow& row : pile.rows) {
-      const double angle = std::atan2(row.measured[1], row.measured[0]) + by;
+      const double angle = std::atan2(row.measured[1], row.measured[0]) + turned;
       row.measured = row.push = Vec2d(std::cos(angle), std::sin(angle));
     }
     return pile;
   };
   for (int turn = 0; turn < 3; ++turn) {
-    for (const double by : {0.0, 1e-9, 0.0, 1e-3, 2e-3, 1e-9, 3e-3, 4e-3, 5e-3, 0.0}) {
+    for (const auto& [turned, heavier] : std::vector<std::pair<double, double>>{
+             {0, 0}, {1e-9, 0}, {0, 0}, {1e-3, 0}, {1e-3, 1e-3}, {0, 1e-3}, {0, 1e-9}, {2e-3, 0}, {2e-3, 1}, {0, 0}}) {
+      const Pile pile = nearly(turned, heavier);
       std::vector<double> alone;
-      std::thread([&] { alone = solve(nearly(by)); }).join();
-      EXPECT_EQ(solve(nearly(by)), alone) << by;
+      std::thread([&] { alone = solve(pile); }).join();
+      EXPECT_EQ(solve(pile), alone) << turned << " " << heavier;
     }
   }
 }
