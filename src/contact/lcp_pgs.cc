@@ -2,18 +2,18 @@
 
 namespace saltus {
 
-GaussSeidelSweeps::GaussSeidelSweeps(const Eigen::MatrixXd& A, const Eigen::VectorXd& b, double friction,
-                                     int num_normals, int sweeps)
-    : A_(A), x_(Eigen::VectorXd::Zero(b.size())), friction_(friction), num_normals_(num_normals) {
+GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, double friction,
+                                     int num_normals, int sweeps, std::pmr::memory_resource* memory)
+    : A_(A), x_(b.size(), 0.0, memory), friction_(friction), num_normals_(num_normals), updates_(memory) {
   const int n = static_cast<int>(b.size());
   updates_.reserve(static_cast<std::size_t>(sweeps) * n);
   for (int sweep = 0; sweep < sweeps; ++sweep) {
     for (int i = 0; i < n; ++i) {
       double rest = b[i];
       for (int j = 0; j < n; ++j) {
-        if (j != i) rest -= A_(i, j) * x_[j];
+        if (j != i) rest -= A_[i * n + j] * x_[j];
       }
-      const double y = rest / A_(i, i);
+      const double y = rest / A_[i * n + i];
       Update update{SweepClass::kFree, x_[i]};
       if (i < num_normals_) {
         if (!(y > 0)) update.kind = SweepClass::kOff;
@@ -33,8 +33,10 @@ SweepClass GaussSeidelSweeps::ClassOf(int row) const { return updates_[updates_.
 
 GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
   const int n = static_cast<int>(x_.size());
-  Derivative d{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n), 0};
-  Eigen::VectorXd x = x_, cotangent = Eigen::VectorXd::Unit(n, row);
+  std::pmr::memory_resource* const memory = updates_.get_allocator().resource();
+  Derivative d{std::pmr::vector<double>(n * n, 0.0, memory), std::pmr::vector<double>(n, 0.0, memory), 0};
+  std::pmr::vector<double> x(x_, memory), cotangent(n, 0.0, memory);
+  cotangent[row] = 1;
   for (int k = static_cast<int>(updates_.size()) - 1; k >= 0; --k) {
     const int i = k % n;
     const double assigned = x[i], g = cotangent[i];
@@ -42,13 +44,13 @@ GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
     cotangent[i] = 0;
     switch (updates_[k].kind) {
       case SweepClass::kFree: {
-        const double w = g / A_(i, i);
+        const double w = g / A_[i * n + i];
         d.by_b[i] += w;
-        d.by_A(i, i) -= w * assigned;
+        d.by_A[i * n + i] -= w * assigned;
         for (int j = 0; j < n; ++j) {
           if (j == i) continue;
-          d.by_A(i, j) -= w * x[j];
-          cotangent[j] -= w * A_(i, j);
+          d.by_A[i * n + j] -= w * x[j];
+          cotangent[j] -= w * A_[i * n + j];
         }
         break;
       }

@@ -15,6 +15,7 @@
 #pragma once
 
 #include <memory_resource>
+#include <span>
 #include <type_traits>
 #include <vector>
 
@@ -29,17 +30,18 @@ enum class SweepClass : char { kFree, kOff, kUpper, kLower };
 // Projected Gauss-Seidel on values, with what its reverse needs.
 class GaussSeidelSweeps {
  public:
-  // Rows [0, n) of A are normals; if there are 2 n rows, row n + i is the tangent of normal i.
-  GaussSeidelSweeps(const Eigen::MatrixXd& A, const Eigen::VectorXd& b, double friction, int num_normals, int sweeps);
+  // Rows [0, n) of A are normals; if there are 2 n rows, row n + i is the tangent of normal i. A lies row by row and is
+  // to outlive the sweeps, as is `memory`, of which they are made.
+  GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, double friction, int num_normals, int sweeps,
+                    std::pmr::memory_resource* memory = std::pmr::get_default_resource());
 
-  const Eigen::VectorXd& x() const { return x_; }
+  std::span<const double> x() const { return x_; }
   // Of the last update of a row.
   SweepClass ClassOf(int row) const;
 
-  // Derivative of x[row] by A, b and friction.
+  // Derivative of x[row] by A, which lies as A does, b and friction.
   struct Derivative {
-    Eigen::MatrixXd by_A;
-    Eigen::VectorXd by_b;
+    std::pmr::vector<double> by_A, by_b;
     double by_friction;
   };
   Derivative Reverse(int row) const;
@@ -50,11 +52,11 @@ class GaussSeidelSweeps {
     double overwritten;  // the value of x before
   };
 
-  Eigen::MatrixXd A_;
-  Eigen::VectorXd x_;
+  std::span<const double> A_;
+  std::pmr::vector<double> x_;
   double friction_;
   int num_normals_;
-  std::vector<Update> updates_;  // row by row, sweep by sweep
+  std::pmr::vector<Update> updates_;  // row by row, sweep by sweep
 };
 
 template <bool kAdjoint, int kTurn>
@@ -66,7 +68,6 @@ struct LcpPgsOf {
       .source = kAdjoint ? "after Qiao et al. 2021" : "Tiny Differentiable Simulator (Heiden et al. 2021)",
       .double_engine = true,
       .rebound = Rebound::kEmergent,
-      .allocates = true,
       .relative = true};
   static constexpr int kRotation = kTurn;
   static constexpr bool kLinearRotation = kTurn == kSpin;
@@ -112,17 +113,17 @@ struct LcpPgsOf {
   std::pmr::vector<T> Impulses(const StepInput<T>& in, const Group<T>& group, const std::pmr::vector<T>& b) const {
     const int n = group.size();
     std::pmr::vector<T> A(in.scratch);
-    Eigen::MatrixXd A_values(n, n);
-    Eigen::VectorXd b_values(n);
+    const std::span<double> A_values = in.template Array<double>(n * n), b_values = in.template Array<double>(n);
     for (int i = 0; i < n; ++i) {
       for (int j = 0; j < n; ++j) {
         A.push_back(group.Coupling(i, j));
         if (i == j) A.back() += cfm;
-        A_values(i, j) = Value(A.back());
+        A_values[i * n + j] = Value(A.back());
       }
       b_values[i] = Value(b[i]);
     }
-    const GaussSeidelSweeps solution(A_values, b_values, Value(in.contact.friction), group.num_contacts(), sweeps);
+    const GaussSeidelSweeps solution(
+        A_values, b_values, Value(in.contact.friction), group.num_contacts(), sweeps, in.scratch);
     Report(in, group, solution);
     std::pmr::vector<T> x(n, T(0.0), in.scratch);
     if constexpr (std::is_same_v<T, double>) {
@@ -134,7 +135,7 @@ struct LcpPgsOf {
         x[row] = d.by_friction * variation(in.contact.friction) + solution.x()[row];
         for (int i = 0; i < n; ++i) {
           x[row] += d.by_b[i] * variation(b[i]);
-          for (int j = 0; j < n; ++j) x[row] += d.by_A(i, j) * variation(A[i * n + j]);
+          for (int j = 0; j < n; ++j) x[row] += d.by_A[i * n + j] * variation(A[i * n + j]);
         }
       }
     } else {

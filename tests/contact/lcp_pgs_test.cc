@@ -84,7 +84,7 @@ TYPED_TEST(LcpPgsTest, SlidingDiscStops) {
 
 // Three coupled normals with tangents: some rows free, some off, one sliding.
 struct Coupled {
-  Eigen::MatrixXd A = Eigen::MatrixXd(6, 6);
+  Eigen::Matrix<double, 6, 6, Eigen::RowMajor> A;
   Eigen::VectorXd b = Eigen::VectorXd(6);
   double friction = 0.3;
   Coupled() {
@@ -95,7 +95,7 @@ struct Coupled {
     A = root.transpose() * root;
     b << 2.0, 1.5, -0.5, 0.2, 2.5, 0.1;
   }
-  GaussSeidelSweeps Solve(int sweeps) const { return {A, b, friction, 3, sweeps}; }
+  GaussSeidelSweeps Solve(int sweeps) const { return {{A.data(), 36}, {b.data(), 6}, friction, 3, sweeps}; }
 };
 
 // The reverse of the sweeps is the derivative of the sweeps, however few they are.
@@ -117,7 +117,7 @@ TEST(GaussSeidelSweepsTest, ReverseIsTheDerivative) {
         EXPECT_NEAR(d.by_b[i], by_b, 1e-8 * (1 + std::abs(by_b)));
         for (int j = 0; j < 6; ++j) {
           const double by_A = difference([&](Coupled& p, double by) { p.A(i, j) += by; });
-          EXPECT_NEAR(d.by_A(i, j), by_A, 1e-8 * (1 + std::abs(by_A)));
+          EXPECT_NEAR(d.by_A[6 * i + j], by_A, 1e-8 * (1 + std::abs(by_A)));
         }
       }
     }
@@ -142,7 +142,7 @@ TEST(GaussSeidelSweepsTest, DerivativeConvergesToTheExactOne) {
   const auto error = [&](int sweeps) {
     double largest = 0;
     for (std::size_t i = 0; i < rows.size(); ++i) {
-      const Eigen::VectorXd by_b = problem.Solve(sweeps).Reverse(rows[i]).by_b;
+      const auto by_b = problem.Solve(sweeps).Reverse(rows[i]).by_b;
       for (std::size_t j = 0; j < rows.size(); ++j) {
         largest = std::max(largest, std::abs(by_b[rows[j]] - exact(i, j)));
       }
