@@ -35,7 +35,8 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
                                           .double_engine = true,
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
-                                          .allocates = true};
+                                          .allocates = true,
+                                          .relative = true};
 
   double exponent = 2;
   bool newton = false;
