@@ -26,7 +26,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
   using Shared = SpringDescent<kTurn>;
   using Shared::alpha, Shared::implicit, Shared::iterations;
   template <typename T>
-  using State = Shared::template State<T>;
+  using State = typename Shared::template State<T>;
   template <typename T>
   using Problem = SpringStep<T, kTurn>;
   static constexpr ModelTraits kTraits = {.name = "dual_descent",
