@@ -90,7 +90,7 @@ class SceneCheck {
       if (why.find("not finite") != std::string::npos) {
         Fail("a state is not finite");
       } else {
-        Count("refused: " + why.substr(why.find(": ") + 2, why.rfind(" (") - why.find(": ") - 2));
+        Count(kRefusal + why.substr(why.find(": ") + 2, why.rfind(" (") - why.find(": ") - 2));
       }
       return counts_;
     }

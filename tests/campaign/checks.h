@@ -8,9 +8,10 @@
 
 namespace saltus::campaign {
 
-// How much of what was met in a scene: numbers by what they count. Keys that begin with kFailure count failures.
+// How much of what was met in a scene: numbers by what they count. Keys that begin with kFailure count failures, those
+// with kRefusal rollouts that the model refuses.
 using Counts = std::map<std::string, int64_t>;
-inline constexpr char kFailure[] = "FAILED ";
+inline constexpr char kFailure[] = "FAILED ", kRefusal[] = "refused: ";
 
 // Simulates the scene with the contact model `event`, and checks that
 //   - every state is finite; a rollout that the model refuses is counted by its reason,

@@ -1,6 +1,6 @@
 // Random scenes by the exact contact model, as many as wanted: see checks.h. One line for each thing that was counted,
-// and for each kind of failure the first seeds that show it. Scenes run in processes, so that one that crashes or does
-// not end is a failure of its own. Not part of the tests but for a few scenes.
+// and for each kind of failure and of refusal the first seeds that show it. Scenes run in processes, so that one that
+// crashes or does not end is a failure of its own. Not part of the tests but for a few scenes.
 #include <gflags/gflags.h>
 
 #include <algorithm>
@@ -74,14 +74,16 @@ class Tally {
       counts = {{"scenes", 1}, {campaign::kFailure + std::string("hangs"), 1}};
     for (const auto& [what, number] : counts) {
       total_[what] += number;
-      if (!what.starts_with(campaign::kFailure)) continue;
+      const bool failure = what.starts_with(campaign::kFailure);
+      failed_ = failed_ || failure;
+      if (!failure && !what.starts_with(campaign::kRefusal)) continue;
       std::vector<int64_t>& seeds = seeds_[what];
       seeds.insert(std::upper_bound(seeds.begin(), seeds.end(), result.task), result.task);
       seeds.resize(std::min(seeds.size(), kSeedsShown));
     }
   }
 
-  bool failed() const { return !seeds_.empty(); }
+  bool failed() const { return failed_; }
 
   std::string ToText() const {
     Table table({{"what"}, {"how many"}, {"seeds"}});
@@ -98,6 +100,7 @@ class Tally {
  private:
   Counts total_;
   std::map<std::string, std::vector<int64_t>> seeds_;
+  bool failed_ = false;
 };
 
 int RunOne() {
