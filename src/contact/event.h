@@ -43,10 +43,12 @@
 //   discs that spin, on tables, among pockets, or by a learned law. Contacts that press in it are reported as
 //   sustained, from its start; all other pairs of the discs without a time.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
-//   kLargestDrift, at the end of which they are exactly in contact and no work was done. Everything else is exact.
+//   kLargestDrift, at the end of which they are exactly in contact and no work was done. With friction arcs are a
+//   quarter as long, and end where a contact opens or begins to slide, as far as its forces tell: such motion is of
+//   second order in its arcs of about 1e-3 rad, its derivatives where that happens of first. Everything else is exact.
 // Spin. What sticks rolls: it is the points of contact that do not move along each other, and a disc begins and ceases
-//   to roll as any contact begins and ceases to stick. With friction, discs that spin may press against straight walls
-//   only: as they roll around each other, or around what bends, their normal turns, and a step in which they do fails.
+//   to roll as any contact begins and ceases to stick. Discs that roll around each other, or on what bends, do so in
+//   arcs, at the end of which they have neither parted nor slid, and no work was done.
 // Edges. The sides and ends of segments, polygons and arcs (walls.h) are met where they count, to kSeam. A disc that
 //   slides off the end of one leaves it there: onto the next, around the end, or freely.
 // Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as

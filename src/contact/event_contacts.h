@@ -25,8 +25,11 @@ class PressedContacts {
     bool stopped = false;  // not closed, but it closed slowly: that speed is taken away
     bool rests = false;    // it is not the last bounces that are cut off here
     bool drifts = false;   // its discs have moved around each other since it was last closed exactly
+    bool rolled = false;   // they rolled: what they slide is drift, too
     bool bends = false;    // its normal turns as its discs move along each other
-    bool Curved() const { return bends && mode != ContactMode::kStick; }
+    // What sticks does not move along each other, unless it rolls.
+    bool MayTurn() const { return mode != ContactMode::kStick || kRotation == kSpin; }
+    bool Curved() const { return bends && MayTurn(); }
   };
 
   explicit PressedContacts(const StepInput<T>& in)
@@ -57,11 +60,11 @@ class PressedContacts {
   bool Contains(int pair) const { return has_pair_[pair]; }
   bool HasDisc(int i) const { return has_disc_[i]; }
   // Precondition: its discs have been moved to the instant of the group.
-  void Add(int pair, bool drifts) {
+  void Add(int pair, bool drifts = false, bool rolled = false) {
     const Candidate& c = in_.candidates[pair];
     if (!HasDisc(c.a)) Reset(c.a);
     if (!c.plane && !HasDisc(c.b)) Reset(c.b);
-    contacts_.push_back({.pair = pair, .drifts = drifts});
+    contacts_.push_back({.pair = pair, .drifts = drifts, .rolled = rolled});
     Mark(pair, 1);
   }
   void AddClosed(int pair, ContactMode mode, bool drifts) {
@@ -78,7 +81,7 @@ class PressedContacts {
     double largest = 0;
     for (std::size_t k = 0; k < contacts_.size(); ++k) {
       PressingContact& force = contacts_[k].force;
-      if (wedged_) force.sliding = force.turning = 0;
+      if (wedged_) EndSliding(&force);
       force.normal_force = found[1 + 3 * k];
       force.tangential_force = found[2 + 3 * k];
       largest = std::max(largest, force.normal_force);
@@ -89,21 +92,27 @@ class PressedContacts {
     return true;
   }
 
-  // Whether discs that spin press against what bends, with friction: as they roll on it, its normal turns.
+  // Whether discs roll around each other, or on what bends.
   bool RollsAround() const {
-    if (kRotation != kSpin || !(Value(in_.contact.friction) > 0)) return false;
-    return std::ranges::any_of(contacts_, [](const Contact& contact) { return contact.closed && contact.bends; });
+    return std::ranges::any_of(contacts_, [](const Contact& contact) {
+      return contact.closed && contact.Curved() && contact.mode == ContactMode::kStick;
+    });
   }
 
-  // Sliding speed of a contact and its rate of change, as values.
+  // At which speed and acceleration the centres move along each other, as values: that turns the normal.
+  double PassingSpeed(const Contact& contact) const {
+    return AlongTangent(contact, [&](int i) { return ValueOf(discs_[i].v); });
+  }
+  double PassingAcceleration(const Contact& contact) const {
+    return AlongTangent(contact, [&](int i) { return ValueOf(discs_[i].a); });
+  }
+  // The same of the points of contact: sliding speed of a contact and its rate of change.
   double SlidingSpeed(const Contact& contact) const {
     return AlongSurface<kRotation>(
-        in_, in_.candidates[contact.pair], CentresSpeed(contact), [&](auto i) { return Value(discs_[i].turn.speed); });
+        in_, in_.candidates[contact.pair], PassingSpeed(contact), [&](auto i) { return Value(discs_[i].turn.speed); });
   }
   double SlidingAcceleration(const Contact& contact) const {
-    const PressingContact& f = contact.force;
-    const Vec2d q = ValueOf(discs_[f.a].a) - (f.b >= 0 ? ValueOf(discs_[f.b].a) : Vec2d(0, 0));
-    return AlongSurface<kRotation>(in_, in_.candidates[contact.pair], Dot(Perpendicular(f.normal), q), [&](auto i) {
+    return AlongSurface<kRotation>(in_, in_.candidates[contact.pair], PassingAcceleration(contact), [&](auto i) {
       return Value(discs_[i].turn.acceleration);
     });
   }
@@ -118,11 +127,16 @@ class PressedContacts {
   std::pmr::vector<Contact> contacts_;
 
  private:
-  // Of the centres along the tangent.
-  double CentresSpeed(const Contact& contact) const {
+  // Of the centres, given what each disc does.
+  template <typename Of>
+  double AlongTangent(const Contact& contact, const Of& of) const {
     const PressingContact& f = contact.force;
-    const Vec2d w = ValueOf(discs_[f.a].v) - (f.b >= 0 ? ValueOf(discs_[f.b].v) : Vec2d(0, 0));
-    return Dot(Perpendicular(f.normal), w);
+    return Dot(Perpendicular(f.normal), Vec2d(of(f.a) - (f.b >= 0 ? of(f.b) : Vec2d(0, 0))));
+  }
+  // What spins may go on rolling.
+  static void EndSliding(PressingContact* force) {
+    force->sliding = 0;
+    if (kRotation != kSpin) force->turning = 0;
   }
   void Mark(int pair, char in_group) {
     const Candidate& c = in_.candidates[pair];
@@ -142,7 +156,7 @@ class PressedContacts {
     Pressing pressing = TryForces(inverse_mass);
     const bool wedged = pressing == Pressing::kWedged;
     if (wedged) {
-      for (Contact& contact : contacts_) contact.force.sliding = contact.force.turning = 0;
+      for (Contact& contact : contacts_) EndSliding(&contact.force);
       pressing = TryForces(inverse_mass);
     }
     if (pressing != Pressing::kSolved) return found;
@@ -191,12 +205,14 @@ class PressedContacts {
       if (!c.plane) f.turns_b = turns(c.b);
     }
     const double sliding = SlidingSpeed(*contact);
-    const bool at_rest = std::abs(sliding) <= kStickSpeed, may_stick = at_rest && Value(in_.contact.friction) > 0;
+    const bool at_rest = contact->rolled || std::abs(sliding) <= kStickSpeed;
+    const bool may_stick = at_rest && Value(in_.contact.friction) > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     const double turning = Value(TurningDistance(in_, c, T(at.distance)));
     contact->bends = !c.plane || turning != 0;
-    const double passing = CentresSpeed(*contact);
-    f.turning = turning == 0 || may_stick ? 0.0 : passing * passing / turning;
+    const double passing = PassingSpeed(*contact);
+    const bool turns = turning != 0 && (!may_stick || kRotation == kSpin);
+    f.turning = turns ? passing * passing / turning : 0.0;
   }
 
   // `along`: the acceleration along the tangent.

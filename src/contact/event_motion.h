@@ -44,6 +44,7 @@ class EventMotion {
     bool waits = false;      // touches slowly, and impacts at the same time come first
     bool held = false;       // closed, and kept closed by the accelerations of its discs
     bool curved = false;     // its discs move around each other while held, or did
+    bool rolls = false;      // they roll around each other
     bool stopping = false;   // held, and its next event is that sliding ends
     bool leaving = false;    // held, and its next event is that the disc has slid off the edge
     int reported_mode = -1;  // of the last report as a sustained contact

@@ -156,6 +156,30 @@ class PressedGroup : public PressedContacts<T, kRotation> {
     return any;
   }
 
+  // The share of the arc of these accelerations after which a contact with friction opens or begins to slide, and a
+  // little more; 1 if none does. Its forces then are those of its mode until about that time, and its derivatives, as
+  // nothing jumps there, need no more than that.
+  double ShareInMode() const {
+    constexpr double kBeyond = 1.0 / 256;
+    const double friction = Value(in_.contact.friction);
+    double share = 1;
+    std::size_t row = 0;
+    for (const Contact& contact : contacts_) {
+      if (!contact.closed) continue;
+      const PressingContact& f = contact.force;
+      const bool sticks = contact.mode == ContactMode::kStick;
+      const double normal = f.normal_force + Value(rows_[row].force);
+      double left = f.normal_force, later = normal;  // at the start and in the middle of the arc
+      if (sticks) {
+        left = friction * left - std::abs(f.tangential_force);
+        later = friction * normal - std::abs(f.tangential_force + Value(rows_[row + 1].force));
+      }
+      row += sticks ? 2 : 1;
+      if (later < left) share = std::min(share, 0.5 * std::max(left, 0.0) / (left - later) + kBeyond);
+    }
+    return share;
+  }
+
   // The tangential part of a sliding contact's force for one of 1 N along the normal.
   T TangentialShare(const Contact& contact) const {
     if (contact.mode == ContactMode::kStick || wedged_) return T(0.0);
@@ -233,9 +257,10 @@ class PressedGroup : public PressedContacts<T, kRotation> {
       const double drift = DriftOf(contact);
       row.push = at.normal - Scale(drift, tangent);
       row.push_along = T(-drift);
-    } else if (const T turning = TurningDistance(in_, c, at.distance); Value(turning) != 0) {
+    }
+    if (const T turning = TurningDistance(in_, c, at.distance); contact.MayTurn() && Value(turning) != 0) {
       const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), turning);
-      row.turning = Scale(rate, Vec2<T>(tangent - Scale(along, at.normal)));
+      row.turning = Scale(rate, Vec2<T>(tangent - Scale(row.push_along, at.normal)));
     }
     rows_.Add(row);
   }
@@ -256,7 +281,7 @@ class PressedGroup : public PressedContacts<T, kRotation> {
       tangential = AlongSurface<kRotation>(in_, in_.candidates[contact.pair], tangential, given_turn);
       tangential *= f.tangential_mass / f.mass;
     }
-    return DriftOfBounces(tangential, -Dot(f.normal, a), friction, restitution);
+    return DriftOfBounces(tangential, -Dot(f.normal, a) - f.turning, friction, restitution);
   }
   // On values. Not only of closed contacts: closing these must not push others into each other bit by bit.
   void AddOverlap(const Contact& contact) {
@@ -300,7 +325,7 @@ class PressedGroup : public PressedContacts<T, kRotation> {
       push += Scale(push_along, tangent);
     }
     rows_.Add({c.a, b, normal, push, Dot(normal, w), T(0.0), T(0.0), push_along});
-    if (contact.stopped || (contact.mode != ContactMode::kStick && !wedged_)) return;
+    if (contact.stopped || (contact.mode != ContactMode::kStick && !wedged_ && !contact.rolled)) return;
     const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, w)), [&](auto i) { return discs_[i].turn.speed; });
     rows_.Add({c.a, b, tangent, tangent, sliding, T(0.0), T(1.0), T(1.0)});
   }
@@ -316,20 +341,25 @@ class PressedGroup : public PressedContacts<T, kRotation> {
     });
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
-    if (contact.mode == ContactMode::kStick) {
-      rows_.Add({c.a, b, at.normal, at.normal, T(0.0), T(f.normal_force)});
-      rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force), T(1.0), T(1.0)});
-      return;
-    }
-    T turning(0.0);
+    T turning(0.0), slipping(0.0);
     const T distance = TurningDistance(in_, c, at.distance);
-    if (Value(distance) != 0) {
+    if (contact.MayTurn() && Value(distance) != 0) {
       const T until = (half ? 0.5 : 0.0) * arc;
       const Vec2<T> w =
           RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(until, discs_[i].a); });
-      const T sliding = Dot(tangent, w);
-      const bool bends = Value(arc) > 0 && !half;
-      turning = bends ? Divide(T(2.0 * Dot(at.normal, w)), arc) : Divide(T(sliding * sliding), distance);
+      const T passing = Dot(tangent, w);
+      if (Value(arc) > 0 && !half) {
+        turning = Divide(T(2.0 * Dot(at.normal, w)), arc);
+        slipping = Divide(
+            T(2.0 * AlongSurface<kRotation>(in_, c, passing, [&](auto i) { return discs_[i].turn.speed; })), arc);
+      } else {
+        turning = Divide(T(passing * passing), distance);
+      }
+    }
+    if (contact.mode == ContactMode::kStick) {
+      rows_.Add({c.a, b, at.normal, at.normal, turning, T(f.normal_force)});
+      rows_.Add({c.a, b, tangent, tangent, slipping, T(f.tangential_force), T(1.0), T(1.0)});
+      return;
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);

@@ -287,7 +287,7 @@ std::vector<OneSided> FindOneSided(const Scene& scene) {
         const Candidate& c = start.touching[other];
         const bool joins = other == q || group.HasDisc(c.a) || (!c.plane && group.HasDisc(c.b));
         if (settled[other] || !joins || !rests(other)) continue;
-        group.Add(other, false);
+        group.Add(other);
         settled[other] = grows = true;
       }
     }

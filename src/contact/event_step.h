@@ -144,10 +144,10 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     pairs_[q].passed = order_;
   }
 
-  // The accelerations of discs that move around each other are right at the end of their arc only. Where pair q meets,
-  // or stops, before that, begins the arc again, to end there. True if so: that moves the event a little.
+  // The accelerations of discs that move around each other, unless they slide with friction, are right at the end of
+  // their arc only. Where pair q meets, or stops, before that, begins the arc again, to end there. True if so: that
+  // moves the event a little.
   bool CutArc(int q) {
-    if (!EndsExactly()) return false;
     const Candidate& c = CandidateOf(q);
     const double end = pairs_[q].next;
     // Closer than rounding tells it would be met later again, and again.
@@ -160,6 +160,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       for (int held = 0; held < num_pairs(); ++held) {
         const Candidate& d = CandidateOf(held);
         if (!pairs_[held].held || (d.a != i && (d.plane || d.b != i))) continue;
+        if (!EndsExactly() && !pairs_[held].rolls) continue;
         const int order = order_;
         order_ = disc.order;
         Settle(held, T(disc.t), EventTime(q));
@@ -278,18 +279,21 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     while (Grow(time)) continue;
     if (MayCrowd() && group_.contacts().size() >= kCrowd && ++settled_ > kMostSettled) return Fail("a crowd");
     if (!group_.SolveForces() || !group_.Close()) return Fail("the forces of contacts at rest are not found");
-    if (group_.RollsAround()) {
-      return Fail("discs that spin press against each other or a wall that bends: with friction that is not resolved");
-    }
     group_.SetAccelerations(T(0.0));
     T arc = Arc(time, arc_end);
-    // The second time with the end that the first has found.
-    const int passes = EndsExactly() ? 2 : 1;
+    // The second time with the end that the first has found. With friction the arc is cut once, where a mode ends.
+    const int passes = EndsExactly() || group_.RollsAround() ? 2 : 1;
+    bool cut = EndsExactly();
     for (int pass = 0; pass < passes && Value(arc) > 0; ++pass) {
       group_.SetAccelerations(arc);
       const bool meets = MeetsOnArc(Value(time), Value(arc));
       if (meets) arc *= 0.5;
-      if (meets || (pass == 1 && group_.OpenPulling())) pass = -1;
+      const double share = meets || cut || pass + 1 < passes ? 1.0 : group_.ShareInMode();
+      if (share < 1) {
+        arc *= share;
+        cut = true;
+      }
+      if (meets || share < 1 || (pass == 1 && group_.OpenPulling())) pass = -1;
     }
     for (const auto& contact : group_.contacts()) Hold(contact, time, Value(arc));
   }
@@ -298,7 +302,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     const Candidate& c = CandidateOf(q);
     if (!group_.HasDisc(c.a)) Release(c.a, time);
     if (!c.plane && !group_.HasDisc(c.b)) Release(c.b, time);
-    group_.Add(q, pairs_[q].curved);
+    group_.Add(q, pairs_[q].curved, pairs_[q].rolls && pairs_[q].released == order_);
   }
 
   // Adds the pairs that touch a disc of the group. True if there are any.
@@ -316,8 +320,9 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     return grows;
   }
 
-  // Whether discs that move around each other touch exactly at the end of each arc. With friction it is their mean
-  // force that is right (event_press.h), wherever an arc ends; its work to second order in the arc, which is shorter.
+  // Whether discs that slide around each other touch exactly at the end of each arc, as those that roll do. With
+  // friction it is their mean force that is right (event_press.h), wherever an arc ends; its work to second order in
+  // the arc, which is shorter.
   bool EndsExactly() const { return !(Value(in_.contact.friction) > 0); }
 
   // For how long a group may keep its accelerations because its discs move around each other, s; 0 if they do not.
@@ -329,11 +334,14 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       curved = true;  // if it does not turn, its derivative does
       const Candidate& c = CandidateOf(contact.pair);
       const double distance = std::abs(Value(TurningDistance(in_, c, T(in_.ContactDistance(c)))));
-      step = std::min(step, LongestArc(distance, group_.SlidingSpeed(contact), group_.SlidingAcceleration(contact)));
+      step = std::min(step, LongestArc(distance, group_.PassingSpeed(contact), group_.PassingAcceleration(contact)));
     }
     const double now = Value(time), left = in_.h - now;
     if (!curved || left <= 0) return T(0.0);
-    if (!EndsExactly()) return T(step == kNever ? 0.0 : left / std::ceil(4 * left / step));
+    if (!EndsExactly()) {
+      step *= 0.25;
+      if (!group_.RollsAround()) return T(step == kNever ? 0.0 : left / std::ceil(left / step));
+    }
     if (Value(arc_end) - now < step) return arc_end - time;
     return (now + left / std::max(1.0, std::ceil(left / step))) - time;
   }
@@ -353,6 +361,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     Pair& pair = pairs_[contact.pair];
     pair.held = contact.closed;
     pair.curved = contact.closed && contact.Curved() && arc > 0;
+    pair.rolls = pair.curved && contact.mode == ContactMode::kStick;
     pair.stopping = pair.leaving = false;
     pair.passed = order_;
     if (contact.closed || contact.stopped) ReportSustained(contact, time);

@@ -532,22 +532,6 @@ TEST(EventSpinEdges, EndOfASegment) {
   ExpectDifferences(scene, 1e-6, 1e-8, [](std::size_t) { return true; });
 }
 
-TEST(EventSpinRefused, WhatRollsAroundEachOther) {
-  Scene scene = OnGround({0.3, 0}, 0, 0.5);
-  Body ball = exact_test::Disc("hill", 0.5, {0, -0.5});
-  ball.fixed = true;
-  scene.bodies.push_back(ball);
-  scene.planes.clear();
-  scene.contact.restitution = 0;
-  ModelSimulator<EventSpinning, double> simulator(scene, Precision::kDouble);
-  EXPECT_FALSE(simulator.Rollout(InitialState(scene), {}));
-  EXPECT_NE(simulator.WhyFailed().find("discs that spin press against each other"), std::string::npos)
-      << simulator.WhyFailed();
-  // Without friction they just slide.
-  scene.contact.friction = 0;
-  EXPECT_TRUE(SpinRun(scene).finite);
-}
-
 TEST(EventSpinRefused, Tables) {
   Scene scene = SpinPair();
   scene.table = TableFriction{0.1, 9.81};
