@@ -44,8 +44,8 @@
 //   sustained, from its start; all other pairs of the discs without a time.
 // Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
 //   kLargestDrift, at the end of which they are exactly in contact and no work was done. With friction arcs are a
-//   quarter as long, and end where a contact opens or begins to slide, as far as its forces tell: such motion is of
-//   second order in its arcs of about 1e-3 rad, its derivatives where that happens of first. Everything else is exact.
+//   tenth as long, below 1e-3 rad, and end where a contact opens or begins to slide: such motion is of second order in
+//   its arcs, its derivatives, where it begins and ends, of first. Everything else is exact.
 // Spin. What sticks rolls: it is the points of contact that do not move along each other, and a disc begins and ceases
 //   to roll as any contact begins and ceases to stick. Discs that roll around each other, or on what bends, do so in
 //   arcs, at the end of which they have neither parted nor slid, and no work was done.

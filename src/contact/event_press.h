@@ -156,11 +156,12 @@ class PressedGroup : public PressedContacts<T, kRotation> {
     return any;
   }
 
-  // The share of the arc of these accelerations after which a contact with friction opens or begins to slide, and a
-  // little more; 1 if none does. Its forces then are those of its mode until about that time, and its derivatives, as
-  // nothing jumps there, need no more than that.
+  // The share of the arc of these accelerations until just before a contact with friction opens or begins to slide, in
+  // the end until just after it; 1 if none does. Forces do not jump there, so derivatives need no more than an arc that
+  // ends there. On the arc the forces of a contact that slides are those of half its time, those of one that rolls,
+  // which are told by places, on average those of a third.
   double ShareInMode() const {
-    constexpr double kBeyond = 1.0 / 256;
+    constexpr double kShort = 0.99, kBeyond = 1e-6;
     const double friction = Value(in_.contact.friction);
     double share = 1;
     std::size_t row = 0;
@@ -169,13 +170,14 @@ class PressedGroup : public PressedContacts<T, kRotation> {
       const PressingContact& f = contact.force;
       const bool sticks = contact.mode == ContactMode::kStick;
       const double normal = f.normal_force + Value(rows_[row].force);
-      double left = f.normal_force, later = normal;  // at the start and in the middle of the arc
+      double left = f.normal_force, later = normal;  // at the start, and on the arc
       if (sticks) {
         left = friction * left - std::abs(f.tangential_force);
         later = friction * normal - std::abs(f.tangential_force + Value(rows_[row + 1].force));
       }
       row += sticks ? 2 : 1;
-      if (later < left) share = std::min(share, 0.5 * std::max(left, 0.0) / (left - later) + kBeyond);
+      if (later < left)
+        share = std::min(share, kShort * (sticks ? 1.0 / 3 : 0.5) * std::max(left, 0.0) / (left - later) + kBeyond);
     }
     return share;
   }

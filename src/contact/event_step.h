@@ -339,7 +339,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     const double now = Value(time), left = in_.h - now;
     if (!curved || left <= 0) return T(0.0);
     if (!EndsExactly()) {
-      step *= 0.25;
+      step *= 0.1;
       if (!group_.RollsAround()) return T(step == kNever ? 0.0 : left / std::ceil(left / step));
     }
     if (Value(arc_end) - now < step) return arc_end - time;
