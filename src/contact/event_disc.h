@@ -19,6 +19,7 @@ inline constexpr double kHeadOn = 1e-9;    // of the closing speed
 inline constexpr double kPushing = 1e-11;  // acceleration
 inline constexpr double kLargestDrift = 3e-11;
 inline constexpr double kArcEnd = 1e-6;          // of the length of an arc
+inline constexpr int kMostCuts = 8;              // of arcs on end, where a contact opens or begins to slide
 inline constexpr double kLargestGain = 1e-9;     // of the energy in a step, ...
 inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
 // How far beyond its end an edge still counts (walls.h), and a disc that slides along it leaves it: lengths.

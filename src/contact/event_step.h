@@ -281,20 +281,21 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     if (!group_.SolveForces() || !group_.Close()) return Fail("the forces of contacts at rest are not found");
     group_.SetAccelerations(T(0.0));
     T arc = Arc(time, arc_end);
-    // The second time with the end that the first has found. With friction the arc is cut once, where a mode ends.
+    // The second time with the end that the first has found. With friction the arc is cut once, where a mode ends;
+    // where forces that are not unique stay at the end of one, not again and again.
     const int passes = EndsExactly() || group_.RollsAround() ? 2 : 1;
-    bool cut = EndsExactly();
+    bool cut = EndsExactly() || cuts_ >= kMostCuts;
     for (int pass = 0; pass < passes && Value(arc) > 0; ++pass) {
       group_.SetAccelerations(arc);
       const bool meets = MeetsOnArc(Value(time), Value(arc));
       if (meets) arc *= 0.5;
       const double share = meets || cut || pass + 1 < passes ? 1.0 : group_.ShareInMode();
-      if (share < 1) {
-        arc *= share;
-        cut = true;
-      }
-      if (meets || share < 1 || (pass == 1 && group_.OpenPulling())) pass = -1;
+      const bool ends = share < 1;
+      if (ends) arc *= share;
+      cut = cut || ends;
+      if (meets || ends || (pass == 1 && group_.OpenPulling())) pass = -1;
     }
+    cuts_ = cut && cuts_ < kMostCuts ? cuts_ + 1 : 0;
     for (const auto& contact : group_.contacts()) Hold(contact, time, Value(arc));
   }
 
@@ -422,6 +423,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
   }
 
   int settled_ = 0;             // how often many contacts were
+  int cuts_ = 0;                // of the last arcs on end
   std::pmr::vector<int> tied_;  // pairs, as FindTied found them
   TieTrial trial_;
   Group group_;
