@@ -2,8 +2,12 @@
 // and differences.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
+#include <utility>
+#include <vector>
 
 #include "contact/event_run.h"
 #include "spinning_disc.h"
