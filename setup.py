@@ -22,7 +22,7 @@ class CMakeBuild(build_ext):
         if not (build / "CMakeCache.txt").exists():
             subprocess.run(
                 ["cmake", "-S", ROOT, "-B", build, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release", "-DSALTUS_BUILD_TESTS=OFF",
-                 "-DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON", "-DSALTUS_BUILD_PYTHON=ON", f"-DPython_EXECUTABLE={sys.executable}"],
+                 "-DSALTUS_BUILD_PYTHON=ON", f"-DPython_EXECUTABLE={sys.executable}"],
                 check=True,
             )
         subprocess.run(["cmake", "--build", build, "--target", "saltus_python"], check=True)

@@ -242,7 +242,7 @@ int Main(int argc, char** argv) {
     report.Add(Json::parse(file));
   }
   for (const Status& status :
-       {WriteFileAtomically(directory + "/bench.md", report.Markdown()),
+       {WriteFile(directory + "/bench.md", report.Markdown()),
         WriteFigure(report.GrowthFigure(), directory + "/bench.svg", directory + "/bench.png")}) {
     if (status.ok()) continue;
     std::fprintf(stderr, "error: %s\n", status.message().c_str());

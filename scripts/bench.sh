@@ -13,18 +13,18 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 output=${output:-$PWD/results/bench}
 mkdir -p "$output"
 
-cmake --preset bench
-cmake --build --preset bench -j "$(nproc)" \
+cmake --preset release -DSALTUS_BUILD_BENCHMARKS=ON
+cmake --build --preset release -j "$(nproc)" \
   --target simulation_benchmark solver_benchmark time_to_solution_benchmark lasting_contact_benchmark bench_report gradient_cost
 results=()
 for benchmark in simulation solver time_to_solution lasting_contact; do
-  "build/bench/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
+  "build/release/bench/${benchmark}_benchmark" --benchmark_out="$output/$benchmark.json" \
     --benchmark_out_format=json "$@"
   results+=("$output/$benchmark.json")
 done
-build/bench/bench/bench_report "$output" "${results[@]}"
+build/release/bench/bench_report "$output" "${results[@]}"
 # What calls from Python cost beside C++, where there is the module.
-if cmake --build --preset bench -j "$(nproc)" --target saltus_python 2>/dev/null; then
-  PYTHONPATH=build/bench/python python/bench/cost.py build/bench/bench/gradient_cost | tee "$output/python.txt"
+if cmake --build --preset release -j "$(nproc)" --target saltus_python 2>/dev/null; then
+  PYTHONPATH=build/release/python python/bench/cost.py build/release/bench/gradient_cost | tee "$output/python.txt"
 fi
 echo "Written to $output"

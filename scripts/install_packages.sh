@@ -4,7 +4,7 @@
 set -euo pipefail
 
 packages=(
-  g++ cmake ninja-build pkg-config
+  g++ mold cmake ninja-build pkg-config
   libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
   libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev libsqlite3-dev
   libopenmpi-dev openmpi-bin # sweeps on many machines

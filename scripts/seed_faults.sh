@@ -32,15 +32,35 @@ perl -F'\t' -lane '
   if (@F != 5 || $count != 1) { print STDERR "$F[0]: \"$F[2]\" stands $count times in $F[1], expected once"; $bad = 1; }
   END { exit $bad ? 2 : 0; }' "$list"
 
+# program_of <test or test:filter>: the program that has the tests of <test>.cc.
+program_of() {
+  local program
+  program=$(awk -v test="${1%%:*}" '$1 == test { print $2 }' "$build/tests/programs.txt")
+  echo "${program:-${1%%:*}}"
+}
+
+# filter_of <test or test:filter>: the tests of its file, unless it has a filter.
+filter_of() {
+  if [[ $1 == *:* ]]; then
+    echo "${1#*:}"
+  else
+    find tests -name "$1.cc" -exec cat {} + |
+      sed -nE 's/^(TYPED_)?TEST(_F|_P)?\(([A-Za-z0-9_]+), *([A-Za-z0-9_]+)\).*/\3.\4:*\/\3.\4\/*:\3\/*.\4/p' | paste -sd:
+  fi
+}
+
 # build_tests <log> <test...>
 build_tests() {
-  cmake --build "$build" --target "${@:2}" >"$log/$1.build" 2>&1
+  local targets
+  mapfile -t targets < <(for test in "${@:2}"; do program_of "$test"; done | sort -u)
+  cmake --build "$build" --target "${targets[@]}" >"$log/$1.build" 2>&1
 }
 
 # run_test <log> <test or test:filter>
 run_test() {
-  local name=${2%%:*} filter='*'
-  if [[ $2 == *:* ]]; then filter=${2#*:}; fi
+  local name filter
+  name=$(program_of "$2")
+  filter=$(filter_of "$2")
   (cd "$build/tests" && timeout "$seconds" "./$name" --gtest_brief=1 "--gtest_filter=$filter") \
     >"$log/$1" 2>&1 && ! grep -q '\] 0 tests' "$log/$1"
 }
@@ -65,12 +85,11 @@ if ((${#ids[@]} > 0)); then
   printf '%s\n' "${files[@]}" | sort -u | while read -r file; do
     cmp -s "$file" "$tree/$file" || cp "$file" "$tree/$file"
   done
-  cmake -S "$tree" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON \
+  cmake -S "$tree" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DSALTUS_UNITY=OFF \
     >"$log/configure" 2>&1 || { tail -5 "$log/configure" >&2; exit 1; }
   # Without a fault every test must pass.
   mapfile -t used < <(tr ' ' '\n' <<<"${tests[*]}" | sort -u)
-  mapfile -t targets < <(printf '%s\n' "${used[@]%%:*}" | sort -u)
-  build_tests none "${targets[@]}" || { tail -20 "$log/none.build" >&2; exit 1; }
+  build_tests none "${used[@]}" || { tail -20 "$log/none.build" >&2; exit 1; }
   for test in "${used[@]}"; do
     if ! run_test none "$test"; then
       echo "without a fault: $test fails; see $log/none" >&2
@@ -84,7 +103,7 @@ for i in "${!ids[@]}"; do
   seed "${files[i]}" "${olds[i]}" "${news[i]}"
   verdict=missed by=''
   read -ra seen <<<"${tests[i]}"
-  if ! build_tests "$id" $(printf '%s\n' "${seen[@]%%:*}" | sort -u); then
+  if ! build_tests "$id" "${seen[@]}"; then
     verdict='does not compile' failed=1
   else
     for test in "${seen[@]}"; do

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # usage: scripts/soak.sh [rounds] [preset] [flags of ctest...]
 # Runs the suite as often as said (20) on a busy machine, in turns on one core and on two, and says how often it was
-# green. The preset (ci) must be built. Fails if any round failed; their tests are named.
+# green. The preset (release) must be built. Fails if any round failed; their tests are named.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -10,7 +10,7 @@ if (($# > 0)) && [[ $1 =~ ^[0-9]+$ ]]; then
   rounds=$1
   shift
 fi
-preset=ci
+preset=release
 if (($# > 0)) && [[ $1 != -* ]]; then
   preset=$1
   shift

@@ -12,7 +12,7 @@ namespace saltus {
 inline SolverOptions Counted(int iterations = 1000, int starts = 8) {
   SolverOptions options;
   options.iterations = iterations;
-  options.search_options.seconds = 0;
+  options.search_options.work = 0;
   options.search_options.starts = starts;
   return options;
 }

@@ -8,8 +8,10 @@
 #include <cstdio>
 #include <numeric>
 
+#include "audit/events_at_once.h"
 #include "audit/own_differences.h"
 #include "exact/closed_forms.h"
+#include "physics/units.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -201,9 +203,16 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
     ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble, stop);
     if (exact.ok() && exact.unresolved_steps == 0) {
       if (!exact.ambiguous.empty()) {
-        const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps));
+        const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps), {}, stop);
+        if (run.reason == kStopped) return exact;  // whether the order of ties decides is not known
         exact.ambiguous = run.ambiguous;
         exact.spread = run.spread;
+      }
+      if (exact.ambiguous.empty()) {
+        const Scene natural = InNaturalUnits(scene);
+        for (const OneSided& entry : OneSidedAtOnce(traits.name, natural, exact.one_sided, stop)) {
+          exact.one_sided.push_back(entry);
+        }
       }
       return exact;
     }
@@ -226,6 +235,7 @@ std::string ModelAudit::Why() const {
   if (interrupted) return "interrupted";
   if (verdict == Verdict::kNotApplicable) return not_comparable;
   if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
+  if (verdict == Verdict::kOneSided) return "every derivative by the initial state is one-sided, or there is none";
   if (!resolved) return DescribeUnresolved(gradient.unresolved_steps, gradient.num_steps);
   const std::string cause = CauseOf(*this);
   if (!own || own->agreement != Agreement::kDiffers || (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
@@ -267,6 +277,8 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     audit.verdict = Verdict::kBiased;
     return audit;
   }
+  const ModelTraits* traits = FindContactModel(contact);
+  if (reference && traits != nullptr && traits->event_driven) audit.gradient.one_sided = reference->one_sided;
   // What was being studied when it was stopped is not kept.
   ContactRecognition recognition = RecogniseContact(contact, scene, stop);
   if (interrupted()) return audit;

@@ -142,6 +142,7 @@ int Badness(Verdict verdict) {
     case Verdict::kConsistent:
       return 1;
     case Verdict::kUnknown:
+    case Verdict::kOneSided:
       return 2;
     case Verdict::kIllConditioned:
     case Verdict::kNotApplicable:
@@ -173,7 +174,7 @@ Verdict Overall(const RefinementStudy& study) {
       worsen(Verdict::kWrong);
     }
   }
-  return judged ? worst : Verdict::kUnknown;
+  return judged ? worst : Verdict::kOneSided;
 }
 
 // Errors that are no larger than what rounding does to the exact gradient are nobody's.
@@ -281,6 +282,10 @@ class Study {
     }
     if (level == 0) coarsest_.push_back(samples.front());
     study.wrong_signs = FindWrongSigns(names_[q], judged(study.exact), judged(coarsest_[q]), judged(study.finest));
+    largest_.resize(out_.quantities.size(), 0.0);
+    largest_[q] = std::max(largest_[q], *largest);
+    const double median = study.levels.back().error;
+    study.decisive = median > options_.tolerance ? median : largest_[q];
     if (study.levels.size() >= kTail) Judge(options_, &study);
   }
 
@@ -292,6 +297,7 @@ class Study {
   int unit_ = 1;
   int touches_ = 0;  // at the first level
   std::vector<double> scales_;
+  std::vector<double> largest_;                  // error of all samples so far, by quantity
   std::vector<std::vector<std::string>> names_;  // of the entries, by quantity
   std::vector<std::vector<double>> coarsest_;
 };
@@ -318,6 +324,8 @@ const char* VerdictToString(Verdict verdict) {
       return "not applicable";
     case Verdict::kAmbiguous:
       return "ambiguous";
+    case Verdict::kOneSided:
+      return "one-sided";
   }
   LOG(FATAL) << "no such verdict";
 }

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "physics/linear_algebra.h"
+
 namespace saltus {
 namespace {
 
@@ -48,7 +50,7 @@ StepMap Run(const Simulator& simulator, std::span<const double> begin, const For
     if (bodies != nullptr) {
       simulator.Linearize(x, u, /*with_parameters=*/false, &linearization);
       const Eigen::MatrixXd step = DenseOver(linearization, *bodies);
-      A = k == 0 ? step : Eigen::MatrixXd(step * A);
+      A = k == 0 ? step : Multiply(step, A);
     }
     touches.clear();
     simulator.Step(x, u, next, &touches);

@@ -39,7 +39,7 @@ void Default(int signal_number) {
 
 [[noreturn]] void Execute(const char* command, const Pipe& in, const Pipe& out, const Pipe& errors) {
   setpgid(0, 0);
-  for (const int signal_number : {SIGINT, SIGTERM, SIGPIPE}) Default(signal_number);
+  for (const int signal_number : {SIGINT, SIGTERM, SIGPIPE, SIGXFSZ}) Default(signal_number);
   dup2(in[kRead], STDIN_FILENO);
   dup2(out[kWrite], STDOUT_FILENO);
   dup2(errors[kWrite], STDERR_FILENO);

@@ -1,40 +1,20 @@
 #include "blackbox/conversation.h"
 
-#include <pthread.h>
-#include <signal.h>
 #include <unistd.h>
 
 #include <array>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
-#include <ctime>
 #include <utility>
 
 #include "blackbox/protocol.h"
+#include "io/file.h"
 
 namespace saltus {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 16;
-
-// write(), without the signal that a closed pipe sends.
-ssize_t WriteQuietly(int descriptor, const char* data, std::size_t size) {
-  sigset_t pipe, previous, pending;
-  sigemptyset(&pipe);
-  sigaddset(&pipe, SIGPIPE);
-  sigpending(&pending);
-  pthread_sigmask(SIG_BLOCK, &pipe, &previous);
-  const ssize_t written = write(descriptor, data, size);
-  const int error = errno;
-  if (written < 0 && error == EPIPE && sigismember(&pending, SIGPIPE) == 0) {
-    const timespec now{0, 0};
-    sigtimedwait(&pipe, nullptr, &now);
-  }
-  pthread_sigmask(SIG_SETMASK, &previous, nullptr);
-  errno = error;
-  return written;
-}
 
 bool WouldBlock() { return errno == EAGAIN || errno == EINTR; }
 

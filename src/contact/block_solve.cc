@@ -1,8 +1,9 @@
 #include "contact/block_solve.h"
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <vector>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 
@@ -28,7 +29,7 @@ Eigen::VectorXd SolveByBlocks(const Eigen::MatrixXd& A, const Eigen::VectorXd& b
     if (rows.empty()) continue;
     std::sort(rows.begin(), rows.end());
     std::sort(columns.begin(), columns.end());
-    const Eigen::VectorXd part = A(rows, columns).eval().completeOrthogonalDecomposition().solve(b(rows));
+    const Eigen::VectorXd part = LeastNormSolution(A(rows, columns), b(rows));
     for (std::size_t k = 0; k < columns.size(); ++k) x[columns[k]] = part[static_cast<Eigen::Index>(k)];
   }
   return x;

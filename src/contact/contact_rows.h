@@ -8,7 +8,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/QR>
 #include <memory_resource>
 #include <type_traits>
 #include <utility>
@@ -16,6 +15,7 @@
 
 #include "contact/lcp_solver.h"
 #include "contact/turning.h"
+#include "physics/linear_algebra.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
@@ -247,7 +247,7 @@ std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup
       }
     }
     if (m > 0) {
-      const typename ContactGroup<T, kTurn>::Matrix inverse = Q.completeOrthogonalDecomposition().pseudoInverse();
+      const typename ContactGroup<T, kTurn>::Matrix inverse = PseudoInverse(Q);
       for (int i = 0; i < m; ++i) {
         for (int j = 0; j < m; ++j) x[clamping[i]] -= inverse(i, j) * residual[j];
       }

@@ -1,11 +1,11 @@
 #include "contact/contact_system.h"
 
-#include <Eigen/QR>
-#include <Eigen/SparseCholesky>
-#include <Eigen/SparseLU>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+
+#include "physics/linear_algebra.h"
+#include "physics/sparse_factors.h"
 
 namespace saltus {
 namespace {
@@ -18,10 +18,6 @@ constexpr int kMostCorrections = 30;
 constexpr std::size_t kKeptFactors = 4;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-// Not on the heap.
-using SmallMatrix =
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, kMostDenseRows, kMostDenseRows>;
-using Sparse = Eigen::SparseMatrix<double>;
 using Vector = Eigen::VectorXd;
 
 double Largest(std::span<const double> x) {
@@ -49,22 +45,12 @@ void PseudoInvert(int n, std::span<double> matrix) {
     if (matrix[0] != 0) matrix[0] = 1 / matrix[0];
     return;
   }
-  const auto invert = [&](auto decomposition) {
-    Eigen::Map<Matrix> map(matrix.data(), n, n);
-    decomposition.setThreshold(kDependentRows);
-    decomposition.compute(map);
-    map = decomposition.pseudoInverse();
-  };
-  if (n <= kMostDenseRows) {
-    invert(Eigen::CompleteOrthogonalDecomposition<SmallMatrix>());
-  } else {
-    invert(Eigen::CompleteOrthogonalDecomposition<Matrix>());
-  }
+  PseudoInvertRows(n, matrix, kDependentRows);
 }
 
 struct ContactSystem::Factors {
-  Eigen::SimplicialLDLT<Sparse> symmetric;
-  Eigen::SparseLU<Sparse> general, transposed;
+  SparseLdlt symmetric;
+  SparseLu general;
   bool regular = false;
 };
 
@@ -162,17 +148,13 @@ void ContactSystem::Factor() const {
     }
   }
   for (int i = 0; i < n; ++i) entries.emplace_back(i, i, kShift * largest);
-  Sparse matrix(n, n);
-  matrix.setFromTriplets(entries.begin(), entries.end());
+  const SparseMatrix matrix = SparseFromEntries(n, entries);
   factors_ = std::make_shared<Factors>();
   if (symmetric_) {
-    factors_->symmetric.compute(matrix);
-    factors_->regular = factors_->symmetric.info() == Eigen::Success;
-    return;
+    factors_->regular = factors_->symmetric.Factor(matrix);
+  } else {
+    factors_->regular = factors_->general.Factor(matrix);
   }
-  factors_->general.compute(matrix);
-  factors_->transposed.compute(Sparse(matrix.transpose()));
-  factors_->regular = factors_->general.info() == Eigen::Success && factors_->transposed.info() == Eigen::Success;
 }
 
 bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
@@ -185,9 +167,9 @@ bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
   double undone = given;  // by the last correction
   for (int correction = 0; correction < kMostCorrections && undone > kRemainder * given; ++correction) {
     if (symmetric_) {
-      change = factors_->symmetric.solve(left);
+      change = factors_->symmetric.Solve(left);
     } else {
-      change = (transposed ? factors_->transposed : factors_->general).solve(left);
+      change = transposed ? factors_->general.SolveTransposed(left) : factors_->general.Solve(left);
     }
     const Vector before = left;
     Subtract(transposed, {change.data(), x.size()}, {left.data(), x.size()});

@@ -1,9 +1,10 @@
 #include "contact/crowd_impulses.h"
 
-#include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
 #include <vector>
+
+#include "physics/sparse_factors.h"
 
 namespace saltus {
 namespace {
@@ -39,12 +40,11 @@ class WeightedMasses {
     std::vector<Eigen::Triplet<double>> entries;
     ForEachMass([&](int j, double mass) { entries.emplace_back(j, j, mass); });
     ForEachEntry([&](std::size_t, int row, int column, double value) { entries.emplace_back(row, column, value); });
-    matrix_.resize(2 * count_, 2 * count_);
-    matrix_.setFromTriplets(entries.begin(), entries.end());
+    matrix_ = SparseFromEntries(2 * count_, entries);
     ForEachEntry([&](std::size_t, int row, int column, double) {
       slots_.push_back(static_cast<int>(&matrix_.coeffRef(row, column) - matrix_.valuePtr()));
     });
-    cholesky_.analyzePattern(matrix_);
+    cholesky_.Analyze(matrix_);
   }
 
   // False if it has no factors.
@@ -54,8 +54,7 @@ class WeightedMasses {
     ForEachMass([&](int j, double mass) { matrix_.valuePtr()[matrix_.outerIndexPtr()[j]] = mass; });
     const int* slot = slots_.data();
     ForEachEntry([&](std::size_t k, int, int, double value) { values[*slot++] += weights[k] * value; });
-    cholesky_.factorize(matrix_);
-    return cholesky_.info() == Eigen::Success;
+    return cholesky_.FactorAnalyzed(matrix_);
   }
 
   // The velocities of the discs that move under the momenta `given`; of others 0.
@@ -64,7 +63,7 @@ class WeightedMasses {
     for (std::size_t i = 0; i < number_.size(); ++i) {
       if (number_[i] >= 0) right.segment<2>(2 * number_[i]) = x[i];
     }
-    const Vector found = cholesky_.solve(right);
+    const Vector found = cholesky_.Solve(right);
     for (std::size_t i = 0; i < number_.size(); ++i) {
       x[i] = number_[i] >= 0 ? Vec2d(found.segment<2>(2 * number_[i])) : Vec2d(0, 0);
     }
@@ -101,9 +100,9 @@ class WeightedMasses {
   std::span<const CrowdRow> rows_;
   std::vector<int> number_;  // of the discs that move, else -1
   int count_ = 0;            // of these
-  Eigen::SparseMatrix<double> matrix_;
+  SparseMatrix matrix_;
   std::vector<int> slots_;  // of each entry in the matrix, in the order of ForEachEntry
-  Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> cholesky_;
+  SparseLdlt cholesky_;
 };
 
 // What the rows of a crowd do to it. Sweeps suffice where few rows depend on each other.

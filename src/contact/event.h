@@ -13,13 +13,14 @@
 //
 // Rules, with the thresholds of event_disc.h and kNodeMargin of time_grid.h:
 //
-// Order. Events are resolved one by one: the earliest first, of several at the same time the first candidate (discs by
-//   index pairs, then planes), and all that it made happen at that time is considered again, until no pair closes. A
-//   row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both walls. Derivatives
-//   are those of this order, even where another order of impacts at the same time leads to the same velocities: there
-//   the loss may have a kink. After kMaxEvents in one step impacts have no restitution; a step with twice as many, or
-//   in which the forces of contacts at rest are not found, fails. So does one by whose end energy has grown, or discs
-//   overlap, by more than kLargestGain and kLargestOverlap: where many contacts last, the thresholds may not suffice.
+// Order. Events are resolved one by one: the earliest first, of impacts at the same time, but for rounding, the first
+//   candidate (discs by index pairs, then planes), and all that it made happen at that time is considered again, until
+//   no pair closes. A row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both
+//   walls. Derivatives are those of this order, even where another order of impacts at the same time leads to the same
+//   velocities: there the loss may have a kink. After kMaxEvents in one step impacts have no restitution; a step with
+//   twice as many, or in which the forces of contacts at rest are not found, fails. So does one by whose end energy has
+//   grown, or discs overlap, by more than kLargestGain and kLargestOverlap: where many contacts last, the thresholds
+//   may not suffice.
 // Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
 //   (event_ties.h says within which tolerances).
 // Head-on. By mu = 0 there is a derivative from above. An impact whose slip is less than kHeadOn of its speed has none

@@ -107,12 +107,25 @@ class EventChanges : protected EventQueue<T, kRotation> {
     Report(c, ContactMode::kPocketed, time, ContactKind::kSustained);
   }
 
-  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
-  // of a contact at rest, friction included, sum up to that of a plastic impact.
-  SALTUS_FLATTEN void Impact(int q, const T& time, bool pressed) {
+  void Impact(int q, const T& time, bool pressed) {
     const Candidate& c = CandidateOf(q);
     Release(c.a, time);
     if (!c.plane) Release(c.b, time);
+    const ContactMode mode = ApplyImpact(c, pressed);
+    SlideOn(c);
+    CountImpact(q);
+    Report(c, mode, time, ContactKind::kImpact);
+  }
+
+  int order_ = 0;           // number of the event
+  bool inelastic_ = false;  // impacts have no restitution
+  bool failed_ = false;
+  bool crowded_ = false;
+
+ private:
+  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
+  // of a contact at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = LastSeparation(c);
     const Vec2<T> w = LastRelativeVelocity(c);
     const ImpactNumbers<T> law = law_.At(at.normal, w);
@@ -123,17 +136,8 @@ class EventChanges : protected EventQueue<T, kRotation> {
     if constexpr (kRotation == kSpin) {
       ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { discs_[i].turn.speed += change; });
     }
-    SlideOn(c);
-    CountImpact(q);
-    Report(c, impact.mode, time, ContactKind::kImpact);
+    return impact.mode;
   }
-
-  int order_ = 0;           // number of the event
-  bool inelastic_ = false;  // impacts have no restitution
-  bool failed_ = false;
-  bool crowded_ = false;
-
- private:
   void CountImpact(int q) {
     if (++pairs_[q].meetings > kCrowdedImpacts && MayCrowd()) {
       const bool many = discs_.size() >= kCrowd || (impacts_ > kManyImpacts && Value(in_.contact.friction) > 0);

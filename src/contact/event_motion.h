@@ -225,18 +225,19 @@ class EventMotion {
   }
 
   // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
-  // overlapped already at its last event has no impact time of its own; it meets at that event.
+  // overlapped at the start of the step has no impact time of its own where it closes; it meets at its last event.
   SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
+    if (predicted <= Value(LastTime(c)) && OverlapsAtStart(c)) return LastTime(c);
     const T time(predicted);
     const Separation<T> at = SeparationAtTime(c, time);
     const T gap = at.distance - in_.ContactDistance(c);
     const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
-    if (predicted <= Value(LastTime(c))) {
-      const bool first = LastDisc(c).order == 0;
-      const double allowed = first ? kContactGap - 2 * kNodeMargin * in_.h * speed : kRoundingGap;
-      if (Value(gap) < -allowed) return LastTime(c);
-    }
     return time - Divide(T(gap - Value(gap)), speed);
+  }
+  // Beyond what the impacts in the last kNodeMargin of the step before leave, of which there may be several.
+  bool OverlapsAtStart(const Candidate& c) const {
+    const Approach start = ApproachAtStart(c);
+    return start.gap < -(kContactGap + 2 * kNodeMargin * in_.h * std::abs(start.speed));
   }
   // Likewise when they touch slowly.
   T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
@@ -317,15 +318,15 @@ class EventMotion {
 
   // The gap at the start of the step; along edges the least of all that the disc meets, whichever it was nearest to.
   double StartGap(const Candidate& c) const {
-    const auto gap_of = [&](const Candidate& d) {
-      return Measure(d, [&](int i) { return ValueOf(start_[i].p, start_[i].v); }).gap;
-    };
-    double gap = gap_of(c);
+    double gap = ApproachAtStart(c).gap;
     if (!IsEdge(c)) return gap;
     for (const Candidate& d : in_.candidates) {
-      if (IsEdge(d) && d.a == c.a) gap = std::min(gap, gap_of(d));
+      if (IsEdge(d) && d.a == c.a) gap = std::min(gap, ApproachAtStart(d).gap);
     }
     return gap;
+  }
+  Approach ApproachAtStart(const Candidate& c) const {
+    return Measure(c, [&](int i) { return ValueOf(start_[i].p, start_[i].v); });
   }
 
   // What no motion of rigid discs does, and this one has done by the end of the step; empty if nothing. Contacts that

@@ -60,8 +60,9 @@ class EventStep : private EventChanges<T, kRotation, Law> {
     for (int q = 0; q < num_pairs(); ++q) Predict(q);
     for (int count = 0; count < 2 * kMaxEvents; ++count) {
       inelastic_ = count >= kMaxEvents;
-      const int q = NextPair();
+      int q = NextPair();
       if (q < 0) return Finish();
+      q = FirstAtOnce(q);
       if (!CutArc(q)) {
         ++order_;
         Resolve(q);
@@ -78,7 +79,7 @@ class EventStep : private EventChanges<T, kRotation, Law> {
   // Whether an event changed disc i, and if so its state at the end of the step; not a number where there were too many
   // events, or forces were not found. One that was looked at only, beside others, flies as if there had been nothing.
   bool Moved(int i) const { return discs_[i].moved && (discs_[i].reported || failed_); }
-  SALTUS_FLATTEN State End(int i) const {
+  State End(int i) const {
     const T end(failed_ ? std::numeric_limits<double>::quiet_NaN() : in_.h);
     const Vec2<T> p = discs_[i].PositionAt(end), v = discs_[i].VelocityAt(end);
     if constexpr (kRotation == kSpin) {
@@ -169,6 +170,32 @@ class EventStep : private EventChanges<T, kRotation, Law> {
       }
     }
     return false;
+  }
+
+  // Of the impacts at the time of pair q's event that are connected with it through discs that move, the first
+  // candidate's. Rounding finds one of them earlier, and what else happens at that time in between: the derivatives
+  // would be those of an order that depends on where steps begin, and that may be no order of any disturbed motion.
+  int FirstAtOnce(int q) {
+    const double time = pairs_[q].next;
+    if (!MayPrecede(q, time)) return q;
+    tied_.assign(1, q);
+    for (std::size_t k = 0; k < tied_.size(); ++k) {
+      ForEachPairBeside(CandidateOf(tied_[k]), [&](int r) {
+        if (std::find(tied_.begin(), tied_.end(), r) == tied_.end() && MayPrecede(r, time)) tied_.push_back(r);
+      });
+    }
+    const int first = *std::min_element(tied_.begin(), tied_.end());
+    pairs_[first].next = time;
+    return first;
+  }
+  // Whether the next event of pair r is an impact, or that its disc comes to a pocket, at `time` but for rounding.
+  bool MayPrecede(int r, double time) const {
+    const Candidate& c = CandidateOf(r);
+    const double wait = pairs_[r].next - time;
+    if (pairs_[r].held || IsTable(c) || !(wait <= kTieTime * in_.h)) return false;
+    const double size = in_.ContactDistance(c) + MotionAt(c.a, time).p.template lpNorm<1>();
+    const double speed = ApproachAt(c, time).speed;
+    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingGap * (1 + size) && Value(LastTime(c)) <= time;
   }
 
   // Looks for other contacts that meet at the time of pair q's impact, and tells if their order matters. True if the

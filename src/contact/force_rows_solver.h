@@ -1,7 +1,6 @@
 // The linear systems behind event_forces.h: accelerations that must vanish, and the forces that make them do so.
 #pragma once
 
-#include <Eigen/QR>
 #include <memory_resource>
 #include <optional>
 #include <span>
@@ -10,6 +9,7 @@
 #include "contact/contact_system.h"
 #include "contact/event_forces.h"
 #include "contact/local_memory.h"
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 
@@ -48,21 +48,19 @@ class RowSolver {
       system_.emplace(sides, inverse_mass);
       return;
     }
-    const auto decompose = [&](auto matrix, auto* decomposition) {
+    const auto decompose = [&](auto matrix) {
       for (int i = 0; i < n; ++i) {
         for (int j = 0; j < n; ++j) {
           matrix(i, j) = Coupling(sides[i], sides[j], inverse_mass);
           if (turns) matrix(i, j) += TurnCoupling(rows[i], rows[j], contacts);
         }
       }
-      decomposition->emplace();
-      (*decomposition)->setThreshold(kDependentRows);
-      (*decomposition)->compute(matrix);
+      dense_.emplace(matrix, kDependentRows);
     };
     if (n <= kMostDenseRows) {
-      decompose(SmallMatrix(n, n), &small_);
+      decompose(SmallMatrix(n, n));
     } else {
-      decompose(Eigen::MatrixXd(n, n), &dense_);
+      decompose(Eigen::MatrixXd(n, n));
     }
   }
   // Overwrites the right side with the solution. If `hasty`, false where that would take long.
@@ -73,22 +71,15 @@ class RowSolver {
       return true;
     }
     Eigen::Map<Eigen::VectorXd> map(x.data(), static_cast<Eigen::Index>(x.size()));
-    if (small_) {
-      const SmallVector right = map;
-      map = small_->solve(right);
-    } else {
-      map = Eigen::VectorXd(dense_->solve(map));
-    }
+    dense_->Solve(map, map);
     return true;
   }
 
  private:
   // Not on the heap.
   using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostDenseRows, kMostDenseRows>;
-  using SmallVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostDenseRows, 1>;
 
-  std::optional<Eigen::CompleteOrthogonalDecomposition<SmallMatrix>> small_;
-  std::optional<Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd>> dense_;
+  std::optional<LeastNormSolver> dense_;
   std::optional<ContactSystem> system_;
 };
 

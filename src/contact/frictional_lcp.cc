@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "contact/lemke.h"
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -31,7 +32,7 @@ std::optional<Eigen::VectorXd> SolveFrictionalLcp(double friction, const Eigen::
     forces(2 * resting[i] + 1, n + 3 * i) = -1;
     forces(2 * resting[i] + 1, n + 3 * i + 1) = 1;
   }
-  const Eigen::MatrixXd accelerations = responses * forces;
+  const Eigen::MatrixXd accelerations = Multiply(responses, forces);
   Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(size, size);
   Eigen::VectorXd constant = Eigen::VectorXd::Zero(size);
   for (int k = 0; k < n; ++k) {

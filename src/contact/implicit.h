@@ -12,13 +12,13 @@
 //   double kappa;                                                 what products of complementary quantities shall be
 #pragma once
 
-#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <span>
 #include <type_traits>
 #include <vector>
 
+#include "physics/linear_algebra.h"
 #include "saltus/physics/scalar.h"
 
 namespace saltus {
@@ -59,7 +59,7 @@ auto CorrectInT(const P& problem, const Eigen::VectorXd& z, const Eigen::MatrixX
     problem.Residual(std::span<const T>(corrected), std::span<T>(residual));
     Eigen::MatrixXd variation(z.size(), kJetWidth);
     for (int i = 0; i < z.size(); ++i) variation.row(i) = residual[i].v;
-    const Eigen::MatrixXd change = jacobian.partialPivLu().solve(variation);
+    const Eigen::MatrixXd change = SolveLuColumns(jacobian, variation);
     for (int i = 0; i < z.size(); ++i) corrected[i].v = -change.row(i);
   }
   return corrected;
@@ -95,7 +95,7 @@ template <typename P>
       best = std::min(best, error);
       if (stalled > 8) return error < 1e3 * options.tolerance;
     }
-    const Eigen::VectorXd step = at.jacobian.partialPivLu().solve(-at.residual);
+    const Eigen::VectorXd step = SolveLu(at.jacobian, -at.residual);
     double length = 1;
     problem->VisitPositive(*z, step, [&](double x, double dx) {
       if (dx < 0) length = std::min(length, -options.to_boundary * x / dx);

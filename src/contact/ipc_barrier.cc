@@ -1,7 +1,8 @@
 #include "contact/ipc_barrier.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace internal {
@@ -51,8 +52,7 @@ Eigen::VectorXd DescentStep(const Linearized& at) {
   Eigen::MatrixXd hessian = at.jacobian;
   double shift = 0;
   while (true) {
-    const Eigen::LLT<Eigen::MatrixXd> factor(hessian);
-    if (factor.info() == Eigen::Success) return factor.solve(-at.residual);
+    if (const std::optional<Eigen::VectorXd> step = SolveCholesky(hessian, -at.residual)) return *step;
     const double before = shift;
     shift = shift == 0 ? 1e-6 * at.jacobian.cwiseAbs().maxCoeff() : 4 * shift;
     if (!std::isfinite(shift)) return Eigen::VectorXd::Constant(at.residual.size(), NAN);

@@ -1,8 +1,9 @@
 #include "contact/lcp.h"
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -91,13 +92,11 @@ DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, double res
   const int size = static_cast<int>(bounces.rows());
   DofMatrix<kMaxRows> X = DofMatrix<kMaxRows>::Identity(size, size);
   if (bounces.cols() == 0) return X;
-  const LcpMatrix<kMaxRows> gram = bounces.transpose() * bounces;
+  LcpMatrix<kMaxRows> gram(bounces.cols(), bounces.cols());
+  MultiplyTransposed(bounces, bounces, gram);
   const LcpMatrix<kMaxRows> squared = gram.cwiseProduct(gram);
-  Eigen::CompleteOrthogonalDecomposition<LcpMatrix<kMaxRows>> decomposition(squared.rows(), squared.cols());
-  decomposition.setThreshold(1e-11);
-  decomposition.compute(squared);
-  const LcpVector<kMaxRows> right = (gram.diagonal().array() + restitution).matrix();
-  const LcpVector<kMaxRows> weights = decomposition.solve(right);
+  LcpVector<kMaxRows> weights = (gram.diagonal().array() + restitution).matrix();
+  LeastNormSolver(squared, 1e-11).Solve(weights, weights);
   for (int i = 0; i < bounces.cols(); ++i) X -= weights[i] * bounces.col(i) * bounces.col(i).transpose();
   return X;
 }
@@ -250,7 +249,12 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
   Matrix vv = Matrix::Identity(size, size);
   Matrix pv = Matrix::Zero(size, size);
   if (num_clamping > 0) {
-    vv -= response * solution.inverse * beta.asDiagonal() * direction.transpose();
+    DofsByRows<kMaxRows> solved(size, num_clamping);
+    Matrix product(size, size);
+    Multiply(response, solution.inverse, solved);
+    const DofsByRows<kMaxRows> closing = solved * beta.asDiagonal();
+    MultiplyByTransposed(closing, direction, product);
+    vv -= product;
     const LcpVector<kMaxRows> z = solution.inverse * rhs;
     const Vector dv = response * z;
     Matrix turned = Matrix::Zero(size, size);         // sum of z G
@@ -261,8 +265,12 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
       applied += impulse[k] * caused_turning[k];
       change.row(k) = -(dv + beta[k] * free_velocity).transpose() * turning[k];
     }
-    change -= direction.transpose() * inverse_mass.asDiagonal() * turned;
-    pv = response * solution.inverse * change + inverse_mass.asDiagonal() * applied;
+    const DofsByRows<kMaxRows> moved = inverse_mass.asDiagonal() * direction;
+    RowsByDofs<kMaxRows> by_turning(num_clamping, size);
+    MultiplyTransposed(moved, turned, by_turning);
+    change -= by_turning;
+    Multiply(solved, change, pv);
+    pv += inverse_mass.asDiagonal() * applied;
   }
 
   const Matrix X = BounceMatrix<kMaxRows>(bounces, in.contact.restitution);

@@ -1,9 +1,10 @@
 #include "contact/lcp_solver.h"
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <limits>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -52,10 +53,9 @@ LcpMatrix<kMaxRows> InverseInClasses(const BoxedLcpUpTo<kMaxRows>& problem, cons
       reduced(i, column[problem.normal[k]]) += Sigma(problem, classes[k]) * problem.matrix(clamping[i], k);
     }
   }
-  Eigen::CompleteOrthogonalDecomposition<LcpMatrix<kMaxRows>> decomposition(n, n);
-  decomposition.setThreshold(rank_threshold);
-  decomposition.compute(reduced);
-  return decomposition.pseudoInverse();
+  LcpMatrix<kMaxRows> inverse(n, n);
+  PseudoInvert(reduced, rank_threshold, inverse);
+  return inverse;
 }
 
 template <int kMaxRows>

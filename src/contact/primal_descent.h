@@ -12,7 +12,7 @@
 // without convergence are not those of the value. Momentum is conserved at convergence.
 #pragma once
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <algorithm>
 #include <vector>
 
@@ -195,7 +195,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
     double error = Mark(problem, z, touched);
     for (int step = 0; step < kMostNewtonSteps && error > 0; ++step) {
       const Linearized linear = LinearizeByUnknowns(problem, at);
-      const Eigen::VectorXd start = at, change = linear.jacobian.partialPivLu().solve(-linear.residual);
+      const Eigen::VectorXd start = at, change = SolveLu(linear.jacobian, -linear.residual);
       double length = 1, reached = error;
       for (; length > 1e-10; length *= 0.5) {
         at = start + length * change;

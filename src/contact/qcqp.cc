@@ -1,7 +1,8 @@
 #include "contact/qcqp.h"
 
-#include <Eigen/QR>
 #include <algorithm>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -53,7 +54,7 @@ std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen:
   };
   if (inside.empty()) return checked(x);
   const Eigen::VectorXd slope = c + A * x;
-  const Eigen::VectorXd step = A(inside, inside).completeOrthogonalDecomposition().solve(-slope(inside));
+  const Eigen::VectorXd step = LeastNormSolution(A(inside, inside), -slope(inside));
   Eigen::VectorXd polished = x;
   for (std::size_t i = 0; i < inside.size(); ++i) polished[inside[i]] += step[i];
   const bool feasible = (polished.array() >= low.array()).all() && (polished.array() <= high.array()).all();

@@ -20,7 +20,7 @@
 // error of the gradient does not vanish with the step; with d_0 = 1e-4 over 1 cm it does.
 #pragma once
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -291,7 +291,7 @@ struct SoftConvexOf {
     if (m == 1) {
       changes /= K(0, 0);
     } else {
-      Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>>(K).solveInPlace(changes);
+      SolveCholeskyInPlace(K, changes);
     }
     for (int i = 0; i < m; ++i) f[columns[i].row].v += changes.row(i);
     follow_normals();

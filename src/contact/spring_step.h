@@ -15,7 +15,7 @@
 // goes to zero and plastic as the stiffness goes to infinity.
 #pragma once
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <limits>

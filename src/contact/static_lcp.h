@@ -16,13 +16,13 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/QR>
 #include <limits>
 #include <memory_resource>
 #include <vector>
 
 #include "contact/block_solve.h"
 #include "contact/contact_rows.h"
+#include "physics/linear_algebra.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
@@ -173,7 +173,7 @@ struct StaticLcp {
       const std::pmr::vector<T> residual = Residual<T>(in, rows, flying, corrected);
       Eigen::MatrixXd variation(rows.size(), kJetWidth);
       for (int i = 0; i < rows.size(); ++i) variation.row(i) = residual[i].v;
-      const Eigen::MatrixXd change = Matrix(in, rows).completeOrthogonalDecomposition().solve(variation);
+      const Eigen::MatrixXd change = LeastNormSolutions(Matrix(in, rows), variation);
       for (int i = 0; i < rows.size(); ++i) corrected[i].v = -change.row(i);
     }
     return corrected;

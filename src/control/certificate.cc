@@ -39,29 +39,33 @@ std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double
 }  // namespace
 
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                    const std::vector<double>& durations) {
+                    const std::vector<double>& durations, const StopRequest& stop) {
   if (!scene.units.natural) {
     const Scene natural = InNaturalUnits(scene);
     const UnitFactors by(scene.units, natural.units);
     return InUnits(Certify(natural,
                            ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
                            Multiplied(control, by.force),
-                           Multiplied(durations, by.time)),
+                           Multiplied(durations, by.time),
+                           stop),
                    natural.units,
                    scene.units);
   }
   Certificate certificate;
-  const ExactRun exact = SimulateExactly(scene, initial, control, durations);
+  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
   certificate.reason = WhyNotCertify(scene, exact);
   if (!certificate.reason.empty()) return certificate;
   JudgeTies(exact.ambiguous, &certificate);
   if (certificate.verdict == Certificate::Verdict::kAmbiguous) return certificate;
   const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   Scene whole = scene;
-  if (scene.objective.duration) whole.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  if (std::optional<FreeDuration>& free = whole.objective.duration) {
+    whole.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+    if (free->min == free->max) free.reset();  // nothing is asked of a time that cannot be another
+  }
   const Flight flight(whole, initial, control, lengths, exact);
   const ControlledMotion motion{whole, control, lengths, flight, exact};
-  if (BeyondTerminalCost(scene).empty() && scene.num_turned() == 0) return FreeConditions(motion);
+  if (BeyondTerminalCost(whole).empty() && scene.num_turned() == 0) return FreeConditions(motion);
   certificate.reason = WhyNotConstrainedConditions(whole, flight);
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }

@@ -156,7 +156,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   std::vector<Passed> passed(num_hits);
   for (int k = 0; k < num_hits; ++k) {
     const Candidate& c = flight_.hits()[k].contact;
-    const ImpactLaw law = MakeImpactLaw(scene_, c);
+    const ImpactConstants law = MakeImpactConstants(scene_, c);
     const auto separation = [&] {
       return c.plane ? Separate<T>(now[c.a].p, MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(now[c.a].p, now[c.b].p);
     };
@@ -231,7 +231,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   const double effort = scene_.objective.effort;
   for (int k = num_hits - 1; k >= 0; --k) {
     const Candidate& c = flight_.hits()[k].contact;
-    const ImpactLaw law = MakeImpactLaw(scene_, c);
+    const ImpactConstants law = MakeImpactConstants(scene_, c);
     const Passed& at_impact = passed[k];
     T power(0.0), early(0.0), late(0.0);  // what the Hamiltonian gains: with the forces there are, or one on both sides
     const auto count = [&](const Side& side, const Vec2<T>& velocity, int force, double sign) {

@@ -1,11 +1,11 @@
 // The second derivatives of a condensed loss: its curvature along all directions, and Newton's step.
 #include <glog/logging.h>
 
-#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 
 #include "condensed.h"
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 
@@ -56,13 +56,13 @@ CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
   const Eigen::MatrixXd gram = Gram();
   Eigen::VectorXd scale(gram.rows());
   for (Eigen::Index i = 0; i < scale.size(); ++i) scale[i] = gram(i, i) > 0 ? 1 / std::sqrt(gram(i, i)) : 0.0;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> metric(scale.asDiagonal() * gram * scale.asDiagonal());
-  const Eigen::VectorXd& sizes = metric.eigenvalues();  // rising
+  const SymmetricEigen metric = EigenOf(scale.asDiagonal() * gram * scale.asDiagonal());
+  const Eigen::VectorXd& sizes = metric.values;  // rising
   Eigen::Index first = 0;
   while (first < sizes.size() && sizes[first] <= kRank * sizes[sizes.size() - 1]) ++first;
   const Eigen::Index rank = sizes.size() - first;
   // F d for the columns d of an orthonormal basis, and the functionals that make those columns.
-  const Eigen::MatrixXd vectors = metric.eigenvectors().rightCols(rank);
+  const Eigen::MatrixXd vectors = metric.vectors.rightCols(rank);
   const Eigen::VectorXd roots = sizes.tail(rank).cwiseSqrt();
   Eigen::MatrixXd image = scale.cwiseInverse().asDiagonal() * vectors * roots.asDiagonal();
   for (Eigen::Index i = 0; i < scale.size(); ++i) {
@@ -70,23 +70,22 @@ CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
   }
   Eigen::MatrixXd source = scale.asDiagonal() * vectors * roots.cwiseInverse().asDiagonal();
   if (num_held_ > 0) {  // what keeps the impacts on their nodes, and hard terms
-    Eigen::MatrixXd rows = gaps * image;
+    Eigen::MatrixXd rows = Multiply(gaps, image);
     for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) /= std::max(rows.row(i).norm(), 1e-300);
-    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(rows.transpose());
-    const Eigen::MatrixXd q = qr.householderQ() * Eigen::MatrixXd::Identity(rank, rank);
-    image = (image * q.rightCols(rank - qr.rank())).eval();
-    source = (source * q.rightCols(rank - qr.rank())).eval();
+    const Eigen::MatrixXd kept = NullSpace(rows);
+    image = Multiply(image, kept);
+    source = Multiply(source, kept);
   }
   Curvature result;
   result.direction = Eigen::VectorXd::Zero(control_.size());
   const Eigen::Index last = image.cols() - 1;
   const bool others = rank < NumFree();  // directions that the motion does not notice
   if (last < 0) return result;
-  const Eigen::MatrixXd reduced = image.transpose() * hessian * image / (2 * scene_.objective.effort);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> curvature(reduced);
-  result.smallest = 1 + curvature.eigenvalues()[0];
-  result.largest = 1 + curvature.eigenvalues()[last];
-  result.direction = Transposed(source * curvature.eigenvectors().col(0));
+  const Eigen::MatrixXd reduced = Multiply(MultiplyTransposed(image, hessian), image) / (2 * scene_.objective.effort);
+  const SymmetricEigen curvature = EigenOf(reduced);
+  result.smallest = 1 + curvature.values[0];
+  result.largest = 1 + curvature.values[last];
+  result.direction = Transposed(source * curvature.vectors.col(0));
   DivideByWeights(&result.direction);
   if (!restrictions_.forces.empty()) {  // orthonormal to another measure
     double square = 0;
@@ -114,12 +113,14 @@ std::optional<Eigen::VectorXd> CondensedLoss::NewtonStep() const {
   Sweep<double>(values_.data(), slope.data(), nullptr);
   const Eigen::MatrixXd gram = Gram() / (2 * scene_.objective.effort);
   Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n + m, n + m);
-  matrix.topLeftCorner(n, n) = Eigen::MatrixXd::Identity(n, n) + hessian * gram;
+  Eigen::MatrixXd corner = Eigen::MatrixXd::Identity(n, n);
+  AddProduct(hessian, gram, &corner);
+  matrix.topLeftCorner(n, n) = corner;
   matrix.topRightCorner(n, m) = -held.transpose();
-  matrix.bottomLeftCorner(m, n) = held * gram;
+  matrix.bottomLeftCorner(m, n) = Multiply(held, gram);
   Eigen::VectorXd right(n + m);
   right << slope - hessian * values, -(held * values);
-  const Eigen::VectorXd found = matrix.fullPivLu().solve(right);
+  const Eigen::VectorXd found = SolveFullPivotLu(matrix, right);
   Eigen::VectorXd control = Transposed(found.head(n)) / (-2 * scene_.objective.effort);
   DivideByWeights(&control);
   if (!control.allFinite()) return std::nullopt;
@@ -133,7 +134,7 @@ Eigen::MatrixXd CondensedLoss::DenseHessian() const {
   for (int j = 0; j < num_functionals(); ++j) {
     f.row(j) = Transposed(Eigen::VectorXd::Unit(num_functionals(), j)).transpose();
   }
-  Eigen::MatrixXd hessian = f.transpose() * by_functionals * f;
+  Eigen::MatrixXd hessian = Multiply(MultiplyTransposed(f, by_functionals), f);
   for (Eigen::Index i = 0; i < hessian.rows(); ++i) hessian(i, i) += 2 * scene_.objective.effort * Length(i);
   return hessian;
 }

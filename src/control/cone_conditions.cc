@@ -1,7 +1,8 @@
 #include "cone_conditions.h"
 
-#include <Eigen/Dense>
 #include <algorithm>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -49,7 +50,7 @@ void ConeConditions::Solve() {
     Eigen::VectorXd r;
     Eigen::MatrixXd jacobian;
     Evaluate(theta_, &r, &jacobian);
-    const Eigen::VectorXd by = jacobian.completeOrthogonalDecomposition().solve(-r);
+    const Eigen::VectorXd by = LeastNormSolution(jacobian, -r);
     double length = 1;
     Eigen::VectorXd next;
     for (; length > 1e-4; length *= 0.5) {

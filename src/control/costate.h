@@ -86,7 +86,7 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
   for (int k = num_impacts() - 1; k >= 0; --k) {
     const Candidate& c = phases->sequence()[k];
     const PhaseImpact<T>& event = path->impacts[k];
-    const ImpactLaw& law = phases->law(k);
+    const ImpactConstants& law = phases->law(k);
     const std::array<int, 2> body = {c.a, c.plane ? -1 : c.b};
     const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
     std::array<Costate<T>, 2> after;

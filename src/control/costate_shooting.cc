@@ -347,7 +347,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     if (!(Value(time) >= last) || !(Value(time) <= Value(duration))) return false;
     last = Value(time);
     pass_vias(last);
-    const ImpactLaw law = MakeImpactLaw(scene_, c);
+    const ImpactConstants law = MakeImpactConstants(scene_, c);
     const std::array<int, 2> body = BodiesOf(c);
     const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
     std::array<Flying<T>, 2> before, after;

@@ -15,7 +15,7 @@ EventPhases::EventPhases(const Scene& scene, std::vector<Candidate> sequence, st
   for (int body : scene_.control.bodies) pushed_[body] = true;
   for (int k = 0; k < num_impacts(); ++k) {
     const Candidate& c = sequence_[k];
-    laws_.push_back(MakeImpactLaw(scene_, c));
+    laws_.push_back(MakeImpactConstants(scene_, c));
     CHECK_GT(laws_[k].inverse_mass_a + laws_[k].inverse_mass_b, 0);
     index_.push_back(num_variables_);
     const int pushed = pushed_[c.a] + PushesB(k);

@@ -73,7 +73,7 @@ class EventPhases {
 
   const Scene& scene() const { return scene_; }
   const std::vector<Candidate>& sequence() const { return sequence_; }
-  const ImpactLaw& law(int k) const { return laws_[k]; }
+  const ImpactConstants& law(int k) const { return laws_[k]; }
   const HalfPlane<double>& plane(int i) const { return planes_[i]; }
   int num_impacts() const { return static_cast<int>(sequence_.size()); }
   int num_variables() const { return num_variables_; }
@@ -129,7 +129,7 @@ class EventPhases {
   Scene scene_;
   std::vector<Candidate> sequence_;
   std::vector<int> intervals_;
-  std::vector<ImpactLaw> laws_;
+  std::vector<ImpactConstants> laws_;
   std::vector<HalfPlane<double>> planes_;
   std::vector<bool> pushed_;    // by body
   std::vector<int> aim_index_;  // by body: of its final state among the variables; -1 if it has none

@@ -31,6 +31,8 @@ struct How {
   std::string model;
   int tie_order = 0;
   std::optional<int> most_impacts;
+  StopRequest stop;
+  bool stopped() const { return stop && stop(); }
 };
 
 // Runs `scene` for control intervals of one length, from number `first` on, from `x` on, in the shape of an
@@ -42,10 +44,14 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
   const auto has_too_many = [&how, run, of = simulator.get()] {
     return how.most_impacts && run->contacts.size() + of->touches().size() > static_cast<size_t>(*how.most_impacts);
   };
-  simulator->set_stop(has_too_many);
+  simulator->set_stop([&] { return has_too_many() || how.stopped(); });
   const bool ran = simulator->Rollout(*x, control);
   if (has_too_many()) {
     run->reason = "discs meet more than " + std::to_string(*how.most_impacts) + " times";
+    return false;
+  }
+  if (!ran && how.stopped()) {
+    run->reason = kStopped;
     return false;
   }
   if (!ran) {
@@ -56,6 +62,7 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     run->reason = "there is no exact motion: " + DescribeUnresolved(unresolved, simulator->num_steps());
     return false;
   }
+  simulator->set_stop(nullptr);
   std::vector<double> end(simulator->state_size());
   simulator->GetState(simulator->num_steps(), end);
   *x = ToInitial(end, scene.num_bodies());
@@ -197,12 +204,13 @@ class SameEnd {
 }  // namespace
 
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations) {
-  return SimulateUpTo(std::nullopt, scene, initial, control, durations);
+                         const std::vector<double>& durations, const StopRequest& stop) {
+  return SimulateUpTo(std::nullopt, scene, initial, control, durations, stop);
 }
 
 ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const std::vector<double>& initial,
-                      const std::vector<double>& control, const std::vector<double>& durations) {
+                      const std::vector<double>& control, const std::vector<double>& durations,
+                      const StopRequest& stop) {
   if (!scene.units.natural) {  // once for all parts
     const Scene natural = InNaturalUnits(scene);
     const UnitFactors to(scene.units, natural.units);
@@ -210,7 +218,8 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
                                 natural,
                                 ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
                                 Multiplied(control, to.force),
-                                Multiplied(durations, to.time));
+                                Multiplied(durations, to.time),
+                                stop);
     if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
     run.end = ConvertInitial(std::move(run.end), scene.num_bodies(), natural.units, scene.units);
     for (Event& event : run.events) event.time /= to.time;
@@ -236,7 +245,7 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   if (!control.empty()) part.steps = static_cast<int>(control.size() / scene.control_width());
   if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
-  How how{std::string(exact->name), 0, most_impacts};
+  How how{std::string(exact->name), 0, most_impacts, stop};
   ExactRun run = SimulateInOrder(how, part, initial, control, durations);
   if (!run.ok || run.ambiguous.empty()) return run;
   int orders = 0;
@@ -246,6 +255,7 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   run.spread = {run.loss, run.loss};
   for (how.tie_order = 1; how.tie_order <= orders; ++how.tie_order) {
     const ExactRun other = SimulateInOrder(how, part, initial, control, durations);
+    if (how.stopped()) return refuse(kStopped);
     if (!other.ok) continue;
     decides = decides || !same(other);
     run.spread->lowest = std::min(run.spread->lowest, other.loss);

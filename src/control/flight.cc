@@ -82,7 +82,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
       const Candidate& c = run.contacts[next];
       const double at = std::clamp(run.places[next].time, now, h);
       fly_to(at);
-      const ImpactLaw law = MakeImpactLaw(scene, c);
+      const ImpactConstants law = MakeImpactConstants(scene, c);
       Hit hit{start + at, c, static_cast<int>(pieces_.size()), IsOnNode(at, h), x, {}};
       const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
       hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other, x.SpinsOf(c));

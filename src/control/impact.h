@@ -25,7 +25,7 @@ namespace saltus {
 
 // The constants of a pair. Inverse masses are 0 for fixed discs and planes, inverse moments of inertia also for discs
 // that cannot spin.
-struct ImpactLaw {
+struct ImpactConstants {
   double inverse_mass_a = 0;
   double inverse_mass_b = 0;
   double restitution = 1;
@@ -51,9 +51,9 @@ struct ImpactLaw {
 
 inline double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body.mass; }
 
-inline ImpactLaw MakeImpactLaw(const Scene& scene, const Candidate& c) {
+inline ImpactConstants MakeImpactConstants(const Scene& scene, const Candidate& c) {
   const Body& a = scene.bodies[c.a];
-  ImpactLaw law{.inverse_mass_a = InverseMass(a),
+  ImpactConstants law{.inverse_mass_a = InverseMass(a),
                 .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
                 .restitution = scene.contact.restitution,
                 .friction = scene.contact.friction,
@@ -76,20 +76,20 @@ inline HalfPlane<double> MakeHalfPlane(const Plane& plane) {
 
 // Precondition: |normal| = 1. With friction it slips or sticks by Coulomb's law, or as `mode` says.
 template <typename T>
-Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w,
+Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w,
                      std::optional<ContactMode> mode = std::nullopt) {
   return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction, /*head_on=*/0, mode);
 }
 
 // Of discs that spin, by numbers of a and b: r_a x_a + r_b x_b.
 template <typename T>
-T AtRims(const ImpactLaw& law, const std::array<T, 2>& of) {
+T AtRims(const ImpactConstants& law, const std::array<T, 2>& of) {
   return T(law.radius[0] * of[0] + law.radius[1] * of[1]);
 }
 
 // The same with angular velocities, rad/s.
 template <typename T>
-Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>& w, const std::array<T, 2>& spin,
+Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w, const std::array<T, 2>& spin,
                      std::optional<ContactMode> mode = std::nullopt) {
   if (!law.Spins()) return MakeImpact<T>(law, normal, w, mode);
   const T speed = Dot(normal, w), sliding = Dot(Perpendicular(normal), w) - AtRims(law, spin);
@@ -106,7 +106,7 @@ Impact<T> MakeImpact(const ImpactLaw& law, const Vec2<T>& normal, const Vec2<T>&
 
 // By how much an impact changes the angular velocity of a (side 0) or b, rad/s.
 template <typename T>
-T SpinGain(const ImpactLaw& law, int side, const Impact<T>& impact) {
+T SpinGain(const ImpactConstants& law, int side, const Impact<T>& impact) {
   return T(-law.radius[side] * law.inverse_inertia[side] * impact.tangential);
 }
 
@@ -121,7 +121,7 @@ struct CostateGain {
 
 // `y` as above; `spin` has the angular velocities before the impact, `costate` the lambda_w after it.
 template <typename T>
-CostateGain<T> ImpactAdjoint(const ImpactLaw& law, const Impact<T>& impact, const Vec2<T>& y,
+CostateGain<T> ImpactAdjoint(const ImpactConstants& law, const Impact<T>& impact, const Vec2<T>& y,
                              const std::array<T, 2>& spin = {T(0.0), T(0.0)},
                              const std::array<T, 2>& costate = {T(0.0), T(0.0)}) {
   const Vec2<T>& n = impact.normal;

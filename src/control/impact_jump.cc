@@ -28,7 +28,7 @@ Costate<double> FinalCostate(const Scene& scene, const DiscStates& end, int body
 
 ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after) {
   const Candidate& c = hit.contact;
-  const ImpactLaw law = MakeImpactLaw(scene, c);
+  const ImpactConstants law = MakeImpactConstants(scene, c);
   const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
   ImpactJump jump;
   jump.after = after;

@@ -14,7 +14,7 @@ constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not
 double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
   constexpr int kSamples = 4;  // of a piece
   const Candidate c{pair.a, pair.b, pair.plane};
-  const double contact_distance = MakeImpactLaw(scene, c).contact_distance;
+  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
   double least = std::numeric_limits<double>::infinity();
   for (const Flight::Piece& piece : flight.pieces()) {
     for (int i = 0; i <= kSamples; ++i) {

@@ -9,6 +9,7 @@ namespace saltus {
 // A motion with more than so many impacts is cut in the step in which it has them, and that is the reason. Shapes as
 // those of SimulateExactly().
 ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const std::vector<double>& initial,
-                      const std::vector<double>& control, const std::vector<double>& durations = {});
+                      const std::vector<double>& control, const std::vector<double>& durations = {},
+                      const StopRequest& stop = nullptr);
 
 }  // namespace saltus

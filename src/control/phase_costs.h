@@ -129,7 +129,7 @@ struct RotationTarget {
 // after of each that spins. Rows: the equalities gap = 0, after - g(before) of each such disc and of each such
 // rotation; the inequalities that the two do not separate and, if it is to slip or to stick, that it does.
 struct ImpactCut {
-  ImpactLaw law;
+  ImpactConstants law;
   std::optional<HalfPlane<double>> plane;  // in the place of b
   std::array<std::optional<Vec2d>, 2> at;  // of a side that is a fixed disc
   double overlap = 0;                      // of the contact distance: the gap is -overlap * contact_distance instead

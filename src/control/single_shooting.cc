@@ -20,7 +20,8 @@ void AddPairs(const std::vector<int>& bodies, int offset, std::vector<int>* indi
 std::vector<int> IndicesOfDecisionVariables(const Scene& scene) {
   std::vector<int> indices;
   if (scene.optimize == Optimize::kPosition) AddPairs(scene.free, 0, &indices);
-  if (scene.optimize == Optimize::kVelocity) AddPairs(scene.free, 2, &indices);
+  if (scene.optimize != Optimize::kVelocity) return indices;
+  AddPairs(scene.free, 2, &indices);
   for (int body : scene.free_spin) indices.push_back(4 * scene.num_bodies() + kSpin * body + 1);
   return indices;
 }

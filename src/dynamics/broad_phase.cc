@@ -1,4 +1,4 @@
-#include "saltus/internal/broad_phase.h"
+#include "dynamics/broad_phase.h"
 
 #include <algorithm>
 #include <cmath>

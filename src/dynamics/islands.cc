@@ -1,4 +1,4 @@
-#include "saltus/internal/islands.h"
+#include "dynamics/islands.h"
 
 #include <algorithm>
 #include <tuple>

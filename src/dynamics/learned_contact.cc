@@ -12,8 +12,7 @@ Contact LearnedContact(const ImpactLaw& law, int first) {
   const std::string wrong = WhatIsWrongWith(law);
   CHECK(wrong.empty()) << wrong;
   const auto make = [law, first](const Scene& scene, Precision precision, std::span<const OptionValue>) {
-    return std::make_unique<ModelSimulator<NeuralEvent, double>>(
-        scene, precision, NeuralEvent(law, first, scene.units));
+    return MakeModelSimulator(scene, precision, NeuralEvent(law, first, scene.units));
   };
   return Contact(std::make_shared<const ContactEntry>(
       ContactEntry{NeuralEvent::kTraits, {}, &internal::WhyModelNotApplicable<NeuralEvent>, make}));
@@ -23,8 +22,7 @@ Contact LearnedContact(const EventFunctions& events, int first) {
   const auto make = [events, first](const Scene& scene, Precision precision, std::span<const OptionValue>) {
     const std::string wrong = WhatIsWrongWith(events, scene);
     CHECK(wrong.empty()) << wrong;
-    return std::make_unique<ModelSimulator<LearnedEvents, double>>(
-        scene, precision, LearnedEvents(events, first, scene.units));
+    return MakeModelSimulator(scene, precision, LearnedEvents(events, first, scene.units));
   };
   return Contact(std::make_shared<const ContactEntry>(
       ContactEntry{LearnedEvents::kTraits, {}, &internal::WhyModelNotApplicable<LearnedEvents>, make}));

@@ -1,4 +1,4 @@
-#include "saltus/internal/part_grid.h"
+#include "dynamics/part_grid.h"
 
 #include <limits>
 

@@ -1,4 +1,4 @@
-#include "saltus/internal/scratch_memory.h"
+#include "dynamics/scratch_memory.h"
 
 #include <algorithm>
 #include <cstdint>

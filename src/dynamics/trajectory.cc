@@ -1,4 +1,4 @@
-#include "saltus/internal/trajectory.h"
+#include "dynamics/trajectory.h"
 
 #include <cmath>
 

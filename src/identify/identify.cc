@@ -26,6 +26,7 @@ constexpr double kContradicts = 2.5;    // misfit that noise does not make
 constexpr double kFewOutliers = 0.12;   // share of samples, of a motion that is found
 constexpr double kMostOutliers = 0.35;  // that noise and slips of the pen do not make
 constexpr double kFirstSigma = 1e-3;    // of the scene's length, until it is estimated
+constexpr double kLeastSigma = 1e-20;   // of the scene's length: residuals that are smaller are 0
 
 // The i-th number of the low-discrepancy sequence of van der Corput, in (0, 1).
 double RadicalInverse(int i, int base) {
@@ -299,17 +300,31 @@ class Identification {
     return MisfitOf(problem_, fit) < kFits && OutlierShareOf(problem_, fit) < kFewOutliers;
   }
 
+  // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
+  // says how much noise they have.
+  bool HasResiduals() const {
+    std::size_t measured = 0;
+    for (const Recording& recording : recordings_) {
+      for (const Sample& sample : recording.samples) measured += sample.velocity ? 4 : 2;
+    }
+    return measured > static_cast<std::size_t>(problem_.num_plain) + 4 * problem_.free_bodies.size() * segments_.size();
+  }
+
   // Estimates sigma if none is stated, holds what the data leave open, and takes the covariance.
   FitResult Polish(FitResult fit) {
     at_work_ = "confidence";
-    for (int round = 0; round < 3 && !states_sigma_; ++round) {
-      SetSigma(problem_.sigma * MisfitOf(problem_, fit));
+    const double least = kLeastSigma * NaturalUnits(problem_.scene).length;
+    for (int round = 0; round < 3 && !states_sigma_ && HasResiduals(); ++round) {
+      SetSigma(std::max(least, problem_.sigma * MisfitOf(problem_, fit)));
       FitResult next = MinimizeFrom(problem_, fit.point, options_.loss_scale);
       Count(next);
       if (!next.ok) break;
       fit = std::move(next);
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
+    if (!states_sigma_ && !HasResiduals()) {
+      open_.determination.assign(open_.determination.size(), Determination::kUndetermined);
+    }
     std::vector<bool> held;
     for (const Determination at : open_.determination) held.push_back(at != Determination::kDetermined);
     FitResult last = MinimizeFrom(problem_, fit.point, options_.loss_scale, held, /*with_covariance=*/true);
@@ -323,7 +338,7 @@ class Identification {
     if (options_.events) report_.events = LearnedEventsOf(problem_, fit);
     ReportResiduals(fit);
     report_.cost = fit.cost;
-    report_.sigma = states_sigma_ ? 0 : problem_.sigma;
+    report_.sigma = states_sigma_ || !HasResiduals() ? 0 : problem_.sigma;
     report_.misfit = states_sigma_ ? MisfitOf(problem_, fit) : 0;
     for (std::size_t s = 0; s < segments_.size(); ++s) {
       report_.initial.push_back(fit.point.segments[s].initial);
@@ -350,10 +365,25 @@ class Identification {
     } else if (!fit.converged) {
       report_.verdict = FitVerdict::kNotConverged;
       report_.reason = fit.reason;
+    } else if (!AnyDetermined()) {
+      report_.verdict = FitVerdict::kNotDetermined;
+      report_.reason = HasResiduals() ? "the samples say nothing of what is unknown"
+                                      : "the samples have no more numbers than there are unknowns";
     } else {
       report_.verdict = FitVerdict::kFits;
       report_.reason.clear();
     }
+  }
+
+  // Whether anything was found that was asked for. Without unknowns that is the motion.
+  bool AnyDetermined() const {
+    if (report_.law && !report_.law->curve.empty()) return true;
+    if (report_.events && !report_.events->impacts.empty()) return true;
+    const bool learns = options_.law || options_.events;
+    if (report_.estimates.empty()) return !learns;
+    return std::any_of(report_.estimates.begin(), report_.estimates.end(), [](const Estimate& estimate) {
+      return estimate.determination == Determination::kDetermined;
+    });
   }
 
   void ReportEstimates(const FitResult& fit) {
@@ -365,8 +395,12 @@ class Identification {
       estimate.name = NameOf(estimate.unknown, problem_.scene);
       estimate.start = ValueOf(estimate.unknown, start_scene_);
       estimate.determination = open_.determination[u];
+      // There is none if the derivatives have not full rank, and then no value either.
+      if (fit.covariance.empty() && estimate.determination == Determination::kDetermined) {
+        estimate.determination = Determination::kUndetermined;
+      }
       for (const int other : open_.with[u]) estimate.with.push_back(NameOf(problem_.unknowns[other], problem_.scene));
-      if (estimate.determination == Determination::kDetermined && !fit.covariance.empty()) {
+      if (estimate.determination == Determination::kDetermined) {
         determined.push_back(u);
         estimate.value = FromCoordinate(estimate.unknown, fit.point.coordinates[u]);
         estimate.standard_error = std::sqrt(factor * fit.covariance[u][u]);

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "identify/unknowns.h"
+#include "physics/linear_algebra.h"
 #include "saltus/dynamics/learned_contact.h"
 
 namespace saltus {
@@ -230,7 +231,8 @@ class Sweep {
       before.middleRows(i * size(), size()) = tangent->middleRows(island.bodies[i] * size(), size());
       force.middleRows(2 * i, 2) = force_.middleRows(2 * island.bodies[i], 2);
     }
-    MatrixXd after = island.A * before + island.B * force;
+    MatrixXd after = Multiply(island.A, before);
+    AddProduct(island.B, force, &after);
     for (std::size_t column = 0; column < request_.unknowns.size(); ++column) {
       const Unknown& unknown = request_.unknowns[column];
       const int of_step = ParameterColumn(unknown, island);

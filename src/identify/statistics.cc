@@ -1,10 +1,10 @@
 #include "identify/statistics.h"
 
-#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 
 #include "identify/unknowns.h"
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -37,16 +37,6 @@ Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, co
   return jacobian;
 }
 
-// What is left of the information on the first `count` of some numbers when the others are unknown too.
-Eigen::MatrixXd Remaining(const Eigen::MatrixXd& information, Eigen::Index count) {
-  const Eigen::Index rest = information.cols() - count;
-  if (rest == 0) return information;
-  const Eigen::MatrixXd cross = information.topRightCorner(count, rest);
-  const Eigen::MatrixXd others = information.bottomRightCorner(rest, rest);
-  return information.topLeftCorner(count, count) -
-         cross * others.completeOrthogonalDecomposition().solve(cross.transpose());
-}
-
 // The information on the unknowns but for a law's, what these and the initial states take of it left out.
 Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
   const auto num_unknowns = static_cast<Eigen::Index>(problem.unknowns.size());
@@ -56,15 +46,15 @@ Eigen::MatrixXd InformationOnUnknowns(const FitProblem& problem, const FitResult
   ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
     const double weight = EvaluateLoss(problem.options->loss, loss_scale, residual.squaredNorm()).rho[1];
     const Eigen::MatrixXd jacobian = ScaledJacobian(problem, scene, sample, fit.motion[s].derivative[i]);
-    normal[s] += weight * jacobian.transpose() * jacobian;
+    AddGram(weight, jacobian, &normal[s]);
   });
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(num_unknowns, num_unknowns);
-  for (const Eigen::MatrixXd& all : normal) information += Remaining(all, num_unknowns);
+  for (const Eigen::MatrixXd& all : normal) information += SchurComplement(all, num_unknowns);
   if (const auto learned = LearnedStartOf(*problem.options)) {
     const double spread = learned->spread;
     information.diagonal().tail(num_unknowns - problem.num_plain).array() += 1 / (spread * spread);
   }
-  return Remaining(information, problem.num_plain);
+  return SchurComplement(information, problem.num_plain);
 }
 
 }  // namespace
@@ -92,13 +82,13 @@ Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, doubl
   const auto count = static_cast<Eigen::Index>(problem.unknowns.size());
   Openness open{std::vector<Determination>(count, Determination::kDetermined), std::vector<std::vector<int>>(count)};
   if (problem.num_plain == 0) return open;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(InformationOnUnknowns(problem, fit, loss_scale));
+  const SymmetricEigen eigen = EigenOf(InformationOnUnknowns(problem, fit, loss_scale));
   const double factor = CovarianceFactor(problem, fit, loss_scale);
   const Eigen::Index plain = problem.num_plain;
   Eigen::MatrixXd share = Eigen::MatrixXd::Zero(plain, plain);  // the projection on what is open
   for (Eigen::Index k = 0; k < plain; ++k) {
-    if (eigen.eigenvalues()[k] * kOpen * kOpen > factor) continue;
-    share += eigen.eigenvectors().col(k) * eigen.eigenvectors().col(k).transpose();
+    if (eigen.values[k] * kOpen * kOpen > factor) continue;
+    share += eigen.vectors.col(k) * eigen.vectors.col(k).transpose();
   }
   for (Eigen::Index i = 0; i < plain; ++i) {
     if (share(i, i) < kShare) continue;

@@ -19,6 +19,8 @@ const char* FitVerdictToString(FitVerdict verdict) {
   switch (verdict) {
     case FitVerdict::kFits:
       return "fits";
+    case FitVerdict::kNotDetermined:
+      return "not determined";
     case FitVerdict::kContradicted:
       return "contradicted";
     case FitVerdict::kFailed:

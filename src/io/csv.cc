@@ -103,7 +103,7 @@ StatusOr<CsvDocument> ParseCsv(std::string_view text) {
                            " fields, the header has " + std::to_string(document.header.size()));
     }
   }
-  if (document.header.empty()) return Status::Error("no header line");
+  if (document.header.empty()) return Status::Error("found nothing, expected a line with the names of columns");
   return document;
 }
 

@@ -206,7 +206,10 @@ Control SceneReader::ReadControl(const Value& value) {
   }
   if (const Value* max = fields.Find("max")) control.max = ReadBounds(*max, control.bodies.size());
   if (const Value* norm = fields.Find("max_norm")) control.max_norm = ReadBounds(*norm, control.bodies.size());
-  if (const Value* max = fields.Find("max_torque")) control.max_torque = ReadBounds(*max, control.turned.size());
+  if (const Value* max = fields.Find("max_torque")) {
+    if (control.turned.empty()) Fail(*max, "found bounds of torques, expected none: there is no key control.torque");
+    control.max_torque = ReadBounds(*max, control.turned.size());
+  }
   return control;
 }
 
@@ -321,6 +324,14 @@ void SceneReader::ReadBodies(const Value& value) {
   }
 }
 
+// A free duration between equal bounds is none: it is the scene's, with its price if it has one.
+void SceneReader::FixDuration() {
+  std::optional<FreeDuration>& duration = scene_.objective.duration;
+  if (!duration || duration->min != duration->max) return;
+  scene_.duration = duration->min;
+  if (duration->weight == 0) duration.reset();
+}
+
 Scene SceneReader::Read(const YAML::Node& root) {
   const Fields fields = ReadFields({root, "", 1},
                                    {"name",
@@ -371,14 +382,24 @@ Scene SceneReader::Read(const YAML::Node& root) {
   const Value& optimize = fields.Require("optimize", "control, velocity, position or none");
   constexpr Optimize kChoices[] = {Optimize::kControl, Optimize::kVelocity, Optimize::kPosition, Optimize::kNone};
   scene_.optimize = kChoices[ReadChoice(optimize, {"control", "velocity", "position", "none"})];
+  const bool starts = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
   if (const Value* free = fields.Find("free")) {
+    const bool lacks_control = scene_.optimize == Optimize::kControl && scene_.num_controlled() == 0;
+    if (!starts && !lacks_control)
+      Fail(*free, "found bodies, expected none: they are for optimize: velocity or position");
     scene_.free = ReadBodyNames(*free);
-  } else if (scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition) {
+  } else if (starts) {
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       if (!scene_.bodies[i].fixed) scene_.free.push_back(i);
     }
   }
   if (const Value* spin = fields.Find("free_spin")) scene_.free_spin = ReadBodyNames(*spin);
+  FixDuration();
+  // Where a control is to be optimized, that there is none is the error.
+  if (scene_.objective.effort != 0 && scene_.num_controlled() == 0 && scene_.optimize != Optimize::kControl) {
+    throw SceneFileFailure{
+        LineOf("objective.effort"), "objective.effort", "expected 0 or no such key: no body is controlled"};
+  }
   return scene_;
 }
 

@@ -56,6 +56,7 @@ class SceneReader {
   NoContact ReadNoContact(const Value& value);
   Objective ReadObjective(const Value& value);
   void ReadBodies(const Value& value);
+  void FixDuration();
 
   Scene scene_;
   std::unordered_map<std::string, int> body_of_name_;

@@ -276,7 +276,8 @@ std::string WriteScene(const Scene& scene) {
   WriteObjective(&out, scene);
   WriteTerms(&out, "no_contact", scene, scene.no_contact, WriteNoContact);
   WriteField(&out, "optimize", OptimizeToString(scene.optimize));
-  if (!scene.free.empty()) WriteNames(&out, "free", scene, scene.free);
+  const bool starts = scene.optimize == Optimize::kVelocity || scene.optimize == Optimize::kPosition;
+  if (starts && !scene.free.empty()) WriteNames(&out, "free", scene, scene.free);
   if (!scene.free_spin.empty()) WriteNames(&out, "free_spin", scene, scene.free_spin);
   out << YAML::EndMap;
   return std::string(out.c_str()) + '\n';

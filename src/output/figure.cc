@@ -13,6 +13,7 @@
 #include "gnuplot.h"
 #include "io/file.h"
 #include "output/drawn_figure.h"
+#include "output/interrupt.h"
 #include "output/table.h"
 
 namespace saltus {
@@ -132,7 +133,9 @@ std::string DrawnFigure::Svg(std::string_view id_prefix) const {
   return Finish(svg_, figure_, std::string(id_prefix));
 }
 
-Status DrawnFigure::WriteSvg(const std::string& path) const { return WriteFileAtomically(path, Svg(IdFromPath(path))); }
+Status DrawnFigure::WriteSvg(const std::string& path) const {
+  return WriteFile(path, Svg(IdFromPath(path)), InterruptGuard::Interrupted);
+}
 
 StatusOr<std::string> RenderSvg(const Figure& figure, std::string_view id_prefix, const std::string& gnuplot) {
   const StatusOr<DrawnFigure> drawn = DrawnFigure::Draw(figure, gnuplot);
@@ -154,7 +157,7 @@ Status WriteFigure(const Figure& figure, const std::string& svg_path, const std:
   if (png_path.empty()) return Status();
   const StatusOr<std::string> png = RenderPng(figure);
   if (!png.ok()) return png.status();
-  return WriteFileAtomically(png_path, *png);
+  return WriteFile(png_path, *png, InterruptGuard::Interrupted);
 }
 
 }  // namespace saltus

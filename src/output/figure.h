@@ -60,7 +60,7 @@ struct Rectangle {
   std::string colour = "#000000";
 };
 
-struct Segment {
+struct LineSegment {
   std::array<double, 2> from = {0, 0};
   std::array<double, 2> to = {0, 0};
   std::string colour = "#000000";
@@ -83,7 +83,7 @@ struct Panel {
   std::vector<ReferenceLine> reference_lines;
   std::vector<Rectangle> rectangles;
   std::vector<Circle> circles;
-  std::vector<Segment> segments;
+  std::vector<LineSegment> segments;
   std::vector<SolidHalfPlane> half_planes;
   std::vector<Outline> outlines;
 };

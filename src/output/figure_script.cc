@@ -167,7 +167,7 @@ class ScriptWriter {
            Quote(circle.colour) + " fs transparent solid " + Number(circle.opacity) + " border rgb " +
            Quote(circle.colour) + " lw 1.5");
     }
-    for (const Segment& segment : panel.segments) {
+    for (const LineSegment& segment : panel.segments) {
       Line("set arrow from " + Number(segment.from[0]) + "," + Number(segment.from[1]) + " to " +
            Number(segment.to[0]) + "," + Number(segment.to[1]) + " front lw " + Number(segment.width) +
            Colour(segment.colour) + (segment.arrow ? " head filled size screen 0.012,18" : " nohead"));

@@ -4,11 +4,17 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
+#include <chrono>
+#include <csignal>
 #include <cstdio>
 #include <cstring>
 #include <memory>
+#include <thread>
+
+#include "output/interrupt.h"
 
 extern char** environ;
 
@@ -28,24 +34,40 @@ std::string ReadFromStart(std::FILE* file) {
   return text;
 }
 
-// Runs the program on files as its standard streams. Returns errno of the start, or 0 and the wait status.
+// Waits for the end of a child, which an interrupt whose grace is over kills.
+int WaitFor(pid_t child, int* wait_status) {
+  using namespace std::chrono_literals;
+  auto pause = 100us;
+  while (true) {
+    const pid_t ended = waitpid(child, wait_status, WNOHANG);
+    if (ended == child) return 0;
+    if (ended < 0 && errno != EINTR) return errno;
+    if (InterruptGuard::GraceIsOver()) kill(child, SIGKILL);
+    std::this_thread::sleep_for(pause);
+    pause = std::min<std::chrono::microseconds>(2 * pause, 10ms);
+  }
+}
+
+// Runs the program on files as its standard streams. Returns errno of the start, or 0 and the wait status. It is in a
+// process group of its own, so that Ctrl-C in the terminal does not end it before its figure is done.
 int Spawn(const std::string& executable, std::FILE* in, std::FILE* out, std::FILE* err, int* wait_status) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   posix_spawn_file_actions_adddup2(&actions, fileno(in), STDIN_FILENO);
   posix_spawn_file_actions_adddup2(&actions, fileno(out), STDOUT_FILENO);
   posix_spawn_file_actions_adddup2(&actions, fileno(err), STDERR_FILENO);
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP);
+  posix_spawnattr_setpgroup(&attributes, 0);
   std::string name = executable;
   std::string no_user_settings = "-d";
   char* const arguments[] = {name.data(), no_user_settings.data(), nullptr};
   pid_t child = 0;
-  const int error = posix_spawnp(&child, executable.c_str(), &actions, nullptr, arguments, environ);
+  const int error = posix_spawnp(&child, executable.c_str(), &actions, &attributes, arguments, environ);
   posix_spawn_file_actions_destroy(&actions);
-  if (error != 0) return error;
-  while (waitpid(child, wait_status, 0) < 0) {
-    if (errno != EINTR) return errno;
-  }
-  return 0;
+  posix_spawnattr_destroy(&attributes);
+  return error != 0 ? error : WaitFor(child, wait_status);
 }
 
 }  // namespace
@@ -65,6 +87,7 @@ StatusOr<std::string> RunGnuplot(const std::string& executable, const std::strin
   if (error == ENOENT) return Status::Error("figures need gnuplot, and '" + executable + "' was not found");
   if (error != 0) return Status::Error("cannot run '" + executable + "': " + std::strerror(error));
   if (WIFEXITED(wait_status) && WEXITSTATUS(wait_status) == 0) return ReadFromStart(out.get());
+  if (InterruptGuard::GraceIsOver()) return Status::Error("interrupted");
   return Status::Error("gnuplot failed: " + ReadFromStart(err.get()));
 }
 

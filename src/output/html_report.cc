@@ -8,6 +8,7 @@
 
 #include "figure_text.h"
 #include "io/file.h"
+#include "output/interrupt.h"
 #include "replay_page.h"
 #include "report_style.h"
 
@@ -163,6 +164,8 @@ std::string HtmlReport::Render() const {
   return html + "</body>\n</html>\n";
 }
 
-Status HtmlReport::Write(const std::string& path) const { return WriteFileAtomically(path, Render()); }
+Status HtmlReport::Write(const std::string& path) const {
+  return WriteFile(path, Render(), InterruptGuard::Interrupted);
+}
 
 }  // namespace saltus

@@ -3,16 +3,22 @@
 #include <glog/logging.h>
 
 #include <atomic>
+#include <chrono>
 
 namespace saltus {
 namespace {
 
+using Clock = std::chrono::steady_clock;
+constexpr std::chrono::milliseconds kGrace(300);
+
 // A signal handler reaches nothing but static storage.
 std::atomic<bool> interrupted{false};
+std::atomic<Clock::rep> interrupt_time{0};  // as a duration since the clock's epoch
 std::atomic<bool> guarded{false};
-static_assert(std::atomic<bool>::is_always_lock_free);
+static_assert(std::atomic<bool>::is_always_lock_free && std::atomic<Clock::rep>::is_always_lock_free);
 
 void OnSignal(int) {
+  interrupt_time.store(Clock::now().time_since_epoch().count());
   interrupted.store(true);
   std::signal(SIGINT, SIG_DFL);
   std::signal(SIGTERM, SIG_DFL);
@@ -44,5 +50,10 @@ InterruptGuard::~InterruptGuard() {
 }
 
 bool InterruptGuard::Interrupted() { return interrupted.load(); }
+
+bool InterruptGuard::GraceIsOver() {
+  if (!interrupted.load()) return false;
+  return Clock::now().time_since_epoch() - Clock::duration(interrupt_time.load()) >= kGrace;
+}
 
 }  // namespace saltus

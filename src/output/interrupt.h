@@ -17,6 +17,9 @@ class InterruptGuard {
 
   // Whether a signal has arrived. May be called from any thread.
   static bool Interrupted();
+  // Whether one has arrived 0.3 s ago or earlier. What makes a result out of what is computed asks this:
+  // checks, motions and figures that are short are still made after an interrupt, and long ones are left out.
+  static bool GraceIsOver();
 
  private:
   struct sigaction previous_interrupt_;

@@ -10,12 +10,15 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <new>
 #include <numeric>
 #include <optional>
 #include <string_view>
 #include <type_traits>
 
+#include "io/file.h"
 #include "npy_text.h"
+#include "output/interrupt.h"
 
 namespace saltus {
 namespace {
@@ -149,11 +152,16 @@ struct ZipDiscard {
 };
 using ZipHandle = std::unique_ptr<zip_t, ZipDiscard>;
 
+struct ZipFree {
+  void operator()(zip_source_t* source) const { zip_source_free(source); }
+};
+using ZipSource = std::unique_ptr<zip_source_t, ZipFree>;
+
 Status ZipError(const std::string& path, zip_t* archive) { return Status::Error(path + ": " + zip_strerror(archive)); }
 
-StatusOr<ZipHandle> OpenZip(const std::string& path, int flags) {
+StatusOr<ZipHandle> OpenZip(const std::string& path) {
   int code = 0;
-  if (zip_t* archive = zip_open(path.c_str(), flags, &code)) return ZipHandle(archive);
+  if (zip_t* archive = zip_open(path.c_str(), ZIP_RDONLY, &code)) return ZipHandle(archive);
   zip_error_t error;
   zip_error_init_with_code(&error, code);
   const Status status = Status::Error(path + ": " + zip_error_strerror(&error));
@@ -173,6 +181,17 @@ bool AddMember(zip_t* archive, const std::string& name, const std::string& bytes
   const zip_uint64_t member = static_cast<zip_uint64_t>(index);
   return zip_set_file_compression(archive, member, ZIP_CM_STORE, 0) == 0 &&
          zip_file_set_dostime(archive, member, /*dostime=*/0, kDosEpoch, 0) == 0;
+}
+
+// All that a source has; nothing if it cannot be read.
+std::optional<std::string> ReadSource(zip_source_t* source) {
+  zip_stat_t is;
+  if (zip_source_stat(source, &is) != 0 || zip_source_open(source) != 0) return std::nullopt;
+  std::string bytes(is.size, '\0');
+  const zip_int64_t read = zip_source_read(source, bytes.data(), bytes.size());
+  zip_source_close(source);
+  if (read < 0 || static_cast<zip_uint64_t>(read) != is.size) return std::nullopt;
+  return bytes;
 }
 
 // Reads member `index`; nothing if the archive is damaged (libzip checks the CRC at the end of the data).
@@ -232,23 +251,32 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
 
 Status WriteNpz(const std::string& path, const NpzArrays& arrays) {
   CHECK(!arrays.empty()) << path;
-  StatusOr<ZipHandle> archive = OpenZip(path, ZIP_CREATE | ZIP_TRUNCATE);
-  if (!archive.ok()) return archive.status();
+  // In memory: libzip would replace whatever stands at `path`, devices too.
+  const ZipSource whole(zip_source_buffer_create(nullptr, 0, /*freep=*/0, nullptr));
+  if (whole == nullptr) throw std::bad_alloc();
+  zip_source_keep(whole.get());  // the archive takes one reference
+  ZipHandle archive(zip_open_from_source(whole.get(), ZIP_TRUNCATE, nullptr));
+  if (archive == nullptr) {
+    zip_source_free(whole.get());
+    throw std::bad_alloc();
+  }
   std::vector<std::string> members;
   members.reserve(arrays.size());  // libzip keeps pointers to the bytes
   for (const auto& [key, array] : arrays) {
     CHECK(!key.empty()) << path;
     members.push_back(EncodeNpy(array));
-    if (!AddMember(archive->get(), key + std::string(kSuffix), members.back())) return ZipError(path, archive->get());
+    if (!AddMember(archive.get(), key + std::string(kSuffix), members.back())) return ZipError(path, archive.get());
   }
-  // Writes to a temporary file in the same folder and renames it.
-  if (zip_close(archive->get()) != 0) return ZipError(path, archive->get());
-  archive->release();
-  return Status();
+  if (zip_close(archive.get()) != 0) return ZipError(path, archive.get());
+  archive.release();
+  members.clear();
+  const std::optional<std::string> bytes = ReadSource(whole.get());
+  if (!bytes) return Status::Error(path + ": " + zip_error_strerror(zip_source_error(whole.get())));
+  return WriteFile(path, *bytes, InterruptGuard::Interrupted);
 }
 
 StatusOr<NpzArrays> ReadNpz(const std::string& path) {
-  StatusOr<ZipHandle> archive = OpenZip(path, ZIP_RDONLY);
+  StatusOr<ZipHandle> archive = OpenZip(path);
   if (!archive.ok()) return archive.status();
   NpzArrays arrays;
   const zip_int64_t members = zip_get_num_entries(archive->get(), 0);

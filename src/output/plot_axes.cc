@@ -14,6 +14,9 @@ namespace {
 
 // ---- Ranges
 
+// Beyond these an axis does not go: its margins and ticks stay numbers.
+constexpr double kLargestShown = 1e270;
+
 // Collects what an axis has to show.
 class Extent {
  public:
@@ -21,7 +24,8 @@ class Extent {
 
   void Add(double value) {
     if (!std::isfinite(value) || (axis_.log && value <= 0)) return;
-    const double v = axis_.log ? std::log10(value) : value;
+    const double shown = std::clamp(value, axis_.log ? 1 / kLargestShown : -kLargestShown, kLargestShown);
+    const double v = axis_.log ? std::log10(shown) : shown;
     min_ = std::min(min_, v);
     max_ = std::max(max_, v);
   }
@@ -34,7 +38,7 @@ class Extent {
     // A constant still needs a span, wider than its own rounding.
     const double least = axis_.log ? 0.1 : std::max(1e-9 * std::max(std::abs(low), std::abs(high)), 1e-290);
     if (high - low < least) {
-      const double half = axis_.log ? 0.5 : low == 0 ? 1 : 0.1 * std::abs(low);
+      const double half = axis_.log ? 0.5 : std::abs(low) < least ? 1 : 0.1 * std::abs(low);
       low -= half;
       high += half;
     }
@@ -149,7 +153,7 @@ std::pair<Range, Range> AxisRanges(const Panel& panel, const Box& box) {
       y.Add(circle.centre[1] + side * circle.radius);
     }
   }
-  for (const Segment& segment : panel.segments) {
+  for (const LineSegment& segment : panel.segments) {
     for (const auto& end : {segment.from, segment.to}) {
       x.Add(end[0]);
       y.Add(end[1]);

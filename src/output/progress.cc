@@ -45,10 +45,13 @@ std::string Figures(const ProgressState& state) {
     text += Print("/%lld %3.0f%%", static_cast<long long>(state.total), std::floor(100 * Fraction(state)));
   }
   const bool measured = state.done > 0 && state.elapsed > 0;
-  if (measured) text += Print("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
-  if (IsFinished(state) || state.total <= 0 || !measured) return text + "  " + Duration(state.elapsed);
-  const double left = state.elapsed * static_cast<double>(state.total - state.done) / static_cast<double>(state.done);
-  return text + "  " + Duration(left) + " left";
+  if (measured && state.alike) text += Print("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
+  const std::string passed = "  " + Duration(state.elapsed);
+  if (IsFinished(state) || state.ended || state.total <= 0 || !measured || !state.alike) return text + passed;
+  // From the time that the units took which are done. Where the estimate has proved too short, there is none.
+  const double until = state.last_done > 0 ? state.last_done : state.elapsed;
+  const double whole = until * static_cast<double>(state.total) / static_cast<double>(state.done);
+  return whole < state.elapsed ? text + passed : text + "  " + Duration(whole - state.elapsed) + " left";
 }
 
 // Whole UTF-8 characters only, so that a terminal is never sent half of one.
@@ -95,7 +98,7 @@ Progress::Progress(ProgressMode mode, std::FILE* sink, std::string name, int64_t
       bar_(mode == ProgressMode::kAuto && isatty(fileno(sink)) != 0),
       clock_(std::move(clock)),
       start_(clock_()),
-      state_{std::move(name), 0, total, 0, ""},
+      state_{.name = std::move(name), .total = total, .note = ""},
       next_report_(bar_ ? kBarPeriod : kLinePeriod) {}
 
 Progress::~Progress() { Finish(); }
@@ -104,14 +107,21 @@ double Progress::Seconds() const { return std::chrono::duration<double>(clock_()
 
 void Progress::Update(int64_t done, std::string_view note) {
   const std::lock_guard lock(mutex_);
+  if (done > state_.done) state_.last_done = Seconds();
   state_.done = done;
   Report(note);
 }
 
 void Progress::Advance(int64_t units, std::string_view note) {
   const std::lock_guard lock(mutex_);
+  if (units > 0) state_.last_done = Seconds();
   state_.done += units;
   Report(note);
+}
+
+void Progress::UnitsDiffer() {
+  const std::lock_guard lock(mutex_);
+  state_.alike = false;
 }
 
 void Progress::Report(std::string_view note) {
@@ -137,6 +147,7 @@ void Progress::Draw() {
 void Progress::Finish() {
   const std::lock_guard lock(mutex_);
   if (std::exchange(silent_, true)) return;
+  state_.ended = true;
   state_.note = state_.total > 0 && !IsFinished(state_) ? "stopped" : "done";
   Draw();
   if (bar_) std::fprintf(sink_, "\n");

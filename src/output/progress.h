@@ -28,6 +28,9 @@ struct ProgressState {
   int64_t total = 0;   // 0 if not known
   double elapsed = 0;  // s
   std::string note;
+  bool alike = true;     // units of work take about as long as each other, so that the time left can be estimated
+  double last_done = 0;  // s, when the last unit was done
+  bool ended = false;    // no more units follow
 };
 
 // One line of at most `columns` columns with a bar, e.g. "sweep [=====>    ] 512/1000  51%  128/s  0:04 left  lcp".
@@ -54,6 +57,9 @@ class Progress {
 
   // So many more units are finished.
   void Advance(int64_t units = 1, std::string_view note = "");
+
+  // Some units take far longer than others: nothing is said of the time left.
+  void UnitsDiffer();
 
   // Makes the last report; further calls report nothing.
   void Finish();

@@ -54,8 +54,9 @@ DescentAudit AuditDescents(const Experiments& experiments, const SolverCompariso
   return descents;
 }
 
+// What an interrupt has ended is no error of its own.
 void ThrowUnless(const Status& status) {
-  if (!status.ok()) throw OutputError(status.message());
+  if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
 }
 
 // Draws and writes each figure as SVG, kept for the report, and as PNG. False if interrupted.
@@ -73,6 +74,7 @@ bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& ou
     if (i % 2 == 1) return ThrowUnless(WriteFigure(figure.figure, "", path));
     StatusOr<DrawnFigure> svg = DrawnFigure::Draw(figure.figure);
     ThrowUnless(svg.status());
+    if (!svg.ok()) return;
     ThrowUnless(svg->WriteSvg(path));
     (*drawn)[i / 2].figure = std::move(*svg);
   });
@@ -101,21 +103,38 @@ int Reproduce(const std::vector<std::string>& arguments) {
       ReadBoundedReferences(GivenOrShipped(FLAGS_data_dir, "data") + "/constrained_references.json");
   Experiments experiments(GivenOrShipped(FLAGS_problems_dir, "problems"));
   const InterruptGuard guard;
+  // Each stage writes its files as soon as it is done, so that an interrupt leaves those of all stages before it.
+  const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
+    WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
+    WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
+  };
+  const auto write_tables = [&](const std::vector<CaptionedTable>& tables) {
+    for (const CaptionedTable& table : tables) write_table(table.name, table.caption, table.table);
+  };
   if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
   const double experiment_seconds = elapsed();
+  const bool compared = RunStage("comparison with the published values", [&] {
+    CompareWithPublished(experiments, &rows);
+    for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
+    WriteNotebookFiles(experiments, output_dir);
+  });
+  if (!compared) return kAnswerFailed;
   using Others = SolverComparison::Others;
   const Others others = FLAGS_every_solver       ? Others::kEverySolver
                         : FLAGS_all_formulations ? Others::kQuick
                                                  : Others::kNone;
   SolverComparison comparison(experiments, others);
   if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  write_tables(comparison.Tables());
   StrikeComparison strike(experiments.scene("two_balls"), std::move(references));
   if (!strike.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  write_tables(strike.Tables());
   std::optional<FormulationAudit> formulations;
   if (FLAGS_all_formulations) {
     formulations = AuditFormulations(experiments, std::move(simulators));
     if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+    write_tables({formulations->ToTable()});
   }
   std::optional<DescentAudit> descents;
   if (FLAGS_all_formulations) {
@@ -126,16 +145,13 @@ int Reproduce(const std::vector<std::string>& arguments) {
   if (FLAGS_all_formulations) {
     fits.emplace(AllContacts());
     if (!fits->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+    write_tables({fits->ToTable()});
   }
   std::optional<PaperFigure> law;
   if (FLAGS_all_formulations && !RunStage("a law of impact", [&] { law = LearnALaw(); })) return kAnswerFailed;
   std::vector<PaperFigure> figures;
-  const bool compared = RunStage("comparison with the published values", [&] {
-    CompareWithPublished(experiments, &rows);
-    WriteNotebookFiles(experiments, output_dir);
-    figures = MakePaperFigures(experiments);
-    if (formulations) figures.push_back(formulations->ToFigure());
-  });
+  if (!RunStage("data of the figures", [&] { figures = MakePaperFigures(experiments); })) return kAnswerFailed;
+  if (formulations) figures.push_back(formulations->ToFigure());
   if (descents) figures.push_back(descents->ToFigure());
   if (fits) figures.push_back(fits->ToFigure());
   if (law) figures.push_back(*law);
@@ -143,7 +159,7 @@ int Reproduce(const std::vector<std::string>& arguments) {
     figures.insert(figures.end(), more.begin(), more.end());
   }
   std::vector<DrawnPaperFigure> drawn;
-  if (!compared || !WriteFigures(figures, output_dir, &drawn)) return kAnswerFailed;
+  if (!WriteFigures(figures, output_dir, &drawn)) return kAnswerFailed;
   const bool written = RunStage("report", [&] {
     WritePaperReport(experiments,
                      rows,
@@ -158,19 +174,6 @@ int Reproduce(const std::vector<std::string>& arguments) {
                      output_dir);
   });
   if (!written) return kAnswerFailed;
-
-  const auto write_table = [&](const std::string& name, const std::string& caption, const Table& table) {
-    WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
-    WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
-  };
-  for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
-  for (const CaptionedTable& table : comparison.Tables()) write_table(table.name, table.caption, table.table);
-  for (const CaptionedTable& table : strike.Tables()) write_table(table.name, table.caption, table.table);
-
-  std::vector<CaptionedTable> of_formulations;
-  if (formulations) of_formulations.push_back(formulations->ToTable());
-  if (fits) of_formulations.push_back(fits->ToTable());
-  for (const CaptionedTable& table : of_formulations) write_table(table.name, table.caption, table.table);
 
   int failed = 0;
   for (const PublishedRow& row : rows) {

@@ -1,6 +1,7 @@
 #include "physics/polygon.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace saltus {
 namespace {
@@ -26,6 +27,18 @@ double TwiceTheArea(const std::vector<Vec2d>& points) {
   return area;
 }
 
+// Whether all lie on one straight line, as far as rounding lets one see.
+bool AreCollinear(const std::vector<Vec2d>& points) {
+  constexpr double kStraight = 1e-12;  // of the distance of the farthest: how far off the line rounding may be
+  const auto nearer = [&](const Vec2d& a, const Vec2d& b) {
+    return (a - points[0]).squaredNorm() < (b - points[0]).squaredNorm();
+  };
+  const Vec2d along = *std::max_element(points.begin(), points.end(), nearer) - points[0];
+  return std::all_of(points.begin(), points.end(), [&](const Vec2d& point) {
+    return std::abs(Cross(along, point - points[0])) <= kStraight * along.squaredNorm();
+  });
+}
+
 }  // namespace
 
 std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings) {
@@ -35,6 +48,7 @@ std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings) {
   for (std::size_t i = 0; i < n; ++i) {
     if (at(i) == at(i + 1)) return "found the same corner twice in turn, number " + std::to_string(i);
   }
+  if (AreCollinear(points)) return "found corners that lie on one line, expected corners around an area";
   if (!(TwiceTheArea(points) > 0)) return "found corners in clockwise order, expected them counter-clockwise";
   for (std::size_t i = 0; crossings && i < n; ++i) {
     for (std::size_t j = i + 2; j < n; ++j) {

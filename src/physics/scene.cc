@@ -12,6 +12,7 @@
 #include "physics/number_text.h"
 #include "physics/polygon.h"
 #include "physics/scene_overlap.h"
+#include "physics/scene_rules.h"
 #include "physics/units.h"
 
 namespace saltus {
@@ -23,11 +24,25 @@ struct Range {
   double low, high;
   const char* expected;
 };
-constexpr Range kAny{-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e24"};
-constexpr Range kPositive{kSmallestPositive, kLargestMagnitude, "a positive number, 1e-24 to 1e24"};
-// Parts of a horizon may be shorter than a whole one.
-constexpr Range kAboveZero{std::numeric_limits<double>::min(), kLargestMagnitude, "a positive number, up to 1e24"};
-constexpr Range kNotNegative{0, kLargestMagnitude, "a number >= 0 and at most 1e24"};
+struct Ranges {
+  Range any, positive, above_zero, not_negative;
+};
+constexpr double kLeast = std::numeric_limits<double>::min();
+constexpr Ranges kGivenRanges{
+    {-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e24"},
+    {kSmallestPositive, kLargestMagnitude, "a positive number, 1e-24 to 1e24"},
+    // Parts of a horizon may be shorter than a whole one.
+    {kLeast, kLargestMagnitude, "a positive number, up to 1e24"},
+    {0, kLargestMagnitude, "a number >= 0 and at most 1e24"},
+};
+// In other units than those in which scenes are given. Products of four such numbers do not overflow.
+constexpr double kLargestConverted = 1e72;
+constexpr Ranges kConvertedRanges{
+    {-kLargestConverted, kLargestConverted, "a finite number of magnitude at most 1e72"},
+    {1 / kLargestConverted, kLargestConverted, "a positive number, 1e-72 to 1e72"},
+    {kLeast, kLargestConverted, "a positive number, up to 1e72"},
+    {0, kLargestConverted, "a number >= 0 and at most 1e72"},
+};
 constexpr Range kFraction{0, 1, "a number from 0 to 1"};
 
 // The path of a number in the scene file; text only if it is needed.
@@ -48,6 +63,12 @@ struct Key {
 
 Key At(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
 
+// Of TerminalTerm::Quantity, as in scene files.
+const char* QuantityToString(TerminalTerm::Quantity quantity) {
+  constexpr const char* kNames[] = {"position", "velocity", "angle", "angular_velocity"};
+  return kNames[static_cast<int>(quantity)];
+}
+
 // A name as it may stand in a message: it can be anything, as long as anything.
 std::string Quoted(const std::string& name) {
   std::string text = name.substr(0, kLongestName);
@@ -60,7 +81,8 @@ std::string Quoted(const std::string& name) {
 class Rules {
  public:
   // With `structure_only`, those of ValidateStructure.
-  Rules(const Scene& scene, bool structure_only) : scene_(scene), all_(!structure_only) {}
+  Rules(const Scene& scene, bool structure_only)
+      : scene_(scene), all_(!structure_only), in_(scene.units == Units() ? kGivenRanges : kConvertedRanges) {}
 
   std::optional<SceneError> Check() {
     CheckTime();
@@ -77,7 +99,6 @@ class Rules {
     CheckFree();
     CheckFreeSpin();
     CheckNoContact();
-    if (all_ && !error_) return FindOverlap(scene_);  // meaningful for finite numbers only
     return error_;
   }
 
@@ -98,7 +119,7 @@ class Rules {
   }
 
   void Vector(const Key& key, const Vec2d& value) {
-    for (int j = 0; j < 2; ++j) Number({key.list, key.index, key.field, j}, value[j], kAny);
+    for (int j = 0; j < 2; ++j) Number({key.list, key.index, key.field, j}, value[j], in_.any);
   }
 
   void Name(const Key& key, const std::string& name, std::string_view others) {
@@ -146,7 +167,7 @@ class Rules {
 
   void CheckTime() {
     if (all_) Name({"name"}, scene_.name, "_");
-    Number({"duration"}, scene_.duration, all_ ? kPositive : kAboveZero);
+    Number({"duration"}, scene_.duration, all_ ? in_.positive : in_.above_zero);
     Expect(scene_.steps >= 1 && scene_.steps <= kMaxSteps, {"steps"}, [&] {
       return "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " +
              std::to_string(kMaxSteps);
@@ -159,8 +180,8 @@ class Rules {
     for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
       const Body& body = scene_.bodies[i];
       UniqueName(At("bodies", i, "name"), body.name);
-      Number(At("bodies", i, "radius"), body.radius, kPositive);
-      if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, kPositive);
+      Number(At("bodies", i, "radius"), body.radius, in_.positive);
+      if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, in_.positive);
       Vector(At("bodies", i, "position"), body.position);
       Vector(At("bodies", i, "velocity"), body.velocity);
       if (body.fixed)
@@ -171,11 +192,12 @@ class Rules {
 
   void CheckSpin(std::size_t i) {
     const Body& body = scene_.bodies[i];
-    if (body.inertia.kind == Inertia::Kind::kGiven) Number(At("bodies", i, "inertia"), body.inertia.moment, kPositive);
+    if (body.inertia.kind == Inertia::Kind::kGiven)
+      Number(At("bodies", i, "inertia"), body.inertia.moment, in_.positive);
     Expect(
         !body.Spins() || !body.fixed, At("bodies", i, "inertia"), "found an inertia, expected none: the body is fixed");
-    Number(At("bodies", i, "angle"), body.angle, kAny);
-    Number(At("bodies", i, "angular_velocity"), body.angular_velocity, kAny);
+    Number(At("bodies", i, "angle"), body.angle, in_.any);
+    Number(At("bodies", i, "angular_velocity"), body.angular_velocity, in_.any);
     if (body.Spins()) return;
     constexpr char kNoInertia[] = "expected 0, or inertia: solid or a number in kg m^2: without inertia it cannot spin";
     Expect(body.angle == 0, At("bodies", i, "angle"), kNoInertia);
@@ -201,7 +223,7 @@ class Rules {
       UniqueName(At("segments", i, "name"), segment.name);
       Vector(At("segments", i, "from"), segment.from);
       Vector(At("segments", i, "to"), segment.to);
-      Expect((segment.to - segment.from).norm() >= kSmallestPositive,
+      Expect((segment.to - segment.from).norm() >= in_.positive.low,
              At("segments", i, "to"),
              "found the point where it begins, expected another: a segment has a length");
     }
@@ -213,7 +235,7 @@ class Rules {
       UniqueName(At("polygons", i, "name"), polygon.name);
       for (std::size_t k = 0; k < polygon.points.size(); ++k) {
         for (int j = 0; j < 2; ++j) {
-          Number({"polygons", i, "points", static_cast<int>(k)}, polygon.points[k][j], kAny);
+          Number({"polygons", i, "points", static_cast<int>(k)}, polygon.points[k][j], in_.any);
         }
       }
       if (error_) return;
@@ -227,8 +249,8 @@ class Rules {
       const EdgeArc& arc = scene_.arcs[i];
       UniqueName(At("arcs", i, "name"), arc.name);
       Vector(At("arcs", i, "center"), arc.center);
-      Number(At("arcs", i, "radius"), arc.radius, kPositive);
-      Number(At("arcs", i, "from"), arc.from, kAny);
+      Number(At("arcs", i, "radius"), arc.radius, in_.positive);
+      Number(At("arcs", i, "from"), arc.from, in_.any);
       const double turn = arc.to - arc.from;
       Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), At("arcs", i, "to"), [&] {
         return "found " + ToText(arc.to) + " rad, expected more than from, by at most a full turn";
@@ -241,21 +263,21 @@ class Rules {
       const Pocket& pocket = scene_.pockets[i];
       UniqueName(At("pockets", i, "name"), pocket.name);
       Vector(At("pockets", i, "position"), pocket.position);
-      Number(At("pockets", i, "radius"), pocket.radius, kPositive);
+      Number(At("pockets", i, "radius"), pocket.radius, in_.positive);
     }
   }
 
   void CheckTable() {
     if (!scene_.table) return;
-    Number({"table.friction"}, scene_.table->friction, kNotNegative);
-    Number({"table.gravity"}, scene_.table->gravity, kNotNegative);
+    Number({"table.friction"}, scene_.table->friction, in_.not_negative);
+    Number({"table.gravity"}, scene_.table->gravity, in_.not_negative);
   }
 
   void CheckContact() {
     Number({"contact.restitution"}, scene_.contact.restitution, kFraction);
-    Number({"contact.friction"}, scene_.contact.friction, kNotNegative);
-    Number({"contact.stiffness"}, scene_.contact.stiffness, kNotNegative);
-    Number({"contact.damping"}, scene_.contact.damping, kNotNegative);
+    Number({"contact.friction"}, scene_.contact.friction, in_.not_negative);
+    Number({"contact.stiffness"}, scene_.contact.stiffness, in_.not_negative);
+    Number({"contact.damping"}, scene_.contact.damping, in_.not_negative);
   }
 
   void CheckControl() {
@@ -293,7 +315,7 @@ class Rules {
              std::to_string(control.turned.size()) + " bodies in control.torque";
     });
     for (std::size_t i = 0; i < control.initial_torque.size(); ++i) {
-      Number(At("control.initial", i), control.initial_torque[i], kAny);
+      Number(At("control.initial", i), control.initial_torque[i], in_.any);
     }
     Bounds("control.max_torque", control.max_torque, control.turned, " bodies in control.torque");
   }
@@ -304,14 +326,15 @@ class Rules {
       return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
              std::to_string(bodies.size()) + which;
     });
-    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], kPositive);
+    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], in_.positive);
   }
 
   void PositionOrVelocity(const Key& key, TerminalTerm::Quantity quantity) {
     using Quantity = TerminalTerm::Quantity;
-    Expect(quantity == Quantity::kPosition || quantity == Quantity::kVelocity,
-           key,
-           "found one of spin, expected position or velocity: angles are read at the final time only");
+    Expect(quantity == Quantity::kPosition || quantity == Quantity::kVelocity, key, [&] {
+      return std::string("found ") + QuantityToString(quantity) +
+             ", expected position or velocity: rotation is read at the final time only, by objective.terminal";
+    });
   }
 
   void CheckRunning() {
@@ -323,11 +346,11 @@ class Rules {
       Expect(!term.times.empty() && term.times.size() == term.targets.size(), target, "expected rows [time, x, y]");
       for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
         const Key row{target.list, target.index, target.field, static_cast<int>(k)};
-        Number(row, term.times[k], kAny);
-        for (int j = 0; j < 2; ++j) Number(row, term.targets[k][j], kAny);
+        Number(row, term.times[k], in_.any);
+        for (int j = 0; j < 2; ++j) Number(row, term.targets[k][j], in_.any);
         Expect(k == 0 || term.times[k] > term.times[k - 1], row, "expected times that rise from row to row");
       }
-      Number(At("objective.running", i, "weight"), term.weight, kNotNegative);
+      Number(At("objective.running", i, "weight"), term.weight, in_.not_negative);
     }
   }
 
@@ -337,10 +360,10 @@ class Rules {
       BodyIndex(At("objective.via", i, "body"), term.body);
       PositionOrVelocity(At("objective.via", i, "quantity"), term.quantity);
       Vector(At("objective.via", i, "target"), term.target);
-      Number(At("objective.via", i, "weight"), term.weight, kNotNegative);
+      Number(At("objective.via", i, "weight"), term.weight, in_.not_negative);
       Expect(term.time > 0 && term.time < scene_.duration, At("objective.via", i, "time"), [&] {
-        return "found " + ToText(term.time) + ", expected a time between 0 and the duration, " +
-               ToText(scene_.duration);
+        return "found " + ToText(term.time) + ", expected a time strictly between 0 and the duration, " +
+               ToText(scene_.duration) + ": terms at its end belong in objective.terminal";
       });
     }
   }
@@ -348,10 +371,16 @@ class Rules {
   void CheckFreeDuration() {
     if (!scene_.objective.duration) return;
     const FreeDuration& duration = *scene_.objective.duration;
-    Number({"objective.duration.min"}, duration.min, kPositive);
-    Number({"objective.duration.max"}, duration.max, kPositive);
+    Number({"objective.duration.min"}, duration.min, in_.positive);
+    Number({"objective.duration.max"}, duration.max, in_.positive);
     Expect(duration.min <= duration.max, {"objective.duration.max"}, "found a number below min, expected min or more");
-    Number({"objective.duration.weight"}, duration.weight, kNotNegative);
+    Number({"objective.duration.weight"}, duration.weight, in_.not_negative);
+    for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const double time = scene_.objective.via[i].time;
+      Expect(time < duration.max, At("objective.via", i, "time"), [&] {
+        return "found " + ToText(time) + ", expected a time before objective.duration.max, " + ToText(duration.max);
+      });
+    }
   }
 
   void CheckNoContact() {
@@ -366,6 +395,9 @@ class Rules {
         BodyIndex(key, pair.b);
         Expect(pair.a < pair.b, key, "expected two different bodies, in the order of their indices");
       }
+      if (!all_ || error_) continue;
+      const bool moves = !scene_.bodies[pair.a].fixed || (!pair.plane && !scene_.bodies[pair.b].fixed);
+      Expect(moves, key, "found two that never move, expected a pair of which one is a body that moves");
     }
   }
 
@@ -375,13 +407,14 @@ class Rules {
       const TerminalTerm& term = terms[i];
       BodyIndex(At("objective.terminal", i, "body"), term.body);
       Vector(At("objective.terminal", i, "target"), term.target);
-      Number(At("objective.terminal", i, "weight"), term.weight, term.component ? kAny : kNotNegative);
+      Number(At("objective.terminal", i, "weight"), term.weight, term.component ? in_.any : in_.not_negative);
       Expect(!term.component || *term.component == 0 || *term.component == 1,
              At("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
       if (term.IsOfSpin() && !error_) {
         Expect(scene_.bodies[term.body].Spins(), At("objective.terminal", i, "quantity"), [&] {
-          return "found one of spin, expected position or velocity: " + scene_.bodies[term.body].name +
+          return std::string("found ") + QuantityToString(term.quantity) +
+                 ", expected position or velocity: " + scene_.bodies[term.body].name +
                  " has no inertia and cannot spin";
         });
         Expect(!term.component && term.target[1] == 0,
@@ -392,7 +425,7 @@ class Rules {
              At("objective.terminal", i, "hard"),
              "found a hard term with a component, expected a target: a linear term is no constraint");
     }
-    Number({"objective.effort"}, scene_.objective.effort, kNotNegative);
+    Number({"objective.effort"}, scene_.objective.effort, in_.not_negative);
     CheckRunning();
     CheckVia();
     CheckFreeDuration();
@@ -425,16 +458,36 @@ class Rules {
 
   const Scene& scene_;
   const bool all_;
+  const Ranges& in_;
   std::unordered_map<std::string, Key> names_;  // of bodies and planes
   std::optional<SceneError> error_;
 };
 
+// The first rule of ValidateStructure that `scene` breaks in its natural units, in which solvers work.
+std::optional<SceneError> BrokenInNaturalUnits(const Scene& scene) {
+  if (scene.units.natural) return std::nullopt;
+  const Scene natural = InNaturalUnits(scene);
+  std::optional<SceneError> error = BrokenRule(natural);
+  if (!error) return error;
+  const Units& units = natural.units;
+  error->message += "; this is in the units of the scene, " + ToText(units.length) + " m, " + ToText(units.time) +
+                    " s and " + ToText(units.mass) + " kg, which are too far from what the key says";
+  return error;
+}
+
 }  // namespace
 
-std::optional<SceneError> Validate(const Scene& scene) { return Rules(scene, /*structure_only=*/false).Check(); }
+std::optional<SceneError> BrokenRule(const Scene& scene) { return Rules(scene, /*structure_only=*/true).Check(); }
+
+std::optional<SceneError> Validate(const Scene& scene) {
+  if (auto error = Rules(scene, /*structure_only=*/false).Check()) return error;
+  if (auto error = BrokenInNaturalUnits(scene)) return error;
+  return FindOverlap(scene);  // meaningful for finite numbers only
+}
 
 std::optional<SceneError> ValidateStructure(const Scene& scene) {
-  return Rules(scene, /*structure_only=*/true).Check();
+  if (auto error = BrokenRule(scene)) return error;
+  return BrokenInNaturalUnits(scene);
 }
 
 }  // namespace saltus

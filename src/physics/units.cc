@@ -5,6 +5,8 @@
 #include <limits>
 #include <numbers>
 
+#include "physics/scene_rules.h"
+
 namespace saltus {
 namespace {
 
@@ -157,7 +159,7 @@ UnitFactors::UnitFactors(const Units& from, const Units& to)
 
 Units NaturalUnits(const Scene& scene) {
   if (scene.units.natural) return scene.units;
-  if (ValidateStructure(scene)) {  // whoever asks is told so by what checks it
+  if (BrokenRule(scene)) {  // whoever asks is told so by what checks it
     Units units = scene.units;
     units.natural = true;
     return units;

@@ -4,9 +4,10 @@
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
-#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+
+#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -36,7 +37,7 @@ bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
     columns.col(k) = moved - base;
   }
   if (system.num_impacts() == 0) return true;
-  const Eigen::VectorXd best = -columns.colPivHouseholderQr().solve(base);
+  const Eigen::VectorXd best = -LeastSquaresSolution(columns, base);
   std::copy_n(best.data(), system.num_impacts(), y->begin() + variables);
   return true;
 }

@@ -75,7 +75,7 @@ class ModeSearch {
 
  private:
   // What a limit ends.
-  enum class End { kInterrupt, kTime, kIterations };
+  enum class End { kInterrupt, kTime, kWork, kIterations };
 
   double BestLoss() const { return best_trial_.exact.loss; }
   double Bound() const { return kBound * BestLoss(); }
@@ -219,9 +219,18 @@ class ModeSearch {
     line.draw = [&]() -> std::optional<SearchTask> {
       if (end_) return std::nullopt;
       std::optional<SearchTask> task = next();
-      if (!task || drawn_++ < options_.iterations) return task;
-      end_ = End::kIterations;
-      return std::nullopt;
+      if (!task) return std::nullopt;
+      const double most_work = options_.search_options.work;
+      if (most_work > 0 && searched_.work >= most_work) {
+        end_ = End::kWork;
+        return std::nullopt;
+      }
+      if (drawn_++ >= options_.iterations) {
+        end_ = End::kIterations;
+        return std::nullopt;
+      }
+      if (most_work > 0) task->most_work = most_work - searched_.work;
+      return task;
     };
     line.solve = [this](const SearchTask& task) {
       Outcome outcome;
@@ -252,6 +261,7 @@ class ModeSearch {
   void Look(const SearchTask& task, SearchFinding finding) {
     ++solves_;
     jacobians_ += finding.jacobians;
+    searched_.work += finding.work;
     if (task.kind == SearchTask::Kind::kAlong) tried_.insert(KeyOf(task.sequence));
     Say(task);
     const Trial& trial = finding.trial;
@@ -341,9 +351,9 @@ class ModeSearch {
   void Say(const SearchTask& task) const {
     if (!run_.options().status) return;
     const bool along = task.kind == SearchTask::Kind::kAlong;
-    run_.options().status(std::to_string(solves_) + " sequences, best " +
-                          std::to_string(ConvertLoss(BestLoss(), scene_.units, {})) + ", now " +
-                          (along ? ContactSequenceToString(scene_, task.sequence) : "another start"));
+    run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
+                          std::to_string(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
+                          (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
@@ -351,7 +361,10 @@ class ModeSearch {
   SolveReport Report() {
     if (queue_.has_forgotten()) Leave("the limit of memory");
     if (end_)
-      Leave(*end_ == End::kIterations ? "the limit of iterations" : *end_ == End::kTime ? "the limit of time" : "");
+      Leave(*end_ == End::kIterations ? "the limit of iterations"
+            : *end_ == End::kWork     ? "the limit of work"
+            : *end_ == End::kTime     ? "the limit of time"
+                                      : "");
     std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
     const size_t found = optima_.size();
     const bool best_is_optimum = HasBestOptimum();
@@ -369,11 +382,11 @@ class ModeSearch {
       return run_.Finish(best_trial_, best_trial_.exact.loss, end, reason + limits);
     }
     Certify();
-    return run_.Finish(best_optimum_,
-                       best_optimum_.exact.loss,
-                       end,
-                       "best of " + std::to_string(found) + " optima, along " +
-                           ContactSequenceToString(scene_, best_optimum_.exact.contacts) + limits);
+    return run_.Finish(
+        best_optimum_,
+        best_optimum_.exact.loss,
+        end,
+        BestOf(found) + ", along " + ContactSequenceToString(scene_, best_optimum_.exact.contacts) + limits);
   }
 
   Termination TerminationOf(bool best_is_optimum) const {

@@ -20,7 +20,9 @@
 // (search_solve.h). Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
 //
 // Solves are drawn and looked at in one order, whatever the threads that work them off (task_line.h), so that the
-// answer is the same for any number of these, as long as no limit of time ends it.
+// answer is the same for any number of these, and on a busy machine too. SearchOptions::work counts what solves have
+// computed when they are looked at, and a solve may use what was left of it when it was drawn. Only with a limit of
+// time, SearchOptions::seconds, the answer depends on the machine.
 //
 // With SolverOptions::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once

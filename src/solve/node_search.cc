@@ -1,10 +1,10 @@
 #include "node_search.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "control/condensed.h"
+#include "physics/linear_algebra.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/control/objective.h"
 
@@ -79,7 +79,7 @@ void NodeSearch::Polish() {
   if (scene.objective.effort == 0 || !BeyondTerminalCost(scene).empty()) return;
   const std::vector<double> lengths(scene.steps, scene.dt());
   for (int step = 0; step < kNewtonSteps && !interrupted_; ++step) {
-    const ExactRun exact = SimulateExactly(scene, InitialState(scene), z_, lengths);
+    const ExactRun exact = SimulateExactly(scene, InitialState(scene), z_, lengths, run_->options().stop);
     if (!exact.ok || !exact.only_impacts) return;
     const Flight flight(scene, InitialState(scene), z_, lengths, exact);
     std::vector<std::optional<double>> held;
@@ -128,7 +128,7 @@ std::vector<double> NodeSearch::PutOntoNodes(std::vector<double> z, const std::v
     PathProblem problem(&run_->shooting(), corrected, arrivals);
     problem.Minimize(0, kTolerance, {});  // linearizes
     const Eigen::MatrixXd slope = problem.GapJacobian();
-    const Eigen::VectorXd step = slope.transpose() * (slope * slope.transpose()).ldlt().solve(problem.Gaps());
+    const Eigen::VectorXd step = slope.transpose() * SolveLdlt(MultiplyByTransposed(slope, slope), problem.Gaps());
     if (!step.allFinite()) return z;
     Eigen::Map<Eigen::VectorXd>(corrected.data(), corrected.size()) -= step;
   }

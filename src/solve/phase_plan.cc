@@ -5,6 +5,7 @@
 #include <limits>
 #include <numeric>
 
+#include "control/control_bounds.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {
@@ -91,6 +92,15 @@ double ViolationOf(const Scene& scene, const Trial& trial) {
     return std::numeric_limits<double>::infinity();
   }
   return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
+}
+
+double ViolationOfAll(const Scene& scene, const Trial& trial) {
+  const bool any = scene.objective.HasConstraints() || !scene.no_contact.empty() || trial.own.violation > 0;
+  double largest = any ? ViolationOf(scene, trial) : 0;
+  std::vector<double> within = trial.control;
+  MoveWithinBounds(scene, within);
+  for (size_t i = 0; i < within.size(); ++i) largest = std::max(largest, std::abs(trial.control[i] - within[i]));
+  return largest;
 }
 
 std::string NameOf(const Scene& scene, const PhasePlan& plan) { return NameFrom(scene, plan, 0); }

@@ -11,8 +11,6 @@
 
 namespace saltus {
 
-inline constexpr double kFeasible = 1e-8;  // largest violation of hard constraints on the exact roll-out
-
 // What happens in which order.
 struct PhasePlan {
   std::vector<std::optional<Candidate>> cuts;     // between phases: an impact, or the instant of the next via term
@@ -63,6 +61,9 @@ struct Miss {
 Miss LargestMiss(const Scene& scene, const Trial& trial);
 // Its size; infinite if the trial has not run, or what must not touch has.
 double ViolationOf(const Scene& scene, const Trial& trial);
+// The same, or the largest distance of the control from its bounds, if that is more; 0 if the scene and the user state
+// no constraints, whatever the motion.
+double ViolationOfAll(const Scene& scene, const Trial& trial);
 // Whether the scene forbids the pair to touch.
 bool IsForbidden(const Scene& scene, const Candidate& c);
 double DurationOf(const Trial& trial);

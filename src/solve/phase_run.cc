@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "phase_plan.h"
+
 namespace saltus {
 
 StopRequest StopAfter(double seconds, const StopRequest& stop) {
@@ -71,6 +73,8 @@ SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termin
   report_.reason = std::move(reason);
   report_.initial_loss = report_.losses.front();
   report_.final_loss = loss;
+  report_.initial_violation = ViolationOfAll(scene_, guess_);
+  report_.final_violation = ViolationOfAll(scene_, trial);
   report_.iterations = static_cast<int>(report_.losses.size()) - 1;
   report_.initial_state = InitialOf(scene_, trial);
   report_.control = trial.control;

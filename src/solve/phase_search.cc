@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "ceres_lm.h"
@@ -24,7 +25,7 @@ namespace {
 constexpr int kIterationsMending = 1000;
 constexpr int kIterationsAlong = 300;     // of a neighbour, which begins near an optimum
 constexpr int kIterationsShooting = 30;   // from starts of its own
-constexpr double kShareRelaxed = 0.3;     // of the time, for the problem without constraints
+constexpr double kShareRelaxed = 0.3;     // of the limits, for the problem without constraints
 constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
 constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
 
@@ -38,6 +39,13 @@ struct Start {
 struct Finding {
   Trial trial;
   SolveReport report;
+  int shooting = 0;  // gradients of the solve by ceres_lm before it
+};
+
+// What is solved next, and the work that it may take (SearchOptions::work).
+struct Draw {
+  const Start* start;
+  double most_work;
 };
 
 // The problem without what closed arcs and shooting do not take; hard terms are costs.
@@ -81,7 +89,7 @@ class PhaseSearch {
 
  private:
   // What a limit ends.
-  enum class End { kInterrupt, kTime, kIterations };
+  enum class End { kInterrupt, kTime, kWork, kIterations };
 
   bool Stopped() const { return options_.stop && options_.stop(); }
   double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().losses.front(); }
@@ -99,7 +107,7 @@ class PhaseSearch {
     const SearchOptions& search = options_.search_options;
     for (int i = 0; i < search.starts; ++i) {
       const std::optional<Scene> begun = BeginAtRandom(scene_, search.seed, i);
-      if (!begun) break;
+      if (!begun || Stopped()) break;
       Trial trial = GuessTrial(*begun);
       if (scene_.optimize != Optimize::kControl) trial.initial = InitialState(*begun);
       starts.push_back({std::move(trial), true});
@@ -117,15 +125,17 @@ class PhaseSearch {
     own.sequence.reset();
     own.guess.reset();
     own.search_options.seconds *= kShareRelaxed;
+    own.search_options.work *= kShareRelaxed;
     const SolveReport found = SolveByModeSearch(relaxed, own);
     run_.report().evaluations += found.evaluations;
+    if (found.searched) searched_.work += found.searched->work;
     if (found.control.empty()) return;
     Trial trial{found.control, found.durations, {}, {}};
     if (trial.durations.empty()) trial.durations.assign(scene_.steps, scene_.dt());
     Simulate(scene_, request_.terms, &trial);
     starts->push_back({trial, false});
     // What is left out only makes them dearer, but for a free duration: those that are dearer already are no use.
-    const bool prunes = best_ && !scene_.objective.duration;
+    const bool prunes = best_ && !scene_.objective.duration && MeetsConstraints(best_->trial);
     for (const LocalOptimum& other : found.optima) {
       if (along->size() == kMostRelaxedOptima || (prunes && !(other.loss < BestLoss()))) break;
       if (other.sequence != trial.exact.contacts) along->push_back({trial, false, other.sequence});
@@ -153,18 +163,27 @@ class PhaseSearch {
 
   void SolveAll(const std::vector<Start>& starts) {
     auto next = starts.begin();
-    TaskLine<const Start*, Finding> line;
-    line.draw = [&]() -> std::optional<const Start*> {
+    TaskLine<Draw, Finding> line;
+    line.draw = [&]() -> std::optional<Draw> {
       if (Stopped()) EndByStop();
       if (end_ || next == starts.end()) return std::nullopt;
-      if (drawn_++ < options_.iterations) return &*next++;
+      const double most_work = options_.search_options.work;
+      if (most_work > 0 && searched_.work >= most_work) {
+        end_ = End::kWork;
+        return std::nullopt;
+      }
+      const double left = most_work > 0 ? most_work - searched_.work : std::numeric_limits<double>::infinity();
+      if (drawn_++ < options_.iterations) return Draw{&*next++, left};
       end_ = End::kIterations;
       return std::nullopt;
     };
-    line.solve = [this](const Start* start) { return Stopped() ? Finding{} : SolveFrom(*start); };
-    line.look = [this](const Start* start, Finding finding) {
+    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(*draw.start, draw.most_work); };
+    line.look = [this](const Draw& draw, Finding finding) {
       if (finding.report.solver.empty()) return EndByStop();  // not begun
-      if (start->sequence) tried_.push_back(*start->sequence);
+      if (const auto& sequence = draw.start->sequence) {
+        tried_.push_back(*sequence);
+        AddIfNew(*sequence, &searched_along_);
+      }
       Look(std::move(finding));
       if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
     };
@@ -177,15 +196,17 @@ class PhaseSearch {
     end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
   }
 
-  Finding SolveFrom(const Start& start) const {
+  Finding SolveFrom(const Start& start, double most_work) const {
     SolverOptions own;
     own.stop = options_.stop;
     own.sequence = start.sequence;
     own.search = options_.search;
-    own.iterations = start.sequence ? kIterationsAlong : kIterationsMending;
-    const Trial begin = WithinBounds(scene_, request_.terms, start.shoot ? Shoot(start.trial) : start.trial);
-    PhaseRun run("mode_search", request_, own, begin);
+    own.iterations =
+        IterationsWithin(most_work, WorkBySteps(scene_), start.sequence ? kIterationsAlong : kIterationsMending);
     Finding finding;
+    const Trial begin = WithinBounds(
+        scene_, request_.terms, start.shoot ? Shoot(start.trial, most_work, &finding.shooting) : start.trial);
+    PhaseRun run("mode_search", request_, own, begin);
     if (auto refused = run.WhyNotStart()) {
       finding.report = std::move(*refused);
       return finding;
@@ -200,15 +221,16 @@ class PhaseSearch {
   }
 
   // Towards the targets, whatever the constraints.
-  Trial Shoot(const Trial& from) const {
+  Trial Shoot(const Trial& from, double most_work, int* evaluations) const {
     SolveRequest relaxed{Relaxed(BeginningAs(from, scene_)), request_.contact};
     SolverOptions own;
     own.stop = options_.stop;
     own.memory_limit = options_.memory_limit;
     own.most_impacts = kMostImpactsOfMotion;
-    own.iterations = kIterationsShooting;
+    own.iterations = IterationsWithin(most_work, WorkByRollout(scene_), kIterationsShooting);
     if (scene_.optimize == Optimize::kControl) own.guess = ControlGuess{from.control, from.durations};
     const SolveReport report = SolveByCeresLm(relaxed, own);
+    *evaluations = report.evaluations;
     if (report.losses.empty()) return from;
     Trial trial = from;
     if (scene_.optimize == Optimize::kControl) {
@@ -223,13 +245,15 @@ class PhaseSearch {
 
   void Look(Finding finding) {
     ++solves_;
-    run_.report().evaluations += finding.report.evaluations;
+    run_.report().evaluations += finding.report.evaluations + finding.shooting;
+    searched_.work += finding.report.evaluations * WorkBySteps(scene_) + finding.shooting * WorkByRollout(scene_);
     if (run_.options().status) {
-      run_.options().status(std::to_string(solves_) + " solves, best " +
+      run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
                             std::to_string(ConvertLoss(BestLoss(), scene_.units, {})));
     }
     const Trial& trial = finding.trial;
     const bool optimal = finding.report.termination == Termination::kConverged;
+    if (trial.exact.ok) AddIfNew(trial.exact.contacts, &searched_along_);
     if (!trial.exact.ok) {
       if (!best_) KeepReason(finding.report);
       return;
@@ -240,10 +264,15 @@ class PhaseSearch {
     }
   }
 
+  bool MeetsConstraints(const Trial& trial) const { return ViolationOf(scene_, trial) <= kFeasible; }
+
+  static void AddIfNew(const ContactSequence& sequence, std::vector<ContactSequence>* sequences) {
+    if (std::count(sequences->begin(), sequences->end(), sequence) == 0) sequences->push_back(sequence);
+  }
+
   // Optima that meet all constraints come before what does not.
   bool IsBetter(const Finding& finding) const {
-    const auto feasible = [&](const Trial& trial) { return ViolationOf(scene_, trial) <= kFeasible; };
-    const bool mine = feasible(finding.trial), other = feasible(best_->trial);
+    const bool mine = MeetsConstraints(finding.trial), other = MeetsConstraints(best_->trial);
     if (mine != other) return mine;
     const double merit = MeritOf(scene_, finding.trial), least = MeritOf(scene_, best_->trial);
     if (merit < least - kSameLoss * std::abs(least)) return true;
@@ -269,10 +298,11 @@ class PhaseSearch {
 
   SolveReport Report() {
     if (end_ == End::kIterations) Leave("the limit of iterations");
+    if (end_ == End::kWork) Leave("the limit of work");
     if (end_ == End::kTime) Leave("the limit of time");
     if (end_ == End::kInterrupt) searched_.complete = false;
     std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
-    searched_.sequences = static_cast<int>(tried_.size());
+    searched_.sequences = static_cast<int>(searched_along_.size());
     const size_t found = optima_.size();
     run_.report().optima = std::move(optima_);
     if (options_.search) run_.report().searched = searched_;
@@ -294,8 +324,7 @@ class PhaseSearch {
     if (end_ == End::kIterations) end = Termination::kIterationLimit;
     const Trial trial = best_->trial;
     const std::string sequence = ContactSequenceToString(scene_, trial.exact.contacts);
-    const std::string reason =
-        converged ? "best of " + std::to_string(found) + " optima, along " + sequence : best.reason;
+    const std::string reason = converged ? BestOf(found) + ", along " + sequence : best.reason;
     return run_.Finish(trial, trial.exact.loss, end, reason + limits);
   }
 
@@ -305,10 +334,11 @@ class PhaseSearch {
   SolverOptions options_;  // with its own limits
   std::optional<Finding> best_;
   std::vector<LocalOptimum> optima_;
-  std::vector<ContactSequence> tried_;     // that were given to a solve
-  std::vector<ContactSequence> expanded_;  // whose neighbours are tried
-  std::string reason_;                     // why nothing was found
-  std::string left_;                       // what limits have kept it from
+  std::vector<ContactSequence> tried_;           // that were given to a solve
+  std::vector<ContactSequence> searched_along_;  // these, and those that solves have ended with
+  std::vector<ContactSequence> expanded_;        // whose neighbours are tried
+  std::string reason_;                           // why nothing was found
+  std::string left_;                             // what limits have kept it from
   Searched searched_;
   int drawn_ = 0, solves_ = 0;
   std::optional<End> end_;

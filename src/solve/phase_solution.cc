@@ -18,7 +18,7 @@ namespace {
 constexpr double kSameTime = 1e-6;  // of the horizon
 
 double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
-  const double contact_distance = MakeImpactLaw(scene, c).contact_distance;
+  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
   if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - contact_distance;
   return Separate<double>(x.p[c.a], x.p[c.b]).distance - contact_distance;
 }
@@ -74,7 +74,7 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
     normal = Separate<double>(x->p[c.a], x->p[c.b]).normal;
   }
   const double speed = Dot(normal, x->v[c.a]) - (c.plane ? 0.0 : Dot(normal, x->v[c.b]));
-  const double least = (MakeImpactLaw(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
+  const double least = (MakeImpactConstants(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
   if (speed < -least) return;
   if (IsPushed(scene, c.a)) {
     x->v[c.a] -= (speed + least) * normal;

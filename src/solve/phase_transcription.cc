@@ -25,7 +25,7 @@ std::optional<Vec2d> FixedAt(const Scene& scene, int body) {
 }
 
 ImpactCut MakeCut(const Scene& scene, const Candidate& c) {
-  ImpactCut cut{MakeImpactLaw(scene, c), std::nullopt, {FixedAt(scene, c.a), std::nullopt}, 0};
+  ImpactCut cut{MakeImpactConstants(scene, c), std::nullopt, {FixedAt(scene, c.a), std::nullopt}, 0};
   if (c.plane) {
     cut.plane = MakeHalfPlane(scene.planes[c.b]);
   } else {

@@ -28,7 +28,8 @@ void Certify(const Scene& scene, SearchFinding* finding) {
 
 SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& options, const SearchTask& task) {
   PhaseMinimumOptions phase_options;
-  phase_options.iterations = kIterationsAlong;
+  const double each = WorkByArcs(scene, task.sequence.size());
+  phase_options.iterations = IterationsWithin(task.most_work, each, kIterationsAlong);
   phase_options.callback = [&](double) { return !options.stop || !options.stop(); };
   const bool shares = task.kind == SearchTask::Kind::kShare;
   const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, *task.from), task.sequence);
@@ -37,6 +38,7 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
     solution = ShareBetter(scene, std::move(solution), phase_options, kShareGain);
   SearchFinding finding;
   finding.jacobians = solution.minimum.jacobians;
+  finding.work = each * finding.jacobians;
   if (!solution.valid || !solution.trial.exact.ok) return finding;
   finding.optimal = solution.optimal();
   if (!finding.optimal) finding.remark = WhyNotOptimal(scene, solution);
@@ -53,6 +55,8 @@ SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
   finding.trial.control = std::move(report.control);
   finding.trial.durations = std::move(report.durations);
   Simulate(scene, {}, &finding.trial);
+  const size_t impacts = run->guess().exact.contacts.size();
+  finding.work = finding.jacobians * (by_steps != nullptr ? WorkBySteps(scene) : WorkByArcs(scene, impacts));
   finding.remark = std::move(report.reason);
   finding.certificate = std::move(report.certificate);
   finding.optimal = report.termination == Termination::kConverged &&
@@ -62,19 +66,23 @@ SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
 }
 
 // By arcs, which are cheap; where they find no optimum, by the transcription with a cost for every step.
-SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, const Trial& from) {
+SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
+  const Trial& from = *task.from;
   SolverOptions own;
-  own.iterations = kIterationsMending;
+  const double by_arcs = WorkByArcs(request.scene, from.exact.contacts.size());
+  own.iterations = IterationsWithin(task.most_work, by_arcs, kIterationsMending);
   own.stop = options.stop;
   PhaseRun arcs("mode_search", request, own, from);
   SearchFinding finding = MendBy(nullptr, &arcs);
   if (finding.optimal || !finding.trial.exact.ok || !finding.trial.exact.only_impacts) return finding;
+  own.iterations = IterationsWithin(task.most_work - finding.work, WorkBySteps(request.scene), kIterationsMending);
   PhaseRun steps("mode_search", request, own, finding.trial.exact.loss < from.exact.loss ? finding.trial : from);
   const TryPlan by_steps = [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
     return TryByTranscription(&steps, plan, start, may_go_on);
   };
   SearchFinding last = MendBy(&by_steps, &steps);
   last.jacobians += finding.jacobians;
+  last.work += finding.work;
   return last.trial.exact.ok ? last : finding;
 }
 
@@ -93,19 +101,21 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   own.most_impacts = kMostImpactsOfMotion;
   SolveReport report;
   if (task.kind == SearchTask::Kind::kShoot) {
-    own.iterations = given ? options.iterations : kIterationsShooting;
+    own.iterations =
+        IterationsWithin(task.most_work, WorkByRollout(scene), given ? options.iterations : kIterationsShooting);
     report = SolveByCeresLm(request, own);
   } else {
     const UnitFactors to(Units{}, scene.units);  // the rate is N^2 per unit of the loss
     own.learning_rate = options.learning_rate * to.force * to.force / to.loss;
     own.rate_per_time = options.rate_per_time;
     if (own.rate_per_time) own.learning_rate *= to.time;
-    own.iterations = options.iterations;
+    own.iterations = IterationsWithin(task.most_work, WorkByRollout(scene), options.iterations);
     report = SolveByGradientDescent(request, own);
   }
   if (report.best && !report.best->control.empty()) report.control = std::move(report.best->control);
   SearchFinding finding;
   finding.jacobians = report.evaluations;
+  finding.work = finding.jacobians * WorkByRollout(scene);
   finding.remark = "no sequence tried has its optimum there";
   if (report.control.empty()) return finding;
   finding.trial.control = std::move(report.control);
@@ -123,18 +133,39 @@ double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x
 
 }  // namespace
 
+// Measured on the problems and on generated ones, in microseconds.
+double WorkByRollout(const Scene& scene) { return 10 + 0.02 * scene.steps * scene.num_bodies(); }
+
+double WorkByArcs(const Scene& scene, size_t impacts) {
+  const double arcs = static_cast<double>(impacts) + 1;
+  return 20 + 2 * arcs * arcs * scene.num_bodies();
+}
+
+double WorkBySteps(const Scene& scene) {
+  const double each = scene.optimize == Optimize::kControl ? 2 : 0.15;  // without forces there is less to solve for
+  return 20 + each * scene.steps * scene.num_bodies();
+}
+
+int IterationsWithin(double most_work, double each, int iterations) {
+  return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
+}
+
 SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   switch (task.kind) {
     case SearchTask::Kind::kAlong:
     case SearchTask::Kind::kShare:
       return SolveAlongSequence(request.scene, options, task);
     case SearchTask::Kind::kMend:
-      return Mend(request, options, *task.from);
+      return Mend(request, options, task);
     case SearchTask::Kind::kShoot:
     case SearchTask::Kind::kDescend:
       return Shoot(request, options, task);
   }
   return {};
+}
+
+std::string BestOf(size_t optima) {
+  return optima == 1 ? "the only optimum found" : "best of " + std::to_string(optima) + " optima";
 }
 
 std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {

@@ -67,8 +67,10 @@ class Mending {
   double Merit(const Trial& trial) const { return MeritOf(scene_, trial); }
   Trial WithinBounds(const Trial& trial) const { return saltus::WithinBounds(scene_, run_.terms(), trial); }
 
+  // A motion that meets the constraints is better than one that does not, whatever their losses.
   void Meet(const Trial& trial) {
-    if (Merit(trial) < Merit(lowest_)) lowest_ = trial;
+    const bool meets = MeetsConstraints(trial), met = MeetsConstraints(lowest_);
+    if (meets == met ? Merit(trial) < Merit(lowest_) : meets) lowest_ = trial;
   }
 
   // ------------------------------------------------------------------------------------------------------------ tasks
@@ -279,7 +281,7 @@ class Mending {
     for (size_t k = 0; k < plan.cuts.size(); ++k) {
       if (!plan.cuts[k]) continue;
       const Impact<double>& impact = (hit++)->impact;
-      const double most = MakeImpactLaw(scene_, *plan.cuts[k]).MostDrag() * std::abs(impact.speed);
+      const double most = MakeImpactConstants(scene_, *plan.cuts[k]).MostDrag() * std::abs(impact.speed);
       if (plan.modes[k] || std::abs(std::abs(impact.sliding) - most) > kNearBorder * most) continue;
       for (const ContactMode mode : {ContactMode::kStick, ContactMode::kSlip}) {
         moves->push_back({plan, start});
@@ -313,7 +315,8 @@ class Mending {
     }
   }
 
-  bool IsOpen(const Trial& trial) const { return trial.exact.ok && !(ViolationOf(scene_, trial) <= kFeasible); }
+  bool MeetsConstraints(const Trial& trial) const { return ViolationOf(scene_, trial) <= kFeasible; }
+  bool IsOpen(const Trial& trial) const { return trial.exact.ok && !MeetsConstraints(trial); }
 
   // The smallest miss of hard terms, whatever the loss, along the sequence of the motion that misses them least so far.
   // If there is hardly any, everything is tried again from there.
@@ -377,12 +380,8 @@ class Mending {
     } else if (!best_ && last_ && !last_->realized) {
       *reason = WhyNotRealized(scene_, last_->trial.exact, last_plan_.Sequence());
     }
-    if (run_.IsOutOfIterations()) {
-      if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
-      return Termination::kIterationLimit;
-    }
-    if (reason->empty()) *reason = "steps have become too small";
-    return Termination::kNoProgress;
+    if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
+    return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
   }
 
   // Beside the conditions of impacts at different times in between, at some speed: where the loss has a kink.
@@ -413,7 +412,7 @@ class Mending {
   std::vector<PhasePlan> passed_;
   std::optional<PlanAttempt> best_, last_;
   PhasePlan best_plan_, last_plan_;
-  Trial lowest_;  // of all motions met
+  Trial lowest_;  // the best of all motions met
   int saddles_ = 0;
   bool restored_ = false;
   int idle_ = 0;  // attempts since something better was found

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "control_guess.h"
+#include "saltus/dynamics/events.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -70,6 +71,11 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
     termination = Termination::kInterrupted;
     reason.clear();
   }
+  if (termination == Termination::kConverged) {
+    if (const std::string pockets = DescribePockets(z); !pockets.empty()) {
+      reason += (reason.empty() ? "" : ": ") + pockets;
+    }
+  }
   report_.termination = termination;
   report_.reason = std::move(reason);
   const std::string why = termination == Termination::kFailed ? shooting_.WhyFailed() : "";
@@ -85,6 +91,23 @@ SolveReport SolveRun::Finish(std::span<const double> z, Termination termination,
   report_.durations = shooting_.DurationsAt(z);
   report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   return std::move(report_);
+}
+
+std::string SolveRun::DescribePockets(std::span<const double> z) {
+  const Scene& scene = shooting_.scene();
+  double loss = 0;
+  if (scene.pockets.empty() || !shooting_.Evaluate(z, &loss, nullptr)) return "";
+  std::string in_pockets;
+  for (const Event& event : EventsOf(shooting_.simulator())) {
+    const bool counts = event.mode == ContactMode::kPocketed &&
+                        std::any_of(scene.objective.terminal.begin(),
+                                    scene.objective.terminal.end(),
+                                    [&](const TerminalTerm& term) { return scene.bodies[term.body].name == event.a; });
+    const std::string lies = event.a + " lies in the pocket " + event.b;
+    if (!counts || in_pockets.find(lies) != std::string::npos) continue;
+    in_pockets += (in_pockets.empty() ? "" : ", ") + lies;
+  }
+  return in_pockets.empty() ? "" : in_pockets + ", where the loss has no slope";
 }
 
 std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {

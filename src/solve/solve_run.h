@@ -36,6 +36,9 @@ class SolveRun {
                      std::optional<double> final_loss = {});
 
  private:
+  // Which discs of terminal terms lie in a pocket at the end of the motion from z, in words; empty if none does.
+  std::string DescribePockets(std::span<const double> z);
+
   std::chrono::steady_clock::time_point start_;
   const SolverOptions& options_;
   SolveReport report_;

@@ -23,6 +23,10 @@
 namespace saltus {
 namespace {
 
+constexpr double kRounding = 1e-9;  // relative: two losses or violations that differ by less are the same
+
+bool IsLess(double less, double than) { return than - less > kRounding * std::max(std::abs(less), std::abs(than)); }
+
 std::string WhyNotGradientDescent(const SolveRequest& request) {
   return WhyNotShot(request, {.components = true, .norm = true});
 }
@@ -92,13 +96,13 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
-void Confirm(const SolveRequest& request, SolveReport* report) {
+void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* report) {
   const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
   if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
   if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
   if (!report->certificate) {
-    report->certificate = Certify(scene, report->initial_state, report->control, report->durations);
+    report->certificate = Certify(scene, report->initial_state, report->control, report->durations, stop);
   }
   const Certificate& certificate = *report->certificate;
   if (certificate.verdict != Certificate::Verdict::kNotStationary && !certificate.IsSaddle()) return;
@@ -106,9 +110,32 @@ void Confirm(const SolveRequest& request, SolveReport* report) {
   report->reason += (report->reason.empty() ? "" : "; ") + certificate.reason;
 }
 
+// A free duration between equal bounds is none: the scene lasts as long, and its price is a part of every loss.
+double FixDuration(Scene* scene) {
+  std::optional<FreeDuration>& duration = scene->objective.duration;
+  if (!duration || duration->min != duration->max) return 0;
+  const double price = duration->weight * duration->min;
+  scene->duration = duration->min;
+  duration.reset();
+  return price;
+}
+
+// To every loss in the report.
+void AddToLosses(double price, SolveReport* report) {
+  if (!report->losses.empty()) {
+    report->initial_loss += price;
+    report->final_loss += price;
+  }
+  for (double& loss : report->losses) loss += price;
+  if (report->best) report->best->loss += price;
+  if (report->searched) report->searched->lower_bound += price;
+  for (LocalOptimum& optimum : report->optima) optimum.loss += price;
+}
+
 }  // namespace
 
 std::string WhyNotValid(const SearchOptions& options) {
+  if (!(options.work >= 0) || std::isinf(options.work)) return "search_work: expected a number >= 0";
   if (!(options.seconds >= 0) || std::isinf(options.seconds)) return "search_seconds: expected a number >= 0";
   if (options.memory == 0) return "search_memory: expected more than nothing";
   if (options.starts < 0) return "search_starts: found " + std::to_string(options.starts) + ", expected 0 or more";
@@ -140,8 +167,24 @@ const SolverEntry* FindSolver(std::string_view name) {
   return nullptr;
 }
 
-SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options) {
+bool EndsWorse(const SolveReport& report) {
+  const auto beyond = [](double violation) { return violation > kFeasible ? violation : 0.0; };
+  const double before = beyond(report.initial_violation), after = beyond(report.final_violation);
+  if (before != after) return after > before;
+  return IsLess(report.initial_loss, report.final_loss);
+}
+
+SolveReport Solve(std::string_view solver, const SolveRequest& given, const SolverOptions& given_options) {
   const SolverEntry* entry = FindSolver(solver);
+  SolveRequest request = given;
+  const double price = FixDuration(&request.scene);
+  const bool fixed = given.scene.objective.duration && !request.scene.objective.duration;
+  SolverOptions options = given_options;
+  if (price != 0 && options.callback) {
+    options.callback = [&given_options, price](int iteration, double loss) {
+      return given_options.callback(iteration, loss + price);
+    };
+  }
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
@@ -157,8 +200,14 @@ SolveReport Solve(std::string_view solver, const SolveRequest& request, const So
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
     report = entry->solve(converted, own);
-    Confirm(converted, &report);
-    return InSiUnits(converted.scene, std::move(report));
+    Confirm(converted, options.stop, &report);
+    report = InSiUnits(converted.scene, std::move(report));
+    AddToLosses(price, &report);
+    if (fixed && report.durations.empty() && !report.control.empty()) {
+      const size_t intervals = report.control.size() / request.scene.control_width();
+      report.durations.assign(intervals, request.scene.duration / static_cast<double>(intervals));
+    }
+    return report;
   }
   report.contact = request.contact.name();
   report.solver = solver;

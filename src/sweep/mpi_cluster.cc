@@ -7,6 +7,7 @@
 #include <array>
 #include <deque>
 #include <functional>
+#include <iostream>
 #include <list>
 #include <map>
 #include <optional>
@@ -204,7 +205,7 @@ class ClusterExecutor : public SweepExecutor {
   void LeaveOut(int rank, const std::string& why) {
     // Nothing is asked of it or expected from it.
     ranks_[rank] = Rank();
-    LOG(ERROR) << "rank " << rank << " is left out: " << why;
+    std::cerr << "rank " << rank << " is left out: " << why << std::endl;
   }
 
   void TakeResult(const Message& message, std::vector<FinishedPoint>* points) {
@@ -223,7 +224,7 @@ class ClusterExecutor : public SweepExecutor {
       const bool joined = ranks_[rank].heard != Clock::time_point();
       if (!joined || ranks_[rank].lost || now - ranks_[rank].heard < kSilence) continue;
       ranks_[rank].lost = true;
-      LOG(WARNING) << "rank " << rank << " is silent; its points go to others";
+      std::cerr << "rank " << rank << " is silent; its points go to others" << std::endl;
       for (auto it = away_.begin(); it != away_.end();) {
         if (it->second != static_cast<int>(rank)) {
           ++it;
@@ -403,7 +404,7 @@ bool MpiCluster::Serve(const SweepStudy& study, LocalExecutor* local) {
     }
     if (silence.Length() > most) {
       rank_0_lost_ = true;
-      LOG(ERROR) << "rank 0 is silent: rank " << rank_ << " ends; what it was computing is lost";
+      std::cerr << "rank 0 is silent: rank " << rank_ << " ends; what it was computing is lost" << std::endl;
       return false;
     }
     if (Clock::now() - said < kHeartbeat) continue;

@@ -47,6 +47,7 @@ constexpr NumberOption kNumbers[] = {
     {"effort", kReal, [](double value, Request* r) { r->scene.objective.effort = value; }},
     {"learning_rate", kReal, [](double value, Request* r) { r->options.learning_rate = value; }},
     {"iterations", kInteger, [](double value, Request* r) { r->options.iterations = static_cast<int>(value); }},
+    {"search_work", kReal, [](double value, Request* r) { r->options.search_options.work = value; }},
     {"search_seconds", kReal, [](double value, Request* r) { r->options.search_options.seconds = value; }},
     {"search_memory",
      kInteger,

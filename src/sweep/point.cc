@@ -156,7 +156,8 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds)
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
   } catch (const std::bad_alloc&) {
-    return FailedPoint(study, point, "out of memory");
+    HoldMemoryBackAgain();
+    return FailedPoint(study, point, kMemoryRanOut);
   }
 }
 

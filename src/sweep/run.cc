@@ -43,16 +43,19 @@ Status RunPoints(const SweepStudy& study, const std::vector<int64_t>& points, Sw
                  SweepStore* store, Progress* progress) {
   std::map<int64_t, Clock::time_point> at_work;
   for (size_t next = 0; next < points.size() || executor->HasBusy();) {
-    if (InterruptGuard::Interrupted()) break;
-    for (; next < points.size() && executor->HasRoom(); ++next) {
+    // What workers have answered by then is stored after an interrupt, too.
+    const bool interrupted = InterruptGuard::Interrupted();
+    for (; !interrupted && next < points.size() && executor->HasRoom(); ++next) {
       executor->Start(points[next]);
       at_work[points[next]] = Clock::now();
     }
-    for (const FinishedPoint& finished : executor->Wait(kLookForInterrupts)) {
+    for (const FinishedPoint& finished :
+         executor->Wait(interrupted ? std::chrono::milliseconds(0) : kLookForInterrupts)) {
       if (Status status = store->Add(finished.point, finished.result); !status.ok()) return status;
       progress->Advance();
       at_work.erase(finished.point);
     }
+    if (interrupted) break;
     progress->Advance(0, SlowestOf(study, at_work));
   }
   return Status();

@@ -4,6 +4,9 @@
 #include <unistd.h>
 
 #include <array>
+#include <stdexcept>
+
+#include "io/file.h"
 
 namespace saltus {
 namespace {
@@ -68,12 +71,18 @@ StatusOr<SweepStore> SweepStore::Open(const std::string& path, const SweepStudy&
   std::string places = "?1, ?2, ?3";
   for (size_t i = 0; i < study.columns().size(); ++i) places += ", ?" + std::to_string(i + 1 + kFixedColumns);
   store.insert_ = store.Prepare("INSERT INTO points VALUES (" + places + ")");
+  if (!store.insert_) return store.Error();
   store.find_ = store.Prepare("SELECT 1 FROM points WHERE point = ?1");
+  if (!store.find_) return store.Error();
   return store;
 }
 
 Status SweepStore::OpenDatabase(const std::string& path) {
   path_ = path;
+  // SQLite would write into whatever there is.
+  for (const char* suffix : {"", "-wal", "-journal"}) {
+    if (Status status = CheckRegularFile(path + suffix); !status.ok()) return status;
+  }
   sqlite3* database = nullptr;
   const int result = sqlite3_open(path.c_str(), &database);
   database_.reset(database);
@@ -150,16 +159,20 @@ Status SweepStore::Error() const {
   return Status::Error(path_ + ": " + sqlite3_errmsg(database_.get()));
 }
 
+void SweepStore::Expect(bool holds) const {
+  if (!holds) throw std::runtime_error(Error().message());
+}
+
 int64_t SweepStore::size() const {
   const Statement count = Prepare("SELECT count(*) FROM points");
-  CHECK(count && sqlite3_step(count.get()) == SQLITE_ROW) << Error().message();
+  Expect(count && sqlite3_step(count.get()) == SQLITE_ROW);
   return sqlite3_column_int64(count.get(), 0);
 }
 
 bool SweepStore::Has(int64_t point) const {
   CHECK_EQ(sqlite3_bind_int64(find_.get(), 1, point), SQLITE_OK);
   const int result = sqlite3_step(find_.get());
-  CHECK(result == SQLITE_ROW || result == SQLITE_DONE) << Error().message();
+  Expect(result == SQLITE_ROW || result == SQLITE_DONE);
   sqlite3_reset(find_.get());
   return result == SQLITE_ROW;
 }
@@ -179,16 +192,23 @@ Status SweepStore::Add(int64_t point, const PointResult& result) {
 
 void SweepStore::ForEach(const std::function<void(int64_t, PointResult)>& visit) const {
   const Statement query = Prepare("SELECT * FROM points ORDER BY point");
-  CHECK(query) << Error().message();
+  Expect(query != nullptr);
+  const int columns = kFixedColumns + static_cast<int>(study_->columns().size());
   int step = 0;
   while ((step = sqlite3_step(query.get())) == SQLITE_ROW) {
-    PointResult result{PointStatusFromString(TextAt(query.get(), 2)), {}};
-    for (int i = kFixedColumns; i < sqlite3_column_count(query.get()); ++i) {
+    const std::optional<PointStatus> status = FindPointStatus(TextAt(query.get(), 2));
+    if (!status || sqlite3_column_count(query.get()) != columns) {
+      throw std::runtime_error(path_ +
+                               ": found a point that no sweep has stored, expected a database that nothing else "
+                               "has written to");
+    }
+    PointResult result{*status, {}};
+    for (int i = kFixedColumns; i < columns; ++i) {
       result.row.push_back(ValueAt(query.get(), i));
     }
     visit(sqlite3_column_int64(query.get(), 0), std::move(result));
   }
-  CHECK_EQ(step, SQLITE_DONE) << Error().message();
+  Expect(step == SQLITE_DONE);
 }
 
 StatusOr<int64_t> SweepStore::ForgetFailed() {

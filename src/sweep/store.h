@@ -20,6 +20,7 @@
 
 namespace saltus {
 
+// A database that is damaged, or that something else has written to, is a std::runtime_error of what reads it.
 class SweepStore {
  public:
   // Opens the database at `path`, or makes it; ":memory:" is one that lives as long as the object. `study` must outlive
@@ -61,6 +62,8 @@ class SweepStore {
   Status Execute(const std::string& sql);
   Statement Prepare(const std::string& sql) const;
   Status Error() const;
+  // Throws what SQLite says, of a database that is damaged or cannot be read any more.
+  void Expect(bool holds) const;
 
   const SweepStudy* study_;
   std::string path_;

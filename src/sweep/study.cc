@@ -154,6 +154,7 @@ std::string SweepStudy::Description() const {
                       {"sweep", std::move(blocks)}};
   const SearchOptions& search = request_.options.search_options;
   const SearchOptions usual;
+  if (search.work != usual.work) description["search_work"] = search.work;
   if (search.seconds != usual.seconds) description["search_seconds"] = search.seconds;
   if (search.memory != usual.memory) description["search_memory"] = search.memory >> 20;
   if (search.starts != usual.starts) description["search_starts"] = search.starts;
@@ -169,10 +170,11 @@ std::string SweepStudy::Description() const {
 }
 
 std::string DescribeDifference(const std::string& before, const std::string& now) {
-  const nlohmann::json old_study = nlohmann::json::parse(before);
+  const nlohmann::json old_study = nlohmann::json::parse(before, nullptr, /*allow_exceptions=*/false);
   const nlohmann::json new_study = nlohmann::json::parse(now);
+  if (!old_study.is_object()) return "its description is not one that a sweep writes";
   const nlohmann::json patch = nlohmann::json::diff(old_study, new_study);
-  CHECK(!patch.empty());
+  if (patch.empty()) return "its description is written in another way";
   const std::string place = patch[0].at("path").get<std::string>();
   return place.substr(1) + ": " + ValueAt(old_study, place) + " is now " + ValueAt(new_study, place);
 }

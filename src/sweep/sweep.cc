@@ -154,15 +154,15 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
 
 void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
   const Table table = SweepTable(study, points);
-  WriteAndPrint([&] { WriteFiles(study, points, table, base); },
-                [&] {
-                  if (study.request().json) {
-                    PrintJson(SweepJson(study, points), study.request().precision);
-                  } else {
-                    std::cout << table.ToCsv() << std::flush;
-                  }
-                  if (HasSolvedTable(study)) std::cerr << SolvedTable(study, points).ToText(LayoutOfStandardOutput());
-                });
+  DoAll({[&] { WriteFiles(study, points, table, base); },
+         [&] {
+           if (study.request().json) {
+             PrintJson(SweepJson(study, points), study.request().precision);
+           } else {
+             std::cout << table.ToCsv() << std::flush;
+           }
+           if (HasSolvedTable(study)) std::cerr << SolvedTable(study, points).ToText(LayoutOfStandardOutput());
+         }});
   // Standard output is data.
   const bool silent = study.request().progress == ProgressMode::kNone || InterruptGuard::Interrupted();
   if (!silent && !study.request().output_dir.empty()) std::cerr << ReportPath(study, base) << std::endl;

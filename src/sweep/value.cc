@@ -51,11 +51,11 @@ const char* ToString(PointStatus status) {
   LOG(FATAL) << "no such status";
 }
 
-PointStatus PointStatusFromString(const std::string& text) {
+std::optional<PointStatus> FindPointStatus(const std::string& text) {
   for (const PointStatus status : {PointStatus::kComputed, PointStatus::kFailed, PointStatus::kNotApplicable}) {
     if (text == ToString(status)) return status;
   }
-  LOG(FATAL) << "'" << text << "' is not a status";
+  return std::nullopt;
 }
 
 std::string Encode(const PointResult& result) {
@@ -68,7 +68,7 @@ std::string Encode(const PointResult& result) {
 
 PointResult DecodePointResult(const std::string& bytes) {
   const Json json = Json::from_cbor(bytes);
-  PointResult result{PointStatusFromString(json.at(0).get<std::string>()), {}};
+  PointResult result{FindPointStatus(json.at(0).get<std::string>()).value(), {}};
   for (size_t i = 1; i < json.size(); ++i) result.row.push_back(FromJson(json[i]));
   return result;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -26,9 +27,9 @@ Json ToJson(const SweepValue& value);
 
 enum class PointStatus { kComputed, kFailed, kNotApplicable };
 
-// "done", "failed", "not_applicable"; and back. Precondition of the latter: one of these.
+// "done", "failed", "not_applicable"; and back.
 const char* ToString(PointStatus status);
-PointStatus PointStatusFromString(const std::string& text);
+std::optional<PointStatus> FindPointStatus(const std::string& text);  // none if there is no such
 
 // One row of a sweep's table, with an entry per column.
 struct PointResult {

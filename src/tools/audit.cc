@@ -28,7 +28,7 @@ DEFINE_string(given, "", "a gradient computed elsewhere, to be audited too: JSON
 namespace saltus {
 namespace {
 
-constexpr char kOutOfMemory[] = "out of memory";
+constexpr std::size_t kMostNamed = 6;  // models in one line
 
 // An audit that has nothing to say but why.
 ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
@@ -83,8 +83,8 @@ std::string NameOf(const Scene& scene, const OneSided& entry) {
   return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
 }
 
-std::string WhyNotJudged(const OneSided& entry) {
-  switch (entry.side) {
+std::string WhyNotJudged(OneSided::Side side) {
+  switch (side) {
     case OneSided::Side::kAbove:
       return "the exact one exists from above only, and is not judged";
     case OneSided::Side::kBelow:
@@ -105,11 +105,20 @@ void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>
       1,
       progress,
       [request, simulators, reference = report->reference, options](int i, const SayNote&, const auto&) {
-        return AuditBlackBox(OpenSimulator(simulators[i], request.threads), request.scene, reference, options);
+        try {
+          return AuditBlackBox(OpenSimulator(simulators[i], request.threads), request.scene, reference, options);
+        } catch (const std::bad_alloc&) {
+          HoldMemoryBackAgain();
+          ModelAudit audit = WithoutGradient(simulators[i].name, kMemoryRanOut);
+          audit.black_box.emplace();
+          return audit;
+        }
       });
   for (std::size_t i = 0; i < audits.results.size(); ++i) {
     if (!audits.started[i]) continue;
-    report->models.push_back(audits.results[i].value_or(WithoutGradient(names[i], kStopped)));
+    ModelAudit stopped = WithoutGradient(names[i], kStopped);
+    stopped.black_box.emplace();
+    report->models.push_back(audits.results[i].value_or(std::move(stopped)));
   }
 }
 
@@ -153,7 +162,8 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
         try {
           return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
         } catch (const std::bad_alloc&) {
-          return WithoutGradient(request.contacts[i], kOutOfMemory);
+          HoldMemoryBackAgain();
+          return WithoutGradient(request.contacts[i], kMemoryRanOut);
         }
       });
   for (size_t i = 0; i < audits.results.size(); ++i) {
@@ -195,15 +205,19 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
     remarks += Paragraph(of + ": " + text, layout.width);
   };
   if (report.reference) {
-    for (const OneSided& entry : report.reference->one_sided) {
-      remark(NameOf(request.scene, entry), WhyNotJudged(entry));
+    for (const auto side : {OneSided::Side::kAbove, OneSided::Side::kBelow, OneSided::Side::kNone}) {
+      std::string names;
+      for (const OneSided& entry : report.reference->one_sided) {
+        if (entry.side == side) names += (names.empty() ? "" : ", ") + NameOf(request.scene, entry);
+      }
+      if (!names.empty()) remark(names, WhyNotJudged(side));
     }
   }
   for (const ModelAudit& audit : report.models) {
     const std::string& contact = audit.gradient.contact;
     for (const std::string& finding : RemarksOn(audit)) remark(contact, finding);
     if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
-    if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; there is no more than its gradient");
+    if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; the rest of its audit is missing");
     if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
     if (audit.attribution && !audit.attribution->limit.empty()) {
       remark(contact, "traced no further by --attribution_seconds: " + audit.attribution->limit);
@@ -215,6 +229,8 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {
   const std::size_t asked = request.contacts.size() + simulators;
   bool failed = report.models.size() < asked;
+  std::size_t without = 0;
+  std::string named;
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
     if (audit.gradient.ok()) continue;
@@ -224,7 +240,11 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
       return kWrongInput;
     }
     failed = failed || !not_applicable;
+    if (not_applicable || ++without > kMostNamed) continue;
+    named += (without == 1 ? "" : ", ") + audit.gradient.contact + ": " + audit.gradient.reason;
   }
+  if (without > kMostNamed) named += " and " + std::to_string(without - kMostNamed) + " more";
+  if (without > 0) std::cerr << "no gradient of " << without << " of " << asked << " (" << named << ")" << std::endl;
   return failed ? kAnswerFailed : kDone;
 }
 
@@ -257,11 +277,7 @@ int AuditMain(int argc, char** argv) {
         }
       }
     };
-    const auto write = [&] {
-      WriteAuditFiles(request, report);
-      WriteAuditReport(request, report);
-    };
-    WriteAndPrint(write, print);
+    DoAll({[&] { WriteAuditFiles(request, report); }, [&] { WriteAuditReport(request, report); }, print});
     PrintReportPath(request);
     return AuditExitCode(request, report, simulators.size());
   });

@@ -85,7 +85,7 @@ std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, 
 
 void WriteFigureFiles(const Figure& figure, const std::string& path) {
   const Status status = WriteFigure(figure, path + ".svg", path + ".png");
-  if (!status.ok()) throw OutputError(status.message());
+  if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "output/html_report.h"
+#include "output/interrupt.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
 #include "saltus/physics/walls.h"
@@ -50,7 +51,8 @@ void AddMotions(const Request& request, const AuditReport& audit, HtmlReport* re
   add(SimulateExactMotion(scene, start, options), "exact dynamics", "analytic");
   for (const ModelAudit& model : audit.models) {
     const std::string& contact = model.gradient.contact;
-    if (!model.gradient.ok() || FindContactModel(contact)->event_driven) continue;
+    // Whatever a simulator of somebody else is called, its motion is not that of a contact model.
+    if (!model.gradient.ok() || model.black_box || FindContactModel(contact)->event_driven) continue;
     MotionOptions own = options;
     own.precision = request.precision;
     add(SimulateMotion(scene, contact, start, own), contact, contact);
@@ -63,7 +65,9 @@ void AddMotions(const Request& request, const AuditReport& audit, HtmlReport* re
 
 // The discs at the step from which on a gradient is wrong, and the normal of the contact.
 Panel WrongStepPanel(const Scene& scene, const ModelAudit& model, const ContactError& contact) {
-  const Motion motion = SimulateMotion(scene, model.gradient.contact, StartOf(scene));
+  MotionOptions options;
+  options.stop = InterruptGuard::GraceIsOver;
+  const Motion motion = SimulateMotion(scene, model.gradient.contact, StartOf(scene), options);
   Panel panel = ScenePanel(scene, model.gradient.contact + ", step " + std::to_string(contact.first_step));
   panel.circles.clear();
   const size_t width = 4 * scene.bodies.size();
@@ -115,14 +119,15 @@ void AddWrongSteps(const Request& request, const AuditReport& audit, HtmlReport*
     const ContactError* contact = model.FirstWrong();
     if (contact == nullptr) continue;
     reasons.push_back("`" + model.gradient.contact + "`: " + model.Why());
-    if (steps.size() == kMostWrongSteps) continue;
+    if (steps.size() == kMostWrongSteps || model.black_box || InterruptGuard::GraceIsOver()) continue;
     steps.push_back(WrongStepPanel(request.scene, model, *contact));
     Panel flow = PerturbedFlowPanel(request.scene, model.gradient.contact, *contact);
     if (!flow.series.front().x.empty()) flows.push_back(std::move(flow));
   }
-  if (steps.empty()) return;
+  if (reasons.empty()) return;
   report->AddHeading(1, "Where gradients go wrong");
   report->AddList(reasons);
+  if (steps.empty()) return;
   AddPanels(std::move(steps),
             "The first step that is wrong, of the first models that have one: discs there, their paths, and the "
             "contact's normal.",

@@ -60,7 +60,7 @@ Cell VerdictCell(const QuantityStudy* study) {
   } else if (study->verdict == Verdict::kRight) {
     std::snprintf(text, sizeof text, "%s", verdict);
   } else {
-    std::snprintf(text, sizeof text, "%s, error %.2g", verdict, study->levels.back().error);
+    std::snprintf(text, sizeof text, "%s, error %.2g", verdict, study->decisive);
   }
   return Cell(text).With(ToneOf(study->verdict));
 }
@@ -78,6 +78,7 @@ Tone ToneOf(Verdict verdict) {
     case Verdict::kBiased:
     case Verdict::kIllConditioned:
     case Verdict::kAmbiguous:
+    case Verdict::kOneSided:
       return Tone::kWarning;
     case Verdict::kNotApplicable:
     case Verdict::kUnknown:

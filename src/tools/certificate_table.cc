@@ -62,7 +62,8 @@ std::string MeaningOf(const Certificate& certificate) {
   }
   const std::string searched =
       certificate.scope == Certificate::Scope::kBestOfSearched
-          ? "it is the best of " + std::to_string(certificate.sequences_searched) + " sequences of impacts"
+          ? "it is the best of " + std::to_string(certificate.sequences_searched) +
+                (certificate.sequences_searched == 1 ? " sequence of impacts" : " sequences of impacts")
           : "other sequences of impacts may be better";
   return MeaningOfStationary(certificate) + "; " + searched;
 }

@@ -4,7 +4,7 @@
 
 #include "io/file.h"
 #include "saltus/dynamics/registry.h"
-#include "tools/json_output.h"
+#include "tools/json_input.h"
 #include "tools/program.h"
 
 namespace saltus {
@@ -43,13 +43,9 @@ class Reader {
 Json ReadObject(const std::string& path) {
   const StatusOr<std::string> text = ReadFile(path);
   if (!text.ok()) throw InputError("--given: " + text.status().message());
-  try {
-    Json document = Json::parse(*text);
-    if (document.is_object()) return document;
-  } catch (const Json::exception& error) {
-    throw InputError(path + ": not JSON: " + error.what());
-  }
-  throw InputError(path + ": not a JSON object");
+  Json document = ParseJson(*text, path, "a JSON object");
+  if (!document.is_object()) throw InputError(path + ": found JSON that is no object, expected a JSON object");
+  return document;
 }
 
 // Into how many intervals the control is cut, from the model that the gradient is of.
@@ -109,6 +105,21 @@ void ReadGradient(const Json& document, const Reader& reader, const Scene& scene
   }
 }
 
+// Whether there is a number that can be compared with the exact gradient: one of a disc that moves.
+bool HasNumber(const GivenGradient& given, const Scene& scene) {
+  const auto has_value = [](const auto& entry) { return entry.has_value(); };
+  for (const auto& vectors : {given.position, given.velocity}) {
+    for (size_t i = 0; i < vectors.size(); ++i) {
+      if (vectors[i] && !scene.bodies[i].fixed) return true;
+    }
+  }
+  const auto in_any = [&](const auto& rows) {
+    return std::any_of(
+        rows.begin(), rows.end(), [&](const auto& row) { return std::any_of(row.begin(), row.end(), has_value); });
+  };
+  return in_any(given.control) || in_any(given.torque);
+}
+
 }  // namespace
 
 GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene) {
@@ -122,11 +133,14 @@ GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene) {
   const auto gradient = document.find("gradient");
   if (gradient == document.end()) {
     ReadGradient(document, reader, scene, &given);
-    return given;
+  } else {
+    if (!gradient->is_object()) reader.Fail("gradient", "an object");
+    if (document.contains("contact")) ReadContact(document["contact"], reader, scene, &given);
+    ReadGradient(*gradient, reader, scene, &given);
   }
-  if (!gradient->is_object()) reader.Fail("gradient", "an object");
-  if (document.contains("contact")) ReadContact(document["contact"], reader, scene, &given);
-  ReadGradient(*gradient, reader, scene, &given);
+  if (!HasNumber(given, scene)) {
+    throw InputError(path + ": found no number of a disc that moves, expected some in position, velocity or control");
+  }
   return given;
 }
 

@@ -128,7 +128,7 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   const std::string path = directory + "/" + scene.name + "_law";
   WriteTextFile(path + ".csv", law.ToCsv());
   const Status drawn = WriteFigure(LawFigure(*LawOf(identified), identified.known_law), path + ".svg", path + ".png");
-  if (!drawn.ok()) throw OutputError(drawn.message());
+  if (!drawn.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(drawn.message());
 }
 
 int ExitCodeOf(const Identified& identified) {
@@ -146,23 +146,36 @@ int ExitCodeOf(const Identified& identified) {
   return failed > 0 || identified.reports.size() < identified.contacts.size() ? kAnswerFailed : kDone;
 }
 
-Identified IdentifyAll(const Request& request) {
+// What is fitted, without fits.
+Identified ReadAll(const Request& request) {
   Identified identified;
   identified.recordings = ReadRecordings(request.scene);
   identified.contacts = IsGiven("contact") ? request.contacts : std::vector<std::string>{"event"};
   if (!FLAGS_law_beside.empty() && FLAGS_law.empty()) throw InputError("--law_beside: expected --law with it");
   if (!FLAGS_law_beside.empty()) identified.known_law = ReadKnownLaw(FLAGS_law_beside);
+  return identified;
+}
+
+void FitAll(const Request& request, Identified* out) {
+  Identified& identified = *out;
   const std::vector<Unknown> unknowns = ReadUnknowns(request.scene);
   IdentifyOptions options = OptionsFromFlags(request);
   Progress progress(
       request.progress, stderr, "identify " + request.scene.name, static_cast<int64_t>(identified.contacts.size()));
+  progress.UnitsDiffer();
   for (const std::string& contact : identified.contacts) {
     if (InterruptGuard::Interrupted()) break;
     options.status = [&](const std::string& what) { progress.Advance(0, contact + " " + what); };
-    identified.reports.push_back(Identify(contact, request.scene, identified.recordings, unknowns, options));
+    try {
+      identified.reports.push_back(Identify(contact, request.scene, identified.recordings, unknowns, options));
+    } catch (const std::bad_alloc&) {
+      HoldMemoryBackAgain();
+      IdentifyReport& failed = identified.reports.emplace_back();
+      failed.verdict = FitVerdict::kFailed;
+      failed.reason = kMemoryRanOut;
+    }
     progress.Advance(1, contact);
   }
-  return identified;
 }
 
 }  // namespace
@@ -171,8 +184,9 @@ int IdentifyMain(int argc, char** argv) {
   return RunMain(argc, argv, FindProgram("saltus_identify"), [] {
     Request request;
     if (!ReadRequest({}, &request)) return kDone;
+    Identified identified = ReadAll(request);  // which a signal ends at once, as there is nothing to keep yet
     const InterruptGuard guard;
-    const Identified identified = IdentifyAll(request);
+    FitAll(request, &identified);
     const auto print = [&] {
       if (request.json) {
         PrintJson(IdentifiedToJson(request.scene, identified), Precision::kDouble);
@@ -180,11 +194,9 @@ int IdentifyMain(int argc, char** argv) {
         PrintTables(request.scene, identified);
       }
     };
-    const auto write = [&] {
-      WriteFiles(request.output_dir, request.scene, identified);
-      WriteIdentifyReport(request, identified);
-    };
-    WriteAndPrint(write, print);
+    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
+           [&] { WriteIdentifyReport(request, identified); },
+           print});
     PrintReportPath(request);
     return ExitCodeOf(identified);
   });

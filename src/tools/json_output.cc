@@ -165,6 +165,7 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
 Json SearchedToJson(const Searched& searched) {
   return {{"sequences", searched.sequences},
           {"starts", searched.starts},
+          {"work", NumberToJson(searched.work)},
           {"complete", searched.complete},
           {"lower_bound", NumberToJson(searched.lower_bound)}};
 }

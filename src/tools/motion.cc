@@ -54,6 +54,7 @@ class Way {
       std::span<const double> control, const MotionOptions& options)
       : simulator_(MakeSimulator(contact, scene, precision)), control_(control) {
     simulator_->set_memory_limit(std::max(options.most_bytes / 2, simulator_->LeastMemory()));
+    simulator_->set_stop(options.stop);
     ok_ = simulator_->Rollout(initial, control);
     x_.resize(simulator_->state_size());
     next_ = x_;
@@ -72,9 +73,9 @@ class Way {
   std::span<const double> x() const { return x_; }
   std::span<const double> next() const { return next_; }
   std::span<const double> force() const { return force_; }
-  std::string WhyFailed() const { return simulator_->WhyFailed(); }
+  std::string WhyFailed() const { return simulator_->stopped() ? kStopped : simulator_->WhyFailed(); }
 
-  // Takes step k = 0, 1, ...; false where the rollout fails.
+  // Takes step k = 0, 1, ...; false where the rollout fails or is stopped.
   bool Take(int k) {
     if (k > 0) x_.swap(next_);
     step_ = k;
@@ -84,6 +85,7 @@ class Way {
     } else {
       simulator_->Step(x_, force_, next_);
     }
+    if (simulator_->stopped()) return false;  // a state that was asked for may be none
     return std::all_of(next_.begin(), next_.end(), [](double value) { return std::isfinite(value); });
   }
 

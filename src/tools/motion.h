@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 
 namespace saltus {
@@ -39,6 +40,7 @@ struct MotionOptions {
   std::size_t most_bytes = std::size_t{1} << 30;  // of states
   // Where there are more nodes, every second, third, ... is kept; impacts too as long as these fit as often.
   std::size_t most_nodes = std::size_t{1} << 24;
+  StopRequest stop = nullptr;  // where it asks for the end, the motion ends early, and its failure is kStopped
 };
 
 // Under `contact`, which takes the mean of the control over each of its steps; its steps are those of the scene.

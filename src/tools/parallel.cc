@@ -20,9 +20,11 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::milliseconds kGrace(500);  // for jobs at work to come back after an interrupt
-constexpr std::chrono::milliseconds kLook(50);    // how often interrupts are looked for, and the progress told
-constexpr int kSlow = 5;                          // s: of a job that takes longer, how long is said
+// For jobs at work to come back after an interrupt: more than what is left to their checks
+// (InterruptGuard::GraceIsOver).
+constexpr std::chrono::milliseconds kGrace(700);
+constexpr std::chrono::milliseconds kLook(50);  // how often interrupts are looked for, and the progress told
+constexpr int kSlow = 5;                        // s: of a job that takes longer, how long is said
 constexpr size_t kMostNames = 4;
 
 std::atomic<bool> interrupt_said{false};  // once is enough, whatever else is left out
@@ -101,6 +103,7 @@ bool AskedToStop() {
 }
 
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
+  progress->UnitsDiffer();  // the gradient of one model and the audit of another, or solvers of seconds and of minutes
   const auto board = std::make_shared<Board>();
   board->job = job;
   for (const std::string& name : names) board->entries.push_back({name, "", false, false, {}});

@@ -28,9 +28,9 @@ struct JobsEnd {
 
 // Calls job(i) for i = 0..names.size()-1 on `threads` threads, each once, until interrupted. Which jobs are at work
 // stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
-// ask AskedToStop(), have half a second to come back before the program goes on without
-// them. What they use must therefore not go away; RunMain ends the process without waiting for them. What a job throws
-// is thrown here, when the others are done.
+// ask AskedToStop(), have 0.7 s to come back before the program goes on without them. What they use must therefore not
+// go away; RunMain ends the process without waiting for them. What a job throws is thrown here, when the others are
+// done.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 // The same for jobs that use what does go away: if they do not come back, the process ends here, with the exit code of

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <tuple>
 
+#include "output/interrupt.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/physics/walls.h"
 
@@ -61,6 +62,7 @@ PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Pl
     linear.Apply(tangent, none, next);
     tangent.swap(next);
     simulator.Step(x, force, next);
+    if (simulator.stopped()) return {};
     if (!std::all_of(next.begin(), next.end(), [](double value) { return std::isfinite(value); })) return {};
     x.swap(next);
   }
@@ -77,6 +79,7 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
   const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
   if (simulator == nullptr) return {};
   const int steps = simulator->num_steps(), size = simulator->body_size();
+  simulator->set_stop(InterruptGuard::GraceIsOver);
   if (!simulator->Rollout(InitialState(scene), InitialControl(scene, steps))) return {};
   const int around = kStepsAround + (error.last_step - error.first_step) / 2;
   const int begin = std::max(0, error.first_step - around), end = std::min(steps, error.last_step + 1 + around);

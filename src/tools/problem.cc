@@ -37,11 +37,6 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     if (!request.solvers.empty()) solved = SolveAll(request);
     std::vector<LaunchSolution> launches;
     if (!InterruptGuard::Interrupted()) launches = FindLaunches(request.scene);
-    const auto write = [&] {
-      WriteAuditFiles(request, audit);
-      WriteSolutions(request, solved);
-      WriteReport(request, audit, solved);
-    };
     const auto print = [&] {
       if (request.json) {
         Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
@@ -56,7 +51,10 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
         }
       }
     };
-    WriteAndPrint(write, print);
+    DoAll({[&] { WriteAuditFiles(request, audit); },
+           [&] { WriteSolutions(request, solved); },
+           [&] { WriteReport(request, audit, solved); },
+           print});
     PrintReportPath(request);
     return std::max(AuditExitCode(request, audit), SolveExitCode(solved));
   });

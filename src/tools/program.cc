@@ -9,8 +9,10 @@
 #include <atomic>
 #include <cerrno>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
 #include <cstring>
+#include <exception>
 #include <filesystem>
 #include <iostream>
 #include <new>
@@ -18,6 +20,7 @@
 
 #include "io/file.h"
 #include "io/suggestion.h"
+#include "output/interrupt.h"
 #include "output/text_layout.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
@@ -45,7 +48,11 @@ DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
               "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
               "striker-target,target-ceiling");
-DEFINE_double(search_seconds, 10, "of mode_search at most, s; 0 is any time");
+DEFINE_double(search_work, saltus::SearchOptions().work,
+              "of mode_search at most: gradients that it computes, counted with about as many microseconds of one core "
+              "as they take; 0 is any");
+DEFINE_double(search_seconds, 0,
+              "of mode_search at most, s; 0 is any time. Where this ends a search, its answer depends on the machine");
 DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
 DEFINE_int32(search_starts, 8, "random ones of mode_search, beside the initial guess");
 DEFINE_uint64(search_seed, 1, "of these starts");
@@ -149,7 +156,8 @@ double Finite(const char* flag, double value) {
 }
 
 SearchOptions SearchFromFlags() {
-  const SearchOptions options{.seconds = FLAGS_search_seconds,
+  const SearchOptions options{.work = FLAGS_search_work,
+                              .seconds = FLAGS_search_seconds,
                               .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
                               .starts = FLAGS_search_starts,
                               .seed = FLAGS_search_seed};
@@ -222,7 +230,7 @@ int RunBody(const std::function<int()>& body) {
   } catch (const InputError& error) {
     return fail(error.what(), kWrongInput);
   } catch (const std::bad_alloc&) {
-    return fail("out of memory", kAnswerFailed);
+    return fail(kMemoryRanOut, kAnswerFailed);
   } catch (const std::exception& error) {
     return fail(error.what(), kAnswerFailed);
   }
@@ -232,8 +240,13 @@ int RunBody(const std::function<int()>& body) {
 
 int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
   OccupyStandardStreams();
+  HoldMemoryBack(kAnswerFailed);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file that becomes too large is an error like others of writing
   google::InitGoogleLogging(argv[0]);
   FLAGS_logtostderr = true;
+  // Ceres says in its log what the solvers take note of and go on after. The programs say themselves what matters, and
+  // a check that fails is always said.
+  FLAGS_minloglevel = google::GLOG_FATAL;
   gflags::SetUsageMessage(program.summary);
   gflags::SetVersionString(SALTUS_VERSION);
   google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
@@ -255,7 +268,9 @@ int RunMain(int argc, char** argv, const Program& program, const std::function<i
     return body();
   });
   if (end_without_waiting) EndProgram(code);
-  return FinishOutput(code);
+  if (code != kDone || !InterruptGuard::Interrupted()) return FinishOutput(code);
+  std::cerr << "interrupted; what takes long of the results may be missing" << std::endl;
+  return FinishOutput(kAnswerFailed);
 }
 
 const std::vector<std::string>& FilesGiven() { return files_given; }
@@ -264,15 +279,17 @@ void EndWithoutWaiting() { end_without_waiting = true; }
 
 void EndProgram(int code) { _exit(FinishOutput(code)); }
 
-void WriteAndPrint(const std::function<void()>& write, const std::function<void()>& print) {
-  std::optional<OutputError> unwritten;
-  try {
-    write();
-  } catch (const OutputError& error) {
-    unwritten = error;
+void DoAll(const std::vector<std::function<void()>>& parts) {
+  std::exception_ptr first;
+  for (const std::function<void()>& part : parts) {
+    try {
+      part();
+    } catch (...) {
+      if (!first) first = std::current_exception();
+      HoldMemoryBackAgain();
+    }
   }
-  print();
-  if (unwritten) throw *unwritten;
+  if (first) std::rethrow_exception(first);
 }
 
 bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
@@ -387,7 +404,7 @@ void MakeDirectory(const std::string& path) {
 }
 
 void WriteTextFile(const std::string& path, const std::string& text) {
-  const Status status = WriteFileAtomically(path, text);
+  const Status status = WriteFile(path, text, InterruptGuard::Interrupted);
   if (!status.ok()) throw OutputError(status.message());
 }
 

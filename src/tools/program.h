@@ -11,6 +11,7 @@
 #include "saltus/dynamics/simulator.h"
 #include "saltus/physics/scene.h"
 #include "saltus/solve/solver.h"
+#include "tools/memory_reserve.h"
 #include "tools/program_flags.h"
 
 namespace saltus {
@@ -70,9 +71,9 @@ void EndWithoutWaiting();
 // Ends the process so, at once.
 [[noreturn]] void EndProgram(int code);
 
-// Calls both, and then throws the OutputError of the first, if any: where files cannot be written the tables are still
-// printed.
-void WriteAndPrint(const std::function<void()>& write, const std::function<void()>& print);
+// Calls all, also after one that throws, and then throws what the first threw: where one file cannot be written, or
+// memory runs out in making it, the others still are, and the tables are printed.
+void DoAll(const std::vector<std::function<void()>>& parts);
 
 // Reads the common flags. Throws InputError. If --contact=list, --solver=list or --surrogate=list is given, prints the
 // list and returns false: the program is done.

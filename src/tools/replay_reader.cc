@@ -5,9 +5,10 @@
 
 #include "io/file.h"
 #include "output/npz.h"
+#include "physics/number_text.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/io/scene_file.h"
-#include "tools/json_output.h"
+#include "tools/json_input.h"
 #include "tools/program.h"
 #include "tools/replay_scene.h"
 
@@ -154,12 +155,7 @@ class Reader {
   }
 
   void ReadDocument(const std::string& text) {
-    Json document;
-    try {
-      document = Json::parse(text);
-    } catch (const Json::exception& error) {
-      throw InputError(path_ + ": neither NPZ nor JSON: " + error.what());
-    }
+    Json document = ParseJson(text, path_, "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (!document.is_object()) Fail("the document", "an object");
     if (!given_) {
@@ -257,8 +253,16 @@ class Reader {
       if (read.wall) read.b -= static_cast<int>(num_discs());
       read.begin = read.end = NumberIn(touch["begin"], key + ".begin");
       if (touch.contains("end")) read.end = NumberIn(touch["end"], key + ".end");
+      CheckTouch(read, key + ".end");
       if (touch.contains("impulse")) read.impulse = PairIn(touch["impulse"], key + ".impulse");
       motion->touches.push_back(read);
+    }
+  }
+
+  void CheckTouch(const ReplayTouch& touch, const std::string& key) const {
+    if (!(std::isfinite(touch.begin) && std::isfinite(touch.end))) Fail(key, "finite times");
+    if (touch.end < touch.begin) {
+      Fail(key, "a time from its begin on, " + ToText(touch.begin) + ", found " + ToText(touch.end));
     }
   }
 
@@ -403,6 +407,7 @@ class Reader {
                                  time[2 * i],
                                  time[2 * i + 1],
                                  {impulse[2 * i], impulse[2 * i + 1]}});
+      CheckTouch(motion->touches.back(), prefix + "touch_times[" + std::to_string(i) + "]");
     }
   }
 

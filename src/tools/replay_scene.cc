@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "output/interrupt.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/physics/walls.h"
 #include "solve/control_guess.h"
@@ -53,6 +54,7 @@ MotionOptions ReplayOptions(const Scene& scene, std::size_t motions) {
   MotionOptions options;
   const std::size_t per_node = 4 * scene.bodies.size() * std::max<std::size_t>(motions, 1);
   options.most_nodes = std::clamp<std::size_t>(kMostReplayNumbers / per_node, 2, 4000);
+  options.stop = InterruptGuard::GraceIsOver;
   return options;
 }
 

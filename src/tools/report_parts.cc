@@ -2,6 +2,8 @@
 
 #include <iostream>
 
+#include "output/interrupt.h"
+#include "saltus/control/exact_run.h"
 #include "saltus/io/scene_file.h"
 
 namespace saltus {
@@ -23,7 +25,7 @@ void FinishReport(const Request& request, HtmlReport* report) {
 }
 
 void AddFigureOrReason(const Figure& figure, const std::string& caption, HtmlReport* report) {
-  const Status status = report->AddFigure(figure, caption);
+  const Status status = InterruptGuard::GraceIsOver() ? Status::Error(kStopped) : report->AddFigure(figure, caption);
   if (!status.ok()) report->AddParagraph("A figure is missing: " + status.message());
 }
 

@@ -13,7 +13,7 @@ HtmlReport StartReport(const Scene& scene);
 // Adds the scene, and writes report.html into --output_dir. Throws OutputError.
 void FinishReport(const Request& request, HtmlReport* report);
 
-// A figure, or why there is none: gnuplot may be missing.
+// A figure, or why there is none: gnuplot may be missing, or the program was interrupted.
 void AddFigureOrReason(const Figure& figure, const std::string& caption, HtmlReport* report);
 
 // The path of the report as the last line, if one was asked for: on stdout, or on stderr if that is JSON.

@@ -7,7 +7,7 @@
 #include "output/npz.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/dynamics/simulator.h"
-#include "tools/json_output.h"
+#include "tools/json_input.h"
 #include "tools/program.h"
 
 namespace saltus {
@@ -85,12 +85,7 @@ class Reader {
   }
 
   void ReadJson(const std::string& text) {
-    Json document;
-    try {
-      document = Json::parse(text);
-    } catch (const Json::exception& error) {
-      throw InputError(flag_ + ": " + path_ + ": neither NPZ nor JSON: " + error.what());
-    }
+    Json document = ParseJson(text, flag_ + ": " + path_, "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (document.is_object() && document.contains("runs")) {
       const Json runs = document["runs"];

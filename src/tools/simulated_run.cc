@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "output/interrupt.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
 #include "solve/control_guess.h"
@@ -22,14 +23,17 @@ std::optional<double> LossUnderModel(const Scene& given, const Contact& contact,
     price_of_time = scene.objective.duration->weight * scene.duration;
     scene.objective.duration.reset();
   }
+  *reason = WhyNotApplicable(contact, scene);
+  if (!reason->empty()) return std::nullopt;
   SingleShooting shooting(MakeSimulator(contact, scene, precision));
+  shooting.set_stop(InterruptGuard::GraceIsOver);
   std::vector<double> z;
   if (scene.num_controlled() > 0) {
     z = MeanOverSteps({report.control, report.durations}, scene.control_width(), shooting.simulator().num_steps());
   }
   double loss = 0;
   if (shooting.Evaluate(z, &loss, nullptr)) return loss + price_of_time;
-  *reason = shooting.WhyFailed();
+  *reason = shooting.stopped() ? kStopped : shooting.WhyFailed();
   return std::nullopt;
 }
 
@@ -50,10 +54,12 @@ bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_d
 
 void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
   const SolveReport& report = run->report;
-  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  run->exact =
+      SimulateExactly(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
   run->certificate = report.certificate;
   if (!run->certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
-    run->certificate = Certify(scene, report.initial_state, report.control, report.durations);
+    run->certificate =
+        Certify(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
   }
   if (IsExact(contact) && run->exact.ok) {
     run->final_state = run->exact.end;
@@ -62,6 +68,7 @@ void CheckRun(const Scene& scene, const Contact& contact, Precision precision, S
   MotionOptions ends;
   ends.precision = precision;
   ends.most_nodes = 2;
+  ends.stop = InterruptGuard::GraceIsOver;
   const MotionInput input{report.initial_state, report.control, report.durations};
   run->final_state = LastState(SimulateMotion(scene, contact, input, ends));
 }
@@ -92,6 +99,7 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
   if (IsExact(contact)) report.reason = run.exact.reason;
   report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   run.simulated = loss && std::isfinite(*loss);
+  if (report.reason == kStopped) report.termination = Termination::kInterrupted;
   if (!run.simulated) return run;
   report.initial_loss = report.final_loss = *loss;
   report.termination = Termination::kConverged;
@@ -102,6 +110,7 @@ Motion MotionOf(const Request& request, const SolveReport& report, bool exact, c
   const MotionInput input{report.initial_state, report.control, report.durations};
   MotionOptions own = options;
   own.precision = request.precision;
+  own.stop = InterruptGuard::GraceIsOver;
   return exact ? SimulateExactMotion(request.scene, input, own)
                : SimulateMotion(request.scene, report.contact, input, own);
 }

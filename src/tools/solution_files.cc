@@ -1,7 +1,10 @@
 #include "tools/solution_files.h"
 
+#include <functional>
 #include <iostream>
+#include <new>
 
+#include "output/interrupt.h"
 #include "output/npz.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/io/scene_file.h"
@@ -106,7 +109,8 @@ void AddInitial(const std::string& prefix, const std::vector<double>& initial, i
   (*arrays)[prefix + "rotation"] = {{bodies, kSpin}, std::vector<double>(moves, initial.end())};
 }
 
-NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
+// Without what the motions are, only the solution.
+NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* motions) {
   const SolveReport& report = run.report;
   const int64_t bodies = request.scene.num_bodies();
   const int64_t controlled = request.scene.num_controlled(), columns = ControlColumns(request.scene);
@@ -131,13 +135,31 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run) {
   if (!report.standard_error.empty()) {
     arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
   }
-  const Motions motions = MotionsOf(request, run);
-  AddMotion(motions.own, "", bodies, &arrays);
-  AddMotion(motions.exact, "exact_", bodies, &arrays);
+  if (motions != nullptr) {
+    AddMotion(motions->own, "", bodies, &arrays);
+    AddMotion(motions->exact, "exact_", bodies, &arrays);
+  }
   arrays["contact"] = ScalarText(report.contact);
   arrays["solver"] = ScalarText(report.solver);
   arrays["scene"] = ScalarText(WriteScene(request.scene));
   return arrays;
+}
+
+void WriteSolution(const Request& request, const SolvedRun& run) {
+  const std::string path = request.output_dir + "/" + SolutionFileName(request.scene, run.report);
+  const auto write = [&](const Motions* motions) {
+    const Status status = WriteNpz(path, ArraysOf(request, run, motions));
+    if (!status.ok()) throw OutputError(status.message());
+  };
+  try {
+    const Motions motions = MotionsOf(request, run);
+    return write(&motions);
+  } catch (const std::bad_alloc&) {
+  }
+  // States are most of a file: where there is no memory for them, the solution is written.
+  HoldMemoryBackAgain();
+  write(nullptr);
+  throw std::bad_alloc();
 }
 
 }  // namespace
@@ -149,7 +171,7 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   if (!request.states) return;
   const Motions motions = MotionsOf(request, run);
   const auto add = [&](const std::string& prefix, const Motion& motion) {
-    if (!motion.failure.empty()) return;
+    if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
     (*item)[prefix + "times"] = NumbersToJson(motion.times);
     (*item)[prefix + "states"] = StatesToJson(motion, bodies);
     (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
@@ -204,12 +226,12 @@ std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
 
 void WriteSolutions(const Request& request, const SolvedRuns& solved) {
   if (request.output_dir.empty()) return;
+  std::vector<std::function<void()>> files;
   for (const SolvedRun& run : solved.runs) {
     if (!run.HasSolution()) continue;
-    const Status status =
-        WriteNpz(request.output_dir + "/" + SolutionFileName(request.scene, run.report), ArraysOf(request, run));
-    if (!status.ok()) throw OutputError(status.message());
+    files.push_back([&] { WriteSolution(request, run); });
   }
+  DoAll(files);
 }
 
 }  // namespace saltus

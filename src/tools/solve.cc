@@ -38,7 +38,10 @@ std::string Remark(const SolvedRun& run) {
   };
   if (const std::string remark = RemarkOn(run); !remark.empty()) add(remark);
   if (report.losses.empty()) return text.str();
-  if (IsLess(report.initial_loss, report.final_loss)) add("ends worse than it began");
+  if (EndsWorse(report)) add("ends worse than it began");
+  if (report.initial_violation > kFeasible && report.final_violation <= kFeasible) {
+    add("the initial guess does not meet the constraints");
+  }
   if (report.best && IsLess(report.best->loss, report.final_loss)) {
     add("best ", Cell(report.best->loss).Display(10), " after ", report.best->iteration, " iterations");
   }
@@ -59,6 +62,61 @@ SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, T
 std::string TerminationInWords(const SolveReport& report) {
   const bool elsewhere = IsConvergence(report) && !FindContactModel(report.contact)->event_driven;
   return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
+}
+
+// States are most of a document: where there is no memory for them, the rest is printed.
+void PrintSolveJson(const Request& request, const SolvedRuns& solved) {
+  const auto print = [&](const Request& what) { PrintJson(SolveToJson(what, solved), what.precision); };
+  try {
+    return print(request);
+  } catch (const std::bad_alloc&) {
+    if (!request.states) throw;
+  }
+  HoldMemoryBackAgain();
+  Request without = request;
+  without.states = false;
+  print(without);
+  throw std::bad_alloc();
+}
+
+// Runs that are refused for one reason: each of these solvers with each of these contact models.
+struct Refusal {
+  std::vector<std::string> contacts, solvers;
+  std::string reason;
+};
+
+std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
+  std::vector<Refusal> of_contacts, refusals;
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.termination != Termination::kNotApplicable) continue;
+    const std::string contact = LabelOf(report.contact, report.surrogate);
+    const auto same = std::find_if(of_contacts.begin(), of_contacts.end(), [&](const Refusal& other) {
+      return other.contacts[0] == contact && other.reason == report.reason;
+    });
+    if (same == of_contacts.end()) {
+      of_contacts.push_back({{contact}, {report.solver}, report.reason});
+    } else {
+      same->solvers.push_back(report.solver);
+    }
+  }
+  for (const Refusal& one : of_contacts) {
+    const auto same = std::find_if(refusals.begin(), refusals.end(), [&](const Refusal& other) {
+      return other.solvers == one.solvers && other.reason == one.reason;
+    });
+    if (same == refusals.end()) {
+      refusals.push_back(one);
+    } else {
+      same->contacts.push_back(one.contacts[0]);
+    }
+  }
+  return refusals;
+}
+
+std::string SomeOf(const std::vector<std::string>& names) {
+  std::string text;
+  for (size_t i = 0; i < std::min(names.size(), kMostNamed); ++i) text += (i == 0 ? "" : ", ") + names[i];
+  return names.size() > kMostNamed ? text + " and " + std::to_string(names.size() - kMostNamed) + " more" : text;
 }
 
 }  // namespace
@@ -94,7 +152,8 @@ SolvedRuns SolveAll(const Request& request) {
           if (solver == kNoSolver) return SimulateOnly(request, contact);
           return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
         } catch (const std::bad_alloc&) {
-          return WithoutLosses(solver, contact, Termination::kFailed, "out of memory");
+          HoldMemoryBackAgain();
+          return WithoutLosses(solver, contact, Termination::kFailed, kMemoryRanOut);
         }
       });
   SolvedRuns solved;
@@ -113,7 +172,7 @@ std::string WhyNoAnswer(const SolveReport& report) {
   if (report.termination == Termination::kFailed) return "failed, " + report.reason;
   if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
   if (LargestDefect(report) > kOpenDefect) return "open defects";
-  return IsLess(report.initial_loss, report.final_loss) ? "ends worse than it began" : "";
+  return EndsWorse(report) ? "ends worse than it began" : "";
 }
 
 Table RunTable(const SolvedRuns& solved) {
@@ -130,6 +189,7 @@ Table RunTable(const SolvedRuns& solved) {
               2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
+    if (report.termination == Termination::kNotApplicable) continue;  // below
     const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
     const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
     const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
@@ -143,6 +203,14 @@ Table RunTable(const SolvedRuns& solved) {
                   of_run(report.seconds),
                   TerminationInWords(report),
                   ran ? Remark(run) : report.reason});
+  }
+  for (const Refusal& refusal : RefusalsOf(solved)) {
+    std::vector<Cell> row(table.columns().size());
+    row[0] = SomeOf(refusal.contacts);
+    row[1] = SomeOf(refusal.solvers);
+    row[row.size() - 2] = TerminationToString(Termination::kNotApplicable);
+    row.back() = refusal.reason;
+    table.AddRow(std::move(row));
   }
   return table;
 }
@@ -200,16 +268,12 @@ int SolveMain(int argc, char** argv) {
     const SolvedRuns solved = SolveAll(request);
     const auto print = [&] {
       if (request.json) {
-        PrintJson(SolveToJson(request, solved), request.precision);
+        PrintSolveJson(request, solved);
       } else {
         PrintSolveTable(request, solved);
       }
     };
-    const auto write = [&] {
-      WriteSolutions(request, solved);
-      WriteSolveReport(request, solved);
-    };
-    WriteAndPrint(write, print);
+    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
     PrintReportPath(request);
     return SolveExitCode(solved);
   });

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "saltus/dynamics/registry.h"
 #include "solve/control_guess.h"
@@ -38,14 +39,15 @@ RunStyle StyleOfRun(const Request& request, const SolveReport& report) {
   return {std::string(style.colour), kDashes[(at - request.solvers.begin()) % 4]};
 }
 
-// Runs with a solution, by their exact loss: the best first; those without one last.
+// Runs with a solution, the best first: those that meet the constraints, by their exact loss; those without one last.
 std::vector<const SolvedRun*> RankedRuns(const SolvedRuns& solved) {
   std::vector<const SolvedRun*> runs;
   for (const SolvedRun& run : solved.runs) {
     if (run.HasSolution()) runs.push_back(&run);
   }
   const auto loss = [](const SolvedRun* run) { return run->exact.ok ? run->exact.loss : HUGE_VAL; };
-  std::stable_sort(runs.begin(), runs.end(), [&](const SolvedRun* l, const SolvedRun* r) { return loss(l) < loss(r); });
+  const auto rank = [&](const SolvedRun* run) { return std::pair(run->report.final_violation > kFeasible, loss(run)); };
+  std::stable_sort(runs.begin(), runs.end(), [&](const SolvedRun* l, const SolvedRun* r) { return rank(l) < rank(r); });
   return runs;
 }
 

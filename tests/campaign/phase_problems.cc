@@ -239,8 +239,7 @@ class Campaign {
     Count(name + TerminationToString(report.termination));
     std::printf(converged ? " ." : " %s (%s)", TerminationToString(report.termination), report.reason.c_str());
     std::fflush(stdout);
-    if (report.final_loss > report.initial_loss && report.termination != Termination::kNotApplicable &&
-        !name.starts_with("with bounds")) {
+    if (EndsWorse(report) && report.termination != Termination::kNotApplicable) {
       Fail(name + "ends worse than it began");
     }
   }

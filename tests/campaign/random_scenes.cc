@@ -26,6 +26,7 @@ DEFINE_double(time_limit, 0, "s; begins no scene after that (0: none)");
 DEFINE_int64(only, -1, "run this seed alone, gradient included");
 DEFINE_bool(edges, false, "scenes among segments, polygons and arcs, and on tables");
 DEFINE_bool(spin, false, "discs spin");
+DEFINE_bool(at_once, false, "scenes with events at the same time, every gradient entry checked on both sides");
 DEFINE_bool(print, false, "with --only: print the scene as YAML");
 
 namespace saltus {
@@ -51,13 +52,15 @@ Counts Decode(const std::string& text) {
 
 campaign::NamedScene SceneOf(int64_t seed) {
   const auto number = static_cast<std::uint32_t>(seed);
+  if (FLAGS_at_once) return campaign::RandomSceneAtOnce(number);
   campaign::NamedScene scene = FLAGS_edges ? campaign::RandomEdgeScene(number) : campaign::RandomScene(number);
   return FLAGS_spin ? campaign::WithSpin(std::move(scene), number) : scene;
 }
 
 Counts RunScene(int64_t seed, bool gradient) {
   const campaign::NamedScene scene = SceneOf(seed);
-  Counts counts = campaign::Check(scene.scene, static_cast<std::uint32_t>(seed), gradient);
+  Counts counts = FLAGS_at_once ? campaign::CheckAtOnce(scene.scene)
+                                : campaign::Check(scene.scene, static_cast<std::uint32_t>(seed), gradient);
   counts["scenes"] = 1;
   counts["scenes of kind " + scene.kind] = 1;
   return counts;
@@ -148,11 +151,14 @@ int main(int argc, char** argv) {
       "random_scenes",
       "Random scenes by exact events",
       {"--scenes=1000000 [--seed=1]"},
-      {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "edges", "spin", "only=SEED", "print"}},
+      {{"Scenes", {"scenes=N", "seed=N", "gradient_every=N", "edges", "spin", "at_once", "only=SEED", "print"}},
        {"Limits", {"scene_seconds=S", "time_limit=S", "threads=N"}},
        {"Output", {"progress=auto|plain|none"}}}};
   return saltus::RunMain(argc, argv, program, [] {
     const auto in_range = [](int64_t seed) { return 0 <= seed && seed <= UINT32_MAX; };
+    if (FLAGS_at_once && (FLAGS_edges || FLAGS_spin)) {
+      throw saltus::InputError("--at_once: expected neither --edges nor --spin with it");
+    }
     if (FLAGS_scenes < 1 || !in_range(FLAGS_seed) || !in_range(FLAGS_seed + FLAGS_scenes - 1) ||
         FLAGS_only > UINT32_MAX) {
       throw saltus::InputError("--scenes, --seed and --only: expected seeds in 0..4294967295");

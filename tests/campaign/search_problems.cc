@@ -87,7 +87,7 @@ Outcome BestOfMany(const Scene& scene) {
     best.Meet(scene, "ceres_phases", Solve("ceres_phases", {scene, "event"}, options));
   }
   SolverOptions options{.iterations = 2500};
-  options.search_options = {.seconds = 0, .starts = 4 * FLAGS_starts, .seed = 778};
+  options.search_options = {.work = 0, .starts = 4 * FLAGS_starts, .seed = 778};
   best.Meet(scene, "mode_search", Solve("mode_search", {scene, "event"}, options));
   return best;
 }
@@ -121,7 +121,7 @@ class Campaign {
   double Search(const Scene& scene) {
     const double begin = CpuSeconds();
     SolverOptions options;
-    options.search_options.seconds = 0;
+    options.search_options.work = 0;
     if (FLAGS_seconds > 0) options.stop = [&] { return CpuSeconds() - begin > FLAGS_seconds; };
     const SolveReport report = Solve("mode_search", {scene, "event"}, options);
     seconds_.push_back(CpuSeconds() - begin);

@@ -6,6 +6,7 @@
 #include <numeric>
 #include <random>
 
+#include "contact/event.h"
 #include "contact/event_run.h"
 #include "physics/scene_generators.h"
 #include "saltus/audit/audit.h"
@@ -265,11 +266,12 @@ TEST(EventCrowd, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
     int smooth = 0;
     for (int k = 50; k < 150; k += 3) {
       const std::vector<double> start = whole.State(k);
-      const auto after = [&](double by, double by_friction, testing::EventSimulator* simulator) {
+      const auto after = [&](double by, double by_friction, Simulator* simulator) {
         std::vector<double> x = start, force = push;
         Scene moved = part;
         moved.contact.friction += by_friction * by;
-        testing::EventSimulator own(moved, Precision::kDouble);
+        const std::unique_ptr<Simulator> made_own = testing::MakeEventSimulator(moved);
+        Simulator& own = *made_own;
         if (simulator == nullptr) simulator = &own;
         for (int i = 0; i < 4 * n; ++i) x[i] += i % 4 < 2 ? 0 : by * direction[i];
         for (double& entry : force) entry *= by;
@@ -279,7 +281,8 @@ TEST(EventCrowd, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
       };
       const double by = 1e-5, by_friction = friction > 0 ? 1 : 0;
       const double more = after(by, by_friction, nullptr), less = after(-by, by_friction, nullptr);
-      testing::EventSimulator simulator(part, Precision::kDouble);
+      const std::unique_ptr<Simulator> made_simulator = testing::MakeEventSimulator(part);
+      Simulator& simulator = *made_simulator;
       const double here = after(0, 0, &simulator);
       const bool at_once =
           std::ranges::any_of(simulator.touches(), [](const StepTouch& at) { return at.touch.time < 0; });
@@ -306,7 +309,8 @@ TEST(EventCrowd, TheGradientOfASettlingBagEqualsDifferences) {
   part.duration = scene.duration / scene.steps;
   for (int i = 0; i < 14; ++i) part.control.bodies.push_back(i);
   part.control.initial.assign(14, Vec2d(0, 0));
-  testing::EventSimulator simulator(part, Precision::kDouble);
+  const std::unique_ptr<Simulator> made_simulator = testing::MakeEventSimulator(part);
+  Simulator& simulator = *made_simulator;
   int smooth = 0;
   for (int k = 40; k < 200; k += 8) {
     const auto after = [&](double by) {

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <random>
 
+#include "contact/event.h"
 #include "contact/event_run.h"
 #include "physics/units.h"
 #include "saltus/dynamics/events.h"

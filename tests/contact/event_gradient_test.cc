@@ -14,7 +14,6 @@
 namespace saltus {
 namespace {
 
-using testing::EventSimulator;
 using testing::RandomScenes;
 
 constexpr int kScenes = 500;
@@ -51,11 +50,13 @@ Experiment RandomExperiment(RandomScenes* random) {
 }
 
 struct Result {
-  EventSimulator simulator;
+  std::unique_ptr<Simulator> owned;
+  Simulator& simulator;
   std::vector<double> end;
   double loss = 0;
 
-  explicit Result(const Experiment& e) : simulator(e.scene, Precision::kDouble), end(e.initial.size()) {
+  explicit Result(const Experiment& e)
+      : owned(testing::MakeEventSimulator(e.scene)), simulator(*owned), end(e.initial.size()) {
     EXPECT_TRUE(simulator.Rollout(e.initial, e.control)) << simulator.WhyFailed();
     simulator.GetState(e.scene.steps, end);
     for (std::size_t i = 0; i < end.size(); ++i) loss += end[i] * (e.slope[i] + 0.5 * e.bend[i] * end[i]);

@@ -13,7 +13,6 @@ namespace saltus {
 namespace {
 
 using testing::EventRun;
-using testing::SpinRun;
 using testing::StartOf;
 
 const Pocket kPocket{"corner", {1, 0.5}, 0.2};
@@ -196,7 +195,7 @@ TEST(EventPockets, ADiscThatRollsInIsLetGoAndItsAngleStays) {
   ball.inertia.kind = Inertia::Kind::kSolid;
   ball.angular_velocity = -20;
   scene.pockets = {{"hole", {0.6, 0.1}, 0.1}};
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> end = run.End();
   const double time = 1.0 / 2;  // it rolls all the way
   EXPECT_NEAR(end[0], 0.5, 1e-12);

@@ -16,7 +16,6 @@ namespace saltus {
 namespace {
 
 using testing::EventRun;
-using testing::SpinRun;
 
 constexpr double kGravity = 9.81, kRadius = 0.1, kMass = 1.5;
 constexpr double kTolerance = 1e-7;  // motion is of second order in arcs below 1e-3 rad
@@ -137,7 +136,7 @@ double EnergyOf(const std::vector<double>& x) {
 
 // Until it flies, which must not be at once. What slides must not stick again.
 void ExpectMotion(const OnCircle& start, double duration, int steps, Made made, bool rolls) {
-  SpinRun run(SceneOf(start, duration, steps, made));
+  EventRun run(SceneOf(start, duration, steps, made));
   ASSERT_TRUE(run.finite);
   Reference reference(start);
   int k = 0;
@@ -166,7 +165,7 @@ TEST(EventRolling, InABowl) {
   const OnCircle start{.side = -1, .angle = 0.5};
   ExpectMotion(start, 1.5, 30, Made::kOfArc, true);
   // Nothing is lost on the way down.
-  SpinRun run(SceneOf(start, 0.35, 1, Made::kOfArc));
+  EventRun run(SceneOf(start, 0.35, 1, Made::kOfArc));
   EXPECT_NEAR(EnergyOf(run.End()), EnergyOf(run.State(0)), 1e-12);
 }
 
@@ -189,7 +188,7 @@ template <typename Of>
 std::pair<double, double> AlongCircle(const OnCircle& start, double OnCircle::*changed, double duration, Made made,
                                       int row, const Of& of) {
   constexpr double kWidth = 1e-4;
-  SpinRun run(SceneOf(start, duration, 7, made));
+  EventRun run(SceneOf(start, duration, 7, made));
   const std::vector<double> gradient = run.GradientOf(row).initial;
   std::pair<double, double> by(0, 0);
   for (const double side : {-1.0, 1.0}) {
@@ -212,7 +211,9 @@ TEST(EventRolling, Differences) {
   for (const auto& [start, made] : starts) {
     for (double OnCircle::*changed : {&OnCircle::angle, &OnCircle::speed, &OnCircle::spin}) {
       for (int row = 0; row < 6; ++row) {
-        const auto end = [&, made = made](const OnCircle& at) { return SpinRun(SceneOf(at, 0.2, 7, made)).End()[row]; };
+        const auto end = [&, made = made](const OnCircle& at) {
+          return EventRun(SceneOf(at, 0.2, 7, made)).End()[row];
+        };
         const auto [exact, differences] = AlongCircle(start, changed, 0.2, made, row, end);
         EXPECT_NEAR(exact, differences, 1e-4 * std::max(1.0, std::abs(exact))) << row << " from " << start.angle;
       }

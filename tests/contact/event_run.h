@@ -3,13 +3,17 @@
 
 #include <gtest/gtest.h>
 
-#include "contact/event.h"
+#include <memory>
+
 #include "saltus/control/objective.h"
-#include "saltus/internal/model_simulator.h"
+#include "saltus/dynamics/registry.h"
 
 namespace saltus::testing {
 
-using EventSimulator = ModelSimulator<EventDriven, double>;
+// The event-driven model in the units of the scene: MakeSimulator() would convert to natural ones.
+inline std::unique_ptr<Simulator> MakeEventSimulator(const Scene& scene) {
+  return Contact("event").entry()->make(scene, Precision::kDouble, {});
+}
 
 inline std::vector<double> HeldControl(const Scene& scene) {
   std::vector<double> control;
@@ -22,9 +26,9 @@ inline std::vector<double> HeldControl(const Scene& scene) {
 inline std::vector<double> StartOf(const Scene& scene) { return InitialState(scene); }
 
 // A rollout from the scene's own start under its own forces.
-template <ContactModel M>
-struct EventRunOf {
-  explicit EventRunOf(const Scene& scene) : simulator(scene, Precision::kDouble), control(HeldControl(scene)) {
+struct EventRun {
+  explicit EventRun(const Scene& scene)
+      : owned(MakeEventSimulator(scene)), simulator(*owned), control(HeldControl(scene)) {
     Scene named = scene;
     named.name = "test";
     const std::optional<SceneError> error = Validate(named);
@@ -63,13 +67,10 @@ struct EventRunOf {
   }
   double TimeOf(const StepTouch& touch) const { return touch.step * simulator.step() + touch.touch.time; }
 
-  ModelSimulator<M, double> simulator;
+  const std::unique_ptr<Simulator> owned;
+  Simulator& simulator;
   std::vector<double> control;
   bool finite = false;
 };
-
-using EventRun = EventRunOf<EventDriven>;
-// Of scenes with discs that spin.
-using SpinRun = EventRunOf<EventSpinning>;
 
 }  // namespace saltus::testing

@@ -16,7 +16,6 @@ namespace saltus {
 namespace {
 
 using testing::EventRun;
-using testing::EventSimulator;
 using testing::HeldControl;
 using testing::StartOf;
 using Quantity = OneSided::Quantity;
@@ -33,7 +32,8 @@ struct Start {
   explicit Start(const Scene& of) : scene(of), initial(StartOf(of)), control(HeldControl(of)) {}
 
   double Loss() const {
-    EventSimulator simulator(scene, Precision::kDouble);
+    const std::unique_ptr<Simulator> made_simulator = testing::MakeEventSimulator(scene);
+    Simulator& simulator = *made_simulator;
     EXPECT_TRUE(simulator.Rollout(initial, control));
     std::vector<double> end(simulator.state_size());
     simulator.GetState(scene.steps, end);
@@ -42,7 +42,8 @@ struct Start {
     return loss;
   }
   Sensitivity Gradient() const {
-    EventSimulator simulator(scene, Precision::kDouble);
+    const std::unique_ptr<Simulator> made_simulator = testing::MakeEventSimulator(scene);
+    Simulator& simulator = *made_simulator;
     EXPECT_TRUE(simulator.Rollout(initial, control));
     std::vector<double> end(simulator.state_size()), cotangent(end.size());
     simulator.GetState(scene.steps, end);

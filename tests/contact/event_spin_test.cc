@@ -5,7 +5,6 @@
 #include <cmath>
 #include <fstream>
 #include <map>
-#include <memory_resource>
 #include <nlohmann/json.hpp>
 #include <random>
 
@@ -13,7 +12,6 @@
 #include "exact/exact_scenes.h"
 #include "folders.h"
 #include "saltus/contact/event_sides.h"
-#include "saltus/internal/island_derivative.h"
 
 namespace saltus {
 namespace {
@@ -21,7 +19,6 @@ namespace {
 using exact_test::Number;
 using nlohmann::json;
 using testing::EventRun;
-using testing::SpinRun;
 
 constexpr double kTolerance = 1e-10;
 
@@ -83,7 +80,7 @@ std::size_t PlaceOf(int body, int entry, int num_bodies) {
 }
 
 // The derivatives of entry `row` of the final state, by the names that the references have.
-std::map<std::string, double> DerivativesOf(SpinRun* run, int row) {
+std::map<std::string, double> DerivativesOf(EventRun* run, int row) {
   const Scene& scene = run->simulator.scene();
   const Sensitivity gradient = run->GradientOf(row);
   std::map<std::string, double> by{{"e", gradient.parameters.restitution}, {"mu", gradient.parameters.friction}};
@@ -110,7 +107,7 @@ class EventSpin : public ::testing::TestWithParam<int> {
   // Impacts, final state and flow Jacobian of a scene.
   static void ExpectReference(Scene scene, const json& expected) {
     scene.steps = GetParam();
-    SpinRun run(scene);
+    EventRun run(scene);
     std::vector<std::pair<double, Touch>> impacts;
     for (const StepTouch& at : run.simulator.touches()) impacts.emplace_back(run.TimeOf(at), at.touch);
     ExpectImpacts(impacts, expected["impacts"]);
@@ -137,7 +134,7 @@ TEST_P(EventSpin, SlidesThenRolls) {
   const json& expected = References()["s3"];
   Scene scene = OnGround({3, 0}, 0, 0.2);
   scene.steps = GetParam();
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> end = run.End();
   ExpectNear(end[0], Number(expected["x"]), kTolerance, "x");
   ExpectNear(end[2], Number(expected["speed"]), kTolerance, "v");
@@ -164,7 +161,7 @@ TEST(EventSpinOnGround, CeasesToRollAndRollsAgain) {
     scene.duration = 3;
     scene.steps = 3 * parts;
     scene.control = {{0}, {{0, 0}}};
-    SpinRun run(scene);
+    EventRun run(scene);
     for (int k = 0; k < 2 * parts; ++k) run.control[2 * k] = k < parts ? 3 : 9;
     ASSERT_TRUE(run.simulator.Rollout(InitialState(scene), run.control)) << run.simulator.WhyFailed();
     const std::vector<double> end = run.End();
@@ -181,59 +178,50 @@ TEST(EventSpinOnGround, CeasesToRollAndRollsAgain) {
   }
 }
 
-// With accelerations, torques among them, at the impacts: one step of the model itself.
+// With accelerations, torques among them, at the impacts: one step.
 TEST(EventSpinStep, ForcesAndTorquesAtImpacts) {
   const json& expected = References()["s2f"];
   Scene scene = SpinPair();
   scene.contact.friction = 0.05;
   scene.gravity = {0.3, -0.4};
   scene.bodies[1].inertia = {Inertia::Kind::kGiven, 2 * 0.009};
-  const TypedScene<double> typed(scene, scene.duration);
-  const std::vector<Vec2d> force{{1.5, -0.7}, {-0.6, 0.9}};
+  scene.steps = 1;
+  scene.control = {.bodies = {0, 1}, .initial = {{0, 0}, {0, 0}}, .turned = {0, 1}};
   const std::vector<double> torque{0.02, -0.03};
-  const std::vector<Candidate> candidates{{0, 1, false}, {0, 0, true}, {1, 0, true}};
-  std::pmr::monotonic_buffer_resource scratch;
-  std::vector<Touch> touches;
-  StepInput<double> in{.h = scene.duration,
-                       .gravity = scene.gravity,
-                       .contact = typed.contact,
-                       .bodies = typed.bodies,
-                       .planes = typed.planes,
-                       .force = force,
-                       .candidates = candidates,
-                       .scratch = &scratch,
-                       .touches = &touches,
-                       .torque = torque};
-  using State = BodyState<double, kSpin>;
-  std::vector<State> x, next(2);
+  const std::vector<double> force{
+      1.5, -0.7, -0.6, 0.9, torque[0] / scene.bodies[0].radius, torque[1] / scene.bodies[1].radius};
+  std::vector<double> x, next(12);
   for (const Body& body : scene.bodies) {
-    x.push_back({body.position, body.velocity, {body.angle, body.angular_velocity}});
+    x.insert(x.end(), {body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+    x.insert(x.end(), {body.angle, body.angular_velocity});
   }
-  const EventSpinning model;
-  model.Step(in, std::span<const State>(x), std::span<State>(next));
+  const std::unique_ptr<Simulator> simulator = testing::MakeEventSimulator(scene);
+  std::vector<Touch> touches;
+  simulator->Step(x, force, next, &touches);
   std::vector<std::pair<double, Touch>> impacts;
   for (const Touch& touch : touches) impacts.emplace_back(touch.time, touch);
   ExpectImpacts(impacts, expected["impacts"]);
-  IslandDerivative<EventSpinning, double>::Matrix jacobian;
-  IslandDerivative<EventSpinning, double>().Evaluate(model, in, x, /*with_parameters=*/true, &jacobian);
-  const int parameters = 2 * (6 + 3);  // after states, forces and torques
+  StepLinearization linearization;
+  simulator->Linearize(x, force, /*with_parameters=*/true, &linearization);
+  ASSERT_EQ(linearization.islands.size(), 1u);
+  const StepLinearization::Island& island = linearization.islands[0];
   for (int i = 0; i < 2; ++i) {
-    const double* end = reinterpret_cast<const double*>(&next[i]);
+    const double* end = &next[6 * i];
     for (int j = 0; j < 6; ++j) {
       const std::string name = scene.bodies[i].name + "." + kEntries[j];
       ExpectNear(end[j], Number(expected["final"][scene.bodies[i].name][j]), kTolerance, name);
       if (!expected["jacobian"].contains(name)) continue;
       const json& by = expected["jacobian"][name];
-      const auto row = jacobian.row(6 * i + j);
+      const auto row = island.A.row(6 * i + j), parameters = island.P.row(6 * i + j);
       for (int k = 0; k < 12; ++k) {
         const std::string what = scene.bodies[k / 6].name + "." + kEntries[k % 6];
         ExpectNear(row[k], Number(by[what]), kTolerance, "d " + name + " / d " + what);
       }
-      ExpectNear(row[parameters], Number(by["e"]), kTolerance, "d " + name + " / d e");
-      ExpectNear(row[parameters + 1], Number(by["mu"]), kTolerance, "d " + name + " / d mu");
+      ExpectNear(parameters[0], Number(by["e"]), kTolerance, "d " + name + " / d e");
+      ExpectNear(parameters[1], Number(by["mu"]), kTolerance, "d " + name + " / d mu");
       for (int k = 0; k < 2; ++k) {
-        const double inverse = typed.bodies[k].inverse_inertia, gyration2 = 1 / (inverse * scene.bodies[k].mass);
-        const double by_gyration2 = -row[parameters + 6 + k] * inverse / gyration2;
+        const double inverse = 1 / scene.bodies[k].MomentOfInertia(), gyration2 = 1 / (inverse * scene.bodies[k].mass);
+        const double by_gyration2 = -parameters[6 + k] * inverse / gyration2;
         ExpectNear(by_gyration2, Number(by["k2." + scene.bodies[k].name]), kTolerance, "d " + name + " / d k2");
       }
     }
@@ -243,7 +231,7 @@ TEST(EventSpinStep, ForcesAndTorquesAtImpacts) {
 // The whole flow by central differences of the initial state, of entries for which `smooth` holds.
 template <typename Smooth>
 void ExpectDifferences(const Scene& scene, double width, double tolerance, const Smooth& smooth) {
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> start = InitialState(scene);
   for (std::size_t c = 0; c < start.size(); ++c) {
     if (!smooth(c)) continue;
@@ -288,7 +276,7 @@ TEST(EventSpinDifferences, ComesToRollAfterBounces) {
   scene.contact.restitution = 0.3;
   scene.duration = 3;
   scene.steps = 30;
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> end = run.End();
   EXPECT_NEAR(end[2] + 0.1 * end[5], 0, 1e-12);
   ExpectDifferences(scene, 1e-6, 1e-6, [](std::size_t) { return true; });
@@ -300,7 +288,7 @@ TEST(EventSpinDifferences, DropsOntoTheContactOnWhichItRolls) {
     Scene scene = OnGround({1, 0}, friction < 0.1 ? 3 : -10, friction);
     scene.gravity = {3, -9};
     scene.duration = 1;
-    SpinRun run(scene);
+    EventRun run(scene);
     const std::vector<double> start = InitialState(scene);
     const std::vector<double> end = run.End();
     for (const int c : {1, 3}) {
@@ -334,7 +322,7 @@ TEST(EventSpinDifferences, AboutToSlip) {
                                    {0, Quantity::kPosition, 1, Side::kNone},
                                    {0, Quantity::kVelocity, 0, Side::kAbove},
                                    {0, Quantity::kVelocity, 1, Side::kNone}}));
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> start = InitialState(scene), end = run.End();
   const auto slope = [&](int c, double by) {
     std::vector<double> moved = start;
@@ -356,7 +344,7 @@ TEST(EventSpinConformance, SpinsOnNothing) {
   scene.bodies[1].position = {1, 5};
   scene.bodies[0].angle = 0.25;
   scene.steps = 10;
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> end = run.End();
   EXPECT_EQ(end[5], 20);
   EXPECT_NEAR(end[4], 0.25 + 1.2 * 20, 1e-13);
@@ -368,7 +356,7 @@ TEST(EventSpinConformance, RollingWithoutSlipStays) {
   Scene scene = OnGround({1, 0}, -10, 0.6);
   scene.gravity = {3, -9};
   scene.steps = 50;
-  SpinRun run(scene);
+  EventRun run(scene);
   for (int k = 0; k <= scene.steps; ++k) {
     const std::vector<double> x = run.State(k);
     EXPECT_NEAR(x[2] + 0.1 * x[5], 0, 1e-12);
@@ -385,7 +373,7 @@ TEST(EventSpinConformance, MirroredSceneMirrored) {
     body.velocity[0] *= -1;
     body.angular_velocity *= -1;
   }
-  const std::vector<double> end = SpinRun(scene).End(), other = SpinRun(mirrored).End();
+  const std::vector<double> end = EventRun(scene).End(), other = EventRun(mirrored).End();
   for (int i = 0; i < 12; ++i) {
     const int j = i % 6;
     const bool turns = j == 0 || j == 2 || j > 3;
@@ -403,7 +391,7 @@ TEST(EventSpinConformance, WithoutFrictionSpinIsByItself) {
     body.inertia = {};
     body.angular_velocity = 0;
   }
-  const std::vector<double> end = SpinRun(scene).End(), expected = EventRun(plain).End();
+  const std::vector<double> end = EventRun(scene).End(), expected = EventRun(plain).End();
   for (int i = 0; i < 2; ++i) {
     for (int j = 0; j < 4; ++j) EXPECT_EQ(end[6 * i + j], expected[4 * i + j]);
     EXPECT_EQ(end[6 * i + 5], scene.bodies[i].angular_velocity);
@@ -416,7 +404,7 @@ TEST(EventSpinConformance, DiscsThatCannotSpinStayAsTheyWere) {
   scene.bodies[0].inertia = {};
   const Scene plain = scene;
   scene.bodies.push_back(Spinning("far", 0.1, 1, {50, 7}, {0, 0}, 5));
-  const std::vector<double> end = SpinRun(scene).End(), expected = EventRun(plain).End();
+  const std::vector<double> end = EventRun(scene).End(), expected = EventRun(plain).End();
   for (int j = 0; j < 4; ++j) EXPECT_EQ(end[j], expected[j]);
   EXPECT_EQ(end[4], 0);
   EXPECT_EQ(end[5], 0);
@@ -425,14 +413,14 @@ TEST(EventSpinConformance, DiscsThatCannotSpinStayAsTheyWere) {
 TEST(EventSpinConformance, AGivenInertiaOfASolidDiscIsASolidDisc) {
   Scene scene = SpinPair(), given = scene;
   for (Body& body : given.bodies) body.inertia = {Inertia::Kind::kGiven, body.MomentOfInertia()};
-  EXPECT_EQ(SpinRun(scene).End(), SpinRun(given).End());
+  EXPECT_EQ(EventRun(scene).End(), EventRun(given).End());
 }
 
 TEST(EventSpinConformance, MemoryDoesNotChangeABit) {
   Scene scene = SpinPair();
   scene.steps = 400;
   scene.control = {{0}, {{0.3, -0.2}}};
-  SpinRun run(scene), tight(scene);
+  EventRun run(scene), tight(scene);
   tight.simulator.set_memory_limit(tight.simulator.LeastMemory());
   ASSERT_TRUE(tight.simulator.Rollout(InitialState(scene), tight.control));
   for (int row = 0; row < 12; ++row) {
@@ -477,7 +465,7 @@ TEST(EventSpinConformance, CrowdKeepsMomentumAndAngularMomentum) {
                                       velocity - 1.5 * place,
                                       20 * uniform(random)));
     }
-    SpinRun run(scene);
+    EventRun run(scene);
     EXPECT_GT(run.simulator.touches().size(), 5u);
     const Totals first = TotalsOf(scene, run.State(0));
     double energy = first.energy;
@@ -499,7 +487,7 @@ TEST(EventSpinCorner, RubsAgainstBothWalls) {
   scene.planes.push_back({"wall", {-0.1, 0}, {1, 0}});
   scene.duration = 0.5;
   scene.steps = 5;
-  SpinRun run(scene);
+  EventRun run(scene);
   const std::vector<double> end = run.End();
   EXPECT_NEAR(end[0], 0, 1e-12);
   EXPECT_NEAR(end[1], 0.1, 1e-12);
@@ -516,7 +504,7 @@ TEST(EventSpinEdges, EndOfASegment) {
   scene.bodies = {Spinning("ball", 0.1, 1, {0, 0.03}, {2, 0}, -4)};
   scene.segments = {{"post", {0.5, 0}, {0.5, -1}}};
   scene.contact = {.restitution = 0.7, .friction = 5};
-  SpinRun run(scene);
+  EventRun run(scene);
   ASSERT_EQ(run.simulator.touches().size(), 1u);
   EXPECT_EQ(run.simulator.touches()[0].touch.mode, ContactMode::kStick);
   const double hit = run.TimeOf(run.simulator.touches()[0]);
@@ -535,7 +523,7 @@ TEST(EventSpinEdges, EndOfASegment) {
 TEST(EventSpinRefused, Tables) {
   Scene scene = SpinPair();
   scene.table = TableFriction{0.1, 9.81};
-  EXPECT_NE(EventSpinning::WhyNot(scene).find("spin"), std::string::npos);
+  EXPECT_NE(Contact("event").entry()->why_not_applicable(scene).find("spin"), std::string::npos);
 }
 
 }  // namespace

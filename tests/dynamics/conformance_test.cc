@@ -12,7 +12,7 @@
 #include "contact/pbd_warp.h"
 #include "dynamics/conformance_derivatives.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/internal/model_simulator.h"
+#include "saltus/internal/contact_step.h"
 #include "test_scenes.h"
 
 namespace saltus::conformance {
@@ -150,7 +150,7 @@ struct ForgetsThePosition : PbdWarp {
 template <ContactModel M>
 Model Tested() {
   return {M::kTraits,
-          [](const Scene& scene) { return std::make_unique<ModelSimulator<M, double>>(scene, Precision::kDouble); },
+          [](const Scene& scene) { return MakeModelSimulator<M>(scene); },
           [](const Scene&) { return std::string(); }};
 }
 

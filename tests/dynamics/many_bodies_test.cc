@@ -7,8 +7,8 @@
 #include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/internal/broad_phase.h"
-#include "saltus/internal/islands.h"
+#include "dynamics/broad_phase.h"
+#include "dynamics/islands.h"
 
 namespace saltus {
 namespace {

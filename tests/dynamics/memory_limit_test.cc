@@ -8,7 +8,7 @@
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/internal/trajectory.h"
+#include "dynamics/trajectory.h"
 #include "test_scenes.h"
 
 namespace saltus {

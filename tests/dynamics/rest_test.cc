@@ -6,6 +6,7 @@
 
 #include "contact/event.h"
 #include "contact/event_run.h"
+#include "saltus/internal/contact_step.h"
 
 namespace saltus {
 namespace {
@@ -40,13 +41,11 @@ std::vector<double> Lift() {
   return control;
 }
 
-using testing::EventSimulator;
-
 // The step from x under `control` by a simulator that has seen nothing else.
-std::unique_ptr<EventSimulator> OneStep(Scene scene, const std::vector<double>& x, std::span<const double> control) {
+std::unique_ptr<Simulator> OneStep(Scene scene, const std::vector<double>& x, std::span<const double> control) {
   scene.duration /= scene.steps;
   scene.steps = 1;
-  auto simulator = std::make_unique<EventSimulator>(scene, Precision::kDouble);
+  std::unique_ptr<Simulator> simulator = testing::MakeEventSimulator(scene);
   EXPECT_TRUE(simulator->Rollout(x, control));
   return simulator;
 }
@@ -60,7 +59,8 @@ std::vector<double> StateOf(const Simulator& simulator, int k) {
 TEST(Rest, StepsAreThoseOneByOne) {
   const Scene scene = Stack();
   const std::vector<double> control = Lift();
-  EventSimulator all(scene, Precision::kDouble);
+  const std::unique_ptr<Simulator> owned = testing::MakeEventSimulator(scene);
+  Simulator& all = *owned;
   ASSERT_TRUE(all.Rollout(InitialState(scene), control));
   std::size_t touches = 0;
   for (int k = 0; k < kSteps; ++k) {
@@ -84,7 +84,8 @@ TEST(Rest, StepsAreThoseOneByOne) {
 TEST(Rest, DerivativesAreThoseOneByOne) {
   const Scene scene = Stack();
   const std::vector<double> control = Lift();
-  EventSimulator all(scene, Precision::kDouble);
+  const std::unique_ptr<Simulator> owned = testing::MakeEventSimulator(scene);
+  Simulator& all = *owned;
   ASSERT_TRUE(all.Rollout(InitialState(scene), control));
   std::vector<double> cotangent(all.state_size());
   for (std::size_t i = 0; i < cotangent.size(); ++i) cotangent[i] = 1 + 0.1 * static_cast<double>(i);
@@ -130,7 +131,8 @@ TEST(Rest, IsSteppedAndDifferentiatedOnce) {
   Scene scene = Stack();
   scene.bodies.pop_back();
   const std::vector<double> still(kSteps * 4);
-  ModelSimulator<CountedEvents, double> simulator(scene, Precision::kDouble);
+  const std::unique_ptr<Simulator> made = MakeModelSimulator<CountedEvents>(scene);
+  Simulator& simulator = *made;
   steps_taken = steps_taped = 0;
   ASSERT_TRUE(simulator.Rollout(InitialState(scene), still));
   EXPECT_EQ(simulator.touches().size(), kSteps * 6u);

@@ -4,7 +4,7 @@
 #include <array>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/internal/model_simulator.h"
+#include "saltus/internal/contact_step.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -48,7 +48,7 @@ class SolveRecordTest : public testing::Test {
   void SetUp() override { solves = 0; }
 
   static SingleShooting Shooting(const Scene& scene, SingleShooting::Variables variables) {
-    return SingleShooting(std::make_unique<ModelSimulator<Counting, double>>(scene, Precision::kDouble), variables);
+    return SingleShooting(MakeModelSimulator<Counting>(scene), variables);
   }
 };
 
@@ -89,12 +89,12 @@ TEST_F(SolveRecordTest, NeitherDoTheOtherIslandsOfAStep) {
 
 TEST_F(SolveRecordTest, ALinearizationSolvesOnceInAllItsPasses) {
   const Scene scene = ProblemScene("two_balls");
-  const ModelSimulator<Counting, double> simulator(scene, Precision::kDouble);
+  const std::unique_ptr<const Simulator> simulator = MakeModelSimulator<Counting>(scene);
   // The two overlap and approach each other.
   const double radii = scene.bodies[0].radius + scene.bodies[1].radius;
   const std::vector<double> x{0, 0, 1, 0.2, 0.9 * radii, 0.1, -1, 0}, force(4, 0.0);
   StepLinearization linearization;
-  simulator.Linearize(x, force, /*with_parameters=*/true, &linearization);
+  simulator->Linearize(x, force, /*with_parameters=*/true, &linearization);
   ASSERT_EQ(linearization.islands.size(), 1u);
   EXPECT_EQ(solves, 2);  // that of the step, and one for the passes
 }

@@ -1,5 +1,5 @@
 // Models that break their contract, and steps that do not arrive, fail and say which model, which step and what.
-#include "saltus/internal/step_contract.h"
+#include "dynamics/step_contract.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,7 +9,7 @@
 #include "contact/direct.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "saltus/internal/model_simulator.h"
+#include "saltus/internal/contact_step.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -88,10 +88,10 @@ struct BrakesAtImpacts : Direct<true> {
 
 template <typename M, typename S = double>
 std::string WhyFailed(const Scene& scene) {
-  ModelSimulator<M, S> simulator(scene, Precision::kDouble);
-  const bool ran = simulator.Rollout(InitialState(scene), InitialControl(scene, simulator.num_steps()));
-  EXPECT_EQ(ran, simulator.WhyFailed().empty());
-  return simulator.WhyFailed();
+  const std::unique_ptr<Simulator> simulator = MakeModelSimulator<M, S>(scene);
+  const bool ran = simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps()));
+  EXPECT_EQ(ran, simulator->WhyFailed().empty());
+  return simulator->WhyFailed();
 }
 
 TEST(StepContract, IsKeptByAModelThatReports) {
@@ -107,8 +107,7 @@ TEST(StepContract, AForgottenReportFailsTheRollout) {
 }
 
 TEST(StepContract, AForgottenReportGivesNoGradient) {
-  SingleShooting shooting(
-      std::make_unique<ModelSimulator<ForgetsReport, double>>(ProblemScene("two_balls"), Precision::kDouble));
+  SingleShooting shooting(MakeModelSimulator<ForgetsReport>(ProblemScene("two_balls")));
   std::vector<double> gradient(shooting.num_variables());
   double loss = 0;
   EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
@@ -117,12 +116,12 @@ TEST(StepContract, AForgottenReportGivesNoGradient) {
 // With a step that fails behind it, a simulator goes on as if nothing had been.
 TEST(StepContract, AFailureIsForgottenWithTheNextRollout) {
   Scene scene = ProblemScene("two_balls");
-  ModelSimulator<ForgetsReport, double> simulator(scene, Precision::kDouble);
+  const std::unique_ptr<Simulator> simulator = MakeModelSimulator<ForgetsReport>(scene);
   std::vector<double> control = InitialControl(scene, scene.steps);
-  EXPECT_FALSE(simulator.Rollout(InitialState(scene), control));
+  EXPECT_FALSE(simulator->Rollout(InitialState(scene), control));
   std::fill(control.begin(), control.end(), 0.0);
-  EXPECT_TRUE(simulator.Rollout(InitialState(scene), control));
-  EXPECT_THAT(simulator.WhyFailed(), IsEmpty());
+  EXPECT_TRUE(simulator->Rollout(InitialState(scene), control));
+  EXPECT_THAT(simulator->WhyFailed(), IsEmpty());
 }
 
 TEST(StepContract, OneOfTwoContactsIsNotEnough) {
@@ -169,10 +168,10 @@ TEST(StepContract, ASingleStepIsNotANumber) {
     simulator.Step(InitialState(scene), force, next);
     return std::all_of(next.begin(), next.end(), [](double value) { return std::isfinite(value); });
   };
-  EXPECT_TRUE(step(ModelSimulator<Direct<true>, double>(scene, Precision::kDouble)));
-  EXPECT_FALSE(step(ModelSimulator<ForgetsReport, double>(scene, Precision::kDouble)));
-  EXPECT_FALSE(step(ModelSimulator<NeverArrives, double>(scene, Precision::kDouble)));
-  EXPECT_FALSE(step(ModelSimulator<ReportsAnything, double>(scene, Precision::kDouble)));
+  EXPECT_TRUE(step(*MakeModelSimulator<Direct<true>>(scene)));
+  EXPECT_FALSE(step(*MakeModelSimulator<ForgetsReport>(scene)));
+  EXPECT_FALSE(step(*MakeModelSimulator<NeverArrives>(scene)));
+  EXPECT_FALSE(step(*MakeModelSimulator<ReportsAnything>(scene)));
 }
 
 // Who says nothing of relative motion has the right gradient, whatever the model does.
@@ -180,8 +179,7 @@ TEST(StepContract, RelativeMotionIsNotTakenForGranted) {
   static_assert(!ModelTraits{}.relative);
   const auto miss = [](auto model) {
     const Scene scene = ProblemScene("two_balls");
-    SingleShooting shooting(std::make_unique<ModelSimulator<decltype(model), double>>(scene, Precision::kDouble),
-                            SingleShooting::Variables::kInitialState);
+    SingleShooting shooting(MakeModelSimulator<decltype(model)>(scene), SingleShooting::Variables::kInitialState);
     std::vector<double> z = shooting.initial_guess(), gradient(z.size());
     double loss = 0, most = 0;
     EXPECT_TRUE(shooting.Evaluate(z, &loss, gradient.data()));

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <vector>
 
 #include "folders.h"
 #include "fuzz/targets.h"
@@ -25,7 +26,8 @@ TEST_P(FuzzCorpus, IsReadOrRefused) {
 
 TEST_P(FuzzCorpus, NothingIsReadOrRefused) { GetParam().run(""); }
 
-INSTANTIATE_TEST_SUITE_P(Targets, FuzzCorpus, testing::ValuesIn(fuzz::kTargets),
+INSTANTIATE_TEST_SUITE_P(Targets, FuzzCorpus,
+                         testing::ValuesIn(std::vector<fuzz::Target>(fuzz::Targets().begin(), fuzz::Targets().end())),
                          [](const auto& target) { return std::string(target.param.name); });
 
 }  // namespace

@@ -12,7 +12,7 @@ namespace {
 
 const saltus::fuzz::Target& ChosenTarget() {
   const char* name = std::getenv("SALTUS_FUZZ_TARGET");
-  for (const saltus::fuzz::Target& target : saltus::fuzz::kTargets) {
+  for (const saltus::fuzz::Target& target : saltus::fuzz::Targets()) {
     if (name != nullptr && std::string_view(name) == target.name) return target;
   }
   LOG(FATAL) << "SALTUS_FUZZ_TARGET: expected the name of a target in tests/fuzz/targets.h";

@@ -1,9 +1,10 @@
-// What is fuzzed: every reader of text or files that a user hands to a program.
+// What is fuzzed: every reader of text or files that a user hands to a program, and rollouts of scenes.
 //
 // A target takes any bytes. It must come back, in time and without a leak, and checks on the way what must hold of what
 // was read. scripts/fuzz.sh feeds the targets by libFuzzer, corpus_test.cc feeds them what is kept in corpus/<name>/.
 #pragma once
 
+#include <span>
 #include <string>
 #include <string_view>
 
@@ -18,18 +19,14 @@ void ReadsGiven(std::string_view bytes);     // the file of --given
 void ReadsSequence(std::string_view bytes);  // --sequence
 void ReadsNpy(std::string_view bytes);       // an array as in the members of an NPZ file
 void ReadsNpz(std::string_view bytes);       // an NPZ file
+void RunsExtremes(std::string_view bytes);   // a scene file with extreme numbers, made from the bytes, and its rollouts
 
 struct Target {
   const char* name;
   void (*run)(std::string_view bytes);
 };
-inline constexpr Target kTargets[] = {{"scene", ReadsScene},
-                                      {"sweep", ReadsSweep},
-                                      {"points", ReadsPoints},
-                                      {"given", ReadsGiven},
-                                      {"sequence", ReadsSequence},
-                                      {"npy", ReadsNpy},
-                                      {"npz", ReadsNpz}};
+// Those of the program: the readers, or what runs scenes.
+std::span<const Target> Targets();
 
 // What the text refers to: four discs, one of them fixed and two pushed, and a plane; some names have hyphens and dots.
 const Scene& ExampleScene();

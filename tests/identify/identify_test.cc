@@ -179,6 +179,40 @@ TEST(Identify, SaysWhatNoImpactReveals) {
   EXPECT_EQ(report.correlation.size(), 2u);
 }
 
+// Neither noise nor one sample a segment says anything of the restitution, though some motion passes near by.
+TEST(Identify, WhatDeterminesNothingIsNoFit) {
+  GeneratedProblem noise = Bounce();
+  GeneratedRandom random(8);
+  for (Sample& sample : noise.recording.samples) {
+    sample.sigma = 0;
+    sample.position = {random.Uniform(-1, 1), random.Uniform(-1, 1)};
+  }
+  const IdentifyReport of_noise = Identify("event", noise.guess, {noise.recording}, {{Kind::kRestitution}});
+  EXPECT_NE(of_noise.verdict, FitVerdict::kFits);
+  EXPECT_FALSE(of_noise.reason.empty());
+
+  for (const double sigma : {0.0, 1e-3}) {
+    GeneratedProblem cut = Bounce();
+    for (Sample& sample : cut.recording.samples) sample.sigma = sigma;
+    const IdentifyReport report =
+        Identify("event", cut.guess, {cut.recording}, {{Kind::kRestitution}}, {.segment = 1e-9});
+    EXPECT_EQ(report.verdict, FitVerdict::kNotDetermined) << report.reason;
+    EXPECT_EQ(report.reason, "the samples have no more numbers than there are unknowns");
+    EXPECT_EQ(report.estimates[0].determination, Determination::kUndetermined);
+    EXPECT_TRUE(std::isfinite(report.cost) && std::isfinite(report.sigma));
+  }
+}
+
+// What is measured without any error leaves nothing to estimate an error from, and is a fit all the same.
+TEST(Identify, SamplesWithoutErrorFit) {
+  GeneratedProblem problem = Bounce(0);
+  for (Sample& sample : problem.recording.samples) sample.sigma = 0;
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, {{Kind::kRestitution}});
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  EXPECT_NEAR(report.estimates[0].value, 0.75, 1e-9);
+  EXPECT_TRUE(std::isfinite(report.estimates[0].standard_error));
+}
+
 // Gravity and a force are one acceleration.
 TEST(Identify, SaysWhatIsDeterminedOnlyTogether) {
   const GeneratedProblem problem = Bounce();

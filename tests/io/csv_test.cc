@@ -28,7 +28,7 @@ TEST(CsvTest, ErrorsNameTheLine) {
   EXPECT_EQ(message("a,b\n1,\"2\n"), "line 2: quote is never closed");
   EXPECT_EQ(message("a,b\n1,\"2\"3\n"), "line 2: text after a closing quote");
   EXPECT_EQ(message("a,b\n1,2\"\n"), "line 2: quote inside an unquoted field");
-  EXPECT_EQ(message("\n\n"), "no header line");
+  EXPECT_EQ(message("\n\n"), "found nothing, expected a line with the names of columns");
 }
 
 TEST(CsvTest, ReadsThePublishedValues) {

@@ -345,7 +345,16 @@ TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
        "found a hard term with a component"},
       {"[0.5, 3, 4]", "[0, 3, 4]", 12, "objective.running[0].target[1]", "rise"},
       {"[0.5, 3, 4]", "[3, 4]", 12, "objective.running[0].target[1]", "a row [time, x, y]"},
-      {"time: 0.5", "time: 1", 14, "objective.via[0].time", "between 0 and the duration"},
+      {"time: 0.5", "time: 1", 14, "objective.via[0].time", "expected a time strictly between 0 and the duration, 1"},
+      {"time: 0.5", "time: 0", 14, "objective.via[0].time", "expected a time strictly between 0 and the duration, 1"},
+      {"time: 0.5, quantity: position",
+       "time: 0.5, quantity: angle",
+       14,
+       "objective.via[0].quantity",
+       "found angle, expected position or velocity"},
+      {"min: 0.5, max: 2", "min: 0.25, max: 0.5", 14, "objective.via[0].time", "before objective.duration.max, 0.5"},
+      {"max_norm: [4, 5]", "max_torque: 2", 9, "control.max_torque", "expected none: there is no key control.torque"},
+      {"optimize: control", "optimize: control\nfree: [a]", 20, "free", "for optimize: velocity or position"},
       {"time: 0.5, ", "", 14, "objective.via[0].time", "expected the time in s"},
       {"free: true", "free: false", 17, "objective.duration.free", "expected true"},
       {"max: 2", "max: 0.1", 17, "objective.duration.max", "expected min or more"},
@@ -360,6 +369,30 @@ TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
     EXPECT_EQ(error.key, c.key);
     EXPECT_THAT(error.message, HasSubstr(c.message));
   }
+}
+
+TEST(ParseScene, RefusesACostOfEffortOfNoControl) {
+  const std::string scene =
+      "name: a\nduration: 1\nsteps: 1\nbodies: [{name: b, radius: 1, mass: 1, position: [0, 0]}]\n"
+      "objective:\n  terminal: []\n  effort: 0.1\noptimize: none\n";
+  const SceneFileError error = ErrorOf(scene);
+  EXPECT_EQ(error.line, 7);
+  EXPECT_EQ(error.key, "objective.effort");
+  EXPECT_THAT(error.message, HasSubstr("no body is controlled"));
+  EXPECT_EQ(SceneOf(ParseScene(Replaced(scene, "0.1", "0"), "test")).objective.effort, 0);
+}
+
+TEST(ParseScene, AFreeDurationBetweenEqualBoundsIsTheScenes) {
+  const std::string equal = Replaced(kConstrained, "min: 0.5, max: 2, weight: 0.25", "min: 0.75, max: 0.75");
+  Scene expected = SceneOf(ParseScene(kConstrained, "test"));
+  expected.duration = 0.75;
+  expected.objective.duration.reset();
+  EXPECT_EQ(SceneOf(ParseScene(equal, "test")), expected);
+  // With a price it is kept, for that is a part of the loss.
+  const Scene priced = SceneOf(ParseScene(Replaced(equal, "max: 0.75", "max: 0.75, weight: 2"), "test"));
+  expected.objective.duration = FreeDuration{0.75, 0.75, 2};
+  EXPECT_EQ(priced, expected);
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(priced), "written")), priced);
 }
 
 TEST(ParseScene, SaysWhereAndWhy) {

@@ -165,7 +165,7 @@ TEST_F(NpzTest, MembersAreStoredUnderTheirNameWithTheNpyBytes) {
 
 TEST_F(NpzTest, EqualArraysGiveEqualBytesAndReplaceWhatWasThere) {
   const NpzArrays arrays = {{"a", {{1}, std::vector<double>{1}}}};
-  ASSERT_TRUE(WriteFileAtomically(path_, "not a zip file").ok());
+  ASSERT_TRUE(WriteFile(path_, "not a zip file").ok());
   ASSERT_TRUE(WriteNpz(path_, arrays).ok());
   const std::string first = *ReadFile(path_);
   ASSERT_TRUE(WriteNpz(path_, {{"b", {{1}, std::vector<double>{2}}}}).ok());
@@ -174,7 +174,7 @@ TEST_F(NpzTest, EqualArraysGiveEqualBytesAndReplaceWhatWasThere) {
 }
 
 TEST_F(NpzTest, ReadsWhatNumpyCompressed) {
-  ASSERT_TRUE(WriteFileAtomically(path_, FromHex(kNumpyArchive)).ok());
+  ASSERT_TRUE(WriteFile(path_, FromHex(kNumpyArchive)).ok());
   const StatusOr<NpzArrays> read = ReadNpz(path_);
   ASSERT_TRUE(read.ok()) << read.status().message();
   EXPECT_EQ(*read, (NpzArrays{{"loss", {{1}, std::vector<float>{0.25f}}}, {"s", {{}, std::vector<double>{3.0}}}}));
@@ -184,9 +184,9 @@ TEST_F(NpzTest, DamagedArchivesAreErrors) {
   ASSERT_TRUE(WriteNpz(path_, {{"a", {{4}, std::vector<double>{1, 2, 3, 4}}}}).ok());
   std::string bytes = *ReadFile(path_);
   bytes[bytes.find("NUMPY") + 130] ^= 1;  // in the data: only the checksum can tell
-  ASSERT_TRUE(WriteFileAtomically(path_, bytes).ok());
+  ASSERT_TRUE(WriteFile(path_, bytes).ok());
   EXPECT_THAT(ReadNpz(path_).status().message(), HasSubstr("damaged"));
-  ASSERT_TRUE(WriteFileAtomically(path_, bytes.substr(0, bytes.size() / 2)).ok());
+  ASSERT_TRUE(WriteFile(path_, bytes.substr(0, bytes.size() / 2)).ok());
   EXPECT_FALSE(ReadNpz(path_).ok());
   EXPECT_FALSE(ReadNpz("/no/such/file.npz").ok());
 }

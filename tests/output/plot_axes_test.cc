@@ -57,6 +57,28 @@ TEST(LogTicksTest, StayWithinTheRange) {
   }
 }
 
+// Losses of any size are drawn: the ends of the axis and its ticks are numbers.
+TEST(AxisRangesTest, OfAnyNumbersHaveTicks) {
+  constexpr double kLargest = std::numeric_limits<double>::max(), kLeast = std::numeric_limits<double>::denorm_min();
+  for (const bool log : {false, true}) {
+    for (const std::vector<double>& y : {std::vector<double>{kLeast, 1},
+                                         std::vector<double>{1, kLargest},
+                                         std::vector<double>{kLeast, kLargest},
+                                         std::vector<double>{-kLargest, kLargest},
+                                         std::vector<double>{kLargest, kLargest},
+                                         std::vector<double>{kLeast, kLeast}}) {
+      Panel panel = PanelOf({0, 1}, y);
+      panel.y.log = log;
+      const Range range = AxisRanges(panel, kBox).second;
+      EXPECT_TRUE(std::isfinite(range.min) && std::isfinite(range.max)) << range.min << " to " << range.max;
+      EXPECT_LT(range.min, range.max);
+      const std::vector<Tick> ticks = log ? LogTicks(range) : LinearTicks(range, 5);
+      EXPECT_FALSE(ticks.empty());
+      EXPECT_LT(Labels(ticks).size(), 100u);
+    }
+  }
+}
+
 TEST(AxisRangesTest, CoverDataWithAMargin) {
   const auto [x, y] = AxisRanges(PanelOf({0, 10, kNan}, {1, kNan, -3}), kBox);
   EXPECT_DOUBLE_EQ(x.min, -0.2);

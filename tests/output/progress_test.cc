@@ -95,7 +95,33 @@ TEST_F(ProgressTest, AutoIsPlainOnAFileAndSaysIfItStoppedEarly) {
   progress.Finish();
   progress.Update(6);
   progress.Finish();
-  EXPECT_EQ(Written(), "audit: 5/10  50%  5/s  0:01 left  stopped\n");
+  EXPECT_EQ(Written(), "audit: 5/10  50%  5/s  0:01  stopped\n");
+}
+
+// Two units that take 10 s each: what is left of the second one gets less as it is worked on.
+TEST_F(ProgressTest, TheTimeLeftIsThatOfTheUnitsDoneLessWhatHasPassedSince) {
+  Progress progress(ProgressMode::kPlain, sink_, "sweep", 2, clock_.Reader());
+  clock_.Wait(10.0);
+  progress.Advance();
+  clock_.Wait(6.0);
+  progress.Advance(0);
+  clock_.Wait(6.0);
+  progress.Advance(0);  // it takes longer than the first one: how long is not known
+  EXPECT_EQ(Written(),
+            "sweep: 1/2  50%  0.1/s  0:10 left\n"
+            "sweep: 1/2  50%  0.0625/s  0:04 left\n"
+            "sweep: 1/2  50%  0.0455/s  0:22\n");
+}
+
+// An exact gradient that is found at once says nothing of how long an audit takes.
+TEST_F(ProgressTest, NothingIsSaidOfTheTimeLeftOfUnitsThatDiffer) {
+  Progress progress(ProgressMode::kPlain, sink_, "audit", 2, clock_.Reader());
+  progress.UnitsDiffer();
+  clock_.Wait(1.0);
+  progress.Advance();
+  clock_.Wait(9.0);
+  progress.Advance(0, "lcp");
+  EXPECT_EQ(Written(), "audit: 1/2  50%  0:10  lcp\n");
 }
 
 TEST_F(ProgressTest, NoneWritesNothing) {

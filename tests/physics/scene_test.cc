@@ -237,6 +237,48 @@ TEST(Validate, NeedsNoObjectiveToOptimizeNothing) {
   EXPECT_FALSE(Validate(scene));
 }
 
+TEST(Validate, SaysThatCornersLieOnOneLine) {
+  const auto error_of = [](const std::vector<Vec2d>& points) {
+    Scene scene = GoodScene();
+    scene.polygons = {{"polygon", points, EdgePolygon::Solid::kInside}};
+    const std::optional<SceneError> error = Validate(scene);
+    return error ? error->ToString() : "";
+  };
+  const std::string on_a_line = "polygons[0].points: found corners that lie on one line";
+  EXPECT_THAT(error_of({{30, 30}, {31, 31}, {32, 32}}), testing::HasSubstr(on_a_line));
+  // Of these rounding makes a little area, of either sign.
+  EXPECT_THAT(error_of({{30.1, 30.1}, {30.3, 30.3}, {30.7, 30.7}}), testing::HasSubstr(on_a_line));
+  EXPECT_THAT(error_of({{30, 30.3}, {30.1, 30.6}, {30.7, 32.4}, {30.2, 30.9}}), testing::HasSubstr(on_a_line));
+  EXPECT_THAT(error_of({{30, 30}, {30, 31}, {31, 30}}), testing::HasSubstr("clockwise"));
+  EXPECT_EQ(error_of({{30, 30}, {31, 30}, {30.5, 30 + 1e-6}}), "");
+}
+
+TEST(Validate, RefusesADiscAlongAnArcOfItsRadius) {
+  const auto error_of = [](double radius, double shift) {
+    Scene scene = GoodScene();
+    scene.arcs = {{"arc", {20, 20}, radius, 0, 3}};
+    scene.bodies[1].position = {20, 20 + shift};
+    const std::optional<SceneError> error = Validate(scene);
+    return error ? error->ToString() : "";
+  };
+  EXPECT_THAT(error_of(0.2, 0), testing::HasSubstr("bodies[1].position: found the centre of the arc arc"));
+  EXPECT_EQ(error_of(0.25, 0), "");    // in the middle of a larger one
+  EXPECT_EQ(error_of(0.2, -0.1), "");  // below the half circle, away from it
+}
+
+TEST(Validate, RefusesPairsThatCannotTouchAnyway) {
+  Scene scene = GoodScene();
+  scene.bodies.push_back({.name = "post2", .radius = 0.5, .fixed = true, .position = {9, 9}});
+  scene.no_contact = {{0, 2, false}};
+  EXPECT_FALSE(Validate(scene));
+  scene.no_contact = {{2, 3, false}};
+  ASSERT_TRUE(Validate(scene));
+  EXPECT_EQ(Validate(scene)->key, "no_contact[0]");
+  scene.no_contact = {{2, 0, true}};
+  ASSERT_TRUE(Validate(scene));
+  EXPECT_EQ(Validate(scene)->key, "no_contact[0]");
+}
+
 TEST(Validate, SaysWhatIsWrongWithEdges) {
   using Solid = EdgePolygon::Solid;
   const auto key_of = [](const auto& change) {

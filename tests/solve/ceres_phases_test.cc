@@ -9,6 +9,7 @@
 #include <span>
 
 #include "constrained_reference.h"
+#include "saltus/control/certificate.h"
 #include "saltus/control/exact_run.h"
 #include "saltus/dynamics/registry.h"
 #include "saltus/solve/solver.h"
@@ -297,6 +298,45 @@ TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
   scene.objective.terminal[0].hard = false;
   scene.objective.duration = FreeDuration{0.5, 2, 0.1};
   EXPECT_THAT(refusing(scene, "a free duration"), and_never({}));
+}
+
+// The only final time that its bounds allow, of which nothing is asked; its price is a constant of the loss.
+TEST(FreeDuration, BetweenEqualBoundsIsAFixedOne) {
+  Scene fixed = ProblemScene("two_balls");
+  fixed.steps = 24;
+  fixed.duration = 0.75;
+  Scene equal = fixed;
+  equal.duration = 1;
+  equal.objective.duration = FreeDuration{0.75, 0.75, 2};
+  for (const char* solver : {"ceres_phases", "ceres_event", "gd", "hmp", "ceres_lm"}) {
+    SCOPED_TRACE(solver);
+    std::vector<double> losses;
+    SolverOptions options{.iterations = 60};
+    options.callback = [&](int, double loss) {
+      losses.push_back(loss);
+      return true;
+    };
+    const SolveReport expected = Solve(solver, {fixed, "event"}, {.iterations = 60});
+    const SolveReport report = Solve(solver, {equal, "event"}, options);
+    ASSERT_EQ(report.termination, expected.termination) << report.reason;
+    EXPECT_EQ(report.control, expected.control);
+    EXPECT_DOUBLE_EQ(report.initial_loss, expected.initial_loss + 1.5);
+    EXPECT_DOUBLE_EQ(report.final_loss, expected.final_loss + 1.5);
+    ASSERT_EQ(report.losses.size(), expected.losses.size());
+    if (solver == std::string("gd")) {
+      EXPECT_EQ(losses, report.losses);
+    }
+    EXPECT_NEAR(std::accumulate(report.durations.begin(), report.durations.end(), 0.0), 0.75, 1e-12);
+    // The scene that is asked about says the same of the solution.
+    const ExactRun exact = SimulateExactly(equal, report.initial_state, report.control, report.durations);
+    ASSERT_TRUE(exact.ok) << exact.reason;
+    const ExactRun of_fixed = SimulateExactly(fixed, expected.initial_state, expected.control, expected.durations);
+    EXPECT_NEAR(exact.loss, of_fixed.loss + 1.5, 1e-9);
+    const Certificate certificate = Certify(equal, report.initial_state, report.control, report.durations);
+    const Certificate same = Certify(fixed, expected.initial_state, expected.control, expected.durations);
+    EXPECT_EQ(certificate.verdict, same.verdict);
+    EXPECT_FALSE(certificate.final_time);
+  }
 }
 
 }  // namespace

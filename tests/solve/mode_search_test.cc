@@ -107,7 +107,7 @@ TEST(ModeSearch, GoesOnFromMoreStartsWhereItWouldStop) {
   Scene scene = ControlProblem(122);
   scene.steps = 120;
   SolverOptions options;
-  options.search_options.seconds = 0;
+  options.search_options.work = 0;
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
   EXPECT_LT(report.final_loss, 0.041486);
   ASSERT_TRUE(report.searched);

@@ -10,6 +10,7 @@
 #include <limits>
 #include <map>
 #include <sstream>
+#include <stdexcept>
 
 #include "folders.h"
 #include "sweep/output.h"
@@ -62,6 +63,50 @@ class SweepStoreTest : public testing::Test {
 
   std::string directory_ = testing::TempDir() + "/sweep_store_" + std::to_string(getpid());
 };
+
+// A database that something else has written to, or that is damaged: the error is said, and nothing is aborted.
+TEST_F(SweepStoreTest, OthersMayNotHaveWrittenToIt) {
+  const SweepStudy study = Study();
+  const auto error_after = [&](const std::string& sql) -> std::string {
+    std::filesystem::remove(Path());
+    {
+      StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
+      EXPECT_TRUE(store->Add(2, Row(study, 2)).ok());
+    }
+    sqlite3* database = nullptr;
+    EXPECT_EQ(sqlite3_open(Path().c_str(), &database), SQLITE_OK);
+    EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(database);
+    sqlite3_close(database);
+    StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
+    if (!store.ok()) return store.status().message();
+    try {
+      (void)store->size();
+      (void)store->Has(2);
+      (void)Contents(*store);
+    } catch (const std::runtime_error& error) {
+      return error.what();
+    }
+    return "none";
+  };
+  EXPECT_EQ(error_after("SELECT 1"), "none");
+  EXPECT_THAT(error_after("DROP TABLE points"), HasSubstr("no such table: points"));
+  EXPECT_THAT(error_after("UPDATE points SET status = 'finished'"), HasSubstr("a point that no sweep has stored"));
+  EXPECT_THAT(error_after("ALTER TABLE points ADD COLUMN more"), HasSubstr("columns"));
+  EXPECT_THAT(error_after("UPDATE study SET value = 'words'"), HasSubstr("not one that a sweep writes"));
+  EXPECT_THAT(error_after("UPDATE study SET value = ' ' || value"), HasSubstr("written in another way"));
+
+  // Pages of points overwritten by zeros.
+  EXPECT_EQ(error_after("VACUUM"), "none");
+  const std::uintmax_t size = std::filesystem::file_size(Path());
+  std::fstream file(Path(), std::ios::in | std::ios::out | std::ios::binary);
+  file.seekp(4096);
+  for (std::uintmax_t i = 4096; i < size; ++i) file.put('\0');
+  file.close();
+  const StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
+  if (store.ok()) {
+    EXPECT_THROW((void)Contents(*store), std::runtime_error);
+  }
+}
 
 TEST_F(SweepStoreTest, GivesBackWhatItWasGivenAfterReopening) {
   const SweepStudy study = Study();

@@ -144,10 +144,88 @@ TEST(Ends, MemoryThatRunsOutIsSaidAndCostsOneRun) {
                               "--contact=direct_toi --steps=10000000 ";
   const Outcome json_outcome = RunCommand(limited + "--solver=gd --iterations=1 --json");
   EXPECT_EQ(json_outcome.exit_code, 1);
-  EXPECT_THAT(json_outcome.errors, HasSubstr("out of memory"));
+  EXPECT_THAT(json_outcome.errors, HasSubstr("memory ran out"));
   const Outcome table = RunCommand(limited + "--solver=ceres_shooting");
   EXPECT_EQ(table.exit_code, 1);
-  EXPECT_THAT(table.output, AllOf(HasSubstr("ceres_shooting"), HasSubstr("out of memory")));
+  EXPECT_THAT(table.output, AllOf(HasSubstr("ceres_shooting"), HasSubstr("memory ran out")));
+}
+
+// Of ever larger documents, memory runs out in making the states, in printing them, or in taking down what was built.
+TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
+  if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
+  const std::string directory = PathFor("memory");
+  int without = 0;
+  for (const int steps : {100000, 200000, 300000, 400000, 600000, 1000000}) {
+    std::filesystem::remove_all(directory);
+    const Outcome outcome =
+        RunCommand("sh -c 'ulimit -v 524288; exec \"$@\"' sh " + BuildFolder() +
+                   "/bin/saltus_solve --progress=none --threads=1 --contact=event --solver=none --json --states" +
+                   Scene("two_balls") + "--steps=" + std::to_string(steps) + " --output_dir=" + directory);
+    SCOPED_TRACE(std::to_string(steps) + " steps\n" + outcome.errors);
+    const json document = json::parse(outcome.output, nullptr, /*allow_exceptions=*/false);
+    ASSERT_FALSE(document.is_discarded());
+    const json& run = document["runs"][0];
+    EXPECT_TRUE(run["loss"].is_number());
+    EXPECT_EQ(outcome.exit_code == 0, run.contains("states") && run.contains("exact_states"));
+    if (outcome.exit_code != 0) {
+      ++without;
+      EXPECT_EQ(outcome.exit_code, 1);
+      EXPECT_THAT(outcome.errors, HasSubstr("memory ran out"));
+    }
+    EXPECT_TRUE(std::filesystem::exists(directory + "/two_balls_event_none.npz"));
+  }
+  EXPECT_GT(without, 0) << "the limit is no limit";
+  std::filesystem::remove_all(directory);
+}
+
+TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
+  if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
+  for (const std::string& flags : {std::string(), std::string("--json "), "--json --output_dir=" + PathFor("memory") + " "}) {
+    for (const int mebibytes : {256, 384, 512}) {
+      const Outcome outcome =
+          RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) + "; exec \"$@\"' sh " + BuildFolder() +
+                     "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
+                     "--steps=1000000 --attribution_seconds=1 " +
+                     flags + Scene("two_balls"));
+      EXPECT_TRUE(outcome.exit_code == 0 || outcome.exit_code == 1) << mebibytes << flags << outcome.errors;
+      if (outcome.exit_code == 1) {
+        EXPECT_THAT(outcome.errors, HasSubstr("memory ran out")) << mebibytes << flags;
+      }
+    }
+  }
+  std::filesystem::remove_all(PathFor("memory"));
+}
+
+// More than a file may hold is an error like a full disk, and no signal.
+TEST(Ends, AFileThatBecomesTooLargeIsAnError) {
+  const std::string directory = PathFor("large");
+  const Outcome outcome = RunCommand("sh -c 'ulimit -f 4; exec \"$@\"' sh " + BuildFolder() +
+                                     "/bin/saltus_solve --progress=none --contact=event --solver=none" +
+                                     Scene("two_balls") + "--output_dir=" + directory);
+  EXPECT_EQ(outcome.exit_code, 1);
+  EXPECT_THAT(outcome.errors, HasSubstr("cannot write: File too large"));
+  EXPECT_THAT(outcome.output, HasSubstr("two_balls"));  // the table
+  int files = 0;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(directory)) ++files;
+  EXPECT_EQ(files, 0) << "what is cut off is no file";
+  std::filesystem::remove_all(directory);
+}
+
+TEST(Ends, AnAuditWithoutAGradientSaysWhy) {
+  const Outcome outcome = RunProgram(
+      "saltus_audit --progress=none --contact=primal_descent,event --stiffness=1e15 --steps=24" + Scene("two_balls"));
+  EXPECT_EQ(outcome.exit_code, 1);
+  EXPECT_THAT(outcome.errors, HasSubstr("no gradient of 1 of 2 (primal_descent: the rollout fails: step "));
+  EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
+}
+
+// Ceres fails in some steps of a search, which the search takes note of.
+TEST(Ends, TheLogOfCeresIsOff) {
+  const Outcome outcome = RunProgram(
+      "saltus_solve --progress=none --contact=event --solver=mode_search --steps=24 "
+      "--iterations=20 --search_seconds=0" +
+      Scene("two_balls"));
+  EXPECT_THAT(outcome.errors, testing::StartsWith("no answer from 1 of 1 runs"));
 }
 
 TEST(Ends, FilesThatAreNoneAreWrongInput) {

@@ -50,7 +50,6 @@ void SetScales(const Scene& scene, ModelGradient* gradient);
 // `control` (K x C x 2) replaces the initial guess; one of another size is a reason.
 ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
                               const StopRequest& stop = nullptr, const std::vector<double>* control = nullptr);
-inline constexpr char kStopped[] = "interrupted";
 
 // A surrogate of it, its samples on `threads` threads. The initial state and the control are perturbed one at a time,
 // each as a whole. A surrogate that is not valid is a reason too.

@@ -14,6 +14,7 @@
 //   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
 //   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
 //   ambiguous    there is no gradient: the order of impacts at the same time decides (dynamics/events.h, Tie)
+//   one-sided    every derivative by the initial state exists from one side only, or from none, and none is judged
 //
 // Only the time step is refined: stiffness and damping stay as the scene gives them. A compliant model that is called
 // wrong thus converges to the gradient of its own soft contact, which at that stiffness is not that of a rigid one.
@@ -44,7 +45,8 @@ enum class Verdict {
   kBiased,
   kIllConditioned,
   kNotApplicable,
-  kAmbiguous
+  kAmbiguous,
+  kOneSided
 };
 const char* VerdictToString(Verdict verdict);  // as above
 // kWrong or kWrongSign.
@@ -97,6 +99,10 @@ struct QuantityStudy {
   std::vector<std::string> one_sided;    // entries that are not judged
   std::vector<std::string> wrong_signs;  // entries that are wrong in sign, at the scene's own steps or at the finest
 
+  // The error on which a verdict of an error that does not fall rests: the median at the finest level, or, where that
+  // would be right, the largest of all levels.
+  double decisive = 0;
+
   bool IsJudged() const { return one_sided.size() < exact.size(); }
 };
 
@@ -116,7 +122,7 @@ struct RefinementStudy {
   std::vector<QuantityStudy> quantities;  // those that the scene has
   // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that
   // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter, nor does a
-  // quantity of which no entry is judged.
+  // quantity of which no entry is judged. kOneSided where none of position and velocity is.
   Verdict verdict = Verdict::kUnknown;
   std::optional<Conditioning> conditioning;  // of the exact gradient, measured where a quantity is not right
 

@@ -127,9 +127,9 @@ const char* CurvatureToString(Curvature::Kind kind);
 std::string VerdictInWords(const Certificate& certificate);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
-// none. Where these or the scene are wrong, the certificate is kNotApplicable and says so.
+// none. Where these or the scene are wrong, or `stop` asked for the end, the certificate is kNotApplicable and says so.
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                    const std::vector<double>& durations = {});
+                    const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
 // The same certificate in other units; its residuals have none.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);

@@ -37,11 +37,13 @@ struct ExactRun {
   std::vector<Tie> ambiguous;
   std::optional<LossSpread> spread;
 };
+inline constexpr char kStopped[] = "interrupted";  // the reason of what was stopped
+
 // Shapes: initial as in simulator.h; control is K x C x 2, for any K. Its intervals last `durations` (K numbers that
 // sum up to the horizon), or equally long if there are none. Wrong shapes, numbers that are not finite and a wrong
-// scene are a reason.
+// scene are a reason; so is kStopped, if `stop` asked for the end.
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations = {});
+                         const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
 // TiesToString(), and what the loss is over the orders if that is known.
 std::string DescribeTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread);

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "saltus/dynamics/registry.h"
-#include "saltus/internal/model_simulator.h"
+#include "saltus/internal/contact_step.h"
 
 namespace saltus {
 namespace internal {
@@ -66,24 +66,26 @@ M WithOptions(std::span<const OptionValue> values) {
 }
 
 template <ContactModel M>
-std::unique_ptr<Simulator> MakeModelSimulator(const Scene& scene, Precision precision,
-                                              std::span<const OptionValue> options) {
+std::unique_ptr<Simulator> MakeSimulatorWithOptions(const Scene& scene, Precision precision,
+                                                    std::span<const OptionValue> options) {
   if constexpr (requires { typename M::Spinning; }) {
-    if (scene.Spins()) return MakeModelSimulator<typename M::Spinning>(scene, precision, options);
+    if (scene.Spins()) return MakeSimulatorWithOptions<typename M::Spinning>(scene, precision, options);
   }
   const M model = WithOptions<M>(options);
   if constexpr (!M::kTraits.double_engine) {
-    if (precision == Precision::kFloat) return std::make_unique<ModelSimulator<M, float>>(scene, precision, model);
+    if (precision == Precision::kFloat) return MakeModelSimulator<M, float>(scene, precision, model);
   }
-  return std::make_unique<ModelSimulator<M, double>>(scene, precision, model);
+  return MakeModelSimulator<M, double>(scene, precision, model);
 }
 
 }  // namespace internal
 
 template <ContactModel M>
 ContactEntry MakeContactEntry() {
-  return {
-      M::kTraits, internal::ListOptions<M>(), &internal::WhyModelNotApplicable<M>, &internal::MakeModelSimulator<M>};
+  return {M::kTraits,
+          internal::ListOptions<M>(),
+          &internal::WhyModelNotApplicable<M>,
+          &internal::MakeSimulatorWithOptions<M>};
 }
 
 // The model with its options at their defaults; Contact::With() sets them. A model of that name in the registry is

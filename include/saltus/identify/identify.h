@@ -90,8 +90,9 @@ struct SampleResidual {
 
 enum class FitVerdict {
   kFits,
-  kContradicted,  // samples miss the motion by far more than their sigma, whatever the parameters
-  kFailed,        // no start has a motion that can be simulated and compared, see `reason`
+  kNotDetermined,  // the data say nothing of anything that is unknown, though a motion may pass through them
+  kContradicted,   // samples miss the motion by far more than their sigma, whatever the parameters
+  kFailed,         // no start has a motion that can be simulated and compared, see `reason`
   kNotConverged,
   kInterrupted,
   kNotApplicable,  // the contact model cannot take the scene, or the request makes no sense: see `reason`

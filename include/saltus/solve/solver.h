@@ -34,7 +34,11 @@ struct SolveRequest {
 
 // What a search over collision sequences may use, and where it begins. What runs out first ends it.
 struct SearchOptions {
-  double seconds = 10;  // 0: no limit. Where this ends a search, its answer depends on the machine
+  // Of all its solves together: the gradients and Jacobians that are computed, each counted with about as many
+  // microseconds as it takes one core. No clock is read, so that the answer depends neither on the machine nor on the
+  // number of threads. 0: no limit.
+  double work = 2e7;
+  double seconds = 0;  // 0: no limit. Where this ends a search, its answer depends on the machine and its load
   std::size_t memory = std::size_t{200} << 20;  // bytes, of what it keeps
   int starts = 8;                               // at random, beside the initial guess
   std::uint64_t seed = 1;                       // of these
@@ -96,6 +100,7 @@ struct LocalOptimum {
 struct Searched {
   int sequences = 0;       // along which it solved
   int starts = 0;          // motions of its own from which it began, the initial guess included
+  double work = 0;         // as SearchOptions::work
   bool complete = false;   // it has ended by its own rule: no limit has kept it from anything
   double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts
 };
@@ -121,7 +126,11 @@ struct SolveReport {
   Termination termination = Termination::kFailed;
   std::string reason;  // for kFailed and kNotApplicable; otherwise may hold a remark
   double initial_loss = 0;
-  double final_loss = 0;                      // at `initial_state` and `control`, under the contact model
+  double final_loss = 0;  // at `initial_state` and `control`, under the contact model
+  // By how much the constraints are missed at the initial guess and at the solution: the largest miss of a hard term or
+  // of a bound on the control, a multiple of the scene's natural units (units.h), or the violation of a user's own
+  // constraint. It is infinite where discs touch that must not. Only solvers that take constraints fill them.
+  double initial_violation = 0, final_violation = 0;
   std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
   std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
   std::optional<BestIterate> best;            // of gradient descent, which returns its last iterate
@@ -140,6 +149,12 @@ struct SolveReport {
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
   std::optional<Searched> searched;        // of mode_search
 };
+
+inline constexpr double kFeasible = 1e-8;  // the largest violation of a motion that meets the constraints
+
+// Whether a run ends worse than it began by more than rounding. Violations of constraints are compared first, and
+// losses where both motions meet the constraints: the loss of a guess that does not meet them says nothing.
+bool EndsWorse(const SolveReport& report);
 
 struct SolverEntry {
   std::string_view name;     // the value of --solver

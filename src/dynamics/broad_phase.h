@@ -21,8 +21,8 @@
 #include <span>
 #include <vector>
 
+#include "dynamics/part_grid.h"
 #include "saltus/contact/contact_model.h"
-#include "saltus/internal/part_grid.h"
 #include "saltus/physics/walls.h"
 
 namespace saltus {

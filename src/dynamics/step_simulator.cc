@@ -1,6 +1,6 @@
-// A contact model bound to a scene.
+// The engine: a contact model's step bound to a scene.
 //
-// ModelSimulator steps a scene with plain scalars and records what touched. While no disc can have met another
+// StepSimulator steps a scene with plain scalars and records what touched. While no disc can have met another
 // (broad_phase.h), each flies by itself; otherwise the scene is stepped island by island (stepper.h). Derivatives
 // follow from the record (model_adjoint.h): discs that fly have a constant Jacobian (free_flight.h), found once by
 // differentiating the model's free flight; islands of discs that touched are differentiated with Jets
@@ -8,55 +8,49 @@
 //
 // Memory: one window of states and one state per further window (trajectory.h), the control, and per contact and step
 // what derivatives need (rollout_record.h).
-#pragma once
-
 #include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <utility>
 
+#include "dynamics/free_flight.h"
+#include "dynamics/island_derivative.h"
+#include "dynamics/model_adjoint.h"
+#include "dynamics/rollout_record.h"
+#include "dynamics/stepper.h"
+#include "dynamics/trajectory.h"
+#include "dynamics/typed_scene.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/internal/free_flight.h"
-#include "saltus/internal/island_derivative.h"
-#include "saltus/internal/model_adjoint.h"
-#include "saltus/internal/rollout_record.h"
-#include "saltus/internal/stepper.h"
-#include "saltus/internal/trajectory.h"
-#include "saltus/internal/typed_scene.h"
 
 namespace saltus {
+namespace {
 
-template <ContactModel M, typename S>
-class ModelSimulator final : public Simulator {
+template <typename S, int kRotation>
+class StepSimulator final : public Simulator {
  public:
-  static constexpr int kRotation = M::kRotation;
+  using Model = ContactStep<S, kRotation>;
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
-  static_assert(sizeof(State) == kSize * sizeof(S));
-  static_assert(M::kTraits.spins == (kRotation > 0) || kRotation == kSpin,
-                "a model has the trait `spins` if discs have a rotation of its own");
 
-  ModelSimulator(const Scene& scene, Precision precision, M model = {})
-      : Simulator(scene, precision, M::kTraits.grid_steps),
+  StepSimulator(const Scene& scene, Precision precision, std::unique_ptr<const Model> model)
+      : Simulator(scene, precision, model->traits().grid_steps),
         model_(std::move(model)),
         typed_(scene, step()),
         control_(scene),
-        stepper_(model_, typed_, step()),
-        adjoint_(model_, typed_, control_) {
-    free_ = DifferentiateFreeFlight(model_, typed_.h, /*offset=*/S(0));
-    free_is_affine_ = free_ == DifferentiateFreeFlight(model_, typed_.h, /*offset=*/S(1));
+        stepper_(*model_, typed_, step()),
+        adjoint_(*model_, typed_, control_) {
+    free_ = DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(0));
+    free_is_affine_ = free_ == DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(1));
     adjoint_.set_free_flight(free_);
   }
-  ModelSimulator(const ModelSimulator&) = delete;  // its parts refer to each other
-  ModelSimulator& operator=(const ModelSimulator&) = delete;
+  StepSimulator(const StepSimulator&) = delete;  // its parts refer to each other
+  StepSimulator& operator=(const StepSimulator&) = delete;
 
-  const ModelTraits& traits() const override {
-    static constexpr ModelTraits kTraits = M::kTraits;
-    return kTraits;
-  }
+  const ModelTraits& traits() const override { return model_->traits(); }
   int body_size() const override { return kSize; }
   const std::vector<StepTouch>& touches() const override { return record_.touches(); }
   std::size_t LeastMemory() const override {
@@ -137,7 +131,7 @@ class ModelSimulator final : public Simulator {
             std::vector<Touch>* touches) const override {
     CHECK_EQ(static_cast<int>(next.size()), state_size());
     std::vector<State> from(num_bodies()), to(num_bodies());
-    const Stepper<M, S> stepper = StepOnce(x, force, &from, &to);
+    const Stepper<S, kRotation> stepper = StepOnce(x, force, &from, &to);
     std::copy(Flat(to.data()), Flat(to.data()) + state_size(), next.begin());
     if (stepper.failure()) std::fill(next.begin(), next.end(), std::numeric_limits<double>::quiet_NaN());
     if (touches != nullptr) *touches = stepper.touches();
@@ -146,8 +140,8 @@ class ModelSimulator final : public Simulator {
   void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
                  StepLinearization* linearization) const override {
     std::vector<State> from(num_bodies()), to(num_bodies());
-    Stepper<M, S> stepper = StepOnce(x, force, &from, &to);
-    IslandDerivative<M, S> derivative;
+    Stepper<S, kRotation> stepper = StepOnce(x, force, &from, &to);
+    IslandDerivative<S, kRotation> derivative;
 
     StepLinearization& out = *linearization;
     out.body_size = kSize;
@@ -167,8 +161,8 @@ class ModelSimulator final : public Simulator {
       for (int i : island) flying[i] = 0;
       stepper.Gather(q, from);
       stepper.local_solved().Clear();
-      typename IslandDerivative<M, S>::Matrix jacobian;
-      derivative.Evaluate(model_, stepper.LocalInput(), stepper.local_states(), with_parameters, &jacobian);
+      typename IslandDerivative<S, kRotation>::Matrix jacobian;
+      derivative.Evaluate(*model_, stepper.LocalInput(), stepper.local_states(), with_parameters, &jacobian);
       stepper.ReleaseScratch();
       const int n = static_cast<int>(island.size());
       Eigen::MatrixXd wide = jacobian.template cast<double>();
@@ -186,19 +180,19 @@ class ModelSimulator final : public Simulator {
       out.flying.push_back(i);
       if constexpr (kRotation > 0) {
         out.rotation.push_back(
-            DifferentiateRotation(model_, typed_.h, typed_.bodies[i], from[i]).template cast<double>());
+            DifferentiateRotation(*model_, typed_.h, typed_.bodies[i], from[i]).template cast<double>());
       }
       if constexpr (kRotation == kSpin) {
         if (!typed_.turns) continue;
         const BodyConstants<S>& body = typed_.bodies[i];
-        const auto turn = DifferentiateTurn(model_, typed_.h, body, from[i], stepper.torque()[i]);
+        const auto turn = DifferentiateTurn(*model_, typed_.h, body, from[i], stepper.torque()[i]);
         out.rotation.back() = turn.template leftCols<2>().template cast<double>();
         out.turning.push_back(double(body.radius) * turn.col(2).template cast<double>());
       }
     }
   }
 
-  std::optional<FlightOver> FreeFlightOver(double h) const override { return DifferentiateByLength<M, S>(model_, h); }
+  std::optional<FlightOver> FreeFlightOver(double h) const override { return DifferentiateByLength(*model_, h); }
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
     CHECK_EQ(static_cast<int>(initial.size()), initial_size());
@@ -222,7 +216,7 @@ class ModelSimulator final : public Simulator {
   void Expand(std::span<const double> initial, State* x) const {
     for (int i = 0; i < num_bodies(); ++i) {
       const double* from = &initial[4 * i];
-      x[i] = AtRest<M, S>();
+      x[i] = model_->properties().at_rest;
       x[i].p = Vec2<S>(S(from[0]), S(from[1]));
       if (!typed_.fixed[i]) x[i].v = Vec2<S>(S(from[2]), S(from[3]));
     }
@@ -279,38 +273,24 @@ class ModelSimulator final : public Simulator {
   }
 
   void FlyAlone(int i, int k, int steps, State* at) const {
-    const BodyConstants<S> body = typed_.bodies[i];
-    const S* u = control_.On(i, k);
-    Vec2<S> force = Vec2<S>::Zero();
-    S torque = S(0);
-    StepInput<S> in{};
-    in.h = typed_.h;
-    in.gravity = typed_.gravity;
-    in.bodies = {&body, 1};
-    in.force = {&force, 1};
-    const bool turns = control_.Turns(i);
-    if (turns) in.torque = {&torque, 1};
-    State x = *at;
-    // For all that the compiler knows, a state that is written could change these.
-    const std::ptrdiff_t stride = control_.stride(), discs = num_bodies();
-    for (int j = 0; j < steps; ++j) {
-      if (u != nullptr) {
-        force = Vec2<S>(u[0], u[1]);
-        u += stride;
-      }
-      if (turns) torque = control_.Torque(i, k + j);
-      x = model_.Free(in, 0, x);
-      at += discs;
-      *at = x;
-    }
+    FlightInput<S> flight;
+    flight.step.h = typed_.h;
+    flight.step.gravity = typed_.gravity;
+    flight.step.bodies = {&typed_.bodies[i], 1};
+    flight.steps = steps;
+    flight.force = control_.On(i, k);
+    flight.turn = control_.Turn(i, k);
+    flight.stride = control_.stride();
+    flight.state_stride = num_bodies();
+    model_->Fly(flight, at);
   }
 
   // One step of the whole scene from a state in doubles.
-  Stepper<M, S> StepOnce(std::span<const double> x, std::span<const double> force, std::vector<State>* from,
-                         std::vector<State>* to) const {
+  Stepper<S, kRotation> StepOnce(std::span<const double> x, std::span<const double> force, std::vector<State>* from,
+                                 std::vector<State>* to) const {
     CHECK_EQ(static_cast<int>(x.size()), state_size());
     CHECK_EQ(static_cast<int>(force.size()), force_size());
-    Stepper<M, S> stepper(model_, typed_, step());
+    Stepper<S, kRotation> stepper(*model_, typed_, step());
     std::copy(x.begin(), x.end(), Flat(from->data()));
     std::vector<double> push(num_bodies());
     for (int i = 0; i < num_bodies(); ++i) {
@@ -330,7 +310,7 @@ class ModelSimulator final : public Simulator {
     return stepper;
   }
 
-  const M model_;
+  const std::unique_ptr<const Model> model_;
   const TypedScene<S> typed_;
   FreeFlightJacobian<S> free_{};
   bool free_is_affine_ = true;
@@ -338,11 +318,31 @@ class ModelSimulator final : public Simulator {
   // The last rollout. Asking for a state may run its window again.
   HeldControl<S> control_;
   mutable Trajectory<State> trajectory_;
-  mutable Stepper<M, S> stepper_;
+  mutable Stepper<S, kRotation> stepper_;
   mutable RolloutRecord<State> record_;
   mutable std::vector<double> push_;
   bool all_recorded_ = true;  // false if the states of some touches were let go for the sake of memory_limit()
-  ModelAdjoint<M, S> adjoint_;
+  ModelAdjoint<S, kRotation> adjoint_;
 };
+
+}  // namespace
+
+template <typename S, int kRotation>
+std::unique_ptr<Simulator> MakeStepSimulator(const Scene& scene, Precision precision,
+                                             std::unique_ptr<const ContactStep<S, kRotation>> step) {
+  return std::make_unique<StepSimulator<S, kRotation>>(scene, precision, std::move(step));
+}
+
+template <typename S, int kRotation>
+using StepPointer = std::unique_ptr<const ContactStep<S, kRotation>>;
+static_assert(kMostRotation == 3);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<double, 0>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<double, 1>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<double, 2>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<double, 3>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<float, 0>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<float, 1>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<float, 2>);
+template std::unique_ptr<Simulator> MakeStepSimulator(const Scene&, Precision, StepPointer<float, 3>);
 
 }  // namespace saltus

@@ -12,25 +12,25 @@
 #include <type_traits>
 #include <vector>
 
+#include "dynamics/free_flight.h"
+#include "dynamics/island_derivative.h"
+#include "dynamics/rollout_record.h"
+#include "dynamics/stepper.h"
+#include "dynamics/trajectory.h"
+#include "dynamics/typed_scene.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/internal/free_flight.h"
-#include "saltus/internal/island_derivative.h"
-#include "saltus/internal/rollout_record.h"
-#include "saltus/internal/stepper.h"
-#include "saltus/internal/trajectory.h"
-#include "saltus/internal/typed_scene.h"
 
 namespace saltus {
 
-template <ContactModel M, typename S>
+template <typename S, int kRotation>
 class ModelAdjoint {
  public:
-  static constexpr int kRotation = M::kRotation;
+  using Model = ContactStep<S, kRotation>;
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
   // All must outlive this object.
-  ModelAdjoint(const M& model, const TypedScene<S>& scene, const HeldControl<S>& control)
+  ModelAdjoint(const Model& model, const TypedScene<S>& scene, const HeldControl<S>& control)
       : model_(model), scene_(scene), control_(control) {}
   void set_free_flight(const FreeFlightJacobian<S>& free) { free_ = free; }
 
@@ -43,7 +43,7 @@ class ModelAdjoint {
   }
 
   // Pulls the discs that touched in step k, by touches first..end-1 of the record, back to its beginning.
-  void PullBackStep(int k, int first, int end, const RolloutRecord<State>& record, Stepper<M, S>* stepper,
+  void PullBackStep(int k, int first, int end, const RolloutRecord<State>& record, Stepper<S, kRotation>* stepper,
                     Trajectory<State>* trajectory) {
     control_.SetForce(k, stepper->force(), stepper->torque());
     const std::span<const StepTouch> touches(record.touches().data() + first, end - first);
@@ -80,7 +80,7 @@ class ModelAdjoint {
   }
 
   // Whether flights are pulled back through the states on the way: those with a rotation whose Jacobian depends on it.
-  static constexpr bool NeedsStates() { return kRotation > 0 && !kLinear; }
+  bool NeedsStates() const { return kRotation > 0 && !IsLinear(); }
   bool AnyRotation() const {
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       for (int j = 4; j < kSize; ++j) {
@@ -109,7 +109,7 @@ class ModelAdjoint {
  private:
   // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
   // those of the published programs to the last digits.
-  static constexpr bool kLinear = requires { requires M::kLinearRotation; };
+  bool IsLinear() const { return model_.properties().linear_rotation; }
   static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
 
@@ -136,11 +136,11 @@ class ModelAdjoint {
     }
   }
 
-  void PullBackIsland(int k, std::span<const int> island, Stepper<M, S>* stepper) {
+  void PullBackIsland(int k, std::span<const int> island, Stepper<S, kRotation>* stepper) {
     const int n = static_cast<int>(island.size());
     const bool with_parameters = out_.parameters != nullptr;
     after_.resize(n * kSize);
-    before_.resize(IslandDerivative<M, S>::NumColumns(n, scene_.turns, with_parameters));
+    before_.resize(IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, with_parameters));
     for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &after_[i * kSize]);
     derivative_.ApplyTranspose(
         model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
@@ -155,7 +155,7 @@ class ModelAdjoint {
       if (with_parameters) AddConstantForce(body, push);
       if (IsTorqueWanted(body)) PutTorque(body, k, before_[n * (kSize + 2) + i]);
     }
-    const int parameters = IslandDerivative<M, S>::NumColumns(n, scene_.turns, false);
+    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, false);
     if (with_parameters) AddContactParameters(island, &before_[parameters]);
   }
 
@@ -268,11 +268,11 @@ class ModelAdjoint {
     Eigen::Map<Eigen::Matrix<S, 2, 1>> cotangent(lambda);
     const bool none = cotangent.isZero(S(0));
     Eigen::Matrix<S, 2, 3> jacobian = Eigen::Matrix<S, 2, 3>::Zero();
-    if constexpr (kLinear) jacobian = DifferentiateTurn(model_, scene_.h, body, AtRest<M, S>(), S(0));
+    if (IsLinear()) jacobian = DifferentiateTurn(model_, scene_.h, body, model_.properties().at_rest, S(0));
     for (int j = k + steps - 1; j >= k; --j) {
       const S torque = control_.Torque(i, j);
-      if constexpr (!kLinear) {
-        if (!none) jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->At(j)[i], torque);
+      if (!IsLinear() && !none) {
+        jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->At(j)[i], torque);
       }
       const Eigen::Matrix<S, 3, 1> before = jacobian.transpose() * cotangent;
       if (IsTorqueWanted(i)) PutTorque(i, j, before[2]);
@@ -289,8 +289,8 @@ class ModelAdjoint {
     }
     if (cotangent.isZero(S(0))) return;
     RotationMatrix jacobian = RotationMatrix::Zero();
-    if constexpr (kLinear) {
-      jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], AtRest<M, S>());
+    if (IsLinear()) {
+      jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], model_.properties().at_rest);
       for (int j = 0; j < steps; ++j) cotangent = (jacobian.transpose() * cotangent).eval();
       return;
     }
@@ -305,7 +305,7 @@ class ModelAdjoint {
     }
   }
 
-  const M& model_;
+  const Model& model_;
   const TypedScene<S>& scene_;
   const HeldControl<S>& control_;
   FreeFlightJacobian<S> free_{};
@@ -313,7 +313,7 @@ class ModelAdjoint {
   std::vector<S> lambda_;          // B x kSize: of disc i the cotangent of its state in which step pulled_to_[i] begins
   std::vector<int> pulled_to_;     // B
   std::vector<S> after_, before_;  // of an island
-  IslandDerivative<M, S> derivative_;
+  IslandDerivative<S, kRotation> derivative_;
 };
 
 }  // namespace saltus

@@ -10,28 +10,32 @@
 #include <tuple>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
+#include "dynamics/broad_phase.h"
+#include "dynamics/islands.h"
+#include "dynamics/rollout_record.h"
+#include "dynamics/same_bits.h"
+#include "dynamics/scratch_memory.h"
+#include "dynamics/step_contract.h"
+#include "dynamics/typed_scene.h"
 #include "saltus/dynamics/simulator.h"
-#include "saltus/internal/broad_phase.h"
-#include "saltus/internal/islands.h"
-#include "saltus/internal/rollout_record.h"
-#include "saltus/internal/same_bits.h"
-#include "saltus/internal/scratch_memory.h"
-#include "saltus/internal/step_contract.h"
-#include "saltus/internal/typed_scene.h"
+#include "saltus/internal/contact_step.h"
 
 namespace saltus {
 
 // Everything that a step needs is reused, so that it does not allocate. One for each thread.
-template <ContactModel M, typename S>
+template <typename S, int kRotation>
 class Stepper {
  public:
-  static constexpr int kSize = 4 + M::kRotation;
-  using State = BodyState<S, M::kRotation>;
+  using Model = ContactStep<S, kRotation>;
+  static constexpr int kSize = 4 + kRotation;
+  using State = BodyState<S, kRotation>;
 
   // Both must outlive this object.
-  Stepper(const M& model, const TypedScene<S>& scene, double step)
-      : model_(model), scene_(scene), broad_phase_(MakeBroadPhase(scene, step)), force_(scene.bodies.size()) {
+  Stepper(const Model& model, const TypedScene<S>& scene, double step)
+      : model_(model),
+        scene_(scene),
+        broad_phase_(MakeBroadPhase(model.traits(), scene, step)),
+        force_(scene.bodies.size()) {
     if (scene.turns) torque_.resize(scene.bodies.size());
   }
 
@@ -56,7 +60,7 @@ class Stepper {
 
   // Step k, from x to `next`, with the candidates found there.
   void Step(int k, std::span<const State> x, std::span<State> next) {
-    FreeFlight(model_, Input(), x, next);
+    model_.FreeFlight(Input(), x, next);
     touches_.clear();
     ties_.clear();
     solved_.Clear();
@@ -75,7 +79,7 @@ class Stepper {
     model_.Step(in, x, next);
     scratch_.Release();
     std::vector<State> flying(x.size());
-    FreeFlight(model_, in, x, std::span<State>(flying));
+    model_.FreeFlight(in, x, flying);
     std::vector<int> all(x.size());
     std::iota(all.begin(), all.end(), 0);
     Check(0, all, touches_, next, [&](int i) -> const State& { return flying[i]; });
@@ -159,11 +163,11 @@ class Stepper {
     SolveRecord solved;
   };
   // What comes to rest to the last bit are bodies under exact events; others need not be looked at.
-  static constexpr bool kMayRest = M::kTraits.event_driven;
+  bool MayRest() const { return model_.traits().event_driven; }
 
   static const S* Flat(std::span<const State> x) { return reinterpret_cast<const S*>(x.data()); }
 
-  static BroadPhase MakeBroadPhase(const TypedScene<S>& scene, double step) {
+  static BroadPhase MakeBroadPhase(const ModelTraits& traits, const TypedScene<S>& scene, double step) {
     std::vector<BroadPhase::Disc> discs;
     for (const BodyConstants<S>& body : scene.bodies) {
       discs.push_back({double(body.radius), double(body.mass), body.fixed});
@@ -172,10 +176,10 @@ class Stepper {
     return {scene.wall_parts,
             std::move(discs),
             {.dt = step,
-             .chains = M::kTraits.chains,
-             .push_gap = M::kTraits.push_gap,
+             .chains = traits.chains,
+             .push_gap = traits.push_gap,
              .rounding = std::numeric_limits<S>::epsilon(),
-             .all_parts = M::kTraits.event_driven}};
+             .all_parts = traits.event_driven}};
   }
 
   StepInput<S> Input() {
@@ -209,7 +213,7 @@ class Stepper {
     } else {
       TakeStep(k, island, next);
       if (failure_) return;
-      if (kMayRest && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
+      if (MayRest() && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
     }
     // The derivative is of the pairs that touch only: it recalls this step if these are all there are.
     if (!local_.solved.numbers().empty() && local_.touches.size() == local_.candidates.size()) {
@@ -235,13 +239,13 @@ class Stepper {
     StepInput<S> in = LocalInput();
     in.touches = &local_.touches;
     if (finds_ties_) in.ties = &local_.ties;
-    model_.Step(in, std::span<const State>(local_.x), std::span<State>(local_.next));
+    model_.Step(in, local_.x, local_.next);
     scratch_.Release();
     Check(k, island, local_.touches, local_.next, [&](int i) -> const State& { return next[island[i]]; });
   }
 
   bool RestsAsBefore(int q, std::span<const int> island) const {
-    if (!kMayRest || q >= static_cast<int>(rests_.size())) return false;
+    if (!MayRest() || q >= static_cast<int>(rests_.size())) return false;
     const Rest& rest = rests_[q];
     return std::ranges::equal(rest.island, island) && SameBits<State>(rest.x, local_.x) &&
            SameBits<Vec2<S>>(rest.force, local_.force) && SameBits<S>(rest.torque, local_.torque) &&
@@ -279,8 +283,8 @@ class Stepper {
 
   // In order of time if the model resolves it, else as candidates are.
   void SortTouches() {
-    const auto before = [](const Touch& l, const Touch& r) {
-      if constexpr (M::kTraits.event_driven) return l.time < r.time;
+    const auto before = [by_time = model_.traits().event_driven](const Touch& l, const Touch& r) {
+      if (by_time) return l.time < r.time;
       const Candidate &a = l.candidate, &b = r.candidate;
       return std::tie(a.plane, a.a, a.b) < std::tie(b.plane, b.a, b.b);
     };
@@ -296,7 +300,7 @@ class Stepper {
     return {island[c.a], c.plane ? c.b : island[c.b], c.plane};
   }
 
-  const M& model_;
+  const Model& model_;
   const TypedScene<S>& scene_;
   BroadPhase broad_phase_;
   ScratchMemory scratch_;

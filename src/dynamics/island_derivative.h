@@ -15,17 +15,17 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
-#include "saltus/internal/free_flight.h"
-#include "saltus/internal/same_bits.h"
+#include "dynamics/free_flight.h"
+#include "dynamics/same_bits.h"
+#include "saltus/internal/contact_step.h"
 #include "saltus/internal/taped.h"
 
 namespace saltus {
 
-template <ContactModel M, typename S>
+template <typename S, int kRotation>
 class IslandDerivative {
  public:
-  static constexpr int kRotation = M::kRotation;
+  using Model = ContactStep<S, kRotation>;
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
   using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -38,15 +38,15 @@ class IslandDerivative {
   }
 
   // before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
-  void ApplyTranspose(const M& model, const StepInput<S>& in, std::span<const State> x,
+  void ApplyTranspose(const Model& model, const StepInput<S>& in, std::span<const State> x,
                       const FreeFlightJacobian<S>& free, bool with_parameters, std::span<const S> after,
                       std::span<S> before) {
     const int n = static_cast<int>(x.size());
-    if constexpr (requires { M::kTapedFrom; } && std::is_same_v<S, double>) {
-      if (n >= M::kTapedFrom) return PullBackOnTape(model, in, x, after, before);
-    }
     int first = 0;
-    if constexpr (requires { &M::Linearize; }) {
+    if constexpr (std::is_same_v<S, double>) {
+      if (n >= model.properties().taped_from) return PullBackOnTape(model, in, x, after, before);
+    }
+    if (model.properties().published_jacobian) {
       first = NumColumns(n, HasTorques(in), false);
       PullBackAsPublished(model, in, x, after, before.first(NumColumns(n, false, false)));
       if constexpr (kRotation == kSpin) {
@@ -55,7 +55,7 @@ class IslandDerivative {
         }
       }
     }
-    const bool shares_motion = first == 0 && OnlyRelativeMotionMatters(in);
+    const bool shares_motion = first == 0 && OnlyRelativeMotionMatters(model, in);
     ForEachPass(model, in, x, with_parameters, first, shares_motion ? n - 1 : -1, [&](const auto& columns) {
       Eigen::Matrix<S, kJetWidth, 1> sum = Eigen::Matrix<S, kJetWidth, 1>::Zero();
       const auto* next = reinterpret_cast<const StepJet<S>*>(next_.data());
@@ -66,20 +66,13 @@ class IslandDerivative {
   }
 
   // The Jacobian itself.
-  void Evaluate(const M& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
+  void Evaluate(const Model& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
                 Matrix* jacobian) {
     const int n = static_cast<int>(x.size());
     jacobian->setZero(n * kSize, NumColumns(n, HasTorques(in), with_parameters));
     int first = 0;
-    if constexpr (requires { &M::Linearize; }) {
-      const auto [A, B] = LinearizeAsPublished(model, in, x);
-      jacobian->leftCols(A.cols()) = A.template cast<S>();
-      jacobian->middleCols(A.cols(), B.cols()) = B.template cast<S>();
-      if constexpr (kRotation == kSpin) {
-        for (int i = 0; HasTorques(in) && i < n; ++i) {
-          jacobian->col(n * (kSize + 2) + i) = TorqueAsSpin(in, i) * jacobian->col(i * kSize + 5);
-        }
-      }
+    if (model.properties().published_jacobian) {
+      EvaluateAsPublished(model, in, x, jacobian);
       first = NumColumns(n, HasTorques(in), false);
     }
     ForEachPass(model, in, x, with_parameters, first, -1, [&](const auto& columns) {
@@ -109,8 +102,8 @@ class IslandDerivative {
 
   // In single precision the derivatives are those of the published programs to the last digits, so nothing is
   // rearranged.
-  static bool OnlyRelativeMotionMatters(const StepInput<S>& in) {
-    if (!M::kTraits.relative || std::is_same_v<S, float> || in.bodies.size() < 2) return false;
+  static bool OnlyRelativeMotionMatters(const Model& model, const StepInput<S>& in) {
+    if (!model.traits().relative || std::is_same_v<S, float> || in.bodies.size() < 2) return false;
     for (const BodyConstants<S>& body : in.bodies) {
       if (body.fixed) return false;
     }
@@ -146,8 +139,8 @@ class IslandDerivative {
   // Runs the step once for every kJetWidth columns from `first` on, leaving it in next_, and calls use(columns). The
   // position, velocity and force of disc `without` are left out.
   template <typename Use>
-  void ForEachPass(const M& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters, int first,
-                   int without, const Use& use) {
+  void ForEachPass(const Model& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
+                   int first, int without, const Use& use) {
     const int n = static_cast<int>(x.size());
     SetValues(in, x);
     if (first == 0) {
@@ -177,16 +170,12 @@ class IslandDerivative {
   }
 
   template <typename Use>
-  void RunPass(const M& model, const StepInput<S>& in, const Columns& columns, const Use& use) {
+  void RunPass(const Model& model, const StepInput<S>& in, const Columns& columns, const Use& use) {
     Seed(in, columns, S(1));
     if (in.solved != nullptr) in.solved->Rewind();
-    StepJets(model);
+    model.Step(jets_, x_, next_);
     Seed(in, columns, S(0));
     use(columns);
-  }
-
-  SALTUS_FLATTEN void StepJets(const M& model) {
-    model.Step(jets_, std::span<const JetState>(x_), std::span<JetState>(next_));
   }
 
   // Between passes all derivatives are zero, so values are all there is to set.
@@ -258,7 +247,7 @@ class IslandDerivative {
   }
 
   // All columns at once: the step on a tape, and one sweep back.
-  void PullBackOnTape(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
+  void PullBackOnTape(const Model& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
                       std::span<S> before) {
     const std::size_t n = x.size(), states = n * kSize;
     for (Resting& resting : resting_) {
@@ -313,7 +302,7 @@ class IslandDerivative {
     const std::span<const double> recalled = Resting::NumbersOf(in);
     std::vector<double> solved(recalled.begin(), recalled.end());  // before the step adds to them
     if (in.solved != nullptr) in.solved->Rewind();
-    model.Step(taped, std::span<const BodyState<Taped, kRotation>>(from), std::span<BodyState<Taped, kRotation>>(to));
+    model.Step(taped, from, to);
     const std::span<const Taped> results(reinterpret_cast<const Taped*>(to.data()), states);
     std::vector<int> to_places;
     for (const Taped& result : results) to_places.push_back(result.place());
@@ -372,23 +361,37 @@ class IslandDerivative {
     }
   };
 
-  // The cotangents of states and forces as the model's source has them.
-  void PullBackAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
-                           std::span<S> before) {
-    if constexpr (requires { model.complementarity_aware; }) {
-      if (model.complementarity_aware) return model.PullBack(in, x, after, before);
+  // The cotangents of states and forces as the model's source has them, which computes in double precision.
+  void PullBackAsPublished(const Model& model, const StepInput<S>& in, std::span<const State> x,
+                           std::span<const S> after, std::span<S> before) {
+    if constexpr (std::is_same_v<S, double>) {
+      if (model.PullBack(in, x, after, before)) return;
+      const auto [A, B] = LinearizeAsPublished(model, in, x);
+      const Eigen::Map<const Vector> cotangent(after.data(), after.size());
+      Eigen::Map<Vector>(before.data(), A.cols()).noalias() = A.transpose() * cotangent;
+      Eigen::Map<Vector>(&before[A.cols()], B.cols()).noalias() = B.transpose() * cotangent;
     }
-    const auto [A, B] = LinearizeAsPublished(model, in, x);
-    const Eigen::Map<const Vector> cotangent(after.data(), after.size());
-    Eigen::Map<Vector>(before.data(), A.cols()).noalias() = A.template cast<S>().transpose() * cotangent;
-    Eigen::Map<Vector>(&before[A.cols()], B.cols()).noalias() = B.template cast<S>().transpose() * cotangent;
+  }
+  // The columns of states, forces and torques likewise.
+  void EvaluateAsPublished(const Model& model, const StepInput<S>& in, std::span<const State> x, Matrix* jacobian) {
+    if constexpr (std::is_same_v<S, double>) {
+      const int n = static_cast<int>(x.size());
+      const auto [A, B] = LinearizeAsPublished(model, in, x);
+      jacobian->leftCols(A.cols()) = A;
+      jacobian->middleCols(A.cols(), B.cols()) = B;
+      if constexpr (kRotation == kSpin) {
+        for (int i = 0; HasTorques(in) && i < n; ++i) {
+          jacobian->col(n * (kSize + 2) + i) = TorqueAsSpin(in, i) * jacobian->col(i * kSize + 5);
+        }
+      }
+    }
   }
 
   // The columns of states and forces as the model's source has them; until the next call.
   struct Published {
     Eigen::Map<Eigen::MatrixXd> A, B;
   };
-  Published LinearizeAsPublished(const M& model, const StepInput<S>& in, std::span<const State> x) {
+  Published LinearizeAsPublished(const Model& model, const StepInput<S>& in, std::span<const State> x) {
     const int n = static_cast<int>(x.size());
     const int rows = n * kSize;
     published_.resize(rows * n * (kSize + 2));

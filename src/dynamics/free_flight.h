@@ -4,12 +4,11 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <limits>
 #include <optional>
 
-#include "saltus/contact/contact_model.h"
 #include "saltus/dynamics/simulator.h"
+#include "saltus/internal/contact_step.h"
 
 namespace saltus {
 
@@ -96,50 +95,35 @@ LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* l
   return {free.pa * p + free.va * v, free.va * change};
 }
 
-// With the rotation that every disc of model M starts with, at the origin and at rest.
-template <ContactModel M, typename S>
-BodyState<S, M::kRotation> AtRest() {
-  BodyState<S, M::kRotation> x{};
-  x.p = x.v = Vec2<S>::Zero();
-  if constexpr (requires(double* rotation) { M::InitialRotation(rotation); }) {
-    double rotation[M::kRotation] = {};
-    M::InitialRotation(rotation);
-    for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = S(rotation[j]);
-  }
-  return x;
-}
-
-// The free flight of one disc by the model, under the force in it, the torque if there is one, and no gravity.
-template <ContactModel M, typename T, typename H>
-BodyState<T, M::kRotation> FlyOnce(const M& model, const H& h, const BodyConstants<T>& body, const Vec2<T>& force,
-                                   const BodyState<T, M::kRotation>& x, const T* torque = nullptr) {
+// One disc under a force, a torque if there is one, and no gravity.
+template <typename T, typename H>
+StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>& force, const T* torque = nullptr) {
   StepInput<T, H> in{};
   in.h = h;
   in.gravity = Vec2<Base<T>>::Zero();
   in.bodies = {&body, 1};
   in.force = {&force, 1};
   if (torque != nullptr) in.torque = {torque, 1};
-  return model.Free(in, 0, x);
+  return in;
 }
 
 // The Jacobian of the model's free flight over h, at a state whose numbers are all `offset`. Not a number where it is
 // not isotropic, or turns discs with the motion.
-template <ContactModel M, typename S>
-FreeFlightJacobian<S> DifferentiateFreeFlight(const M& model, S h, S offset) {
+template <typename S, int kRotation>
+FreeFlightJacobian<S> DifferentiateFreeFlight(const ContactStep<S, kRotation>& model, S h, S offset) {
   using Jet = StepJet<S>;
-  BodyState<Jet, M::kRotation> x{};
+  BodyState<Jet, kRotation> x{};
   Vec2<Jet> force;
   for (int j = 0; j < 2; ++j) {
     x.p[j] = Jet(offset, j);
     x.v[j] = Jet(offset, 2 + j);
     force[j] = Jet(offset, 4 + j);
   }
-  if constexpr (M::kRotation > 0) {
-    const auto start = AtRest<M, S>();
-    for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = Jet(start.rotation[j]);
+  if constexpr (kRotation > 0) {
+    for (int j = 0; j < kRotation; ++j) x.rotation[j] = Jet(model.properties().at_rest.rotation[j]);
   }
   const BodyConstants<Jet> body{Jet(S(1)), Jet(S(1)), S(1), false};
-  const auto next = FlyOnce(model, h, body, force, x);
+  const auto next = model.Free(LoneDisc(h, body, force), x);
   FreeFlightJacobian<S> free{
       next.p[0].v[0], next.p[0].v[2], next.p[0].v[4], next.v[0].v[0], next.v[0].v[2], next.v[0].v[4]};
   bool isotropic = true;
@@ -147,7 +131,7 @@ FreeFlightJacobian<S> DifferentiateFreeFlight(const M& model, S h, S offset) {
     for (const Vec2<Jet>& to : {next.p, next.v}) {
       isotropic = isotropic && to[1].v[by + 1] == to[0].v[by] && to[0].v[by + 1] == S(0) && to[1].v[by] == S(0);
     }
-    if constexpr (M::kRotation > 0) {
+    if constexpr (kRotation > 0) {
       for (const Jet& to : next.rotation) isotropic = isotropic && to.v[by] == S(0) && to.v[by + 1] == S(0);
     }
   }
@@ -156,29 +140,30 @@ FreeFlightJacobian<S> DifferentiateFreeFlight(const M& model, S h, S offset) {
 }
 
 // Its rotation after a free flight from x by that before.
-template <ContactModel M, typename S>
-Eigen::Matrix<S, M::kRotation, M::kRotation> DifferentiateRotation(const M& model, S h, const BodyConstants<S>& body,
-                                                                   const BodyState<S, M::kRotation>& x) {
+template <typename S, int kRotation>
+Eigen::Matrix<S, kRotation, kRotation> DifferentiateRotation(const ContactStep<S, kRotation>& model, S h,
+                                                             const BodyConstants<S>& body,
+                                                             const BodyState<S, kRotation>& x) {
   using Jet = StepJet<S>;
-  static_assert(M::kRotation <= kJetWidth);
-  BodyState<Jet, M::kRotation> jets{};
+  static_assert(kRotation <= kJetWidth);
+  BodyState<Jet, kRotation> jets{};
   for (int j = 0; j < 2; ++j) {
     jets.p[j] = Jet(x.p[j]);
     jets.v[j] = Jet(x.v[j]);
   }
-  for (int j = 0; j < M::kRotation; ++j) jets.rotation[j] = Jet(x.rotation[j], j);
+  for (int j = 0; j < kRotation; ++j) jets.rotation[j] = Jet(x.rotation[j], j);
   const BodyConstants<Jet> constants{Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed};
-  const auto next = FlyOnce(model, h, constants, Vec2<Jet>(Jet(S(0)), Jet(S(0))), jets);
-  Eigen::Matrix<S, M::kRotation, M::kRotation> jacobian;
-  for (int r = 0; r < M::kRotation; ++r) jacobian.row(r) = next.rotation[r].v.template head<M::kRotation>();
+  const Vec2<Jet> no_force(Jet(S(0)), Jet(S(0)));
+  const auto next = model.Free(LoneDisc(h, constants, no_force), jets);
+  Eigen::Matrix<S, kRotation, kRotation> jacobian;
+  for (int r = 0; r < kRotation; ++r) jacobian.row(r) = next.rotation[r].v.template head<kRotation>();
   return jacobian;
 }
 
 // The same of a disc that spins as the scene says and is turned, by angle, angular velocity and torque.
-template <ContactModel M, typename S>
-Eigen::Matrix<S, 2, 3> DifferentiateTurn(const M& model, S h, const BodyConstants<S>& body,
-                                         const BodyState<S, M::kRotation>& x, S torque) {
-  static_assert(M::kRotation == kSpin);
+template <typename S>
+Eigen::Matrix<S, 2, 3> DifferentiateTurn(const ContactStep<S, kSpin>& model, S h, const BodyConstants<S>& body,
+                                         const BodyState<S, kSpin>& x, S torque) {
   using Jet = StepJet<S>;
   BodyState<Jet, kSpin> jets{};
   for (int j = 0; j < 2; ++j) {
@@ -189,61 +174,78 @@ Eigen::Matrix<S, 2, 3> DifferentiateTurn(const M& model, S h, const BodyConstant
   const BodyConstants<Jet> constants{
       Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed, Jet(body.inverse_inertia)};
   const Jet by_torque(torque, 2);
-  const auto next = FlyOnce(model, h, constants, Vec2<Jet>(Jet(S(0)), Jet(S(0))), jets, &by_torque);
+  const Vec2<Jet> no_force(Jet(S(0)), Jet(S(0)));
+  const auto next = model.Free(LoneDisc(h, constants, no_force, &by_torque), jets);
   Eigen::Matrix<S, 2, 3> jacobian;
   for (int r = 0; r < 2; ++r) jacobian.row(r) = next.rotation[r].v.template head<3>();
   return jacobian;
 }
 
 // The free flight over h with its derivative by h, if the model has it for lengths that are Jets.
-template <ContactModel M, typename S>
-std::optional<FlightOver> DifferentiateByLength(const M& model, double h) {
+template <typename S, int kRotation>
+std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>& model, double h) {
   using Jet = StepJet<S>;
-  using State = BodyState<Jet, M::kRotation>;
-  if constexpr (requires(const StepInput<Jet, Jet>& in, const State& x) { model.Free(in, 0, x); }) {
-    const BodyConstants<Jet> body{Jet(S(1)), Jet(S(1)), S(1), false};
-    const auto fly = [&](S p, S v, S a) {
-      auto x = State{};
-      x.p[0] = Jet(p);
-      x.v[0] = Jet(v);
-      const auto start = AtRest<M, S>();
-      if constexpr (M::kRotation > 0) {
-        for (int j = 0; j < M::kRotation; ++j) x.rotation[j] = Jet(start.rotation[j]);
-      }
-      return FlyOnce(model, Jet(S(h), 0), body, Vec2<Jet>(Jet(a), Jet(S(0))), x);
-    };
-    // Linear: each of the six is where a state of one number leads.
-    const State by_p = fly(S(1), S(0), S(0)), by_v = fly(S(0), S(1), S(0)), by_a = fly(S(0), S(0), S(1));
-    const auto pick = [&](const auto& part) -> StepLinearization::FreeFlight {
-      return {part(by_p.p[0]), part(by_v.p[0]), part(by_a.p[0]), part(by_p.v[0]), part(by_v.v[0]), part(by_a.v[0])};
-    };
-    FlightOver over{pick([](const Jet& x) { return double(x.a); }), pick([](const Jet& x) { return double(x.v[0]); })};
-    if constexpr (requires { requires M::kLinearRotation && M::kRotation == kSpin; }) {
-      const BodyConstants<Jet> spinning{Jet(S(1)), Jet(S(1)), S(1), false, Jet(S(1))};
-      const auto turn = [&](S angle, S speed, S torque) {
-        auto x = State{};
-        x.rotation[0] = Jet(angle);
-        x.rotation[1] = Jet(speed);
-        const Jet by(torque);
-        const auto next = FlyOnce(model, Jet(S(h), 0), spinning, Vec2<Jet>(Jet(S(0)), Jet(S(0))), x, &by);
-        return std::array{next.rotation[0], next.rotation[1]};
-      };
-      const auto by_angle = turn(S(1), S(0), S(0)), by_speed = turn(S(0), S(1), S(0)),
-                 by_torque = turn(S(0), S(0), S(1));
-      const auto pick_turn = [&](const auto& part) -> StepLinearization::FreeFlight {
-        return {part(by_angle[0]),
-                part(by_speed[0]),
-                part(by_torque[0]),
-                part(by_angle[1]),
-                part(by_speed[1]),
-                part(by_torque[1])};
-      };
-      over.turn = pick_turn([](const Jet& x) { return double(x.a); });
-      over.turn_by_time = pick_turn([](const Jet& x) { return double(x.v[0]); });
-    }
-    return over;
+  using State = BodyState<Jet, kRotation>;
+  const Jet length(S(h), 0);
+  State start{};
+  if constexpr (kRotation > 0) {
+    for (int j = 0; j < kRotation; ++j) start.rotation[j] = Jet(model.properties().at_rest.rotation[j]);
   }
-  return std::nullopt;
+  bool known = true;
+  const BodyConstants<Jet> body{Jet(S(1)), Jet(S(1)), S(1), false};
+  const auto fly = [&](S p, S v, S a) {
+    State x = start, next{};
+    x.p[0] = Jet(p);
+    x.v[0] = Jet(v);
+    const Vec2<Jet> force(Jet(a), Jet(S(0)));
+    known = known && model.Free(LoneDisc(length, body, force), x, &next);
+    return next;
+  };
+  // Linear: each of the six is where a state of one number leads.
+  const State by_p = fly(S(1), S(0), S(0)), by_v = fly(S(0), S(1), S(0)), by_a = fly(S(0), S(0), S(1));
+  if (!known) return std::nullopt;
+  const auto pick = [](const Jet& p_p,
+                       const Jet& p_v,
+                       const Jet& p_a,
+                       const Jet& v_p,
+                       const Jet& v_v,
+                       const Jet& v_a,
+                       const auto& part) -> StepLinearization::FreeFlight {
+    return {part(p_p), part(p_v), part(p_a), part(v_p), part(v_v), part(v_a)};
+  };
+  const auto value = [](const Jet& x) { return double(x.a); };
+  const auto by_time = [](const Jet& x) { return double(x.v[0]); };
+  const auto pick_flight = [&](const auto& part) {
+    return pick(by_p.p[0], by_v.p[0], by_a.p[0], by_p.v[0], by_v.v[0], by_a.v[0], part);
+  };
+  FlightOver over{pick_flight(value), pick_flight(by_time)};
+  if constexpr (kRotation == kSpin) {
+    if (!model.properties().linear_rotation) return over;
+    const BodyConstants<Jet> spinning{Jet(S(1)), Jet(S(1)), S(1), false, Jet(S(1))};
+    const Vec2<Jet> no_force(Jet(S(0)), Jet(S(0)));
+    const auto turn = [&](S angle, S speed, S torque) {
+      State x{}, next{};
+      x.rotation[0] = Jet(angle);
+      x.rotation[1] = Jet(speed);
+      const Jet by(torque);
+      model.Free(LoneDisc(length, spinning, no_force, &by), x, &next);
+      return next;
+    };
+    const State by_angle = turn(S(1), S(0), S(0)), by_speed = turn(S(0), S(1), S(0)),
+                by_torque = turn(S(0), S(0), S(1));
+    const auto pick_turn = [&](const auto& part) {
+      return pick(by_angle.rotation[0],
+                  by_speed.rotation[0],
+                  by_torque.rotation[0],
+                  by_angle.rotation[1],
+                  by_speed.rotation[1],
+                  by_torque.rotation[1],
+                  part);
+    };
+    over.turn = pick_turn(value);
+    over.turn_by_time = pick_turn(by_time);
+  }
+  return over;
 }
 
 }  // namespace saltus

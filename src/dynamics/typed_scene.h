@@ -89,8 +89,10 @@ class HeldControl {
   const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
 
   bool Turns(int body) const { return turn_place_[body] >= 0; }
-  // Likewise where torque / radius of a disc that is turned stands, and the torque, N m; 0 if it is not turned.
+  // Likewise where torque / radius of a disc that is turned stands, the numbers there, and the torque, N m; null and 0
+  // if it is not turned.
   std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
+  const S* Turn(int body, int k) const { return Turns(body) ? forces_.data() + TurnOffset(body, k) : nullptr; }
   S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
 
   // Sets the forces and torques of step k; those on other discs stay.

@@ -1,0 +1,209 @@
+// A contact model as the engine sees it: an interface of a few scalar types, and the adapter that puts a model behind
+// it.
+//
+// The engine (rollout, islands, adjoint, linearization) is compiled once per scalar and size of the rotation state, in
+// dynamics/step_simulator.cc; it knows ContactStep only. A model contributes ContactStepOf<M, S>, which instantiates the
+// model's own functions and nothing else, so a further model costs the compiler its step in values and in Jets. The
+// arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
+#pragma once
+
+#include <concepts>
+#include <cstddef>
+#include <limits>
+#include <memory>
+#include <span>
+#include <type_traits>
+#include <utility>
+
+#include "saltus/contact/contact_model.h"
+#include "saltus/dynamics/simulator.h"
+#include "saltus/internal/taped.h"
+
+namespace saltus {
+
+// The engine is compiled for models with 0 to this many numbers of rotation state per disc.
+inline constexpr int kMostRotation = 3;
+
+// Free flight of one disc over a number of steps, each under a force and a torque of its own.
+template <typename S>
+struct FlightInput {
+  StepInput<S> step;  // one disc; `force` and `torque` are set by the flight
+  int steps = 0;
+  const S* force = nullptr;         // [u_x u_y] of the first step, N; null: no force
+  const S* turn = nullptr;          // torque / radius of the first step, N; null: no torque
+  std::ptrdiff_t stride = 0;        // numbers from one step's control to the next
+  std::ptrdiff_t state_stride = 0;  // states from one step's state of the disc to the next
+};
+
+// One step of a contact model with values in S (double or float).
+template <typename S, int kRotation>
+class ContactStep {
+ public:
+  template <typename T>
+  using StateOf = BodyState<T, kRotation>;
+  using State = StateOf<S>;
+  using Jet = StepJet<S>;
+  using JetState = StateOf<Jet>;
+  using TapedState = StateOf<Taped>;
+
+  virtual ~ContactStep() = default;
+
+  // What contact_model.h says of M::kTraits, M::kLinearRotation, M::kTapedFrom (none: no number of discs is that
+  // large), M::Linearize and M::InitialRotation (for a disc at the origin and at rest).
+  struct Properties {
+    const ModelTraits* traits = nullptr;
+    bool linear_rotation = false;
+    int taped_from = std::numeric_limits<int>::max();
+    bool published_jacobian = false;
+    State at_rest{};
+  };
+  const ModelTraits& traits() const { return *properties_.traits; }
+  const Properties& properties() const { return properties_; }
+
+  // The step of all discs, M::Step, in values, in Jets and on the tape of the thread. The last is for models with
+  // kTapedFrom and S = double only.
+  virtual void Step(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const = 0;
+  virtual void Step(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const = 0;
+  virtual void Step(const StepInput<Taped>& in, std::span<const TapedState> x, std::span<TapedState> next) const = 0;
+
+  // Free flight of all discs in one step.
+  virtual void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const = 0;
+  // Free flight of one disc over many steps, from *at to the states behind it.
+  virtual void Fly(const FlightInput<S>& in, State* at) const = 0;
+  // Free flight of disc 0 in Jets; and over a length that is a Jet, which some models do not have: returns false then.
+  virtual JetState Free(const StepInput<Jet>& in, const JetState& x) const = 0;
+  virtual bool Free(const StepInput<Jet, Jet>& in, const JetState& x, JetState* next) const = 0;
+
+  // M::Linearize. Precondition: properties().published_jacobian.
+  virtual void Linearize(const StepInput<double>& in, std::span<const StateOf<double>> x, Eigen::Ref<Eigen::MatrixXd> A,
+                         Eigen::Ref<Eigen::MatrixXd> B) const = 0;
+  // M::PullBack, if the model has it and its option complementarity_aware is set; otherwise returns false.
+  virtual bool PullBack(const StepInput<double>& in, std::span<const StateOf<double>> x, std::span<const double> after,
+                        std::span<double> before) const = 0;
+
+ protected:
+  explicit ContactStep(const Properties& properties) : properties_(properties) {}
+
+ private:
+  const Properties properties_;
+};
+
+template <ContactModel M, typename S>
+class ContactStepOf final : public ContactStep<S, M::kRotation> {
+ public:
+  static constexpr int kRotation = M::kRotation;
+  static_assert(kRotation <= kMostRotation, "the engine is compiled for 0 to 3 numbers of rotation state per disc");
+  static_assert(M::kTraits.spins == (kRotation > 0) || kRotation == kSpin,
+                "a model has the trait `spins` if discs have a rotation of its own");
+  using Base = ContactStep<S, kRotation>;
+  using typename Base::Jet, typename Base::JetState, typename Base::State, typename Base::TapedState;
+  static_assert(sizeof(State) == State::kSize * sizeof(S));
+
+  explicit ContactStepOf(M model) : Base(PropertiesOf()), model_(std::move(model)) {}
+
+  void Step(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const override {
+    model_.Step(in, x, next);
+  }
+  void Step(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const override {
+    model_.Step(in, x, next);
+  }
+  void Step([[maybe_unused]] const StepInput<Taped>& in, [[maybe_unused]] std::span<const TapedState> x,
+            [[maybe_unused]] std::span<TapedState> next) const override {
+    if constexpr (kTapes) model_.Step(in, x, next);
+  }
+
+  void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const override {
+    saltus::FreeFlight(model_, in, x, next);
+  }
+  void Fly(const FlightInput<S>& flight, State* at) const override {
+    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to.
+    const BodyConstants<S> body = flight.step.bodies[0];
+    const std::ptrdiff_t stride = flight.stride, state_stride = flight.state_stride;
+    const S *u = flight.force, *turn = flight.turn;
+    const int steps = flight.steps;
+    Vec2<S> force = Vec2<S>::Zero();
+    S torque = S(0);
+    StepInput<S> in{};
+    in.h = flight.step.h;
+    in.gravity = flight.step.gravity;
+    in.bodies = {&body, 1};
+    in.force = {&force, 1};
+    if (turn != nullptr) in.torque = {&torque, 1};
+    State x = *at;
+    for (int j = 0; j < steps; ++j) {
+      if (u != nullptr) {
+        force = Vec2<S>(u[0], u[1]);
+        u += stride;
+      }
+      if (turn != nullptr) torque = body.radius * turn[j * stride];
+      x = model_.Free(in, 0, x);
+      at += state_stride;
+      *at = x;
+    }
+  }
+  JetState Free(const StepInput<Jet>& in, const JetState& x) const override { return model_.Free(in, 0, x); }
+  bool Free([[maybe_unused]] const StepInput<Jet, Jet>& in, [[maybe_unused]] const JetState& x,
+            [[maybe_unused]] JetState* next) const override {
+    if constexpr (requires { model_.Free(in, 0, x); }) {
+      *next = model_.Free(in, 0, x);
+      return true;
+    }
+    return false;
+  }
+
+  void Linearize([[maybe_unused]] const StepInput<double>& in,
+                 [[maybe_unused]] std::span<const BodyState<double, kRotation>> x,
+                 [[maybe_unused]] Eigen::Ref<Eigen::MatrixXd> A,
+                 [[maybe_unused]] Eigen::Ref<Eigen::MatrixXd> B) const override {
+    if constexpr (kLinearizes) model_.Linearize(in, x, A, B);
+  }
+  bool PullBack([[maybe_unused]] const StepInput<double>& in,
+                [[maybe_unused]] std::span<const BodyState<double, kRotation>> x,
+                [[maybe_unused]] std::span<const double> after,
+                [[maybe_unused]] std::span<double> before) const override {
+    if constexpr (requires { model_.complementarity_aware; }) {
+      if (model_.complementarity_aware) {
+        model_.PullBack(in, x, after, before);
+        return true;
+      }
+    }
+    return false;
+  }
+
+ private:
+  static constexpr bool kTapes = std::is_same_v<S, double> && requires { M::kTapedFrom; };
+  static constexpr bool kLinearizes = requires { &M::Linearize; };
+
+  static typename Base::Properties PropertiesOf() {
+    static constexpr ModelTraits kTraits = M::kTraits;
+    typename Base::Properties properties;
+    properties.traits = &kTraits;
+    if constexpr (requires { M::kLinearRotation; }) properties.linear_rotation = M::kLinearRotation;
+    if constexpr (kTapes) properties.taped_from = M::kTapedFrom;
+    properties.published_jacobian = kLinearizes;
+    properties.at_rest.p = properties.at_rest.v = Vec2<S>::Zero();
+    if constexpr (requires(double* rotation) { M::InitialRotation(rotation); }) {
+      double rotation[kRotation] = {};
+      M::InitialRotation(rotation);
+      for (int j = 0; j < kRotation; ++j) properties.at_rest.rotation[j] = S(rotation[j]);
+    }
+    return properties;
+  }
+
+  const M model_;
+};
+
+// The simulator of a step. Defined for S = double and float, and kRotation = 0 to kMostRotation. `precision` is what
+// the simulator reports; models with the trait double_engine compute in double even if it is kFloat.
+template <typename S, int kRotation>
+std::unique_ptr<Simulator> MakeStepSimulator(const Scene& scene, Precision precision,
+                                             std::unique_ptr<const ContactStep<S, kRotation>> step);
+
+// The simulator of a contact model.
+template <ContactModel M, typename S = double>
+std::unique_ptr<Simulator> MakeModelSimulator(const Scene& scene, Precision precision = Precision::kDouble,
+                                              M model = {}) {
+  return MakeStepSimulator<S, M::kRotation>(scene, precision, std::make_unique<ContactStepOf<M, S>>(std::move(model)));
+}
+
+}  // namespace saltus

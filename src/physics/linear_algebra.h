@@ -1,0 +1,100 @@
+// Decompositions and products of dense matrices. Eigen's templates for them are compiled once, in the files of this
+// folder, and not in every file that solves a linear system.
+#pragma once
+
+#include <Eigen/QR>
+#include <optional>
+#include <span>
+#include <variant>
+
+namespace saltus {
+
+// Reads matrices and vectors of any storage, blocks included, without a copy.
+using ConstMatrixRef = Eigen::Ref<const Eigen::MatrixXd>;
+using ConstVectorRef = Eigen::Ref<const Eigen::VectorXd>;
+using MatrixRef = Eigen::Ref<Eigen::MatrixXd>;
+using VectorRef = Eigen::Ref<Eigen::VectorXd>;
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Complete orthogonal decomposition: least squares solutions of least norm. Pivots below `threshold` times the largest
+// one count as zero; without a threshold, those that are no more than rounding. Matrices of up to kMostSmallRows rows
+// and columns take no memory from the heap (but a little if their rank is not full).
+inline constexpr int kMostSmallRows = 16;
+
+class LeastNormSolver {
+ public:
+  explicit LeastNormSolver(const ConstMatrixRef& matrix, std::optional<double> threshold = {});
+  // `solution` may be `right`.
+  void Solve(const ConstVectorRef& right, VectorRef solution) const;
+
+ private:
+  using Small = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostSmallRows, kMostSmallRows>;
+  std::variant<Eigen::CompleteOrthogonalDecomposition<Small>, Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd>>
+      decomposition_;
+};
+
+Eigen::VectorXd LeastNormSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+// A solution for each column of `right`.
+Eigen::MatrixXd LeastNormSolutions(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right);
+
+// `inverse` is of the size of a square matrix.
+void PseudoInvert(const ConstMatrixRef& matrix, std::optional<double> threshold, MatrixRef inverse);
+Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& matrix);
+Eigen::MatrixXf PseudoInverse(const Eigen::MatrixXf& matrix);
+// The same of an n x n matrix that is given row by row, and overwritten.
+void PseudoInvertRows(int n, std::span<double> matrix, double threshold);
+
+// Of a symmetric matrix M of information: the information on the first `count` numbers if the others are unknown too,
+// M_11 - M_12 M_22^+ M_21.
+Eigen::MatrixXd SchurComplement(const Eigen::MatrixXd& information, Eigen::Index count);
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Square systems.
+
+// By Gauss elimination with partial pivoting.
+Eigen::VectorXd SolveLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+// The same for each column of `right`.
+Eigen::MatrixXd SolveLuColumns(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right);
+// With full pivoting, for matrices that may be nearly singular.
+Eigen::VectorXd SolveFullPivotLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+// By the Cholesky decomposition. Nothing if the matrix is not positive definite.
+std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+// The same without memory from the heap: overwrites the matrix with its factor and `right` with the solutions.
+void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right);
+// By L D L^T, for symmetric matrices that are semidefinite.
+Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Others.
+
+// The least squares solution, for matrices of full rank, by a QR decomposition with column pivoting.
+Eigen::VectorXd LeastSquaresSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
+
+// An orthonormal basis of the vectors that all rows of a matrix are orthogonal to.
+Eigen::MatrixXd NullSpace(const Eigen::MatrixXd& rows);
+
+// Eigenvalues of a symmetric matrix in rising order, and its eigenvectors, of length 1, as columns in the same order.
+struct SymmetricEigen {
+  Eigen::VectorXd values;
+  Eigen::MatrixXd vectors;
+};
+SymmetricEigen EigenOf(const Eigen::MatrixXd& symmetric);
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Products of matrices of which each is large or of unknown size.
+
+Eigen::MatrixXd Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b);
+// a^T b.
+Eigen::MatrixXd MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b);
+// a b^T.
+Eigen::MatrixXd MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b);
+// The same without memory from the heap, into a matrix of the product's size that is neither factor.
+void Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);
+void MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);
+void MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);
+// sum += a b.
+void AddProduct(const ConstMatrixRef& a, const ConstMatrixRef& b, Eigen::MatrixXd* sum);
+// sum += weight a^T a.
+void AddGram(double weight, const Eigen::MatrixXd& a, Eigen::MatrixXd* sum);
+
+}  // namespace saltus
