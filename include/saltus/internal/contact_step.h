@@ -104,7 +104,8 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   void Step(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const override {
     model_.Step(in, x, next);
   }
-  void Step(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const override {
+  SALTUS_FLATTEN void Step(const StepInput<Jet>& in, std::span<const JetState> x,
+                           std::span<JetState> next) const override {
     model_.Step(in, x, next);
   }
   void Step([[maybe_unused]] const StepInput<Taped>& in, [[maybe_unused]] std::span<const TapedState> x,
