@@ -16,7 +16,7 @@ constexpr double kSameTime = 1e-9;  // of the duration
 // Widths of differences, in natural units; each so much less than the last. Moved along each other by w, two discs meet
 // later by w^2, which must be more than rounding: what comes first decides the slope.
 constexpr double kWidest = 1e-3, kNarrower = 0.1;
-constexpr int kWidths = 3;
+constexpr int kWidths = 4;
 constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
 constexpr double kMostWork = 1e7;    // entries times discs times steps
@@ -66,9 +66,9 @@ class Sides {
     const Found below = Follow(variable, -1, scale), above = Follow(variable, 1, scale);
     if (above.agrees && below.other) return OneSided::Side::kAbove;
     if (below.agrees && above.other) return OneSided::Side::kBelow;
-    // A derivative that exists and is not the entry is an error, and no kink.
-    const bool kink = above.other && below.other && std::abs(*above.other - *below.other) > kTolerance * scale;
-    return kink ? std::optional(OneSided::Side::kNone) : std::nullopt;
+    // Other orders to both sides, perhaps the same one: moved across the line of centers, two discs meet later whatever
+    // the side.
+    return above.other && below.other ? std::optional(OneSided::Side::kNone) : std::nullopt;
   }
 
  private:

@@ -4,7 +4,7 @@
 // is the same in both orders, the loss is continuous there, but its slopes to either side may differ: the gradient of
 // the event-driven model is that of one order. Which entries that concerns follows from differences of its own loss:
 // an entry that agrees with those of one side alone, while those of the other side settle on another slope, is the
-// derivative from that side.
+// derivative from that side; one that agrees with neither, while both settle, is none.
 #pragma once
 
 #include <vector>

@@ -183,7 +183,7 @@ void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
     if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
     if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
     if (!study->conditioning) return;
-    if (quantity.levels.back().error <= kRoundings * study->conditioning->rounding) {
+    if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
       quantity.verdict = Verdict::kIllConditioned;
     }
   }

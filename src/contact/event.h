@@ -84,11 +84,11 @@ void TakeCrowdStep(const M& model, const StepInput<T>& in, std::span<const State
   }
 }
 
-// A step of `model` with candidates, whose impacts obey `law` (event_step.h). A function by itself even where what calls
-// it is flattened, as its own parts are: the whole would compile for minutes and be no faster.
+// A step of `model` with candidates, whose impacts obey `law` (event_step.h). A function by itself even where what
+// calls it is flattened, as its own parts are: the whole would compile for minutes and be no faster.
 template <typename M, typename T, typename Law, typename State>
-[[gnu::noinline]] void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law,
-                                     std::span<const State> x, std::span<State> next) {
+[[gnu::noinline]] void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::span<const State> x,
+                                     std::span<State> next) {
   if constexpr (M::kRotation == 0) {
     if (CrowdStep<T>::IsRecorded(in)) return TakeCrowdStep(model, in, x, next);
   }

@@ -54,11 +54,11 @@ inline double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body
 inline ImpactConstants MakeImpactConstants(const Scene& scene, const Candidate& c) {
   const Body& a = scene.bodies[c.a];
   ImpactConstants law{.inverse_mass_a = InverseMass(a),
-                .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
-                .restitution = scene.contact.restitution,
-                .friction = scene.contact.friction,
-                .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
-                .plane = c.plane};
+                      .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
+                      .restitution = scene.contact.restitution,
+                      .friction = scene.contact.friction,
+                      .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
+                      .plane = c.plane};
   for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
     const Body& body = scene.bodies[side == 0 ? c.a : c.b];
     if (!body.Spins()) continue;

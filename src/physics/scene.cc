@@ -69,6 +69,12 @@ const char* QuantityToString(TerminalTerm::Quantity quantity) {
   return kNames[static_cast<int>(quantity)];
 }
 
+bool IsConverted(const Scene& scene) {
+  Units given;
+  given.natural = scene.units.natural;
+  return scene.units != given;
+}
+
 // A name as it may stand in a message: it can be anything, as long as anything.
 std::string Quoted(const std::string& name) {
   std::string text = name.substr(0, kLongestName);
@@ -82,7 +88,7 @@ class Rules {
  public:
   // With `structure_only`, those of ValidateStructure.
   Rules(const Scene& scene, bool structure_only)
-      : scene_(scene), all_(!structure_only), in_(scene.units == Units() ? kGivenRanges : kConvertedRanges) {}
+      : scene_(scene), all_(!structure_only), in_(IsConverted(scene) ? kConvertedRanges : kGivenRanges) {}
 
   std::optional<SceneError> Check() {
     CheckTime();

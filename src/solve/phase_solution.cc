@@ -74,7 +74,8 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
     normal = Separate<double>(x->p[c.a], x->p[c.b]).normal;
   }
   const double speed = Dot(normal, x->v[c.a]) - (c.plane ? 0.0 : Dot(normal, x->v[c.b]));
-  const double least = (MakeImpactConstants(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
+  const double least =
+      (MakeImpactConstants(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
   if (speed < -least) return;
   if (IsPushed(scene, c.a)) {
     x->v[c.a] -= (speed + least) * normal;

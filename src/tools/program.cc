@@ -48,16 +48,13 @@ DEFINE_string(sequence, "auto",
               "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
               "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
               "striker-target,target-ceiling");
-DEFINE_double(search_work, saltus::SearchOptions().work,
-              "of mode_search at most: gradients that it computes, counted with about as many microseconds of one core "
-              "as they take; 0 is any");
-DEFINE_double(search_seconds, 0,
-              "of mode_search at most, s; 0 is any time. Where this ends a search, its answer depends on the machine");
+DEFINE_double(search_work, saltus::SearchOptions().work, "of mode_search at most, gradients; 0 is any");
+DEFINE_double(search_seconds, 0, "time limit of mode_search, s, on which its answer depends; 0 is none");
 DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
 DEFINE_int32(search_starts, 8, "random ones of mode_search, beside the initial guess");
 DEFINE_uint64(search_seed, 1, "of these starts");
 DEFINE_int32(threads, 0, "0 is one per core");
-DEFINE_int32(memory_limit, 1024, "for the states of a rollout; what does not fit is simulated again");
+DEFINE_int32(memory_limit, 1024, "for the states of a rollout; others are computed again");
 DEFINE_string(output_dir, "", "where result files are written");
 DEFINE_string(control, "", "JSON or NPZ with a control to start from, or with --solver=none to simulate");
 DEFINE_string(warm_start, "", "JSON or NPZ of a solution to start from: its control, velocities or positions");

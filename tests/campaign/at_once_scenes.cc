@@ -231,9 +231,6 @@ class AtOnceCheck {
       return Count("entries left out: differences of a side do not settle");
     }
     if (!below.agrees && !above.agrees) {
-      if (std::abs(*below.other - *above.other) <= kAgreement * (Largest(entry) + std::abs(*above.other))) {
-        return Count(kFailure + std::string("disagrees with both sides, which agree"));
-      }
       if (named && found->second == OneSided::Side::kNone) return Count("entries of neither side, named");
       return Count(kFailure + std::string("of neither side, not named"));
     }

@@ -22,8 +22,8 @@ NamedScene RandomScene(std::uint32_t seed);
 // Likewise among segments, polygons and arcs, one in three on a table: 1 to 4 discs, none pushed.
 NamedScene RandomEdgeScene(std::uint32_t seed);
 
-// Likewise with events at the same time: discs in corners, on lattices, beside their mirror images, that strike walls on
-// nodes, or that meet two things at once. 1 to 9 discs, none pushed, no rest at the start.
+// Likewise with events at the same time: discs in corners, on lattices, beside their mirror images, that strike walls
+// on nodes, or that meet two things at once. 1 to 9 discs, none pushed, no rest at the start.
 NamedScene RandomSceneAtOnce(std::uint32_t seed);
 
 // The same scene with discs that spin, friction and a loss that depends on their spin; without a table, on which

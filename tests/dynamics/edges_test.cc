@@ -7,10 +7,10 @@
 #include <numbers>
 #include <random>
 
+#include "dynamics/broad_phase.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/dynamics/registry.h"
-#include "dynamics/broad_phase.h"
 #include "saltus/physics/walls.h"
 
 namespace saltus {

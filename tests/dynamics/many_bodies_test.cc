@@ -4,11 +4,11 @@
 #include <cmath>
 #include <random>
 
+#include "dynamics/broad_phase.h"
+#include "dynamics/islands.h"
 #include "physics/scene_generators.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "dynamics/broad_phase.h"
-#include "dynamics/islands.h"
 
 namespace saltus {
 namespace {

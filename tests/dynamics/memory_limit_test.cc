@@ -6,9 +6,9 @@
 #include <cmath>
 #include <numeric>
 
+#include "dynamics/trajectory.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/dynamics/registry.h"
-#include "dynamics/trajectory.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -473,7 +473,7 @@ TEST_F(Combinations, Simulators) {
     if (line.starts_with(" ")) continue;  // an option
     const std::string box = Box("box", line.substr(0, line.find(' ')), offers[models++ % 4]);
     const Outcome audit = RunProgram(Filled(
-        "saltus_audit --scene={problems}/two_balls.yaml --steps=8 --progress=none --json --attribution_seconds=1" +
+        "saltus_audit --scene={problems}/two_balls.yaml --steps=12 --progress=none --json --attribution_seconds=1" +
         box));
     const json document = json::parse(audit.output, nullptr, /*allow_exceptions=*/false);
     ASSERT_FALSE(document.is_discarded()) << box << audit.output.substr(0, 300);
