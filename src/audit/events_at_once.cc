@@ -16,7 +16,7 @@ constexpr double kSameTime = 1e-9;  // of the duration
 // Widths of differences, in natural units; each so much less than the last. Moved along each other by w, two discs meet
 // later by w^2, which must be more than rounding: what comes first decides the slope.
 constexpr double kWidest = 1e-3, kNarrower = 0.1;
-constexpr int kWidths = 4;
+constexpr int kWidths = 3;
 constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
 constexpr double kMostWork = 1e7;    // entries times discs times steps

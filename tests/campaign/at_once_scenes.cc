@@ -144,8 +144,11 @@ constexpr double kWidest = 1e-3, kFinest = 3e-6;  // of widths: discs moved alon
 
 class AtOnceCheck {
  public:
+  // In natural units, so that the widths of differences suit scenes of every size.
   explicit AtOnceCheck(const Scene& scene)
-      : scene_(scene), simulator_(MakeSimulator("event", scene, Precision::kDouble)), initial_(InitialState(scene)) {}
+      : scene_(InNaturalUnits(scene)),
+        simulator_(MakeSimulator("event", scene_, Precision::kDouble)),
+        initial_(InitialState(scene_)) {}
 
   Counts Run() {
     if (!simulator_->Rollout(initial_, {})) {
@@ -182,9 +185,8 @@ class AtOnceCheck {
   }
 
   void FindNamed() {
-    const Scene natural = InNaturalUnits(scene_);
-    std::vector<OneSided> named = OneSidedDerivatives(natural);
-    for (const OneSided& entry : OneSidedAtOnce("event", natural, named)) named.push_back(entry);
+    std::vector<OneSided> named = OneSidedDerivatives(scene_);
+    for (const OneSided& entry : OneSidedAtOnce("event", scene_, named)) named.push_back(entry);
     for (const OneSided& entry : named) {
       const int offset = entry.quantity == OneSided::Quantity::kPosition ? 0 : 2;
       named_[4 * entry.body + offset + entry.component] = entry.side;
@@ -239,7 +241,7 @@ class AtOnceCheck {
     Count(kFailure + std::string(named ? "one-sided, named otherwise" : "one-sided, not named"));
   }
 
-  const Scene& scene_;
+  const Scene scene_;
   std::unique_ptr<Simulator> simulator_;
   const std::vector<double> initial_;
   Sensitivity gradient_;
