@@ -1,0 +1,170 @@
+// Simulation of a hybrid system with located events, and exact derivatives of what is simulated.
+//
+// An event of a guard happens at the first time at which the guard, once armed, falls through zero; the reset of the
+// guard then gives the next mode and its state. On entry into a mode a guard
+//
+//   above zero                                          is armed;
+//   at zero, if its first nonzero derivative is > 0,    is armed once it is above zero;
+//   at zero, if that is < 0,                            has an event at once;
+//   below zero                                          has a transition at once, which is one reset with the first.
+//
+// "At zero" means within 1e-11 of the size of its terms. At the start a guard below zero is an error. An event at the
+// final time counts: the final state is that after it.
+//
+// Between events the flow is integrated by a Runge-Kutta method of order 8 (hybrid/runge_kutta.h) with a fixed number
+// of equal steps in each control interval; a step that meets an event ends there, and the next one ends where it would
+// have. So the motion is a smooth function of its input until the sequence of events changes.
+//
+// What is guaranteed of events: a guard that is below zero at the end of a step has its event in it. A guard that falls
+// below zero and returns within one step is found if it falls at the beginning of the step and rises at the end, and
+// the cubic through its values and rates there comes within a half of the smaller value of zero.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_system.h"
+
+namespace saltus {
+
+// What a motion depends on.
+struct HybridInput {
+  int mode = 0;                         // at time 0
+  std::vector<double> initial = {};     // state at time 0, of the size of that mode
+  std::vector<double> parameters = {};  // P
+  double duration = 0;                  // > 0
+  int num_intervals = 1;                // K > 0 equal intervals, on each of which the control is held
+  std::vector<double> control = {};     // K x m, row-major; none: zeros
+};
+
+struct HybridOptions {
+  // Relative error of the final state and of the event times, of the integration. The number of steps is chosen for it
+  // in the first rollout, and kept.
+  double tolerance = 1e-12;
+  int steps_per_interval = 0;  // of the integration; 0: chosen
+  // A guard below zero at the start is armed once it is above zero, in the place of an error.
+  bool wait_behind_guards = false;
+  int most_events = 100000;  // a motion with more of them fails
+};
+
+struct HybridEvent {
+  double time = 0;
+  int mode = 0, guard = 0, next_mode = 0;
+  double rate = 0;                        // of the guard in time, just before
+  std::span<const double> before, after;  // states, valid until the next rollout
+  bool at_once = false;                   // it follows the one before it without time passing
+};
+
+// A guard that reaches zero and does not cross it: the motion goes on as if it had not.
+struct HybridGrazing {
+  double time = 0;
+  int mode = 0, guard = 0;
+};
+
+// Guards that reach zero together. Their events are taken in the order of their numbers.
+struct HybridTie {
+  double time = 0;
+  int mode = 0;
+  std::vector<int> guards;
+  // The largest difference of a component between the states that other orders lead to; infinite if they lead to other
+  // modes. The result is ambiguous if it is not zero within rounding.
+  double spread = 0;
+  bool ambiguous = false;
+};
+
+// What a cotangent or a derivative of a motion is by. Sizes as in HybridInput.
+struct HybridGradient {
+  std::vector<double> initial, control, parameters;
+  double duration = 0;
+};
+
+// The derivative of a function of a motion by what it reads. An empty vector stands for zeros.
+struct HybridCotangent {
+  std::vector<double> final_state;
+  std::vector<std::vector<double>> nodes;          // by the state at the beginning of each control interval
+  std::vector<std::vector<double>> before, after;  // by the states before and after each event
+  std::vector<double> event_times;                 // by the time of each event
+};
+
+// The derivatives of final state and events; row-major, D = n0 + K m + P + 1 columns [initial control parameters
+// duration].
+struct HybridSensitivity {
+  int columns = 0;
+  std::vector<double> final_state;         // (size of the final state) x D
+  std::vector<std::vector<double>> after;  // of the states after the events, at the events' own times
+  std::vector<std::vector<double>> times;  // of the times of the events, D each
+};
+
+class HybridSimulator {
+ public:
+  explicit HybridSimulator(HybridSystem system, HybridOptions options = {});
+  HybridSimulator(HybridSimulator&&) noexcept;
+  ~HybridSimulator();
+
+  const HybridSystem& system() const;
+
+  // Simulates. False if there is no motion; WhyFailed() then says why, with mode, guard and time.
+  // Precondition: WhatIsWrongWith(input, system) is empty.
+  bool Rollout(const HybridInput& input);
+  const std::string& WhyFailed() const;
+  // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then.
+  std::optional<double> accumulation() const;
+
+  // Of the last rollout. If it failed, what came before.
+  int final_mode() const;
+  std::span<const double> final_state() const;
+  const std::vector<HybridEvent>& events() const;
+  const std::vector<HybridGrazing>& grazings() const;
+  const std::vector<HybridTie>& ties() const;
+  // Mode and state at the beginning of control interval k, or at the end for k = K: after events there.
+  int ModeAt(int k) const;
+  std::span<const double> StateAt(int k) const;
+  // Times, modes and states at the beginning of each step of the integration.
+  int num_steps() const;
+  double StepTime(int step) const;
+  int StepMode(int step) const;
+  std::span<const double> StepState(int step) const;
+
+  // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, ties, an
+  // event at the final time or where the control jumps, a reset onto another guard.
+  std::string WhyNotDifferentiable() const;
+
+  // Steps in a control interval, after the first rollout.
+  int steps_per_interval() const;
+  // Chooses the number of steps anew in the next rollout, unless it is given.
+  void ChooseStepsAnew();
+  // The largest relative difference of final state and event times to those of a rollout with twice as many steps;
+  // infinite if that has other events. Costs a rollout. Precondition: the last rollout succeeded.
+  double IntegrationError();
+
+  // The derivative of a function of the last motion, given its derivative by what it reads: one reverse sweep, whose
+  // cost does not depend on the number of controls. Precondition: the rollout succeeded.
+  HybridGradient Adjoint(const HybridCotangent& cotangent);
+  // The same for a function of the final state.
+  HybridGradient Adjoint(std::span<const double> final_cotangent);
+
+  // All derivatives by forward sweeps; costs D times more.
+  HybridSensitivity Sensitivity();
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+// As "found x, expected y"; empty if nothing is.
+std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system);
+
+// The closed form of the saltation matrix of an event,
+//
+//   Xi = D_x R + (f+ - D_x R f- - D_t R) D_x g / (D_t g + D_x g f-),     n+ x n-, row-major,
+//
+// at the state x before it, with control u. The adjoint does not use it. Precondition: the reset leads to a mode that
+// exists, and the guard's rate is not zero.
+std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int guard, double t,
+                                    std::span<const double> x, std::span<const double> u, std::span<const double> p);
+
+}  // namespace saltus

@@ -1,0 +1,77 @@
+// Hybrid systems of users: states that flow smoothly until a guard falls through zero, and are then reset.
+//
+// A system is a struct with constants and three templates on the scalar T, which is double or a ceres::Jet:
+//
+//   struct BouncingBall {  // SI units; members are constants of the system
+//     static constexpr int kNumControls = 1;                // f: force per mass, m/s^2
+//     static constexpr int kNumParameters = 2;              // g: gravity, m/s^2; e: restitution
+//     static constexpr std::array kStateSizes = {2};        // of each mode; here [y v]
+//     static constexpr std::array kNumGuards = {1};         // of each mode
+//
+//     template <typename T>
+//     void Flow(int mode, const T& t, const T* x, const T* u, const T* p, T* xdot) const {
+//       xdot[0] = x[1];
+//       xdot[1] = u[0] - p[0];
+//     }
+//     template <typename T>
+//     T Guard(int mode, int guard, const T& t, const T* x, const T* p) const {
+//       return x[0];                                        // an event where it falls through zero
+//     }
+//     template <typename T>
+//     int Reset(int mode, int guard, const T& t, const T* x, const T* p, T* x_plus) const {
+//       x_plus[0] = x[0];
+//       x_plus[1] = -p[1] * x[1];
+//       return 0;                                           // the next mode
+//     }
+//   };
+//   HybridSystem system{BouncingBall()};
+//
+// Names are optional and appear in messages and outputs: static constexpr std::array<const char*, n> kModeNames,
+// kControlNames and kParameterNames; kGuardNames, those of all modes one after the other; kStateNames, those of all
+// modes one after the other, or those of one mode if all modes have states of the same size.
+//
+// The functions must not keep state: they are called from several threads, and at times in any order.
+#pragma once
+
+#include <concepts>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "saltus/internal/hybrid_functions.h"
+
+namespace saltus {
+
+// A system, whatever its type: what simulates, differentiates and optimises it is compiled once.
+class HybridSystem {
+ public:
+  template <typename S>
+  requires(!std::derived_from<std::remove_cvref_t<S>, HybridSystem> &&
+           requires { S::kStateSizes; }) explicit HybridSystem(S system)
+      : functions_(std::make_shared<HybridFunctionsOf<S>>(std::move(system))) {}
+  // Of functions that are no C++ templates. Precondition: not null.
+  explicit HybridSystem(std::shared_ptr<const HybridFunctions> functions) : functions_(std::move(functions)) {}
+
+  const HybridFunctions& functions() const { return *functions_; }
+  const HybridLayout& layout() const { return functions_->layout(); }
+
+  int num_modes() const { return static_cast<int>(layout().state_sizes.size()); }
+  int num_controls() const { return layout().num_controls; }
+  int num_parameters() const { return layout().num_parameters; }
+  // Precondition: 0 <= mode < num_modes().
+  int state_size(int mode) const { return layout().state_sizes[mode]; }
+  int num_guards(int mode) const { return layout().num_guards[mode]; }
+
+  // Their names, or "mode 0", "guard 0", "x[0]", "u[0]" and "p[0]" where the system has none.
+  std::string ModeName(int mode) const;
+  std::string GuardName(int mode, int guard) const;
+  std::string StateName(int mode, int component) const;
+  std::string ControlName(int component) const;
+  std::string ParameterName(int component) const;
+
+ private:
+  std::shared_ptr<const HybridFunctions> functions_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,220 @@
+// A hybrid system as the engine sees it: an interface of doubles, and the adapter that puts a user's struct behind it.
+//
+// The engine (integration, location of events, adjoint) is compiled once, in hybrid/; it knows HybridFunctions only. A
+// user's struct contributes HybridFunctionsOf<S>, which instantiates the struct's own functions in double and in Jets,
+// and nothing else. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
+#pragma once
+
+#include <ceres/jet.h>
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace saltus {
+
+// Sizes and names of a hybrid system. Names are empty, or one for each of what they name; those of guards and states go
+// through all modes, one after the other.
+struct HybridLayout {
+  int num_controls = 0;
+  int num_parameters = 0;
+  std::vector<int> state_sizes = {};  // of each mode
+  std::vector<int> num_guards = {};   // of each mode
+  std::vector<std::string> mode_names = {}, guard_names = {}, state_names = {}, control_names = {},
+                           parameter_names = {};
+};
+
+// Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
+// the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
+class HybridFunctions {
+ public:
+  virtual ~HybridFunctions() = default;
+  const HybridLayout& layout() const { return layout_; }
+
+  virtual void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const = 0;
+  // And by [x t p u]: n x (n + 1 + P + m).
+  virtual void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                            double* jacobian) const = 0;
+
+  virtual double Guard(int mode, int guard, double t, const double* x, const double* p) const = 0;
+  // And its derivative by time along xdot.
+  virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+                           double* rate) const = 0;
+  // And its derivative by [x t p]: n + 1 + P numbers.
+  virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+                               double* gradient) const = 0;
+
+  // Returns the next mode. x_plus has room for the largest state of any mode; what a reset into a mode with a smaller
+  // state leaves is not read.
+  virtual int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const = 0;
+  // And by [x t p]: (size of the next mode's state) x (n + 1 + P), with room for the largest.
+  virtual int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+                            double* jacobian) const = 0;
+
+ protected:
+  explicit HybridFunctions(HybridLayout layout) : layout_(std::move(layout)) {}
+
+ private:
+  const HybridLayout layout_;
+};
+
+template <typename S>
+class HybridFunctionsOf final : public HybridFunctions {
+ public:
+  static constexpr int kNumModes = static_cast<int>(S::kStateSizes.size());
+  static_assert(kNumModes > 0, "kStateSizes: a system has at least one mode");
+  static_assert(S::kNumGuards.size() == S::kStateSizes.size(), "kNumGuards has one number for each mode");
+  static_assert(S::kNumControls >= 0 && S::kNumParameters >= 0);
+  static_assert(*std::min_element(S::kStateSizes.begin(), S::kStateSizes.end()) > 0, "every mode has a state");
+  static_assert(*std::min_element(S::kNumGuards.begin(), S::kNumGuards.end()) >= 0);
+
+  explicit HybridFunctionsOf(S system) : HybridFunctions(LayoutOf()), system_(std::move(system)) {}
+
+  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override {
+    system_.Flow(mode, t, x, u, p, xdot);
+  }
+  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                    double* jacobian) const override {
+    const int rows = S::kStateSizes[mode];
+    InPasses(mode, S::kNumControls, t, x, p, u, [&](const Variables& v, int first, int width, int columns) {
+      std::array<Jet, kMostStates> out;
+      system_.Flow(mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+      Unpack(out, rows, first, width, columns, xdot, jacobian);
+    });
+  }
+
+  double Guard(int mode, int guard, double t, const double* x, const double* p) const override {
+    return system_.Guard(mode, guard, t, x, p);
+  }
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+                   double* rate) const override {
+    using Rate = ceres::Jet<double, 1>;
+    std::array<Rate, kMostStates> at;
+    for (int i = 0; i < S::kStateSizes[mode]; ++i) {
+      at[i].a = x[i];
+      at[i].v[0] = xdot[i];
+    }
+    std::array<Rate, S::kNumParameters> parameters;
+    for (int i = 0; i < S::kNumParameters; ++i) parameters[i] = Rate(p[i]);
+    Rate time(t);
+    time.v[0] = 1;
+    const Rate value = system_.Guard(mode, guard, time, at.data(), parameters.data());
+    *rate = value.v[0];
+    return value.a;
+  }
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+                       double* gradient) const override {
+    double value = 0;
+    InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
+      const std::array<Jet, 1> out = {system_.Guard(mode, guard, v.t, v.x.data(), v.p.data())};
+      Unpack(out, 1, first, width, columns, &value, gradient);
+    });
+    return value;
+  }
+
+  int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const override {
+    return system_.Reset(mode, guard, t, x, p, x_plus);
+  }
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+                    double* jacobian) const override {
+    int next = 0;
+    InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
+      std::array<Jet, kMostStates> out;
+      next = system_.Reset(mode, guard, v.t, v.x.data(), v.p.data(), out.data());
+      if (next >= 0 && next < kNumModes) Unpack(out, S::kStateSizes[next], first, width, columns, x_plus, jacobian);
+    });
+    return next;
+  }
+
+ private:
+  static constexpr int kMostStates = *std::max_element(S::kStateSizes.begin(), S::kStateSizes.end());
+  static constexpr int kMostVariables = kMostStates + 1 + S::kNumParameters + S::kNumControls;
+  // Derivatives in one pass: all, unless they are many.
+  static constexpr int kMostInOnePass = 12;
+  static constexpr int kStride = kMostVariables <= kMostInOnePass ? kMostVariables : 8;
+  using Jet = ceres::Jet<double, kStride>;
+
+  struct Variables {
+    std::array<Jet, kMostStates> x;
+    Jet t;
+    std::array<Jet, S::kNumParameters> p;
+    std::array<Jet, S::kNumControls> u;
+  };
+
+  // Calls function(variables, first, width, columns) with Jets that carry the derivatives by columns first to first +
+  // width of [x t p u], with the first `controls` of u, until all columns have been seen.
+  template <typename Function>
+  static void InPasses(int mode, int controls, double t, const double* x, const double* p, const double* u,
+                       const Function& function) {
+    const int states = S::kStateSizes[mode], columns = states + 1 + S::kNumParameters + controls;
+    for (int first = 0; first < columns; first += kStride) {
+      Variables v;
+      int column = 0;
+      const auto seed = [&](double value, Jet* jet) {
+        *jet = Jet(value);
+        if (column >= first && column < first + kStride) jet->v[column - first] = 1;
+        ++column;
+      };
+      for (int i = 0; i < states; ++i) seed(x[i], &v.x[i]);
+      seed(t, &v.t);
+      for (int i = 0; i < S::kNumParameters; ++i) seed(p[i], &v.p[i]);
+      for (int i = 0; i < controls; ++i) seed(u[i], &v.u[i]);
+      function(v, first, std::min(kStride, columns - first), columns);
+    }
+  }
+
+  template <std::size_t kSize>
+  static void Unpack(const std::array<Jet, kSize>& out, int rows, int first, int width, int columns, double* values,
+                     double* jacobian) {
+    for (int i = 0; i < rows; ++i) {
+      values[i] = out[i].a;
+      for (int j = 0; j < width; ++j) jacobian[i * columns + first + j] = out[i].v[j];
+    }
+  }
+
+  static HybridLayout LayoutOf() {
+    HybridLayout layout{.num_controls = S::kNumControls, .num_parameters = S::kNumParameters};
+    layout.state_sizes.assign(S::kStateSizes.begin(), S::kStateSizes.end());
+    layout.num_guards.assign(S::kNumGuards.begin(), S::kNumGuards.end());
+    if constexpr (requires { S::kModeNames; }) {
+      static_assert(S::kModeNames.size() == kNumModes, "kModeNames has one name for each mode");
+      layout.mode_names.assign(S::kModeNames.begin(), S::kModeNames.end());
+    }
+    if constexpr (requires { S::kGuardNames; }) {
+      static_assert(S::kGuardNames.size() == Sum(S::kNumGuards),
+                    "kGuardNames has one name for each guard of each mode");
+      layout.guard_names.assign(S::kGuardNames.begin(), S::kGuardNames.end());
+    }
+    if constexpr (requires { S::kStateNames; }) {
+      constexpr bool kOfAllModes = S::kStateNames.size() == Sum(S::kStateSizes);
+      static_assert(kOfAllModes || S::kStateNames.size() * kNumModes == Sum(S::kStateSizes),
+                    "kStateNames has one name for each component of each mode, or of one mode if all have equal sizes");
+      for (int mode = 0; mode < (kOfAllModes ? 1 : kNumModes); ++mode) {
+        layout.state_names.insert(layout.state_names.end(), S::kStateNames.begin(), S::kStateNames.end());
+      }
+    }
+    if constexpr (requires { S::kControlNames; }) {
+      static_assert(S::kControlNames.size() == S::kNumControls, "kControlNames has one name for each control");
+      layout.control_names.assign(S::kControlNames.begin(), S::kControlNames.end());
+    }
+    if constexpr (requires { S::kParameterNames; }) {
+      static_assert(S::kParameterNames.size() == S::kNumParameters, "kParameterNames has one name for each parameter");
+      layout.parameter_names.assign(S::kParameterNames.begin(), S::kParameterNames.end());
+    }
+    return layout;
+  }
+
+  template <std::size_t kSize>
+  static constexpr std::size_t Sum(const std::array<int, kSize>& numbers) {
+    std::size_t sum = 0;
+    for (int number : numbers) sum += number;
+    return sum;
+  }
+
+  const S system_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,187 @@
+#include "hybrid/event_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace saltus {
+namespace {
+
+constexpr double kAtZero = 1e-11;  // of a guard, relative to the size of its terms
+constexpr double kNoRate = 1e-9;   // of its rate, likewise: higher derivatives decide
+constexpr double kGrazes = 1e-12;  // depth of a minimum that counts as zero, relative
+constexpr double kNearZero = 0.5;  // minimum of the cubic, of the smaller value at the ends, that is looked at
+constexpr double kSettles = 1e-9;  // last steps of an iteration, of the length of the step
+constexpr double kNoise = 4 * std::numeric_limits<double>::epsilon();
+constexpr int kMostIterations = 100;
+
+// The cubic with these values and derivatives at 0 and h.
+GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h) {
+  const double slope = (end.value - begin.value) / h;
+  GapPolynomial g;
+  g.c = {begin.value,
+         begin.rate,
+         (3 * slope - 2 * begin.rate - end.rate) / h,
+         (begin.rate + end.rate - 2 * slope) / (h * h),
+         0};
+  return g;
+}
+
+// Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
+double MinimumOf(const GapPolynomial& g, double h) {
+  const double a = 3 * g.c[3], b = g.c[2], c = g.c[1];  // g' = a s^2 + 2 b s + c, c <= 0
+  const double root = std::sqrt(std::max(b * b - a * c, 0.0));
+  const double s = b + root > 0 ? -c / (b + root) : 0.5 * h;
+  return std::clamp(s, 0.0, h);
+}
+
+}  // namespace
+
+EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {
+  const std::vector<int>& sizes = functions.layout().state_sizes;
+  const int most = *std::max_element(sizes.begin(), sizes.end());
+  state_.resize(most);
+  slope_.resize(most);
+  gradient_.resize(most + 1 + functions.layout().num_parameters);
+}
+
+GuardValue EventSearch::At(int mode, int guard, double t, const double* x, const double* slope, const double* p) const {
+  GuardValue at;
+  at.value = functions_.GuardRate(mode, guard, t, x, slope, p, &at.rate);
+  return at;
+}
+
+GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
+  FlowStep part = step;
+  part.h = s;
+  integrator_.Step(part, slope, state_.data());
+  functions_.Flow(step.mode, step.t + s, state_.data(), step.u, step.p, slope_.data());
+  return At(step.mode, guard, step.t + s, state_.data(), slope_.data(), step.p);
+}
+
+double EventSearch::Scale(int mode, int guard, double t, const double* x, const double* p) {
+  functions_.GuardGradient(mode, guard, t, x, p, gradient_.data());
+  const int n = functions_.layout().state_sizes[mode];
+  double scale = std::abs(gradient_[n] * t);
+  for (int i = 0; i < n; ++i) scale += std::abs(gradient_[i] * x[i]);
+  for (int i = 0; i < functions_.layout().num_parameters; ++i) scale += std::abs(gradient_[n + 1 + i] * p[i]);
+  return scale;
+}
+
+EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard) {
+  const GuardValue now = At(step.mode, guard, step.t, step.x, slope, step.p);
+  const double scale = Scale(step.mode, guard, step.t, step.x, step.p);
+  double rate_scale = std::abs(gradient_[functions_.layout().state_sizes[step.mode]]);
+  for (int i = 0; i < functions_.layout().state_sizes[step.mode]; ++i) {
+    rate_scale += std::abs(gradient_[i] * slope[i]);
+  }
+  double at_zero = kAtZero * (scale + std::abs(now.rate) * step.h);
+  if (now.value > at_zero) return Standing::kArmed;
+  const GuardValue later = After(step, slope, guard, 0.5 * step.h);
+  at_zero += kAtZero * std::abs(later.value - now.value);
+  if (now.value < -at_zero) return Standing::kBehind;
+  if (std::abs(now.rate) > kNoRate * std::max(rate_scale, std::abs(later.rate))) {
+    return now.rate > 0 ? Standing::kRising : Standing::kFalling;
+  }
+  // The first derivative that is not zero has the sign of the guard a little later: from where it exceeds rounding.
+  int last = 0;
+  for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
+    const double value = After(step, slope, guard, s).value;
+    const double noise = kNoise * Scale(step.mode, guard, step.t + s, state_.data(), step.p) + std::abs(now.value);
+    const int sign = value > noise ? 1 : value < -noise ? -1 : 0;
+    if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kFalling;
+    last = sign;
+  }
+  return Standing::kRising;
+}
+
+bool EventSearch::FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above) {
+  double s = before;
+  for (int i = 0; i < 48; ++i) {
+    s *= 0.5;
+    if (After(step, slope, guard, s).value > 0) {
+      *above = s;
+      return true;
+    }
+  }
+  return false;
+}
+
+EventSearch::Found EventSearch::Locate(const FlowStep& step, const double* slope, int guard, double above, double below,
+                                       double guess, double curvature) {
+  double s = guess > above && guess <= below ? guess : 0.5 * (above + below);
+  double best = s, least = std::numeric_limits<double>::infinity(), moved = step.h;
+  bool newton = false;  // s is from a Newton step
+  GuardValue at, at_best;
+  for (int i = 0; i < kMostIterations; ++i) {
+    at = After(step, slope, guard, s);
+    const bool stalls = newton && moved < kSettles * step.h && std::abs(at.value) >= 0.5 * least;
+    if (std::abs(at.value) < least) {
+      least = std::abs(at.value);
+      best = s;
+      at_best = at;
+    }
+    if (at.value == 0 || stalls) break;
+    (at.value > 0 ? above : below) = s;
+    double next = s - at.value / at.rate;
+    newton = next > above && next <= below;
+    if (!newton) next = 0.5 * (above + below);
+    moved = std::abs(next - s);
+    if (moved == 0 || next == above) break;
+    s = next;
+  }
+  s = best;
+  at = at_best;
+  // A minimum that is below zero by rounding alone.
+  const double depth = curvature > 0 ? 0.5 * at.rate * at.rate / curvature : std::numeric_limits<double>::infinity();
+  if (depth <= kGrazes * (Scale(step.mode, guard, step.t, step.x, step.p) + curvature * step.h * step.h)) {
+    return {Found::What::kGrazing, s};
+  }
+  return {Found::What::kEvent, s};
+}
+
+EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
+                                     const GuardValue& begin, const GuardValue& end) {
+  const double h = step.h;
+  if (!(h > 0)) return {};
+  const double curvature = (end.rate - begin.rate) / h;
+  if (armed && end.value > 0) {
+    // A minimum in between.
+    if (!(begin.rate <= 0 && end.rate >= 0) || begin.rate == end.rate) return {};
+    const GapPolynomial cubic = Hermite(begin, end, h);
+    double s = MinimumOf(cubic, h);
+    if (cubic(s) > kNearZero * std::min(begin.value, end.value)) return {};
+    const double noise = kGrazes * (Scale(step.mode, guard, step.t, step.x, step.p) + std::abs(curvature) * h * h);
+    double low = 0, high = h;  // the rate is negative at low, positive at high
+    GuardValue at;
+    for (int i = 0; i < kMostIterations; ++i) {
+      at = After(step, slope, guard, s);
+      if (at.value < -noise) break;
+      (at.rate < 0 ? low : high) = s;
+      double next = s - at.rate / curvature;  // the rate is nearly linear in between
+      if (!(next > low && next < high)) next = 0.5 * (low + high);
+      if (std::abs(next - s) <= kSettles * h) break;
+      s = next;
+    }
+    if (at.value > noise) return {};
+    if (at.value >= -noise) return {Found::What::kGrazing, s};
+    return Locate(step, slope, guard, 0, s, FirstClosing(cubic, h), curvature);
+  }
+  const GapPolynomial cubic = Hermite(begin, end, h);
+  if (armed) return Locate(step, slope, guard, 0, h, FirstClosing(cubic, h), curvature);
+  // It must rise above zero first.
+  const double closing = FirstClosing(cubic, h, /*ignore_start=*/true);
+  if (end.value > 0) {
+    if (closing == kNever || closing <= 0) return {};
+    const double s = closing + 0.5 * (h - closing);
+    double above = 0;
+    if (After(step, slope, guard, s).value > 0 || !FindAbove(step, slope, guard, closing, &above)) return {};
+    return Locate(step, slope, guard, above, s, closing, curvature);
+  }
+  if (begin.rate < 0 && begin.value < 0) return {};
+  double above = 0;
+  if (!FindAbove(step, slope, guard, closing == kNever || closing <= 0 ? h : closing, &above)) return {};
+  return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
+}
+
+}  // namespace saltus

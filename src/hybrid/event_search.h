@@ -1,0 +1,56 @@
+// When a guard falls through zero: within a step of the integration, and on entry into a mode.
+//
+// Within a step of length h the state after a part s of it is that of a step of length s: no dense output is needed,
+// and the state at an event is as accurate as any other. The search begins where the cubic through the guard's values
+// and rates at the ends of the step has its first zero (contact/event_roots.h), and continues by Newton's method,
+// safeguarded by bisection.
+#pragma once
+
+#include <vector>
+
+#include "contact/event_roots.h"
+#include "hybrid/runge_kutta.h"
+
+namespace saltus {
+
+struct GuardValue {
+  double value = 0, rate = 0;
+};
+
+class EventSearch {
+ public:
+  explicit EventSearch(const HybridFunctions& functions);
+
+  GuardValue At(int mode, int guard, double t, const double* x, const double* slope, const double* p) const;
+
+  // How a guard stands on entry into a mode at step.t, step.x. The length of the step is one over which guards of
+  // interest change.
+  enum class Standing { kArmed, kRising, kFalling, kBehind };
+  Standing Classify(const FlowStep& step, const double* slope, int guard);
+
+  struct Found {
+    enum class What { kNothing, kEvent, kGrazing } what = What::kNothing;
+    double s = 0;  // since the beginning of the step
+  };
+  // The first event of a guard in a step, given where the guard stands at its ends. One that is not armed must rise
+  // above zero before.
+  Found Find(const FlowStep& step, const double* slope, int guard, bool armed, const GuardValue& begin,
+             const GuardValue& end);
+
+  // The size of a guard's terms, of which rounding errors are a part: sum |g_x x| + |g_t t| + sum |g_p p|.
+  double Scale(int mode, int guard, double t, const double* x, const double* p);
+
+  RungeKutta& integrator() { return integrator_; }
+
+ private:
+  GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
+  Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
+               double curvature);
+  bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
+
+  const HybridFunctions& functions_;
+  RungeKutta integrator_;
+  std::vector<double> state_, slope_, gradient_;
+};
+
+}  // namespace saltus

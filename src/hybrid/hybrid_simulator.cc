@@ -1,0 +1,244 @@
+#include "saltus/hybrid/hybrid_simulator.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "hybrid/motion_derivatives.h"
+#include "hybrid/rollout.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kFewestSteps = 16;            // of a motion
+constexpr int kMostSteps = 1 << 20;         // of a motion
+constexpr double kRoundingOfMotion = 1e-7;  // below this, an error that more steps do not lower is rounding
+
+}  // namespace
+
+class HybridSimulator::Impl {
+ public:
+  Impl(HybridSystem of_user, const HybridOptions& chosen)
+      : system(std::move(of_user)),
+        options(chosen),
+        steps(std::max(chosen.steps_per_interval, 0)),
+        run(system, options),
+        derivatives(system) {}
+
+  // As IntegrationError, of `run` with as many steps.
+  double ErrorOf(int of_steps) {
+    RolloutRun finer(system, options);
+    if (finer.Run(input, 2 * of_steps) != RolloutEnd::kDone) return std::numeric_limits<double>::infinity();
+    const std::vector<HybridEvent>&events = run.events(), &others = finer.events();
+    if (events.size() != others.size() || run.tape().final_mode != finer.tape().final_mode) {
+      return std::numeric_limits<double>::infinity();
+    }
+    double error = 0;
+    for (std::size_t i = 0; i < events.size(); ++i) {
+      if (events[i].guard != others[i].guard || events[i].mode != others[i].mode) {
+        return std::numeric_limits<double>::infinity();
+      }
+      error = std::max(error, std::abs(events[i].time - others[i].time) / input.duration);
+    }
+    // Relative to the largest value of a component in the final mode.
+    const int mode = run.tape().final_mode, n = system.state_size(mode);
+    const double *at = &run.tape().numbers[run.tape().final_state],
+                 *other = &finer.tape().numbers[finer.tape().final_state];
+    for (int i = 0; i < n; ++i) {
+      double size = std::abs(at[i]);
+      for (const TapeEntry& entry : run.tape().entries) {
+        if (entry.mode == mode) size = std::max(size, std::abs(run.tape().numbers[entry.x + i]));
+      }
+      if (size > 0) error = std::max(error, std::abs(at[i] - other[i]) / size);
+    }
+    return error;
+  }
+
+  // Doubles the number of steps until the error is below the tolerance, or no longer falls.
+  bool ChooseSteps() {
+    int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals;
+    double last = std::numeric_limits<double>::infinity();
+    for (;; n *= 2) {
+      const RolloutEnd end = run.Run(input, n);
+      if (end == RolloutEnd::kRefused) break;
+      const bool most = 2.0 * n * input.num_intervals > kMostSteps;
+      if (end == RolloutEnd::kDone) {
+        const double error = ErrorOf(n);
+        if (error <= options.tolerance || (error < kRoundingOfMotion && error > 0.1 * last)) {
+          steps = n;
+          return true;
+        }
+        last = error;
+        if (!most) continue;
+        why = "an explicit method needs more than " + std::to_string(kMostSteps) +
+              " steps to integrate the flow to the tolerance; the system may be stiff";
+        return false;
+      }
+      if (most) {
+        why = run.why() + " with " + std::to_string(n * input.num_intervals) +
+              " steps of an explicit method: the flow may be stiff or have no solution";
+        return false;
+      }
+    }
+    why = run.why();
+    return false;
+  }
+
+  const HybridSystem system;
+  const HybridOptions options;
+  int steps;  // in a control interval; 0: to be chosen
+  HybridInput input;
+  bool done = false;
+  std::string why;
+  RolloutRun run;
+  MotionDerivatives derivatives;
+};
+
+HybridSimulator::HybridSimulator(HybridSystem system, HybridOptions options)
+    : impl_(std::make_unique<Impl>(std::move(system), options)) {}
+HybridSimulator::HybridSimulator(HybridSimulator&&) noexcept = default;
+HybridSimulator::~HybridSimulator() = default;
+
+const HybridSystem& HybridSimulator::system() const { return impl_->system; }
+
+bool HybridSimulator::Rollout(const HybridInput& input) {
+  Impl& at = *impl_;
+  CHECK_EQ(WhatIsWrongWith(input, at.system), "");
+  at.input = input;
+  at.why.clear();
+  if (at.steps == 0) {
+    at.done = at.ChooseSteps();
+  } else {
+    at.done = at.run.Run(at.input, at.steps) == RolloutEnd::kDone;
+    at.why = at.run.why();
+  }
+  return at.done;
+}
+
+const std::string& HybridSimulator::WhyFailed() const { return impl_->why; }
+std::optional<double> HybridSimulator::accumulation() const { return impl_->run.accumulation(); }
+int HybridSimulator::final_mode() const { return impl_->run.tape().final_mode; }
+
+std::span<const double> HybridSimulator::final_state() const {
+  const MotionTape& tape = impl_->run.tape();
+  return {&tape.numbers[tape.final_state], static_cast<std::size_t>(impl_->system.state_size(tape.final_mode))};
+}
+
+const std::vector<HybridEvent>& HybridSimulator::events() const { return impl_->run.events(); }
+const std::vector<HybridGrazing>& HybridSimulator::grazings() const { return impl_->run.grazings(); }
+const std::vector<HybridTie>& HybridSimulator::ties() const { return impl_->run.ties(); }
+
+int HybridSimulator::ModeAt(int k) const {
+  const MotionTape& tape = impl_->run.tape();
+  CHECK(k >= 0 && k <= impl_->input.num_intervals);
+  return k == impl_->input.num_intervals ? tape.final_mode : tape.entries[tape.intervals[k]].mode;
+}
+
+std::span<const double> HybridSimulator::StateAt(int k) const {
+  if (k == impl_->input.num_intervals) return final_state();
+  const MotionTape& tape = impl_->run.tape();
+  CHECK(k >= 0 && k < impl_->input.num_intervals);
+  return StepState(static_cast<int>(tape.intervals[k]));
+}
+
+int HybridSimulator::num_steps() const { return static_cast<int>(impl_->run.tape().entries.size()); }
+double HybridSimulator::StepTime(int step) const { return impl_->run.tape().entries[step].t; }
+int HybridSimulator::StepMode(int step) const { return impl_->run.tape().entries[step].mode; }
+std::span<const double> HybridSimulator::StepState(int step) const {
+  const MotionTape& tape = impl_->run.tape();
+  const TapeEntry& entry = tape.entries[step];
+  return {&tape.numbers[entry.x], static_cast<std::size_t>(impl_->system.state_size(entry.mode))};
+}
+
+std::string HybridSimulator::WhyNotDifferentiable() const {
+  const RolloutRun& run = impl_->run;
+  std::string why = run.remark();
+  const auto add = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + what; };
+  for (const HybridGrazing& grazing : run.grazings()) {
+    add("guard '" + impl_->system.GuardName(grazing.mode, grazing.guard) +
+        "' grazes zero at t = " + std::to_string(grazing.time));
+  }
+  for (const HybridTie& tie : run.ties()) {
+    if (!tie.ambiguous) continue;
+    add(std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(tie.time) +
+        ", and the order of their events matters");
+  }
+  return why;
+}
+
+int HybridSimulator::steps_per_interval() const { return impl_->steps; }
+void HybridSimulator::ChooseStepsAnew() { impl_->steps = std::max(impl_->options.steps_per_interval, 0); }
+
+double HybridSimulator::IntegrationError() {
+  CHECK(impl_->done) << "the rollout failed";
+  return impl_->ErrorOf(impl_->steps);
+}
+
+HybridGradient HybridSimulator::Adjoint(const HybridCotangent& cotangent) {
+  CHECK(impl_->done) << "the rollout failed";
+  return impl_->derivatives.Adjoint(impl_->input, impl_->run.tape(), impl_->run.events(), cotangent);
+}
+
+HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent) {
+  HybridCotangent cotangent;
+  cotangent.final_state.assign(final_cotangent.begin(), final_cotangent.end());
+  return Adjoint(cotangent);
+}
+
+HybridSensitivity HybridSimulator::Sensitivity() {
+  CHECK(impl_->done) << "the rollout failed";
+  return impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
+}
+
+std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system) {
+  const auto found = [](const char* what, std::size_t count, std::size_t expected) {
+    return std::string("found ") + std::to_string(count) + " numbers of the " + what + ", expected " +
+           std::to_string(expected);
+  };
+  const auto finite = [](const std::vector<double>& numbers) {
+    return std::all_of(numbers.begin(), numbers.end(), [](double number) { return std::isfinite(number); });
+  };
+  if (input.mode < 0 || input.mode >= system.num_modes()) {
+    return "found mode " + std::to_string(input.mode) + ", expected 0 to " + std::to_string(system.num_modes() - 1);
+  }
+  const auto n = static_cast<std::size_t>(system.state_size(input.mode));
+  const auto num_parameters = static_cast<std::size_t>(system.num_parameters());
+  if (input.initial.size() != n) return found("initial state", input.initial.size(), n);
+  if (input.parameters.size() != num_parameters) return found("parameters", input.parameters.size(), num_parameters);
+  if (input.num_intervals < 1)
+    return "found " + std::to_string(input.num_intervals) + " control intervals, expected 1 or more";
+  const std::size_t controls = static_cast<std::size_t>(input.num_intervals) * system.num_controls();
+  if (!input.control.empty() && input.control.size() != controls)
+    return found("control", input.control.size(), controls);
+  if (!(input.duration > 0) || !std::isfinite(input.duration)) return "expected a finite duration above zero";
+  if (!finite(input.initial)) return "the initial state is not finite";
+  if (!finite(input.parameters)) return "a parameter is not finite";
+  if (!finite(input.control)) return "the control is not finite";
+  return "";
+}
+
+std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int guard, double t,
+                                    std::span<const double> x, std::span<const double> u, std::span<const double> p) {
+  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const HybridLayout& layout = system.layout();
+  const int n = layout.state_sizes[mode], columns = n + 1 + layout.num_parameters;
+  const int most = *std::max_element(layout.state_sizes.begin(), layout.state_sizes.end());
+  std::vector<double> after(most), reset(most * columns), gradient(columns), out(most), in(n);
+  const HybridFunctions& f = system.functions();
+  const int next = f.ResetJacobian(mode, guard, t, x.data(), p.data(), after.data(), reset.data());
+  CHECK(next >= 0 && next < system.num_modes());
+  const int rows = layout.state_sizes[next];
+  f.GuardGradient(mode, guard, t, x.data(), p.data(), gradient.data());
+  f.Flow(mode, t, x.data(), u.data(), p.data(), in.data());
+  f.Flow(next, t, after.data(), u.data(), p.data(), out.data());
+  const Eigen::Map<const Matrix> R(reset.data(), rows, columns);
+  const Eigen::Map<const Eigen::RowVectorXd> G(gradient.data(), columns);
+  const Eigen::Map<const Eigen::VectorXd> f_before(in.data(), n), f_after(out.data(), rows);
+  const double rate = G[n] + G.head(n) * f_before;
+  const Matrix xi = R.leftCols(n) + (f_after - R.leftCols(n) * f_before - R.col(n)) * G.head(n) / rate;
+  return {xi.data(), xi.data() + xi.size()};
+}
+
+}  // namespace saltus

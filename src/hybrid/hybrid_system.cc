@@ -1,0 +1,43 @@
+#include "saltus/hybrid/hybrid_system.h"
+
+#include <numeric>
+
+namespace saltus {
+namespace {
+
+// Name number `index`, or `otherwise` if there are no names.
+std::string NameOr(const std::vector<std::string>& names, int index, const std::string& otherwise) {
+  return names.empty() ? otherwise : names[index];
+}
+
+std::string Indexed(const char* name, int component) {
+  return std::string(name) + "[" + std::to_string(component) + "]";
+}
+
+int Before(const std::vector<int>& numbers, int mode) {
+  return std::accumulate(numbers.begin(), numbers.begin() + mode, 0);
+}
+
+}  // namespace
+
+std::string HybridSystem::ModeName(int mode) const {
+  return NameOr(layout().mode_names, mode, "mode " + std::to_string(mode));
+}
+
+std::string HybridSystem::GuardName(int mode, int guard) const {
+  return NameOr(layout().guard_names, Before(layout().num_guards, mode) + guard, "guard " + std::to_string(guard));
+}
+
+std::string HybridSystem::StateName(int mode, int component) const {
+  return NameOr(layout().state_names, Before(layout().state_sizes, mode) + component, Indexed("x", component));
+}
+
+std::string HybridSystem::ControlName(int component) const {
+  return NameOr(layout().control_names, component, Indexed("u", component));
+}
+
+std::string HybridSystem::ParameterName(int component) const {
+  return NameOr(layout().parameter_names, component, Indexed("p", component));
+}
+
+}  // namespace saltus

@@ -1,0 +1,160 @@
+#include "hybrid/motion_derivatives.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+
+namespace saltus {
+namespace {
+
+void AddTo(std::vector<double>* sum, const std::vector<double>& addend) {
+  CHECK_EQ(addend.size(), sum->size()) << "a cotangent of another size than what it is of";
+  for (std::size_t i = 0; i < addend.size(); ++i) (*sum)[i] += addend[i];
+}
+
+}  // namespace
+
+MotionDerivatives::MotionDerivatives(const HybridSystem& system)
+    : system_(system), integrator_(system.functions()), zeros_(system.num_controls()) {
+  const std::vector<int>& sizes = system.layout().state_sizes;
+  const int most = *std::max_element(sizes.begin(), sizes.end());
+  state_.resize(most);
+  by_length_.resize(most);
+  guard_.resize(most + 1 + system.num_parameters());
+  reset_.resize(most * (most + 1 + system.num_parameters()));
+}
+
+FlowStep MotionDerivatives::StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const {
+  const double* u =
+      input.control.empty() ? zeros_.data() : input.control.data() + entry.interval * system_.num_controls();
+  return {entry.mode, entry.t, entry.h, &tape.numbers[entry.x], u, input.parameters.data()};
+}
+
+HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const MotionTape& tape,
+                                          const std::vector<HybridEvent>& events, const HybridCotangent& cotangent) {
+  const HybridFunctions& f = system_.functions();
+  const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
+  HybridGradient gradient;
+  gradient.control.assign(static_cast<std::size_t>(input.num_intervals) * num_controls, 0.0);
+  gradient.parameters.assign(num_parameters, 0.0);
+  // Of state and time at the end of the entry that is looked at.
+  std::vector<double> x(system_.state_size(tape.final_mode));
+  if (!cotangent.final_state.empty()) AddTo(&x, cotangent.final_state);
+  double t = 0;
+  int interval = input.num_intervals;
+  for (std::size_t i = tape.entries.size(); i-- > 0;) {
+    const TapeEntry& entry = tape.entries[i];
+    const FlowStep step = StepOf(input, tape, entry);
+    const int n = system_.state_size(entry.mode);
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      if (!cotangent.after.empty() && !cotangent.after[entry.event].empty()) AddTo(&x, cotangent.after[entry.event]);
+      if (!cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
+      const int columns = n + 1 + num_parameters;
+      f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.p, state_.data(), reset_.data());
+      std::vector<double> before(n);
+      for (std::size_t row = 0; row < x.size(); ++row) {
+        const double* jacobian = &reset_[row * columns];
+        for (int j = 0; j < n; ++j) before[j] += x[row] * jacobian[j];
+        t += x[row] * jacobian[n];
+        for (int j = 0; j < num_parameters; ++j) gradient.parameters[j] += x[row] * jacobian[n + 1 + j];
+      }
+      x = std::move(before);
+      if (!cotangent.before.empty() && !cotangent.before[entry.event].empty()) AddTo(&x, cotangent.before[entry.event]);
+    } else {
+      integrator_.Linearize(step);
+      RungeKutta::Cotangent back{x.data(),
+                                 0,
+                                 0,
+                                 gradient.parameters.data(),
+                                 gradient.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * num_controls};
+      if (entry.kind == TapeEntry::Kind::kToEvent) {
+        // The next entry is its reset, at the state and time where the guard is zero.
+        const TapeEntry& at = tape.entries[i + 1];
+        f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.p, guard_.data());
+        integrator_.ByLength(by_length_.data());
+        double along = t, rate = guard_[n];
+        for (int j = 0; j < n; ++j) {
+          along += x[j] * by_length_[j];
+          rate += guard_[j] * by_length_[j];
+        }
+        const double multiplier = -along / rate;
+        for (int j = 0; j < n; ++j) x[j] += multiplier * guard_[j];
+        t += multiplier * guard_[n];
+        for (int j = 0; j < num_parameters; ++j) gradient.parameters[j] += multiplier * guard_[n + 1 + j];
+        integrator_.PullBack(x.data(), &back);
+        t += back.t;
+      } else {
+        integrator_.PullBack(x.data(), &back);
+        gradient.duration += (t + back.h) * (static_cast<double>(entry.node) / tape.num_nodes);
+        t = back.t - back.h;
+      }
+    }
+    while (interval > 0 && tape.intervals[interval - 1] == i) {
+      --interval;
+      if (!cotangent.nodes.empty() && !cotangent.nodes[interval].empty()) AddTo(&x, cotangent.nodes[interval]);
+    }
+  }
+  CHECK_EQ(events.size(), cotangent.event_times.empty() ? events.size() : cotangent.event_times.size());
+  gradient.initial = std::move(x);
+  return gradient;
+}
+
+HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const MotionTape& tape,
+                                                 const std::vector<HybridEvent>& events) {
+  using Matrix = RungeKutta::Matrix;
+  const HybridFunctions& f = system_.functions();
+  const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
+  const int n0 = system_.state_size(input.mode), all_controls = input.num_intervals * num_controls;
+  const int columns = n0 + all_controls + num_parameters + 1;
+  HybridSensitivity out;
+  out.columns = columns;
+  out.after.resize(events.size());
+  out.times.resize(events.size());
+  RungeKutta::Tangent at;
+  at.x = Matrix::Zero(n0, columns);
+  at.x.leftCols(n0).setIdentity();
+  at.t = Eigen::RowVectorXd::Zero(columns);
+  at.p = Matrix::Zero(num_parameters, columns);
+  at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
+  for (const TapeEntry& entry : tape.entries) {
+    const FlowStep step = StepOf(input, tape, entry);
+    const int n = system_.state_size(entry.mode);
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      const int next = f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.p, state_.data(), reset_.data());
+      const int rows = system_.state_size(next);
+      const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
+      Matrix after = jacobian.leftCols(n) * at.x + jacobian.col(n) * at.t + jacobian.rightCols(num_parameters) * at.p;
+      at.x = std::move(after);
+      out.after[entry.event].assign(at.x.data(), at.x.data() + at.x.size());
+      out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
+      continue;
+    }
+    integrator_.Linearize(step);
+    at.u = Matrix::Zero(num_controls, columns);
+    at.u.middleCols(n0 + entry.interval * num_controls, num_controls).setIdentity();
+    const Eigen::RowVectorXd from = at.t;
+    if (entry.kind == TapeEntry::Kind::kToNode) {
+      at.h = -at.t;
+      at.h[columns - 1] += static_cast<double>(entry.node) / tape.num_nodes;
+      at.x = integrator_.PushForward(at);
+      at.t = Eigen::RowVectorXd::Zero(columns);
+      at.t[columns - 1] = static_cast<double>(entry.node) / tape.num_nodes;
+      continue;
+    }
+    const TapeEntry& reset = (&entry)[1];
+    f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.p, guard_.data());
+    const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters);
+    integrator_.ByLength(by_length_.data());
+    const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);
+    at.h = Eigen::RowVectorXd::Zero(columns);
+    const Matrix fixed = integrator_.PushForward(at);  // for a fixed length
+    const double rate = guard.head(n) * by_length + guard[n];
+    at.h = -(guard.head(n) * fixed + guard[n] * at.t + guard.tail(num_parameters) * at.p) / rate;
+    at.x = fixed + by_length * at.h;
+    at.t = from + at.h;
+  }
+  out.final_state.assign(at.x.data(), at.x.data() + at.x.size());
+  return out;
+}
+
+}  // namespace saltus

@@ -1,0 +1,37 @@
+// Derivatives of a recorded motion: the reverse sweep for cotangents, and the forward sweep for all directions at once.
+//
+// Both differentiate the steps of the tape as they are. A step to a time of the grid, tau = duration * fraction, has
+// the length tau - t, and t is a variable: the time of the event before it. A step to an event has the length s at
+// which
+//
+//   g(x'(x, t, s, p, u), t + s, p) = 0,
+//
+// so that ds follows from the implicit function theorem. With the reset behind it that is the saltation matrix.
+#pragma once
+
+#include <vector>
+
+#include "hybrid/motion_tape.h"
+#include "hybrid/runge_kutta.h"
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace saltus {
+
+class MotionDerivatives {
+ public:
+  explicit MotionDerivatives(const HybridSystem& system);
+
+  HybridGradient Adjoint(const HybridInput& input, const MotionTape& tape, const std::vector<HybridEvent>& events,
+                         const HybridCotangent& cotangent);
+  HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
+                                const std::vector<HybridEvent>& events);
+
+ private:
+  FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
+
+  const HybridSystem& system_;
+  RungeKutta integrator_;
+  std::vector<double> zeros_, state_, by_length_, guard_, reset_;
+};
+
+}  // namespace saltus

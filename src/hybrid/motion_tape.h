@@ -1,0 +1,46 @@
+// What happened in a rollout, in order: enough to differentiate it.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace saltus {
+
+struct TapeEntry {
+  enum class Kind {
+    kToNode,   // a step to a time of the grid, which is a fixed part of the duration
+    kToEvent,  // a step to where a guard is zero
+    kReset,
+  };
+  Kind kind = Kind::kToNode;
+  int mode = 0;
+  int guard = -1;
+  int interval = 0;     // whose control acts
+  int node = 0;         // kToNode: number of the time of the grid, of the K n equal steps
+  int event = -1;       // kReset: number of the event
+  double t = 0, h = 0;  // begins at t; kReset: h = 0
+  std::size_t x = 0;    // where its state begins in MotionTape::numbers
+};
+
+struct MotionTape {
+  std::vector<TapeEntry> entries;
+  std::vector<double> numbers;         // states, one after the other
+  std::vector<std::size_t> intervals;  // the entry with which each control interval begins
+  int num_nodes = 0;                   // K n
+  int final_mode = 0;
+  std::size_t final_state = 0;  // in numbers
+
+  void Clear() {
+    entries.clear();
+    numbers.clear();
+    intervals.clear();
+  }
+  std::size_t Keep(const double* x, int size) {
+    numbers.insert(numbers.end(), x, x + size);
+    return numbers.size() - size;
+  }
+};
+
+}  // namespace saltus

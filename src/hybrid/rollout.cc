@@ -1,0 +1,403 @@
+#include "hybrid/rollout.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <numeric>
+
+namespace saltus {
+namespace {
+
+constexpr double kAtOnce = 1e-12;      // of the duration: events at the same time
+constexpr double kSameState = 1e-9;    // relative: orders of tied events that do not differ
+constexpr int kMostAtOnce = 100;       // transitions without time passing
+constexpr double kAccumulated = 1e-9;  // of the duration: intervals between events that shrink to a point
+constexpr int kShrinking = 8;          // intervals that tell
+constexpr std::size_t kMostTied = 4;
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.10g", value);
+  return text;
+}
+
+}  // namespace
+
+RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
+    : system_(system), functions_(system.functions()), options_(options), search_(system.functions()) {
+  const HybridLayout& layout = system.layout();
+  const int most = *std::max_element(layout.state_sizes.begin(), layout.state_sizes.end());
+  const int most_guards = *std::max_element(layout.num_guards.begin(), layout.num_guards.end());
+  for (std::vector<double>* numbers : {&at_.x, &at_.slope, &next_state_, &next_slope_}) numbers->resize(most);
+  at_.guards.resize(most_guards);
+  at_.armed.resize(most_guards);
+  next_guards_.resize(most_guards);
+}
+
+std::string RolloutRun::Where() const { return "mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(at_.t); }
+
+bool RolloutRun::Refuse(const std::string& what) {
+  why_ = what;
+  end_ = RolloutEnd::kRefused;
+  return false;
+}
+
+void RolloutRun::Remark(const std::string& what) { remark_ += (remark_.empty() ? "" : "; ") + what; }
+
+FlowStep RolloutRun::StepFrom(double h) const {
+  const double* control =
+      input_->control.empty() ? zeros_.data() : input_->control.data() + interval_ * system_.num_controls();
+  return {at_.mode, at_.t, h, at_.x.data(), control, input_->parameters.data()};
+}
+
+void RolloutRun::Record(TapeEntry::Kind kind, double h) {
+  const std::size_t x = tape_.Keep(at_.x.data(), system_.state_size(at_.mode));
+  tape_.entries.push_back({.kind = kind,
+                           .mode = at_.mode,
+                           .guard = -1,
+                           .interval = interval_,
+                           .node = 0,
+                           .event = -1,
+                           .t = at_.t,
+                           .h = h,
+                           .x = x});
+}
+
+// The slope at at_, and whether it is finite.
+bool RolloutRun::UpdateSlope() {
+  const FlowStep here = StepFrom(0);
+  const int n = system_.state_size(at_.mode);
+  std::fill_n(at_.slope.begin(), n, std::numeric_limits<double>::quiet_NaN());
+  functions_.Flow(at_.mode, at_.t, here.x, here.u, here.p, at_.slope.data());
+  for (int i = 0; i < n; ++i) {
+    if (std::isfinite(at_.slope[i])) continue;
+    return Refuse("the flow of " + Where() + " gives no finite derivative of " + system_.StateName(at_.mode, i));
+  }
+  return true;
+}
+
+void RolloutRun::UpdateGuards() {
+  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
+    at_.guards[guard] = search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+  }
+}
+
+RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
+  input_ = &input;
+  steps_ = steps_per_interval;
+  zeros_.assign(system_.num_controls(), 0.0);
+  tape_.Clear();
+  tape_.num_nodes = input.num_intervals * steps_;
+  events_.clear();
+  befores_.clear();
+  afters_.clear();
+  grazings_.clear();
+  ties_.clear();
+  why_.clear();
+  remark_.clear();
+  accumulation_.reset();
+  end_ = RolloutEnd::kDone;
+  at_.mode = input.mode;
+  at_.t = 0;
+  interval_ = 0;
+  std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
+  std::vector<int> order(at_.guards.size());
+  std::iota(order.begin(), order.end(), 0);
+  bool goes_on = Enter(Entry::kStart, order, true);
+  for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
+    if ((node - 1) % steps_ == 0) {
+      const bool jumps = interval_ != (node - 1) / steps_;
+      interval_ = (node - 1) / steps_;
+      tape_.intervals.push_back(tape_.entries.size());
+      if (jumps && system_.num_controls() > 0) {
+        goes_on = UpdateSlope();
+        if (goes_on) UpdateGuards();
+      }
+    }
+    goes_on = goes_on && StepTo(node);
+  }
+  Finish();
+  return end_;
+}
+
+void RolloutRun::Finish() {
+  tape_.final_mode = at_.mode;
+  tape_.final_state = tape_.Keep(at_.x.data(), system_.state_size(at_.mode));
+  for (std::size_t i = 0; i < events_.size(); ++i) {
+    HybridEvent& event = events_[i];
+    event.before = {&tape_.numbers[befores_[i]], static_cast<std::size_t>(system_.state_size(event.mode))};
+    event.after = {&tape_.numbers[afters_[i]], static_cast<std::size_t>(system_.state_size(event.next_mode))};
+  }
+}
+
+// On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once, the first in
+// `order` first.
+bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) {
+  for (int count = 0;; ++count) {
+    if (count > kMostAtOnce) {
+      if (record) accumulation_ = at_.t;
+      return Refuse("more than " + std::to_string(kMostAtOnce) + " events without time passing (Zeno behaviour) in " +
+                    Where());
+    }
+    if (!UpdateSlope()) return false;
+    const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
+    int due = -1;
+    bool located = false;
+    const auto num_guards = static_cast<std::size_t>(system_.num_guards(at_.mode));
+    for (std::size_t place = 0; place < num_guards; ++place) {
+      const int guard = order.size() == num_guards ? order[place] : static_cast<int>(place);
+      const GuardValue& value = at_.guards[guard] =
+          search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+      if (!std::isfinite(value.value)) {
+        return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
+      }
+      const EventSearch::Standing standing = search_.Classify(ahead, at_.slope.data(), guard);
+      at_.armed[guard] = standing == EventSearch::Standing::kArmed;
+      if (standing == EventSearch::Standing::kBehind && entry == Entry::kStart) {
+        if (options_.wait_behind_guards) continue;
+        return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
+                      ") at the start, in " + Where());
+      }
+      if (due >= 0) continue;
+      if (standing != EventSearch::Standing::kBehind && standing != EventSearch::Standing::kFalling) continue;
+      due = guard;
+      located = standing == EventSearch::Standing::kFalling;
+    }
+    if (due < 0) return true;
+    if (!Fire(due, located, record, entry == Entry::kAfterReset)) return false;
+    entry = Entry::kAfterReset;
+  }
+}
+
+// The reset of a guard, where at_ is. `located`: the guard is zero here, wherever that is.
+bool RolloutRun::Fire(int guard, bool located, bool record, bool at_once) {
+  const int mode = at_.mode;
+  const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
+  const double rate = search_.At(mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data()).rate;
+  if (record) {
+    if (located && at_once) {
+      Record(TapeEntry::Kind::kToEvent, 0);
+      tape_.entries.back().guard = guard;
+    }
+    Record(TapeEntry::Kind::kReset, 0);
+    tape_.entries.back().guard = guard;
+    tape_.entries.back().event = static_cast<int>(events_.size());
+    befores_.push_back(tape_.entries.back().x);
+  }
+  std::fill(next_state_.begin(), next_state_.end(), std::numeric_limits<double>::quiet_NaN());
+  const int next = functions_.Reset(mode, guard, at_.t, at_.x.data(), input_->parameters.data(), next_state_.data());
+  if (next < 0 || next >= system_.num_modes()) {
+    if (record) befores_.pop_back();
+    return Refuse(what() + "leads to mode " + std::to_string(next) + ", expected 0 to " +
+                  std::to_string(system_.num_modes() - 1));
+  }
+  for (int i = 0; i < system_.state_size(next); ++i) {
+    if (std::isfinite(next_state_[i])) continue;
+    if (record) befores_.pop_back();
+    return Refuse(what() + "gives no finite " + system_.StateName(next, i) + " in mode '" + system_.ModeName(next) +
+                  "'");
+  }
+  if (record) {
+    afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
+    HybridEvent event;
+    event.time = at_.t;
+    event.mode = mode;
+    event.guard = guard;
+    event.next_mode = next;
+    event.rate = rate;
+    event.at_once = at_once;
+    events_.push_back(event);
+  }
+  std::copy_n(next_state_.begin(), system_.state_size(next), at_.x.begin());
+  at_.mode = next;
+  return true;
+}
+
+// From at_ to a time of the grid, through all events on the way.
+bool RolloutRun::StepTo(int node) {
+  const double target = input_->duration * (static_cast<double>(node) / tape_.num_nodes);
+  for (;;) {
+    const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
+    const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
+    search_.integrator().Step(step, at_.slope.data(), next_state_.data());
+    functions_.Flow(at_.mode, target, next_state_.data(), step.u, step.p, next_slope_.data());
+    for (int i = 0; i < n; ++i) {
+      if (std::isfinite(next_state_[i]) && std::isfinite(next_slope_[i])) continue;
+      why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
+      end_ = RolloutEnd::kNotFinite;
+      return false;
+    }
+    for (int guard = 0; guard < num_guards; ++guard) {
+      next_guards_[guard] =
+          search_.At(at_.mode, guard, target, next_state_.data(), next_slope_.data(), input_->parameters.data());
+      if (std::isfinite(next_guards_[guard].value)) continue;
+      return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
+    }
+    Due due = EarliestEvent(step, next_guards_);
+    if (due.guard < 0 && node == tape_.num_nodes) {
+      // An event so shortly after the end that rounding decides is one at the end.
+      for (int guard = 0; guard < num_guards && due.guard < 0; ++guard) {
+        const GuardValue& end = next_guards_[guard];
+        if (at_.armed[guard] && end.rate < 0 && end.value <= -end.rate * kAtOnce * input_->duration)
+          due = {guard, step.h};
+      }
+    }
+    if (due.guard >= 0) {
+      if (!Happen(due, step)) return false;
+      continue;
+    }
+    Record(TapeEntry::Kind::kToNode, step.h);
+    tape_.entries.back().node = node;
+    at_.t = target;
+    std::swap(at_.x, next_state_);
+    std::swap(at_.slope, next_slope_);
+    for (int guard = 0; guard < num_guards; ++guard) {
+      at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
+      at_.guards[guard] = next_guards_[guard];
+    }
+    return true;
+  }
+}
+
+// Of the armed guards in a step; those that graze are noted, and disarmed where they end at zero.
+RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
+  Due earliest;
+  for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
+    const GuardValue& begin = at_.guards[guard];
+    if (at_.armed[guard] && end[guard].value > 0 && !(begin.rate <= 0 && end[guard].rate >= 0)) continue;
+    const EventSearch::Found found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
+    if (found.what == EventSearch::Found::What::kEvent) {
+      if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s};
+    } else if (found.what == EventSearch::Found::What::kGrazing) {
+      if (end[guard].value <= 0) at_.armed[guard] = false;
+      const double time = step.t + found.s;
+      const bool known = !grazings_.empty() && grazings_.back().guard == guard && grazings_.back().mode == step.mode &&
+                         time - grazings_.back().time <= 1e-6 * input_->duration;
+      if (!known) grazings_.push_back({time, step.mode, guard});
+    }
+  }
+  return earliest;
+}
+
+bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
+  if (static_cast<int>(events_.size()) >= options_.most_events) {
+    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where());
+  }
+  FlowStep part = step;
+  part.h = due.s;
+  Record(TapeEntry::Kind::kToEvent, due.s);
+  tape_.entries.back().guard = due.guard;
+  search_.integrator().Step(part, at_.slope.data(), next_state_.data());
+  std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
+  at_.t = std::min(step.t + due.s, step.t + step.h);
+  if (!UpdateSlope()) return false;
+  // Guards that are at zero here as well.
+  std::vector<int> tied = {due.guard}, order;
+  const double at_once = kAtOnce * input_->duration;
+  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
+    if (guard == due.guard || !at_.armed[guard]) continue;
+    const GuardValue value =
+        search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+    if (value.rate < 0 && std::abs(value.value) <= -value.rate * at_once) tied.push_back(guard);
+  }
+  int first = due.guard;
+  if (tied.size() > 1) {
+    std::sort(tied.begin(), tied.end());
+    first = tape_.entries.back().guard = tied.front();
+    TryOrders(tied);
+  }
+  order.resize(system_.num_guards(at_.mode));
+  std::iota(order.begin(), order.end(), 0);
+  if (input_->duration - at_.t <= at_once) {
+    Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at the final time");
+  } else if (!input_->control.empty() && input_->num_intervals > 1) {
+    const double length = input_->duration / input_->num_intervals;
+    const double node = std::round(at_.t / length);
+    const int width = system_.num_controls(), k = static_cast<int>(node);
+    const double* u = input_->control.data();
+    if (k > 0 && k < input_->num_intervals && std::abs(at_.t - node * length) <= 1e-9 * length &&
+        !std::equal(u + (k - 1) * width, u + k * width, u + k * width)) {
+      Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at t = " + Text(at_.t) +
+             ", where the control jumps");
+    }
+  }
+  const std::size_t events = events_.size();
+  if (!Fire(first, true, true, false) || !Enter(Entry::kAfterReset, order, true)) return false;
+  if (events_.size() > events + 1 && tied.size() == 1 &&
+      tape_.entries[tape_.entries.size() - 2].kind == TapeEntry::Kind::kToEvent) {
+    const HybridEvent& onto = events_[events + 1];
+    Remark("the reset at t = " + Text(at_.t) + " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'");
+  }
+  return !Accumulates();
+}
+
+// The states that other orders of tied guards lead to.
+void RolloutRun::TryOrders(const std::vector<int>& guards) {
+  HybridTie tie{.time = at_.t, .mode = at_.mode, .guards = guards};
+  std::vector<int> first = guards;
+  if (first.size() > kMostTied) first.resize(kMostTied);
+  std::vector<int> all(system_.num_guards(at_.mode));
+  std::iota(all.begin(), all.end(), 0);
+  const At here = at_;
+  std::optional<At> reference;
+  do {
+    // The guards in this order, then the others.
+    std::vector<int> order = first;
+    for (int guard : all) {
+      if (std::find(first.begin(), first.end(), guard) == first.end()) order.push_back(guard);
+    }
+    at_ = here;
+    if (!Fire(order.front(), true, false, false) || !Enter(Entry::kAfterReset, order, false)) {
+      tie.spread = std::numeric_limits<double>::infinity();
+      why_.clear();
+      end_ = RolloutEnd::kDone;
+      continue;
+    }
+    if (!reference) {
+      reference = at_;
+    } else if (reference->mode != at_.mode) {
+      tie.spread = std::numeric_limits<double>::infinity();
+    } else {
+      double size = 0, spread = 0;
+      for (int i = 0; i < system_.state_size(at_.mode); ++i) {
+        size = std::max(size, std::abs(at_.x[i]));
+        spread = std::max(spread, std::abs(at_.x[i] - reference->x[i]));
+      }
+      if (spread > kSameState * size) tie.ambiguous = true;
+      tie.spread = std::max(tie.spread, spread);
+    }
+  } while (std::next_permutation(first.begin(), first.end()));
+  tie.ambiguous = tie.ambiguous || std::isinf(tie.spread);
+  at_ = here;
+  ties_.push_back(std::move(tie));
+}
+
+// Whether the events accumulate at a point before the end: the intervals between them, or those over two, have become
+// tiny and shrink geometrically. The point is Aitken's extrapolation, exact for a geometric sequence.
+bool RolloutRun::Accumulates() {
+  const auto count = static_cast<int>(events_.size());
+  for (int period = 1; period <= 2; ++period) {
+    if (count < (kShrinking + 2) * period) continue;
+    const auto interval = [&](int back) {
+      const int last = count - 1 - back * period;
+      return events_[last].time - events_[last - period].time;
+    };
+    if (!(interval(0) <= kAccumulated * input_->duration)) continue;
+    bool shrinks = true;
+    for (int back = 0; back < kShrinking && shrinks; ++back) shrinks = interval(back) < 0.9999 * interval(back + 1);
+    if (!shrinks) continue;
+    const double ratio = interval(0) / interval(1);
+    const double point = at_.t + interval(0) * ratio / (1 - ratio);
+    if (!(point < input_->duration)) continue;
+    accumulation_ = point;
+    char text[32];
+    std::snprintf(text, sizeof text, "%.16g", point);
+    return !Refuse("events accumulate (Zeno behaviour) at about t = " + std::string(text) + ", of guard '" +
+                   system_.GuardName(events_.back().mode, events_.back().guard) + "' in mode '" +
+                   system_.ModeName(events_.back().mode) + "'");
+  }
+  return false;
+}
+
+}  // namespace saltus

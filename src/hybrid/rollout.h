@@ -1,0 +1,86 @@
+// The motion of a hybrid system, recorded on a tape.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "hybrid/event_search.h"
+#include "hybrid/motion_tape.h"
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace saltus {
+
+enum class RolloutEnd {
+  kDone,
+  kNotFinite,  // of the integration: more steps may help
+  kRefused,    // what the user's functions return, or where the motion leads
+};
+
+class RolloutRun {
+ public:
+  RolloutRun(const HybridSystem& system, const HybridOptions& options);
+
+  RolloutEnd Run(const HybridInput& input, int steps_per_interval);
+
+  // Of the last run.
+  const MotionTape& tape() const { return tape_; }
+  const std::vector<HybridEvent>& events() const { return events_; }
+  const std::vector<HybridGrazing>& grazings() const { return grazings_; }
+  const std::vector<HybridTie>& ties() const { return ties_; }
+  const std::string& why() const { return why_; }
+  std::optional<double> accumulation() const { return accumulation_; }
+  const std::string& remark() const { return remark_; }
+
+ private:
+  // A mode and its state, with all guards as they stand.
+  struct At {
+    int mode = 0;
+    double t = 0;
+    std::vector<double> x, slope;
+    std::vector<GuardValue> guards;
+    std::vector<char> armed;
+  };
+  struct Due {
+    int guard = -1;
+    double s = 0;
+  };
+  enum class Entry { kStart, kAfterReset };
+
+  bool StepTo(int node);
+  bool Enter(Entry entry, const std::vector<int>& order, bool record);
+  bool Fire(int guard, bool located, bool record, bool at_once);
+  Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
+  bool Happen(const Due& due, const FlowStep& step);
+  void TryOrders(const std::vector<int>& guards);
+  bool Accumulates();
+  bool UpdateSlope();
+  void UpdateGuards();
+  FlowStep StepFrom(double h) const;
+  void Record(TapeEntry::Kind kind, double h);
+  bool Refuse(const std::string& what);
+  std::string Where() const;
+  void Remark(const std::string& what);
+  void Finish();
+
+  const HybridSystem& system_;
+  const HybridFunctions& functions_;
+  const HybridOptions& options_;
+  EventSearch search_;
+  const HybridInput* input_ = nullptr;
+  std::vector<double> zeros_;
+  int steps_ = 1, interval_ = 0;
+  At at_;
+  std::vector<double> next_state_, next_slope_;
+  std::vector<GuardValue> next_guards_;
+  MotionTape tape_;
+  std::vector<HybridEvent> events_;
+  std::vector<std::size_t> befores_, afters_;  // of the events, in the tape's numbers
+  std::vector<HybridGrazing> grazings_;
+  std::vector<HybridTie> ties_;
+  std::string why_, remark_;
+  std::optional<double> accumulation_;
+  RolloutEnd end_ = RolloutEnd::kDone;
+};
+
+}  // namespace saltus

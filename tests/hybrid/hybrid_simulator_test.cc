@@ -1,0 +1,411 @@
+// What counts as an event, and what is reported where a motion or its derivative does not exist.
+#include "saltus/hybrid/hybrid_simulator.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "hybrid/reference_systems.h"
+#include "hybrid/runge_kutta.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+HybridSimulator Ball(HybridOptions options = {}) { return HybridSimulator(HybridSystem(BouncingBall()), options); }
+
+void ExpectNumbers(std::span<const double> found, const std::vector<double>& expected, double tolerance) {
+  ASSERT_EQ(found.size(), expected.size());
+  for (size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], tolerance) << "number " << i;
+}
+
+TEST(RungeKutta, HasOrderEight) {
+  const HybridSystem system{RimlessWheel()};
+  RungeKutta integrator(system.functions());
+  const std::vector<double> p = {2.0 / 3, 2.0 / 3, 0.2};
+  const auto after = [&](int steps) {
+    std::vector<double> x = {-0.1, 0.5}, slope(2), next(2);
+    for (int i = 0; i < steps; ++i) {
+      system.functions().Flow(0, 0, x.data(), nullptr, p.data(), slope.data());
+      integrator.Step({0, 0, 2.0 / steps, x.data(), nullptr, p.data()}, slope.data(), next.data());
+      x = next;
+    }
+    return x[0];
+  };
+  const double exact = after(64), coarse = after(2) - exact, fine = after(4) - exact;
+  EXPECT_GT(std::abs(fine), 1e-13) << "rounding hides the order";
+  EXPECT_NEAR(std::log2(std::abs(coarse / fine)), 8, 0.7);
+}
+
+// A ball under a ceiling at 1, which takes half of its speed; p = [].
+struct Ceiling {
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {1};
+
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T*, const T*, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = T(-8.0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return 1.0 - x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = x[0];
+    x_plus[1] = -0.5 * x[1];
+    return 0;
+  }
+};
+
+TEST(HybridSimulator, GrazingIsReportedAndPassed) {
+  // Whether the time of the grazing is a time of the grid or inside a step.
+  for (int steps : {1, 3, 8, 16, 0}) {
+    HybridSimulator simulator(HybridSystem(Ceiling()), {.steps_per_interval = steps});
+    ASSERT_TRUE(simulator.Rollout({.initial = {0, 4}, .duration = 0.8}));
+    EXPECT_THAT(simulator.events(), IsEmpty()) << steps;
+    ASSERT_EQ(simulator.grazings().size(), 1u) << steps;
+    EXPECT_NEAR(simulator.grazings()[0].time, 0.5, 1e-7);
+    EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("grazes zero at t = 0.5"));
+    ExpectNumbers(simulator.final_state(), {4 * 0.8 - 4 * 0.64, 4 - 8 * 0.8}, 1e-14);
+  }
+}
+
+TEST(HybridSimulator, NearGrazing) {
+  struct Case {
+    double v0, y, v, by_y, by_v, impact;
+  };
+  for (const Case& c : std::vector<Case>{{3.9, 0.56, -2.5, 0.8, 1, 0},
+                                         {3.99, 0.632, -2.41, 0.8, 1, 0},
+                                         {4.0001,
+                                          0.627202526847778294,
+                                          -2.44232667203540716,
+                                          -64.3328860091157161,
+                                          -211.136011810892594,
+                                          0.496476943997049403},
+                                         {4.01,
+                                          0.506153166155914033,
+                                          -2.81452915094254717,
+                                          -7.00000490750277748,
+                                          -20.2529574941275176,
+                                          0.465872570754787736},
+                                         {4.1, 0.18, -3.65, -2.53333333333333333, -5.83333333333333333, 0.4}}) {
+    for (int steps : {1, 8, 0}) {
+      HybridSimulator simulator(HybridSystem(Ceiling()), {.steps_per_interval = steps});
+      ASSERT_TRUE(simulator.Rollout({.initial = {0, c.v0}, .duration = 0.8}));
+      ASSERT_EQ(simulator.events().size(), c.impact > 0 ? 1u : 0u) << c.v0 << " " << steps;
+      if (c.impact > 0) {
+        EXPECT_NEAR(simulator.events()[0].time, c.impact, 1e-12);
+      }
+      // An impact that nearly grazes amplifies rounding errors by the inverse of its speed.
+      const double tolerance = c.v0 == 4.0001 ? 1e-9 : 1e-12;
+      ExpectNumbers(simulator.final_state(), {c.y, c.v}, tolerance);
+      EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[1], c.by_y, tolerance * std::abs(c.by_y));
+      EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[1], c.by_v, tolerance * std::abs(c.by_v));
+      EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    }
+  }
+}
+
+TEST(HybridSimulator, AccumulatingEventsAreReported) {
+  HybridSimulator simulator = Ball();
+  EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 2}));
+  ASSERT_TRUE(simulator.accumulation());
+  EXPECT_NEAR(*simulator.accumulation(), 1.3552618543578768566, 1e-14);
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("accumulate (Zeno behaviour) at about t = 1.3552618543578"));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("guard 'ground' in mode 'flight'"));
+  ASSERT_GE(simulator.events().size(), 20u);
+  EXPECT_NEAR(simulator.events()[9].time, 1.353497190485015, 1e-14);
+  EXPECT_NEAR(simulator.events()[19].time, 1.3552601310533135, 1e-14);
+  EXPECT_NEAR(simulator.events()[9].before[1], -0.008646853, 1e-9);
+  EXPECT_NEAR(simulator.events()[19].before[1], -0.0000084441924, 1e-13);
+}
+
+TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
+  HybridSimulator simulator = Ball();
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.35526}));
+  EXPECT_EQ(simulator.events().size(), 19u);
+  EXPECT_FALSE(simulator.accumulation());
+}
+
+// A point in a corner or a wedge of two walls, without friction: [x y vx vy]. p = [].
+struct Walls {
+  std::array<double, 2> first = {1, 0}, second = {0, 1};  // normals
+
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {4};
+  static constexpr std::array kNumGuards = {2};
+
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T*, const T*, T* xdot) const {
+    xdot[0] = x[2];
+    xdot[1] = x[3];
+    xdot[2] = xdot[3] = T(0.0);
+  }
+  template <typename T>
+  T Guard(int, int guard, const T&, const T* x, const T*) const {
+    const std::array<double, 2>& n = guard == 0 ? first : second;
+    return n[0] * x[0] + n[1] * x[1];
+  }
+  template <typename T>
+  int Reset(int, int guard, const T&, const T* x, const T*, T* x_plus) const {
+    const std::array<double, 2>& n = guard == 0 ? first : second;
+    const T speed = n[0] * x[2] + n[1] * x[3];
+    for (int i = 0; i < 2; ++i) {
+      x_plus[i] = x[i];
+      x_plus[2 + i] = x[2 + i] - 1.8 * speed * n[i];
+    }
+    return 0;
+  }
+};
+
+TEST(HybridSimulator, ImpactsAtOnceThatDoNotDependOnTheirOrder) {
+  HybridSimulator simulator{HybridSystem(Walls())};
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 1, -1, -1}, .duration = 2}));
+  ASSERT_EQ(simulator.events().size(), 2u);
+  EXPECT_TRUE(simulator.events()[1].at_once);
+  ASSERT_EQ(simulator.ties().size(), 1u);
+  EXPECT_FALSE(simulator.ties()[0].ambiguous);
+  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  ExpectNumbers(simulator.final_state(), {0.8, 0.8, 0.8, 0.8}, 1e-14);
+  ExpectNumbers(simulator.Adjoint(std::vector<double>{1, 0, 0, 0}).initial, {-0.8, 0, -1.6, 0}, 1e-13);
+  ExpectNumbers(simulator.Adjoint(std::vector<double>{0, 0, 1, 0}).initial, {0, 0, -0.8, 0}, 1e-13);
+}
+
+TEST(HybridSimulator, ImpactsAtOnceWhoseOrderMatters) {
+  HybridSimulator simulator{HybridSystem(Walls{.first = {0, 1}, .second = {std::sqrt(0.75), -0.5}})};
+  const double c = std::cos(M_PI / 6), s = std::sin(M_PI / 6);
+  ASSERT_TRUE(simulator.Rollout({.initial = {c, s, -c, -s}, .duration = 1.5}));
+  ASSERT_EQ(simulator.ties().size(), 1u);
+  const HybridTie& tie = simulator.ties()[0];
+  EXPECT_NEAR(tie.time, 1, 1e-14);
+  EXPECT_EQ(tie.guards, (std::vector{0, 1}));
+  EXPECT_TRUE(tie.ambiguous);
+  EXPECT_NEAR(tie.spread, 0.364 - 0.3505, 1e-13) << "between n1, n2, n1 and n2, n1, n2";
+  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("2 guards reach zero at t = 1.000000, and the order"));
+  ASSERT_EQ(simulator.events().size(), 3u);
+  EXPECT_NEAR(simulator.events()[1].after[2], 0.614878036686951439, 1e-14);
+  EXPECT_NEAR(simulator.events()[1].after[3], -0.455, 1e-14);
+  EXPECT_NEAR(simulator.events()[2].after[3], 0.364, 1e-14);
+}
+
+// Whose reset leads behind the guard of the next mode, by 1 - 0.5 x1 + margin.
+struct Behind {
+  double margin = 0;
+
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2, 2, 2};
+  static constexpr std::array kNumGuards = {1, 1, 0};
+
+  template <typename T>
+  void Flow(int mode, const T&, const T* x, const T*, const T*, T* xdot) const {
+    xdot[0] = mode == 2 ? x[1] : T(1.0 + 0.3 * x[1]);
+    xdot[1] = mode == 2 ? T(-x[0]) : T(-1.0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[1];
+  }
+  template <typename T>
+  int Reset(int mode, int, const T&, const T* x, const T*, T* x_plus) const {
+    if (mode == 0) {
+      x_plus[0] = x[0];
+      x_plus[1] = 0.5 * x[0] - 1.0 + margin;
+      return 1;
+    }
+    x_plus[0] = x[0] + 0.1;
+    x_plus[1] = -2.0 * x[1];
+    return 2;
+  }
+};
+
+TEST(HybridSimulator, ResetBehindAGuardIsOneResetWithTheFirstGuard) {
+  HybridSimulator simulator{HybridSystem(Behind())};
+  ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .duration = 2}));
+  ASSERT_EQ(simulator.events().size(), 2u);
+  EXPECT_TRUE(simulator.events()[1].at_once);
+  EXPECT_NEAR(simulator.events()[1].time, 1, 1e-14);
+  ExpectNumbers(simulator.events()[0].after, {1.15, -0.425}, 1e-14);
+  ExpectNumbers(simulator.events()[1].after, {1.25, 0.85}, 1e-14);
+  ExpectNumbers(simulator.final_state(), {1.39062821942188668, -0.592581771021951874}, 1e-12);
+  ExpectNumbers(
+      simulator.Adjoint(std::vector<double>{1, 0}).initial, {-0.301168678939756789, 0.201062488400268047}, 1e-12);
+  ExpectNumbers(
+      simulator.Adjoint(std::vector<double>{0, 1}).initial, {-1.38177329067603622, -0.405677058456960414}, 1e-12);
+  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+}
+
+TEST(HybridSimulator, ResetOntoAGuardIsReported) {
+  HybridSimulator simulator{HybridSystem(Behind{.margin = 0.425})};
+  ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .duration = 2}));
+  EXPECT_EQ(simulator.events().size(), 2u);
+  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("leads onto guard 'guard 0'"));
+}
+
+TEST(HybridSimulator, EventAtTheFinalTimeCounts) {
+  HybridSimulator simulator = Ball();
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {8, 0.5}, .duration = 0.5}));
+  ASSERT_EQ(simulator.events().size(), 1u);
+  ExpectNumbers(simulator.final_state(), {0, 2}, 1e-14);
+  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("event at the final time"));
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], -0.5, 1e-13);
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 3, 1e-13);
+  // Whatever the step is, rounding does not decide.
+  for (int steps = 1; steps < 100; ++steps) {
+    HybridSimulator other = Ball({.steps_per_interval = steps});
+    ASSERT_TRUE(other.Rollout({.initial = {1, 0}, .parameters = {8, 0.5}, .duration = 0.5}));
+    EXPECT_EQ(other.events().size(), 1u) << steps;
+  }
+}
+
+TEST(HybridSimulator, EventWhereTheControlJumpsIsReported) {
+  HybridInput input{.initial = {1, 0}, .parameters = {8, 0.6}, .duration = 1, .num_intervals = 2, .control = {0, 0}};
+  HybridSimulator simulator = Ball();
+  ASSERT_TRUE(simulator.Rollout(input));
+  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  input.control = {0, 1};
+  ASSERT_TRUE(simulator.Rollout(input));
+  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("t = 0.5, where the control jumps"));
+}
+
+TEST(HybridSimulator, GuardBelowZeroAtTheStart) {
+  const HybridInput input{.initial = {-0.1, 3}, .parameters = {9.8, 0.7}, .duration = 1};
+  HybridSimulator simulator = Ball();
+  EXPECT_FALSE(simulator.Rollout(input));
+  EXPECT_EQ(simulator.WhyFailed(), "guard 'ground' is below zero (-0.1) at the start, in mode 'flight' at t = 0");
+  HybridSimulator waits = Ball({.wait_behind_guards = true});
+  ASSERT_TRUE(waits.Rollout(input));
+  ASSERT_EQ(waits.events().size(), 2u);
+  EXPECT_NEAR(waits.events()[0].time, 0.5768673298249306, 1e-14);
+  EXPECT_NEAR(waits.events()[1].time, 0.95591016300840487, 1e-14);
+  ExpectNumbers(waits.final_state(), {0.04779676571953615, 0.86803651530168445}, 1e-13);
+}
+
+TEST(HybridSimulator, GuardAtZeroAtTheStart) {
+  HybridSimulator simulator = Ball();
+  ASSERT_TRUE(simulator.Rollout({.initial = {0, -1}, .parameters = {9.8, 0.7}, .duration = 0.1}));
+  ASSERT_EQ(simulator.events().size(), 1u) << "falling: an event at once";
+  EXPECT_EQ(simulator.events()[0].time, 0);
+  ExpectNumbers(simulator.events()[0].after, {0, 0.7}, 1e-15);
+  ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .parameters = {9.8, 0.7}, .duration = 0.1}));
+  EXPECT_THAT(simulator.events(), IsEmpty()) << "rising";
+}
+
+// A ball that bounces many times within one step of the integration, were it not for its events.
+TEST(HybridSimulator, SeveralEventsInOneStep) {
+  HybridSimulator simulator = Ball({.steps_per_interval = 1});
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.35}));
+  EXPECT_EQ(simulator.events().size(), 8u);
+  EXPECT_NEAR(simulator.events()[2].time, 1.129384878631564, 1e-14);
+}
+
+// What a user may get wrong; p = [].
+struct Wrong {
+  enum What { kNothing, kUnset, kNotFinite, kGuard, kMode, kReset, kBlowUp, kNoTime } what = kNothing;
+
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {1};
+  static constexpr std::array<const char*, 1> kModeNames = {"only"};
+  static constexpr std::array<const char*, 2> kStateNames = {"a", "b"};
+
+  template <typename T>
+  void Flow(int, const T& t, const T* x, const T*, const T*, T* xdot) const {
+    using std::log;
+    xdot[0] = what == kBlowUp ? T(x[0] * x[0]) : T(-1.0);
+    if (what == kUnset) return;
+    xdot[1] = what == kNotFinite ? T(log(-1.0 - t)) : T(0.0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    if (what == kGuard) return T(std::numeric_limits<double>::quiet_NaN());
+    return what == kBlowUp ? T(1.0) : x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = what == kNoTime ? T(x[0] - 1.0) : T(1.0 + x[0]);
+    if (what != kReset) x_plus[1] = x[1];
+    return what == kMode ? 7 : 0;
+  }
+};
+
+TEST(HybridSimulator, SaysWhatIsWrongWithTheFunctionsOfUsers) {
+  const auto why = [](Wrong::What what) {
+    HybridSimulator simulator{HybridSystem(Wrong{what})};
+    EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .duration = 1.5}));
+    return simulator.WhyFailed();
+  };
+  EXPECT_EQ(why(Wrong::kUnset), "the flow of mode 'only' at t = 0 gives no finite derivative of b");
+  EXPECT_EQ(why(Wrong::kNotFinite), "the flow of mode 'only' at t = 0 gives no finite derivative of b");
+  EXPECT_EQ(why(Wrong::kGuard), "guard 'guard 0' is not a finite number in mode 'only' at t = 0");
+  EXPECT_EQ(why(Wrong::kMode), "the reset of guard 'guard 0' in mode 'only' at t = 1 leads to mode 7, expected 0 to 0");
+  EXPECT_EQ(why(Wrong::kReset),
+            "the reset of guard 'guard 0' in mode 'only' at t = 1 gives no finite b in mode 'only'");
+  EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("does not stay finite"));
+  EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("mode 'only' at t = 1.00000"));
+  EXPECT_THAT(why(Wrong::kNoTime), HasSubstr("more than 100 events without time passing"));
+  HybridSimulator right{HybridSystem(Wrong{})};
+  EXPECT_TRUE(right.Rollout({.initial = {1, 0}, .duration = 1.5})) << right.WhyFailed();
+}
+
+TEST(HybridSimulator, SaysWhatIsWrongWithAnInput) {
+  const HybridSystem system{BouncingBall()};
+  const HybridInput right{.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1};
+  EXPECT_EQ(WhatIsWrongWith(right, system), "");
+  const auto with = [&](auto change) {
+    HybridInput input = right;
+    change(&input);
+    return WhatIsWrongWith(input, system);
+  };
+  EXPECT_EQ(with([](HybridInput* in) { in->mode = 1; }), "found mode 1, expected 0 to 0");
+  EXPECT_EQ(with([](HybridInput* in) { in->initial = {1}; }), "found 1 numbers of the initial state, expected 2");
+  EXPECT_EQ(with([](HybridInput* in) { in->parameters = {}; }), "found 0 numbers of the parameters, expected 2");
+  EXPECT_EQ(with([](HybridInput* in) { in->control = {1, 2}; }), "found 2 numbers of the control, expected 1");
+  EXPECT_EQ(with([](HybridInput* in) { in->duration = 0; }), "expected a finite duration above zero");
+  EXPECT_EQ(with([](HybridInput* in) { in->initial[0] = NAN; }), "the initial state is not finite");
+}
+
+// A decay that is stiff: x' = -1e8 (x - cos t). p = [].
+struct Stiff {
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {1};
+  static constexpr std::array kNumGuards = {0};
+
+  template <typename T>
+  void Flow(int, const T& t, const T* x, const T*, const T*, T* xdot) const {
+    using std::cos;
+    xdot[0] = -1e8 * (x[0] - cos(t));
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+TEST(HybridSimulator, RefusesStiffSystems) {
+  HybridSimulator simulator{HybridSystem(Stiff())};
+  EXPECT_FALSE(simulator.Rollout({.initial = {1}, .duration = 1}));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("may be stiff"));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("mode 'mode 0' at t ="));
+}
+
+}  // namespace
+}  // namespace saltus
