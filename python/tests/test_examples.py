@@ -1,4 +1,4 @@
-"""The examples of the notebook, of the README and of docstrings run, and say what they should."""
+"""The examples of the notebook, of the documentation and of docstrings run, and say what they should."""
 
 import doctest
 import importlib.util
@@ -11,7 +11,8 @@ import pytest
 import saltus
 
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
-README = pathlib.Path(__file__).parents[2] / "README.md"
+ROOT = pathlib.Path(__file__).parents[2]
+PAGE = ROOT / "docs/explanation/simulators.md"
 
 
 def printed_in(notebook):
@@ -45,16 +46,16 @@ def test_own_simulator(tmp_path, monkeypatch):
     assert optimum < optimised < optimum + 0.05
 
 
-def test_ten_lines_of_the_readme(monkeypatch):
-    text = README.read_text(encoding="utf-8")
+def test_ten_lines_of_the_documentation(monkeypatch):
+    text = PAGE.read_text(encoding="utf-8")
     code, said = re.search(r"```python\n(import numpy as np, saltus .*?)\n# WrongGradient: (.*?) \.\.\.\n```", text, re.S).groups()
-    monkeypatch.chdir(README.parent)
+    monkeypatch.chdir(ROOT)
     with pytest.raises(saltus.WrongGradient, match=re.escape(said)):
         exec(code, {})  # pylint: disable=exec-used
 
 
 def test_examples_in_docstrings(monkeypatch):
-    monkeypatch.chdir(README.parent)
+    monkeypatch.chdir(ROOT)
     modules = [saltus]
     if importlib.util.find_spec("torch"):
         modules.append(importlib.import_module("saltus.torch"))

@@ -292,14 +292,13 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
   }
 }
 
-// The simulator that the README shows: symplectic Euler, and the impulse of two equal discs when they overlap.
+// The simulator that the documentation shows: symplectic Euler, and the impulse of two equal discs when they overlap.
 std::string TenLines() {
-  std::ifstream file(SourceFolder() + "/README.md");
-  const std::string readme((std::istreambuf_iterator<char>(file)), {});
+  std::ifstream file(SourceFolder() + "/docs/how-to/audit-a-simulator.md");
+  const std::string page((std::istreambuf_iterator<char>(file)), {});
   const std::string fence = "```", language = fence + "python\n";
-  const std::size_t begin =
-      readme.find(language, readme.find("### Auditing a simulator of your own")) + language.size();
-  return readme.substr(begin, readme.find(fence, begin) - begin);
+  const std::size_t begin = page.find(language) + language.size();
+  return page.substr(begin, page.find(fence, begin) - begin);
 }
 
 TEST(BlackBox, TenLinesOfPythonAreAudited) {

@@ -4,7 +4,7 @@
     hostile_runs.py --bin=build/release/bin --runs=2000 --seed=1 [--jobs=2] [--keep=DIR] [--only=N]
 
 Run N of a seed is always the same: a scene of the source tree with mutated text, random flags, strange files, or limits
-of memory, of files and of time. A run violates what the README promises, if
+of memory, of files and of time. A run violates what the documentation promises, if
 
   - it is ended by a signal (an abort, a crash) that this script did not send;
   - it is at work after 60 s (--hang), or, if it has huge counts, as long after an interrupt;

@@ -347,11 +347,12 @@ class Combinations : public testing::Test {
     json start;
     for (int k = 0; k < 24; ++k) start["control"].push_back({{2.0, 2.5}});
     write("start.json", start.dump());
-    // The simulator of the README, as it stands there.
-    const std::string readme = *ReadFile(SourceFolder() + "/README.md"), first = "import json, math, sys\n";
-    const std::size_t begin = readme.find(first);
+    // The simulator of the documentation, as it stands there.
+    const std::string page = *ReadFile(SourceFolder() + "/docs/how-to/audit-a-simulator.md"),
+                      first = "import json, math, sys\n";
+    const std::size_t begin = page.find(first);
     ASSERT_NE(begin, std::string::npos);
-    write("mine.py", readme.substr(begin, readme.find("```", begin) - begin));
+    write("mine.py", page.substr(begin, page.find("```", begin) - begin));
     // A ball that is dropped with restitution 0.8, in closed form, with errors of a millimetre.
     write("bounce.yaml",
           "name: bounce\nduration: 0.9\nsteps: 60\ngravity: [0, -10]\n"
