@@ -2,6 +2,7 @@
 // of the initial state, parameters, the duration.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
