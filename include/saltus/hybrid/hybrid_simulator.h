@@ -131,7 +131,7 @@ class HybridSimulator {
   std::span<const double> StepState(int step) const;
 
   // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, ties, an
-  // event at the final time or where the control jumps, a reset onto another guard.
+  // event at the start, at the final time or where the control jumps, a reset onto another guard.
   std::string WhyNotDifferentiable() const;
 
   // Steps in a control interval, after the first rollout.
