@@ -117,6 +117,10 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
   at.p = Matrix::Zero(num_parameters, columns);
   at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
   for (const TapeEntry& entry : tape.entries) {
+    if (out.nodes.size() < tape.intervals.size() &&
+        &entry - tape.entries.data() == static_cast<std::ptrdiff_t>(tape.intervals[out.nodes.size()])) {
+      out.nodes.emplace_back(at.x.data(), at.x.data() + at.x.size());
+    }
     const FlowStep step = StepOf(input, tape, entry);
     const int n = system_.state_size(entry.mode);
     if (entry.kind == TapeEntry::Kind::kReset) {

@@ -165,18 +165,22 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
       located = standing == EventSearch::Standing::kFalling;
     }
     if (due < 0) return true;
+    if (record && entry == Entry::kStart) {
+      Remark("guard '" + system_.GuardName(at_.mode, due) + "' has an event at the start");
+    }
     if (!Fire(due, located, record, entry == Entry::kAfterReset)) return false;
     entry = Entry::kAfterReset;
   }
 }
 
-// The reset of a guard, where at_ is. `located`: the guard is zero here, wherever that is.
-bool RolloutRun::Fire(int guard, bool located, bool record, bool at_once) {
+// The reset of a guard, where at_ is. `with_step`: this is where the guard is zero, which a step of no length to the
+// event notes for the derivatives; otherwise such a step is on the tape, or the reset is part of the one before.
+bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   const int mode = at_.mode;
   const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
   const double rate = search_.At(mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data()).rate;
   if (record) {
-    if (located && at_once) {
+    if (with_step) {
       Record(TapeEntry::Kind::kToEvent, 0);
       tape_.entries.back().guard = guard;
     }
@@ -323,7 +327,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     }
   }
   const std::size_t events = events_.size();
-  if (!Fire(first, true, true, false) || !Enter(Entry::kAfterReset, order, true)) return false;
+  if (!Fire(first, false, true, false) || !Enter(Entry::kAfterReset, order, true)) return false;
   if (events_.size() > events + 1 && tied.size() == 1 &&
       tape_.entries[tape_.entries.size() - 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
@@ -348,7 +352,7 @@ void RolloutRun::TryOrders(const std::vector<int>& guards) {
       if (std::find(first.begin(), first.end(), guard) == first.end()) order.push_back(guard);
     }
     at_ = here;
-    if (!Fire(order.front(), true, false, false) || !Enter(Entry::kAfterReset, order, false)) {
+    if (!Fire(order.front(), false, false, false) || !Enter(Entry::kAfterReset, order, false)) {
       tie.spread = std::numeric_limits<double>::infinity();
       why_.clear();
       end_ = RolloutEnd::kDone;

@@ -49,7 +49,7 @@ class RolloutRun {
 
   bool StepTo(int node);
   bool Enter(Entry entry, const std::vector<int>& order, bool record);
-  bool Fire(int guard, bool located, bool record, bool at_once);
+  bool Fire(int guard, bool with_step, bool record, bool at_once);
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool Happen(const Due& due, const FlowStep& step);
   void TryOrders(const std::vector<int>& guards);

@@ -58,18 +58,19 @@ ceres::CallbackReturnType RecordIteration::operator()(const ceres::IterationSumm
   return Record(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
 }
 
-End RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
+End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
   const Termination termination = Judge(outcome);
   if (termination != Termination::kInterrupted) {
     for (size_t i = run->num_recorded(); i < outcome.iterations.size(); ++i) record->Record(outcome.iterations[i]);
   }
   // Where the gradient vanishes at the initial guess, the line search solver reports no iteration at all.
   double loss = 0;
-  if (run->num_recorded() == 0 && run->shooting().Evaluate(z, &loss, nullptr)) run->Record(loss, z);
+  if (run->num_recorded() == 0 && run->function().Evaluate(z, &loss, nullptr)) run->Record(loss, z);
   return {termination, Describe(termination, outcome)};
 }
 
-SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome) {
+SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z,
+                     const CeresOutcome& outcome) {
   auto [termination, words] = RecordEnd(run, record, z, outcome);
   return run->Finish(z, termination, std::move(words));
 }

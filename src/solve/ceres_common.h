@@ -34,13 +34,13 @@ struct LossOfCost {
 class RecordIteration final : public ceres::IterationCallback {
  public:
   // `z` is what Ceres updates in every iteration; `loss` gives the loss of an accepted step from its cost.
-  RecordIteration(SolveRun* run, std::function<double(double cost)> loss, const std::vector<double>* z)
+  RecordIteration(ShootingRun* run, std::function<double(double cost)> loss, const std::vector<double>* z)
       : run_(run), loss_(std::move(loss)), z_(z) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override;
   bool Record(const ceres::IterationSummary& summary);
 
  private:
-  SolveRun* run_;
+  ShootingRun* run_;
   std::function<double(double)> loss_;
   const std::vector<double>* z_;
   double last_ = 0;
@@ -65,9 +65,9 @@ struct End {
 // Records what the callback was not shown of a run that ends at z, and says how it ended. Converged means that the
 // gradient has vanished. A tolerance on steps or losses says no such thing: where the loss has a kink, steps shrink
 // until it is met.
-End RecordEnd(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
+End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
 // Does so, and writes the report.
-SolveReport Conclude(SolveRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
+SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
 }  // namespace saltus

@@ -2,8 +2,12 @@
 #pragma once
 
 #include "saltus/solve/solver.h"
+#include "solve_run.h"
 
 namespace saltus {
+
+// Of any function by shooting.
+SolveReport MinimizeByLbfgs(ShootingRun* run);
 
 SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& options);
 

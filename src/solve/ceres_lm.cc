@@ -21,15 +21,17 @@ namespace {
 constexpr int kBlockSize = 8;        // variables
 constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
 
-// The variables, cut into blocks, some of which may be smaller; a final time has one of its own, the last.
-std::vector<int> BlockSizes(const SingleShooting& shooting) {
-  const int num_variables = shooting.num_variables() - shooting.has_duration();
-  std::vector<int> sizes = {num_variables};
+// The variables, cut into blocks, some of which may be smaller; the last `num_times` have blocks of their own.
+std::vector<int> BlockSizes(int num_variables, int num_times) {
+  num_variables -= num_times;
+  std::vector<int> sizes;
   if (num_variables > kMostInOneBlock) {
     sizes.assign(num_variables / kBlockSize, kBlockSize);
     if (num_variables % kBlockSize != 0) sizes.push_back(num_variables % kBlockSize);
+  } else if (num_variables > 0) {
+    sizes = {num_variables};
   }
-  if (shooting.has_duration()) sizes.push_back(1);
+  sizes.insert(sizes.end(), num_times, 1);
   return sizes;
 }
 
@@ -62,7 +64,7 @@ class ScaledEffortCost final : public ceres::CostFunction {
 // The residuals of all terms but the effort, as one vector, as a function of all variables.
 class ShootingCost final : public ceres::CostFunction {
  public:
-  ShootingCost(SingleShooting* shooting, const std::vector<int>& block_sizes)
+  ShootingCost(ShootingFunction* shooting, const std::vector<int>& block_sizes)
       : shooting_(shooting),
         z_(shooting->num_variables()),
         residuals_(shooting->num_residuals()),
@@ -110,27 +112,18 @@ class ShootingCost final : public ceres::CostFunction {
     }
   }
 
-  SingleShooting* shooting_;
+  ShootingFunction* shooting_;
   // One problem, one thread: Ceres' interface is const, its evaluation here is a rollout of shooting_.
   mutable bool evaluated_ = false, finite_ = false;
   mutable std::vector<double> z_, residuals_, jacobian_;
   mutable int num_jacobians_ = 0;
 };
 
-// Adds the residuals of the scene's objective at z, which must outlive the problem.
-const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* z, ceres::Problem* problem) {
-  const std::vector<int> sizes = BlockSizes(*shooting);
-  std::vector<double*> blocks;
-  double* next = z->data();
-  for (int size : sizes) {
-    blocks.push_back(next);
-    next += size;
-  }
-  auto* terminal = new ShootingCost(shooting, sizes);  // owned by the problem
-  problem->AddResidualBlock(terminal, nullptr, blocks);
-
-  const Scene& scene = shooting->scene();
-  if (shooting->has_duration()) {
+// Adds what the scene's objective has beside the residuals of the shooting.
+void AddEffort(const SingleShooting& shooting, const VariableBlocks& variables, ceres::Problem* problem) {
+  const auto& [sizes, blocks] = variables;
+  const Scene& scene = shooting.scene();
+  if (shooting.has_duration()) {
     const FreeDuration& free = *scene.objective.duration;
     if (free.weight > 0) {
       using Price = ceres::AutoDiffCostFunction<DurationPrice, DurationPrice::kRows, 1>;
@@ -139,17 +132,16 @@ const ShootingCost* AddResiduals(SingleShooting* shooting, std::vector<double>* 
     problem->SetParameterLowerBound(blocks.back(), 0, free.min);
     problem->SetParameterUpperBound(blocks.back(), 0, free.max);
     for (size_t i = 0; i + 1 < blocks.size() && scene.objective.effort > 0; ++i) {
-      const double weight = scene.objective.effort / shooting->simulator().num_steps();
+      const double weight = scene.objective.effort / shooting.simulator().num_steps();
       problem->AddResidualBlock(new ScaledEffortCost(weight, sizes[i]), nullptr, blocks[i], blocks.back());
     }
-    return terminal;
+    return;
   }
-  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return terminal;
-  const double scale = std::sqrt(scene.objective.effort * shooting->simulator().step());
+  if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
+  const double scale = std::sqrt(scene.objective.effort * shooting.simulator().step());
   for (size_t i = 0; i < blocks.size(); ++i) {
     problem->AddResidualBlock(new EffortCost(scale, sizes[i]), nullptr, blocks[i]);
   }
-  return terminal;
 }
 
 // The largest magnitude of an entry of the rows of a control; infinity without a bound.
@@ -159,20 +151,19 @@ double LargestComponent(const Scene& scene, int entry) {
   return scene.control.max.empty() ? std::numeric_limits<double>::infinity() : scene.control.max[entry / 2];
 }
 
-// Bounds on each component of each force, and on torques; z starts within them.
-void SetBounds(const SingleShooting& shooting, std::vector<double>* z, ceres::Problem* problem) {
+// Bounds on each component of each force, and on torques; the variables are within them.
+void SetBounds(const SingleShooting& shooting, const VariableBlocks& variables, ceres::Problem* problem) {
   const Scene& scene = shooting.scene();
   if (scene.optimize != Optimize::kControl || !scene.control.IsBounded()) return;
-  size_t at = 0;
-  for (int size : BlockSizes(shooting)) {
-    double* block = z->data() + at;
-    for (int i = 0; i < size && at + i < z->size() - shooting.has_duration(); ++i) {
-      const double most = LargestComponent(scene, static_cast<int>((at + i) % scene.control_width()));
+  int at = 0;
+  for (size_t block = 0; block < variables.sizes.size(); ++block) {
+    for (int i = 0; i < variables.sizes[block] && at + i < shooting.num_variables() - shooting.has_duration(); ++i) {
+      const double most = LargestComponent(scene, (at + i) % scene.control_width());
       if (std::isinf(most)) continue;
-      problem->SetParameterLowerBound(block, i, -most);
-      problem->SetParameterUpperBound(block, i, most);
+      problem->SetParameterLowerBound(variables.blocks[block], i, -most);
+      problem->SetParameterUpperBound(variables.blocks[block], i, most);
     }
-    at += size;
+    at += variables.sizes[block];
   }
 }
 
@@ -199,30 +190,50 @@ ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num
 
 }  // namespace
 
-SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
-  SolveRun run("ceres_lm", request, options);
-  std::vector<double> z = run.initial_guess();
-  if (run.shooting().scene().optimize == Optimize::kControl) {
-    const size_t forces = z.size() - run.shooting().has_duration();
-    MoveWithinBounds(run.shooting().scene(), std::span(z).first(forces));
-  }
+SolveReport MinimizeLeastSquares(
+    ShootingRun* run, std::vector<double> z, int num_times, double offset,
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms) {
   double guess_loss = 0;
-  if (!run.shooting().Evaluate(z, &guess_loss, nullptr)) {
-    return run.Finish(z, Termination::kFailed, "loss not finite at iteration 0");
+  if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
+    return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
   ceres::Problem problem;
-  const ShootingCost* terminal = AddResiduals(&run.shooting(), &z, &problem);
-  SetBounds(run.shooting(), &z, &problem);
+  VariableBlocks variables{BlockSizes(run->function().num_variables(), num_times), {}};
+  double* next = z.data();
+  for (const int size : variables.sizes) {
+    variables.blocks.push_back(next);
+    next += size;
+  }
+  auto* shot = new ShootingCost(&run->function(), variables.sizes);  // owned by the problem
+  problem.AddResidualBlock(shot, nullptr, variables.blocks);
+  add_terms(variables, &problem);
 
-  const LossOfCost loss{.scale = 2, .offset = GivenEffort(run.shooting())};  // Ceres minimizes half the sum of squares
-  RecordIteration record(&run, loss, &z);
-  ceres::Solver::Options ceres_options = LeastSquaresOptions(options, problem.NumParameterBlocks());
+  const LossOfCost loss{.scale = 2, .offset = offset};  // Ceres minimizes half the sum of squares
+  RecordIteration record(run, loss, &z);
+  ceres::Solver::Options ceres_options = LeastSquaresOptions(run->options(), problem.NumParameterBlocks());
   ceres_options.callbacks = {&record};
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options, &problem, &summary);
-  SolveReport report = Conclude(&run, &record, z, {summary.termination_type, summary.iterations, false});
-  report.evaluations = terminal->num_jacobians();
+  SolveReport report = Conclude(run, &record, z, {summary.termination_type, summary.iterations, false});
+  report.evaluations = shot->num_jacobians();
   return report;
+}
+
+SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("ceres_lm", request, options);
+  const SingleShooting& shooting = run.shooting();
+  std::vector<double> z = run.initial_guess();
+  if (shooting.scene().optimize == Optimize::kControl) {
+    MoveWithinBounds(shooting.scene(), std::span(z).first(z.size() - shooting.has_duration()));
+  }
+  return MinimizeLeastSquares(&run,
+                              std::move(z),
+                              shooting.has_duration(),
+                              GivenEffort(shooting),
+                              [&](const VariableBlocks& variables, ceres::Problem* problem) {
+                                AddEffort(shooting, variables, problem);
+                                SetBounds(shooting, variables, problem);
+                              });
 }
 
 }  // namespace saltus

@@ -8,9 +8,29 @@
 // components of forces are Ceres' own.
 #pragma once
 
+#include <functional>
+#include <vector>
+
 #include "saltus/solve/solver.h"
+#include "solve_run.h"
+
+namespace ceres {
+class Problem;
+}
 
 namespace saltus {
+
+// The variables as Ceres has them.
+struct VariableBlocks {
+  std::vector<int> sizes;
+  std::vector<double*> blocks;
+};
+
+// Minimises the residuals of the run's function from z, plus the terms that `add_terms` adds, whose loss is without
+// `offset`. It may also set bounds, within which z is. The last `num_times` variables have blocks of their own.
+SolveReport MinimizeLeastSquares(
+    ShootingRun* run, std::vector<double> z, int num_times, double offset,
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms);
 
 // Precondition: the objective is a sum of squares.
 SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options);

@@ -76,12 +76,13 @@ class Best {
     last_ = iteration;
   }
 
-  SolveReport AddTo(SolveReport report, const SingleShooting& shooting) {
+  SolveReport AddTo(SolveReport report, const ShootingFunction& shooting) {
     if (last_ < 0) return report;
     if (best_.iteration < last_) {
       best_.initial_state = shooting.InitialStateAt(z_);
       best_.control = shooting.ControlAt(z_);
       best_.durations = shooting.DurationsAt(z_);
+      best_.parameters = shooting.ParametersAt(z_);
     }
     report.best = std::move(best_);
     return report;
@@ -93,7 +94,7 @@ class Best {
   int last_ = -1;
 };
 
-SolveReport Fail(SolveRun* run, const char* what, int iteration, const std::vector<double>& z) {
+SolveReport Fail(ShootingRun* run, const char* what, int iteration, const std::vector<double>& z) {
   return run->Finish(
       z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
 }
@@ -108,41 +109,55 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
   return smoothed;
 }
 
-SolveReport Descend(SolveRun* descent, const SolveRequest& request, const SolverOptions& options, Best* best) {
-  SolveRun& run = *descent;
-  std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
-  const Step step(run.shooting(), options);
-  std::vector<double> z = run.initial_guess();
-  step.MoveWithin(&z);
+SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
+  ShootingFunction& function = run->function();
+  const int iterations = run->options().iterations;
+  std::vector<double> z = run->initial_guess();
+  rule.move_within(&z);
   std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
   for (int k = 0;; ++k) {
-    const bool more = k < options.iterations;
+    const bool more = k < iterations;
     double loss = 0;
-    if (!run.shooting().Evaluate(z, &loss, more && !smoothed ? gradient.data() : nullptr)) {
-      return Fail(&run, "loss", k, last);
+    if (!function.Evaluate(z, &loss, more && !rule.estimate ? gradient.data() : nullptr)) {
+      return Fail(run, "loss", k, last);
     }
     best->Meet(loss, k, last);
-    if (!run.Record(loss, z)) return run.Finish(z, Termination::kInterrupted);
+    if (!run->Record(loss, z)) return run->Finish(z, Termination::kInterrupted);
     if (!more) break;
-    if (smoothed) {
-      if (!smoothed->Evaluate(z, k, gradient, standard_error)) return Fail(&run, "loss of a sample", k, z);
-      run.RecordEstimate(standard_error);
+    if (rule.estimate) {
+      if (!rule.estimate(z, k, &gradient, &standard_error)) return Fail(run, "loss of a sample", k, z);
+      run->RecordEstimate(standard_error);
     }
-    if (!AllFinite(gradient)) return Fail(&run, "gradient", k, z);
+    if (!AllFinite(gradient)) return Fail(run, "gradient", k, z);
     last = z;
-    step(gradient, &z);
+    rule.step(gradient, &z);
   }
-  const bool rests = options.iterations > 0 && z == last;
-  return run.Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
+  const bool rests = iterations > 0 && z == last;
+  return run->Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
 }
 
 }  // namespace
 
+SolveReport DescendGradient(ShootingRun* run, const DescentRule& rule) {
+  Best best;
+  SolveReport report = Descend(run, rule, &best);
+  return best.AddTo(std::move(report), run->function());
+}
+
 SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("gd", request, options);
-  Best best;
-  SolveReport report = Descend(&run, request, options, &best);
-  return best.AddTo(std::move(report), run.shooting());
+  std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
+  const Step step(run.shooting(), options);
+  DescentRule rule;
+  rule.step = step;
+  rule.move_within = [&](std::vector<double>* z) { step.MoveWithin(z); };
+  if (smoothed) {
+    rule.estimate =
+        [&](const std::vector<double>& z, int k, std::vector<double>* gradient, std::vector<double>* standard_error) {
+          return smoothed->Evaluate(z, k, *gradient, *standard_error);
+        };
+  }
+  return DescendGradient(&run, rule);
 }
 
 }  // namespace saltus

@@ -5,9 +5,28 @@
 // them. The rate may be one per unit of time, divided by the length of a step.
 #pragma once
 
+#include <functional>
+#include <vector>
+
 #include "saltus/solve/solver.h"
+#include "solve_run.h"
 
 namespace saltus {
+
+// What an iteration does.
+struct DescentRule {
+  // The update, within bounds.
+  std::function<void(const std::vector<double>& gradient, std::vector<double>* z)> step;
+  // Moves an initial guess into its bounds.
+  std::function<void(std::vector<double>* z)> move_within;
+  // What stands in for the gradient; none: the function's own. False if it is not finite.
+  std::function<bool(const std::vector<double>& z, int iteration, std::vector<double>* gradient,
+                     std::vector<double>* standard_error)>
+      estimate = nullptr;
+};
+
+// Of any function by shooting.
+SolveReport DescendGradient(ShootingRun* run, const DescentRule& rule);
 
 // Always does options.iterations updates; kConverged if the last one changed nothing. Stops early (kFailed) where loss
 // or gradient are not finite, at the last iterate where the loss is.

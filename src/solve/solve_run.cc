@@ -36,10 +36,54 @@ std::vector<double> DecisionsOf(const ControlGuess& guess, const SingleShooting&
 
 }  // namespace
 
+ShootingRun::ShootingRun(std::string_view solver, const SolverOptions& options)
+    : options_(options), start_(std::chrono::steady_clock::now()) {
+  report_.solver = solver;
+}
+
+void ShootingRun::RecordEstimate(std::vector<double> standard_error) {
+  ++num_estimates_;
+  report_.standard_error = std::move(standard_error);
+}
+
+bool ShootingRun::Record(double loss, std::span<const double> z) {
+  report_.losses.push_back(loss);
+  if (options_.keep_iterates) report_.iterates.emplace_back(z.begin(), z.end());
+  if (function().stopped()) return false;
+  return !options_.callback || options_.callback(num_recorded() - 1, loss);
+}
+
+SolveReport ShootingRun::Finish(std::span<const double> z, Termination termination, std::string reason,
+                                std::optional<double> final_loss) {
+  const ShootingFunction& shooting = function();
+  // Stopped in the middle of an iteration, an algorithm sees evaluations that fail.
+  if (shooting.stopped() && termination != Termination::kConverged) {
+    termination = Termination::kInterrupted;
+    reason.clear();
+  }
+  const std::string why = termination == Termination::kFailed ? shooting.WhyFailed() : "";
+  if (const std::string remark = RemarkOn(z, termination); !remark.empty()) {
+    reason += (reason.empty() ? "" : ": ") + remark;
+  }
+  report_.termination = termination;
+  report_.reason = std::move(reason);
+  if (!why.empty()) report_.reason += (report_.reason.empty() ? "" : ": ") + why;
+  if (!report_.losses.empty()) {
+    report_.initial_loss = report_.losses.front();
+    report_.final_loss = final_loss.value_or(report_.losses.back());
+    report_.iterations = num_recorded() - 1;
+  }
+  report_.evaluations = shooting.num_adjoints() + num_estimates_;
+  report_.initial_state = shooting.InitialStateAt(z);
+  report_.control = shooting.ControlAt(z);
+  report_.durations = shooting.DurationsAt(z);
+  report_.parameters = shooting.ParametersAt(z);
+  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  return std::move(report_);
+}
+
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
-    : start_(std::chrono::steady_clock::now()),
-      options_(options),
-      shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
+    : ShootingRun(solver, options), shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
   shooting_.set_memory_limit(options.memory_limit);
   shooting_.set_stop([this] {
     const auto& most = options_.most_impacts;
@@ -48,55 +92,15 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
   });
   guess_ = options.guess ? DecisionsOf(*options.guess, shooting_) : shooting_.initial_guess();
   report_.contact = request.contact.name();
-  report_.solver = solver;
   report_.surrogate = options.surrogate;
 }
 
-void SolveRun::RecordEstimate(std::vector<double> standard_error) {
-  ++num_estimates_;
-  report_.standard_error = std::move(standard_error);
-}
-
-bool SolveRun::Record(double loss, std::span<const double> z) {
-  report_.losses.push_back(loss);
-  if (options_.keep_iterates) report_.iterates.emplace_back(z.begin(), z.end());
-  if (shooting_.stopped()) return false;
-  return !options_.callback || options_.callback(num_recorded() - 1, loss);
-}
-
-SolveReport SolveRun::Finish(std::span<const double> z, Termination termination, std::string reason,
-                             std::optional<double> final_loss) {
-  // Stopped in the middle of an iteration, an algorithm sees evaluations that fail.
-  if (shooting_.stopped() && termination != Termination::kConverged) {
-    termination = Termination::kInterrupted;
-    reason.clear();
-  }
-  if (termination == Termination::kConverged) {
-    if (const std::string pockets = DescribePockets(z); !pockets.empty()) {
-      reason += (reason.empty() ? "" : ": ") + pockets;
-    }
-  }
-  report_.termination = termination;
-  report_.reason = std::move(reason);
-  const std::string why = termination == Termination::kFailed ? shooting_.WhyFailed() : "";
-  if (!why.empty()) report_.reason += (report_.reason.empty() ? "" : ": ") + why;
-  if (!report_.losses.empty()) {
-    report_.initial_loss = report_.losses.front();
-    report_.final_loss = final_loss.value_or(report_.losses.back());
-    report_.iterations = num_recorded() - 1;
-  }
-  report_.evaluations = shooting_.num_adjoints() + num_estimates_;
-  report_.initial_state = shooting_.InitialStateAt(z);
-  report_.control = shooting_.ControlAt(z);
-  report_.durations = shooting_.DurationsAt(z);
-  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
-  return std::move(report_);
-}
-
-std::string SolveRun::DescribePockets(std::span<const double> z) {
+std::string SolveRun::RemarkOn(std::span<const double> z, Termination termination) {
   const Scene& scene = shooting_.scene();
   double loss = 0;
-  if (scene.pockets.empty() || !shooting_.Evaluate(z, &loss, nullptr)) return "";
+  if (termination != Termination::kConverged || scene.pockets.empty() || !shooting_.Evaluate(z, &loss, nullptr)) {
+    return "";
+  }
   std::string in_pockets;
   for (const Event& event : EventsOf(shooting_.simulator())) {
     const bool counts = event.mode == ContactMode::kPocketed &&

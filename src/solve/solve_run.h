@@ -13,13 +13,15 @@
 
 namespace saltus {
 
-class SolveRun {
+// Around an algorithm that minimises any function by shooting.
+class ShootingRun {
  public:
-  // The clock of the report starts here. Preconditions as those of MakeSimulator.
-  SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
-  SolveRun(const SolveRun&) = delete;  // its simulator asks it when to stop
+  // The clock of the report starts here. Both outlive it.
+  ShootingRun(std::string_view solver, const SolverOptions& options);
+  ShootingRun(const ShootingRun&) = delete;  // its function asks it when to stop
+  virtual ~ShootingRun() = default;
 
-  SingleShooting& shooting() { return shooting_; }
+  virtual ShootingFunction& function() = 0;
   const SolverOptions& options() const { return options_; }
   // The decision variables to start from.
   const std::vector<double>& initial_guess() const { return guess_; }
@@ -35,16 +37,33 @@ class SolveRun {
   SolveReport Finish(std::span<const double> z, Termination termination, std::string reason = {},
                      std::optional<double> final_loss = {});
 
- private:
-  // Which discs of terminal terms lie in a pocket at the end of the motion from z, in words; empty if none does.
-  std::string DescribePockets(std::span<const double> z);
+ protected:
+  // What is to be said of the motion from z, where a run has ended so; empty if nothing is.
+  virtual std::string RemarkOn(std::span<const double> z, Termination termination) = 0;
 
-  std::chrono::steady_clock::time_point start_;
   const SolverOptions& options_;
   SolveReport report_;
-  int num_estimates_ = 0;
-  SingleShooting shooting_;
   std::vector<double> guess_;
+
+ private:
+  std::chrono::steady_clock::time_point start_;
+  int num_estimates_ = 0;
+};
+
+// The same for a scene.
+class SolveRun final : public ShootingRun {
+ public:
+  // Preconditions as those of MakeSimulator.
+  SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
+
+  SingleShooting& shooting() { return shooting_; }
+  ShootingFunction& function() override { return shooting_; }
+
+ private:
+  // Which discs of terminal terms lie in a pocket at the end, of a run that has converged.
+  std::string RemarkOn(std::span<const double> z, Termination termination) override;
+
+  SingleShooting shooting_;
 };
 
 // Which bounds on the control a solver keeps.

@@ -299,6 +299,10 @@ TEST(HybridSimulator, GuardAtZeroAtTheStart) {
   ASSERT_EQ(simulator.events().size(), 1u) << "falling: an event at once";
   EXPECT_EQ(simulator.events()[0].time, 0);
   ExpectNumbers(simulator.events()[0].after, {0, 0.7}, 1e-15);
+  // From y0 > 0 the ball falls for y0 / 1 m/s first: dv+/dy0 = e g, and the flight behind it is that much shorter.
+  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("event at the start"));
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], 0.7 * 9.8 * 0.1 - 0.7 + 9.8 * 0.1, 1e-13);
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 0.7 * 9.8 + 9.8, 1e-12);
   ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .parameters = {9.8, 0.7}, .duration = 0.1}));
   EXPECT_THAT(simulator.events(), IsEmpty()) << "rising";
 }

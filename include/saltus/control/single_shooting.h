@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "saltus/control/objective.h"
+#include "saltus/control/shooting_function.h"
 #include "saltus/dynamics/simulator.h"
 
 namespace saltus {
@@ -27,7 +28,7 @@ class WayCosts;
 // The loss has all terms of the objective that are not hard. Running and via terms are exact in exact dynamics (the
 // event-driven model in double precision); of other models they are the trapezoidal rule on the model's own steps, and
 // via terms read states in between linearly.
-class SingleShooting {
+class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
   // The simulator of the scene with another duration.
@@ -38,7 +39,7 @@ class SingleShooting {
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
                           OfDuration of_duration = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
-  ~SingleShooting();
+  ~SingleShooting() override;
 
   const Scene& scene() const { return simulator_->scene(); }
   const Simulator& simulator() const { return *simulator_; }
@@ -49,42 +50,42 @@ class SingleShooting {
     stop_ = stop;
     simulator_->set_stop(std::move(stop));
   }
-  bool stopped() const { return simulator_->stopped(); }
-  int num_variables() const { return static_cast<int>(guess_.size()); }
-  const std::vector<double>& initial_guess() const { return guess_; }
+  bool stopped() const override { return simulator_->stopped(); }
+  int num_variables() const override { return static_cast<int>(guess_.size()); }
+  const std::vector<double>& initial_guess() const override { return guess_; }
 
   // The loss at z, and its gradient (num_variables() numbers) unless null. False if rollout or loss are not
   // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic
   // differentiation in float would leave it.
-  bool Evaluate(std::span<const double> z, double* loss, double* gradient);
+  bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
 
   // Why the last evaluation returned false; empty if it did not, or was stopped.
-  std::string WhyFailed() const;
+  std::string WhyFailed() const override;
 
   // The residuals of all terms but the effort and the price of time at z, num_residuals() of them, and their Jacobian
   // with respect to z (rows x num_variables(), row-major), unless null: one adjoint a residual. False as above.
   // Precondition: the objective is a sum of squares.
-  int num_residuals() const;
-  bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian);
+  int num_residuals() const override;
+  bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
 
   // That Jacobian where the last evaluation, which returned true, has been: without another rollout. Without meaning if
   // stopped().
-  void ResidualJacobian(double* jacobian);
+  void ResidualJacobian(double* jacobian) override;
 
   // The loss at z and its derivatives with respect to everything: initial state, control (effort included), parameters.
   // False as above.
   bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
 
   // The initial state and the control (K x C x 2) that z stands for.
-  std::vector<double> InitialStateAt(std::span<const double> z) const;
-  std::vector<double> ControlAt(std::span<const double> z) const;
+  std::vector<double> InitialStateAt(std::span<const double> z) const override;
+  std::vector<double> ControlAt(std::span<const double> z) const override;
   // Whether the last variable is the final time; then the lengths of the steps, else nothing.
   bool has_duration() const { return of_duration_ != nullptr; }
-  std::vector<double> DurationsAt(std::span<const double> z) const;
+  std::vector<double> DurationsAt(std::span<const double> z) const override;
 
   // How often a rollout and an adjoint have been computed.
   int num_rollouts() const { return num_rollouts_; }
-  int num_adjoints() const { return num_adjoints_; }
+  int num_adjoints() const override { return num_adjoints_; }
 
  private:
   bool Rollout(std::span<const double> z);

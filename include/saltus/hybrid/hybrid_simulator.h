@@ -90,11 +90,12 @@ struct HybridCotangent {
   std::vector<double> event_times;                 // by the time of each event
 };
 
-// The derivatives of final state and events; row-major, D = n0 + K m + P + 1 columns [initial control parameters
+// The derivatives of states and events; row-major, D = n0 + K m + P + 1 columns [initial control parameters
 // duration].
 struct HybridSensitivity {
   int columns = 0;
   std::vector<double> final_state;         // (size of the final state) x D
+  std::vector<std::vector<double>> nodes;  // of the states at the beginning of each control interval
   std::vector<std::vector<double>> after;  // of the states after the events, at the events' own times
   std::vector<std::vector<double>> times;  // of the times of the events, D each
 };
@@ -130,7 +131,7 @@ class HybridSimulator {
   std::span<const double> StepState(int step) const;
 
   // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, ties, an
-  // event at the final time or where the control jumps, a reset onto another guard.
+  // event at the start, at the final time or where the control jumps, a reset onto another guard.
   std::string WhyNotDifferentiable() const;
 
   // Steps in a control interval, after the first rollout.

@@ -112,6 +112,7 @@ struct BestIterate {
   std::vector<double> initial_state;  // B x 4; this and the control are left out if it is the one that is returned
   std::vector<double> control;        // K x C x 2
   std::vector<double> durations;      // as of SolveReport
+  std::vector<double> parameters;     // as of SolveReport
 };
 
 // kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of
@@ -145,6 +146,8 @@ struct SolveReport {
   std::vector<double> initial_state;       // B x 4
   std::vector<double> control;             // K x C x 2
   std::vector<double> durations;           // of the K control intervals, s; none if they are equal
+  std::vector<double> parameters;          // of a hybrid system
+  double integration_error = 0;            // of a hybrid system: relative, of final state and event times
   std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
   std::optional<Searched> searched;        // of mode_search

@@ -1,0 +1,83 @@
+// What a user asks of the motion of a hybrid system: costs and constraints as functions for Ceres, and what may be
+// changed for them.
+//
+//   HybridProblem problem{.system = HybridSystem(BouncingBall()),
+//                         .guess = {.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 50}};
+//   problem.terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeTerminalCost(1, 0.0, 100.0, 2), MakeEffortCost(1.0 / 32,
+//   1)}; problem.free.control = true; const SolveReport report = Solve("ceres_lbfgs", problem, {});
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace ceres {
+class CostFunction;
+}
+
+namespace saltus {
+
+struct HybridTerm {
+  enum class At { kEachInterval, kEvent, kEnd };
+  // Of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
+  enum class Role { kCost, kEquality, kInequality };
+
+  std::string name = "term";  // for messages
+  At at = At::kEnd;
+  Role role = Role::kCost;
+  // kEvent: of events of this guard in this mode, both given; otherwise the mode in which the term counts, or any mode.
+  // At the end of a motion that ends in another mode than the one given, there is no loss.
+  int mode = -1;
+  int guard = -1;
+  bool before = false;  // kEvent: the state before the reset, in the place of that after it
+
+  // The function's parameter blocks, in this order:
+  //   the state at the beginning of the interval, at the event, or at the final time after events there; if asked for
+  bool with_state = false;
+  //   the control of the interval; kEachInterval only
+  bool with_control = false;
+  //   all parameters of the system
+  bool with_parameters = false;
+  //   the time at which it is evaluated (1 number)
+  bool with_time = false;
+  //   the length of the interval (1 number); kEachInterval only
+  bool with_length = false;
+
+  // Must not keep state.
+  std::shared_ptr<const ceres::CostFunction> function = nullptr;
+};
+
+// weight (x_i - target)^2 at the end, of a state of `state_size` numbers; mode as of HybridTerm.
+HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode = -1);
+// weight int |u|^2 dt, of a control of `num_controls` numbers.
+HybridTerm MakeEffortCost(double weight, int num_controls);
+// weight T of the final time T.
+HybridTerm MakeDurationCost(double weight);
+
+// What solvers may change, from the values of the guess. Bounds: none, or one number for each of what they bound.
+struct HybridFree {
+  bool control = false;
+  std::vector<double> control_min = {}, control_max = {};  // of each of the m controls, in all intervals
+  std::vector<int> initial = {};                           // components of the initial state
+  std::vector<double> initial_min = {}, initial_max = {};  // of each of these
+  std::vector<int> parameters = {};
+  std::vector<double> parameters_min = {}, parameters_max = {};
+  bool duration = false;
+  double duration_min = 0, duration_max = std::numeric_limits<double>::infinity();
+};
+
+struct HybridProblem {
+  HybridSystem system;
+  HybridInput guess;
+  std::vector<HybridTerm> terms = {};
+  HybridFree free = {};
+  HybridOptions integration = {};
+};
+
+// As "found x, expected y"; empty if nothing is.
+std::string WhatIsWrongWith(const HybridProblem& problem);
+
+}  // namespace saltus

@@ -1,0 +1,79 @@
+// Single shooting of a hybrid system. Decision variables, those of them that are free: the control (K x m), components
+// of the initial state, parameters, the duration.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/control/shooting_function.h"
+#include "saltus/hybrid/hybrid_problem.h"
+
+namespace saltus {
+
+class HybridShooting final : public ShootingFunction {
+ public:
+  // Precondition: WhatIsWrongWith(problem) is empty.
+  explicit HybridShooting(const HybridProblem& problem);
+
+  const HybridProblem& problem() const { return problem_; }
+  HybridSimulator& simulator() { return simulator_; }
+  void set_stop(std::function<bool()> stop) { stop_ = std::move(stop); }
+
+  int num_variables() const override { return static_cast<int>(guess_.size()); }
+  const std::vector<double>& initial_guess() const override { return guess_; }
+  bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
+  std::string WhyFailed() const override { return why_; }
+  bool stopped() const override { return stopped_; }
+
+  // Costs at events are no part of them: their number changes with the motion.
+  int num_residuals() const override { return num_residuals_; }
+  bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
+  void ResidualJacobian(double* jacobian) override;
+
+  std::vector<double> InitialStateAt(std::span<const double> z) const override { return InputAt(z).initial; }
+  std::vector<double> ControlAt(std::span<const double> z) const override { return InputAt(z).control; }
+  std::vector<double> DurationsAt(std::span<const double> z) const override;
+  std::vector<double> ParametersAt(std::span<const double> z) const override { return InputAt(z).parameters; }
+  int num_adjoints() const override { return num_adjoints_; }
+
+  HybridInput InputAt(std::span<const double> z) const;
+  // The bounds of each variable, infinite where there are none.
+  const std::vector<double>& lower() const { return lower_; }
+  const std::vector<double>& upper() const { return upper_; }
+
+ private:
+  // Where a term is evaluated in the motion, and what of it the function reads.
+  struct Place {
+    const HybridTerm* term;
+    int interval = -1, event = -1;  // neither: the end
+    std::span<const double> state;
+    double time = 0;
+    int first_row = 0;
+  };
+  // Residuals and Jacobians at a place, one matrix (rows x size, row-major) for each block.
+  struct Values {
+    std::vector<double> residuals;
+    std::vector<std::vector<double>> jacobians;
+  };
+
+  bool Rollout(std::span<const double> z);
+  // Every place of a cost. False if one has no meaning in this motion.
+  bool FindPlaces();
+  bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
+
+  const HybridProblem problem_;
+  HybridSimulator simulator_;
+  std::function<bool()> stop_;
+  bool stopped_ = false;
+  std::vector<double> guess_, lower_, upper_;
+  HybridInput input_;  // of the last rollout
+  std::vector<Place> places_;
+  int num_residuals_ = 0;
+  std::string why_;
+  int num_adjoints_ = 0;
+};
+
+}  // namespace saltus

@@ -1,0 +1,165 @@
+#include "saltus/hybrid/hybrid_problem.h"
+
+#include <ceres/autodiff_cost_function.h>
+#include <ceres/cost_function.h>
+#include <ceres/dynamic_autodiff_cost_function.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace saltus {
+namespace {
+
+// sqrt(weight) (x_i - target), of a state of a size that is known as the program runs.
+struct Miss {
+  int component;
+  double target, root;
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* residuals) const {
+    residuals[0] = root * (blocks[0][component] - target);
+    return true;
+  }
+};
+
+// sqrt(weight h) u.
+struct Effort {
+  int size;
+  double weight;
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* residuals) const {
+    using std::sqrt;
+    const T scale = sqrt(weight * blocks[1][0]);
+    for (int i = 0; i < size; ++i) residuals[i] = scale * blocks[0][i];
+    return true;
+  }
+};
+
+struct Price {
+  double weight;
+
+  template <typename T>
+  bool operator()(const T* time, T* residual) const {
+    using std::sqrt;
+    residual[0] = sqrt(weight * time[0]);
+    return true;
+  }
+};
+
+std::string Number(int number) { return std::to_string(number); }
+
+// The sizes of the function's blocks, of a term that reads states of `state_size` numbers.
+std::vector<int> BlocksOf(const HybridTerm& term, const HybridSystem& system, int state_size) {
+  std::vector<int> sizes;
+  if (term.with_state) sizes.push_back(state_size);
+  if (term.with_control) sizes.push_back(system.num_controls());
+  if (term.with_parameters) sizes.push_back(system.num_parameters());
+  if (term.with_time) sizes.push_back(1);
+  if (term.with_length) sizes.push_back(1);
+  return sizes;
+}
+
+std::string WhatIsWrongWith(const HybridTerm& term, const HybridSystem& system) {
+  if (term.function == nullptr) return "found no function";
+  const bool of_events = term.at == HybridTerm::At::kEvent;
+  if (term.mode < (of_events ? 0 : -1) || term.mode >= system.num_modes()) {
+    return "found mode " + Number(term.mode) + ", expected " + (of_events ? "0" : "-1") + " to " +
+           Number(system.num_modes() - 1);
+  }
+  if (of_events && (term.guard < 0 || term.guard >= system.num_guards(term.mode))) {
+    return "found guard " + Number(term.guard) + ", expected 0 to " + Number(system.num_guards(term.mode) - 1);
+  }
+  if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
+    return "only a term of each interval reads a control or a length";
+  }
+  // The size of a state in any mode is that of the function's block; that after an event is known with the event.
+  const std::vector<int>& found = term.function->parameter_block_sizes();
+  int size = found.empty() ? 0 : found[0];
+  if (term.mode >= 0 && (!of_events || term.before)) size = system.state_size(term.mode);
+  if (found == BlocksOf(term, system, size)) return "";
+  std::string expected, have;
+  for (const int block : BlocksOf(term, system, size)) expected += " " + Number(block);
+  for (const int block : found) have += " " + Number(block);
+  return "found a function of blocks of sizes" + have + ", expected" + expected;
+}
+
+std::string WhatIsWrongWithBounds(const std::vector<double>& min, const std::vector<double>& max, std::size_t count,
+                                  const char* of) {
+  for (const std::vector<double>* bounds : {&min, &max}) {
+    if (bounds->empty() || bounds->size() == count) continue;
+    return "found " + std::to_string(bounds->size()) + " bounds of the " + of + ", expected " + std::to_string(count);
+  }
+  for (std::size_t i = 0; i < std::min(min.size(), max.size()); ++i) {
+    if (!(min[i] <= max[i])) return std::string("found a lower bound of the ") + of + " above the upper one";
+  }
+  return "";
+}
+
+std::string WhatIsWrongWithIndices(const std::vector<int>& indices, std::size_t count, const char* of) {
+  for (std::size_t i = 0; i < indices.size(); ++i) {
+    if (indices[i] < 0 || indices[i] >= static_cast<int>(count)) {
+      return "found number " + Number(indices[i]) + " of the " + of + ", expected 0 to " +
+             Number(static_cast<int>(count) - 1);
+    }
+    if (std::count(indices.begin(), indices.end(), indices[i]) > 1) {
+      return "found number " + Number(indices[i]) + " of the " + of + " twice";
+    }
+  }
+  return "";
+}
+
+}  // namespace
+
+HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
+  auto function =
+      std::make_shared<ceres::DynamicAutoDiffCostFunction<Miss, 4>>(new Miss{component, target, std::sqrt(weight)});
+  function->AddParameterBlock(state_size);
+  function->SetNumResiduals(1);
+  return {.name = "terminal cost of component " + Number(component),
+          .mode = mode,
+          .with_state = true,
+          .function = std::move(function)};
+}
+
+HybridTerm MakeEffortCost(double weight, int num_controls) {
+  auto function = std::make_shared<ceres::DynamicAutoDiffCostFunction<Effort, 4>>(new Effort{num_controls, weight});
+  function->AddParameterBlock(num_controls);
+  function->AddParameterBlock(1);
+  function->SetNumResiduals(num_controls);
+  return {.name = "effort",
+          .at = HybridTerm::At::kEachInterval,
+          .with_control = true,
+          .with_length = true,
+          .function = std::move(function)};
+}
+
+HybridTerm MakeDurationCost(double weight) {
+  return {.name = "final time",
+          .with_time = true,
+          .function = std::make_shared<ceres::AutoDiffCostFunction<Price, 1, 1>>(new Price{weight})};
+}
+
+std::string WhatIsWrongWith(const HybridProblem& problem) {
+  const HybridSystem& system = problem.system;
+  const HybridFree& free = problem.free;
+  if (std::string wrong = WhatIsWrongWith(problem.guess, system); !wrong.empty()) return wrong;
+  for (const HybridTerm& term : problem.terms) {
+    if (std::string wrong = WhatIsWrongWith(term, system); !wrong.empty()) return term.name + ": " + wrong;
+  }
+  if (free.control && system.num_controls() == 0) return "the system has no control to optimise";
+  for (const std::string& wrong :
+       {WhatIsWrongWithIndices(free.initial, problem.guess.initial.size(), "initial state"),
+        WhatIsWrongWithIndices(free.parameters, system.num_parameters(), "parameters"),
+        WhatIsWrongWithBounds(free.control_min, free.control_max, system.num_controls(), "control"),
+        WhatIsWrongWithBounds(free.initial_min, free.initial_max, free.initial.size(), "initial state"),
+        WhatIsWrongWithBounds(free.parameters_min, free.parameters_max, free.parameters.size(), "parameters")}) {
+    if (!wrong.empty()) return wrong;
+  }
+  if (free.duration && !(free.duration_min <= free.duration_max)) {
+    return "found a lower bound of the duration above the upper one";
+  }
+  return "";
+}
+
+}  // namespace saltus

@@ -1,0 +1,263 @@
+// Losses of hybrid systems, their gradients, and solvers by single shooting on problems whose optima are known.
+#include "saltus/hybrid/hybrid_problem.h"
+
+#include <ceres/autodiff_cost_function.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <numeric>
+#include <vector>
+
+#include "control/hybrid_shooting.h"
+#include "hybrid/reference_systems.h"
+#include "saltus/solve/hybrid_solver.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+SolverOptions Iterations(int iterations) {
+  SolverOptions options;
+  options.iterations = iterations;
+  return options;
+}
+
+// Of state (2), parameters (2) and time.
+struct OfEvents {
+  template <typename T>
+  bool operator()(const T* x, const T* p, const T* t, T* residuals) const {
+    residuals[0] = 0.3 * x[1] + p[1] * t[0];
+    residuals[1] = 0.2 + t[0] * t[0];
+    return true;
+  }
+};
+
+// Of state (2), control (1), parameters (2), time and length.
+struct OfIntervals {
+  template <typename T>
+  bool operator()(const T* x, const T* u, const T* p, const T* t, const T* h, T* residual) const {
+    residual[0] = h[0] * (x[0] * u[0] + 0.1 * p[0] - t[0] * x[1]);
+    return true;
+  }
+};
+
+HybridProblem BallWithAllKindsOfTerms() {
+  HybridProblem problem{.system = HybridSystem(BouncingBall()),
+                        .guess = {.initial = {1.3, 0.4},
+                                  .parameters = {9.81, 0.8},
+                                  .duration = 2,
+                                  .num_intervals = 7,
+                                  .control = {1, -2, 0.5, 3, -1, 2, 0.7}}};
+  problem.terms = {MakeTerminalCost(0, 1.0, 3.0, 2),
+                   MakeTerminalCost(1, -0.5, 0.7, 2, 0),
+                   MakeEffortCost(0.1, 1),
+                   MakeDurationCost(0.4)};
+  HybridTerm events{.name = "events",
+                    .at = HybridTerm::At::kEvent,
+                    .mode = 0,
+                    .guard = 0,
+                    .with_state = true,
+                    .with_parameters = true,
+                    .with_time = true};
+  events.function = std::make_shared<ceres::AutoDiffCostFunction<OfEvents, 2, 2, 2, 1>>(new OfEvents);
+  problem.terms.push_back(events);
+  events.before = true;
+  problem.terms.push_back(events);
+  HybridTerm intervals{.name = "intervals",
+                       .at = HybridTerm::At::kEachInterval,
+                       .with_state = true,
+                       .with_control = true,
+                       .with_parameters = true,
+                       .with_time = true,
+                       .with_length = true};
+  intervals.function = std::make_shared<ceres::AutoDiffCostFunction<OfIntervals, 1, 2, 1, 2, 1, 1>>(new OfIntervals);
+  problem.terms.push_back(intervals);
+  problem.free = {.control = true, .initial = {1, 0}, .parameters = {1, 0}, .duration = true};
+  return problem;
+}
+
+TEST(HybridShooting, GradientAgreesWithDifferences) {
+  HybridShooting shooting(BallWithAllKindsOfTerms());
+  ASSERT_EQ(shooting.num_variables(), 12);
+  std::vector<double> z = shooting.initial_guess(), gradient(12);
+  double loss = 0;
+  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.WhyFailed();
+  EXPECT_EQ(shooting.simulator().events().size(), 2u);
+  for (int i = 0; i < 12; ++i) {
+    const double width = 1e-3, at = z[i];
+    double values[4];
+    const double places[] = {-2, -1, 1, 2};
+    for (int j = 0; j < 4; ++j) {
+      z[i] = at + places[j] * width;
+      ASSERT_TRUE(shooting.Evaluate(z, &values[j], nullptr));
+    }
+    z[i] = at;
+    const double difference = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * width);
+    EXPECT_NEAR(gradient[i], difference, 1e-8 * std::max(1.0, std::abs(difference))) << i;
+  }
+}
+
+// 2 J' r is the gradient, of all that is no cost at events.
+TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  std::erase_if(problem.terms, [](const HybridTerm& term) { return term.at == HybridTerm::At::kEvent; });
+  HybridShooting shooting(problem);
+  const int rows = shooting.num_residuals(), columns = shooting.num_variables();
+  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 7);
+  std::vector<double> residuals(rows), jacobian(rows * columns), gradient(columns);
+  double loss = 0;
+  ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
+  ASSERT_TRUE(shooting.EvaluateResiduals(shooting.initial_guess(), residuals.data(), jacobian.data()));
+  EXPECT_NEAR(std::inner_product(residuals.begin(), residuals.end(), residuals.begin(), 0.0), loss, 1e-12 * loss);
+  for (int j = 0; j < columns; ++j) {
+    double sum = 0;
+    for (int i = 0; i < rows; ++i) sum += 2 * residuals[i] * jacobian[i * columns + j];
+    EXPECT_NEAR(sum, gradient[j], 1e-11 * std::max(1.0, std::abs(sum))) << j;
+  }
+}
+
+// The example of the sensitivity tutorials whose published answer, 0.8666 with loss 0.3995, is a local minimum.
+TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
+  HybridProblem problem{.system = HybridSystem(BouncingBall()),
+                        .guess = {.initial = {50, 0}, .parameters = {9.8, 0.98}, .duration = 15},
+                        .terms = {MakeTerminalCost(0, 20.0, 1.0, 2)}};
+  problem.free.parameters = {1};
+  problem.free.parameters_min = {0.75};
+  problem.free.parameters_max = {1};
+  const SolveReport report = Solve("ceres_lm", problem, Iterations(50));
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.parameters[1], 0.988008392024876511903389, 1e-12);
+  EXPECT_LT(report.final_loss, 1e-18);
+  EXPECT_LT(report.integration_error, 1e-12);
+
+  problem.guess.parameters[1] = 0.866;
+  const SolveReport published = Solve("ceres_lm", problem, Iterations(200));
+  EXPECT_NEAR(published.parameters[1], 0.866554105436901, 1e-6);
+  EXPECT_NEAR(published.final_loss, 0.3995468507, 1e-9);
+}
+
+// int x^2 dt is the second component of the state; its root is the residual.
+struct RootOfIntegral {
+  template <typename T>
+  bool operator()(const T* x, T* residual) const {
+    using std::sqrt;
+    residual[0] = sqrt(x[1]);
+    return true;
+  }
+};
+
+TEST(HybridSolvers, FindTheStartOfTheSwitchedLine) {
+  HybridProblem problem{.system = HybridSystem(SwitchedLine()),
+                        .guess = {.initial = {-1, 0}, .duration = 2},
+                        .terms = {MakeTerminalCost(0, 5.0 / 3, 1.0, 2)}};
+  HybridTerm integral{.name = "integral", .with_state = true};
+  integral.function = std::make_shared<ceres::AutoDiffCostFunction<RootOfIntegral, 1, 2>>(new RootOfIntegral);
+  problem.terms.push_back(integral);
+  problem.free.initial = {0};
+  for (const char* solver : {"ceres_lbfgs", "ceres_lm", "gd"}) {
+    SolverOptions options = Iterations(400);
+    options.learning_rate = 0.3;
+    const SolveReport report = Solve(solver, problem, options);
+    EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, 1e-8) << solver << ": " << report.reason;
+    EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12) << solver;
+  }
+}
+
+// sqrt(20) (H - 0.6) with the height H of the hop, of a hopper in flight.
+struct HopHeight {
+  template <typename T>
+  bool operator()(const T* x, T* residual) const {
+    const TwoMassHopper hopper;
+    const double m = hopper.m1 + hopper.m2;
+    const T v = (hopper.m1 * x[1] + hopper.m2 * x[3]) / m;
+    const T height = (hopper.m1 * x[0] + hopper.m2 * x[2]) / m + v * v / (2 * hopper.g);
+    residual[0] = std::sqrt(20.0) * (height - 0.6);
+    return true;
+  }
+};
+
+TEST(HybridSolvers, FindTheHopOfTwoMasses) {
+  HybridProblem problem{.system = HybridSystem(TwoMassHopper()),
+                        .guess = {.initial = {0.6, 0, 0.1, 0, 0.5}, .duration = 0.5, .num_intervals = 20},
+                        .terms = {MakeEffortCost(1.0, 1)}};
+  HybridTerm hop{.name = "height", .mode = TwoMassHopper::kFlight, .with_state = true};
+  hop.function = std::make_shared<ceres::AutoDiffCostFunction<HopHeight, 1, 5>>(new HopHeight);
+  problem.terms.push_back(hop);
+  problem.free.control = true;
+  const std::vector<double> best = {0.1164174207551,
+                                    0.0801219615391,
+                                    -0.0119226503213,
+                                    -0.0923679615707,
+                                    -0.1023526529555,
+                                    -0.0345374087872,
+                                    0.0696361221565,
+                                    0.1786793144343,
+                                    0.2752827807502,
+                                    0.3445477489516,
+                                    0.3757917557821,
+                                    0.3641961611176,
+                                    0.3115493078559,
+                                    0.2259707128343,
+                                    0.1206588257252,
+                                    0.0196860350607,
+                                    0,
+                                    0,
+                                    0,
+                                    0};
+  for (const char* solver : {"ceres_lbfgs", "ceres_lm"}) {
+    const SolveReport report = Solve(solver, problem, Iterations(200));
+    EXPECT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
+    EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << solver;
+    ASSERT_EQ(report.control.size(), best.size());
+    for (size_t i = 0; i < best.size(); ++i) EXPECT_NEAR(report.control[i], best[i], 1e-7) << solver << " " << i;
+  }
+}
+
+// On a fixed grid every local minimum of the ball of hybrid iLQR has its impact where the control jumps.
+TEST(HybridSolvers, NameTheKinkTheyStopAt) {
+  HybridProblem problem{
+      .system = HybridSystem(BouncingBall()),
+      .guess = {.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 50},
+      .terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeTerminalCost(1, 0.0, 100.0, 2), MakeEffortCost(1.0 / 32, 1)}};
+  problem.free.control = true;
+  const SolveReport report = Solve("ceres_lbfgs", problem, Iterations(1000));
+  EXPECT_NE(report.termination, Termination::kConverged);
+  EXPECT_GE(report.final_loss, 2.1976626506629637918 - 1e-12) << "no motion on this grid is better";
+  EXPECT_LT(report.final_loss, 2.6);
+  EXPECT_THAT(report.reason, HasSubstr("has an event at t = 0.7, where the control jumps"));
+}
+
+TEST(HybridSolvers, SayWhatTheyCannotTake) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is a cost at events"));
+  EXPECT_THAT(Solve("newton", problem, {}).reason, HasSubstr("found 'newton', expected a solver"));
+  problem.free.parameters_min = {0.1, 9};
+  EXPECT_THAT(Solve("ceres_lbfgs", problem, {}).reason, HasSubstr("bounds"));
+  problem.terms[0].role = HybridTerm::Role::kEquality;
+  EXPECT_THAT(Solve("gd", problem, {}).reason, HasSubstr("terminal cost of component 0 is a constraint"));
+  EXPECT_EQ(Solve("gd", problem, {}).termination, Termination::kNotApplicable);
+}
+
+TEST(HybridProblem, SaysWhatIsWrong) {
+  const HybridProblem right = BallWithAllKindsOfTerms();
+  EXPECT_EQ(WhatIsWrongWith(right), "");
+  const auto with = [&](auto change) {
+    HybridProblem problem = right;
+    change(&problem);
+    return WhatIsWrongWith(problem);
+  };
+  EXPECT_EQ(with([](HybridProblem* p) { p->terms[0].function = nullptr; }),
+            "terminal cost of component 0: found no function");
+  EXPECT_EQ(with([](HybridProblem* p) { p->terms[1].with_time = true; }),
+            "terminal cost of component 1: found a function of blocks of sizes 2, expected 2 1");
+  EXPECT_EQ(with([](HybridProblem* p) { p->terms[4].guard = 1; }), "events: found guard 1, expected 0 to 0");
+  EXPECT_EQ(with([](HybridProblem* p) { p->free.initial = {2}; }),
+            "found number 2 of the initial state, expected 0 to 1");
+  EXPECT_EQ(with([](HybridProblem* p) { p->free.control_min = {1, 2}; }), "found 2 bounds of the control, expected 1");
+}
+
+}  // namespace
+}  // namespace saltus
