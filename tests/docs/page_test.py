@@ -181,8 +181,7 @@ def main():
     sys.dont_write_bytecode = True
     os.environ["MPLBACKEND"] = "agg"
     failures = []
-    for page in arguments.pages:
-        page = page.resolve()
+    for page in [page.resolve() for page in arguments.pages]:
         if "```python" in page.read_text(encoding="utf-8") and not list((build / "python" / "saltus").glob("_saltus.*")):
             print(f"{page.name}: the Python module is not built")
             return 77
