@@ -46,8 +46,9 @@ def keep_lines(app, what, name, obj, options, lines):  # pylint: disable=too-man
     """What help(saltus) prints is plain text."""
     if what == "module":
         lines[:] = ["::", ""] + ["   " + line for line in lines] + [""]
-    else:  # an argument list may have a bare *
-        lines[:] = [line.replace(" *,", " \\*,").replace("(*", "(\\*") for line in lines]
+    else:  # a * outside of ``code`` is one
+        lines[:] = ["``".join(part if k % 2 else re.sub(r"\*", r"\\*", part) for k, part in enumerate(line.split("``")))
+                    for line in lines]
 
 
 def setup(app):
