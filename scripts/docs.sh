@@ -10,7 +10,7 @@ output=${output:-$PWD/build/docs/html}
 
 scripts/install_packages.sh python3-sphinx python3-myst-parser furo doxygen
 work=$PWD/build/docs
-rm -rf "$work" "$output"
+rm -rf "$work"
 mkdir -p "$work/doxygen/cpp"
 # Comments are // in this project; the filter makes those of Doxygen's kind.
 printf '#!/bin/sh\nexec sed -E "s,^([[:space:]]*)//([[:space:]]|$),\\1///\\2," "$1"\n' >"$work/filter.sh"
