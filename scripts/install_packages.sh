@@ -13,6 +13,8 @@ packages=(
   python3-dev pybind11-dev python3-numpy # the Python module
   python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch and mypy are skipped without
   python3-nbclient python3-ipykernel # the example notebook
+  python3-jsonschema codespell # the tests of schemas/ and docs/
+  dpkg-dev python3-pip python3-setuptools python3-wheel # the test of packages
   "$@"
 )
 

@@ -1,4 +1,4 @@
-"""The examples of the notebook, of the documentation and of docstrings run, and say what they should."""
+"""The examples of the notebook and of docstrings run, and say what they should."""
 
 import doctest
 import importlib.util
@@ -12,7 +12,6 @@ import saltus
 
 EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
 ROOT = pathlib.Path(__file__).parents[2]
-PAGE = ROOT / "docs/explanation/simulators.md"
 
 
 def printed_in(notebook):
@@ -44,14 +43,6 @@ def test_own_simulator(tmp_path, monkeypatch):
     assert "WrongGradient: mine: the gradient is wrong" in printed
     optimised, optimum = map(float, re.search(r"-> (\S+); the optimum is (\S+)", printed).groups())
     assert optimum < optimised < optimum + 0.05
-
-
-def test_ten_lines_of_the_documentation(monkeypatch):
-    text = PAGE.read_text(encoding="utf-8")
-    code, said = re.search(r"```python\n(import numpy as np, saltus .*?)\n# WrongGradient: (.*?) \.\.\.\n```", text, re.S).groups()
-    monkeypatch.chdir(ROOT)
-    with pytest.raises(saltus.WrongGradient, match=re.escape(said)):
-        exec(code, {})  # pylint: disable=exec-used
 
 
 def test_examples_in_docstrings(monkeypatch):

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs the commands and the Python code of a page of documentation, and compares the output that the page shows.
 
-usage: page_test.py --build=DIR PAGE.md...
+usage: page_test.py --build=DIR [--update] PAGE.md...   --update: writes what is printed into the pages
 
   ```sh, ```python     run, in the order of the page, in a folder that has what the root of the sources has
   ```text, ```json     right after such a block, with no other block between: its standard output. Numbers agree if they
@@ -111,8 +111,8 @@ def blocks_of(text):
         yield match, notes, found[k + 1] if k + 1 < len(found) else None
 
 
-def run_page(page, build, folder):
-    text = page.read_text(encoding="utf-8")
+def run_page(page, build, folder, update):
+    text, shown = page.read_text(encoding="utf-8"), []
     try:
         name = page.resolve().relative_to(SOURCE)
     except ValueError:
@@ -157,8 +157,15 @@ def run_page(page, build, folder):
             between = text[match.end() : following.start()]
             if "\n#" not in between:
                 wrong = difference(following["text"], printed)
+                if wrong and update:
+                    shown.append((following.start("text"), following.end("text"), printed.rstrip("\n") + "\n"))
+                    continue
                 if wrong:
                     failures.append(f"{name}:{line}: {match['text'].strip()}\n  {wrong}\n--- printed\n{printed}---")
+    for begin, end, printed in reversed(shown):
+        text = text[:begin] + printed + text[end:]
+    if shown:
+        page.write_text(text, encoding="utf-8")
     print(f"{name}: {ran} blocks ran, {len(failures)} failed")
     return failures
 
@@ -166,6 +173,7 @@ def run_page(page, build, folder):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--build", type=pathlib.Path, required=True)
+    parser.add_argument("--update", action="store_true")
     parser.add_argument("pages", type=pathlib.Path, nargs="+")
     arguments = parser.parse_args()
     build = arguments.build.resolve()
@@ -173,20 +181,21 @@ def main():
     sys.dont_write_bytecode = True
     os.environ["MPLBACKEND"] = "agg"
     failures = []
-    for page in arguments.pages:
-        page = page.resolve()
+    for page in [page.resolve() for page in arguments.pages]:
         if "```python" in page.read_text(encoding="utf-8") and not list((build / "python" / "saltus").glob("_saltus.*")):
             print(f"{page.name}: the Python module is not built")
             return 77
         folder = pathlib.Path(tempfile.mkdtemp(prefix="saltus_page_"))
         try:
             for entry in SOURCE.iterdir():
-                if entry.name not in ("build", ".git", "report"):
+                if entry.name in ("problems", "data"):  # copies: commands may write there
+                    shutil.copytree(entry, folder / entry.name)
+                elif entry.name not in ("build", ".git", "report"):
                     (folder / entry.name).symlink_to(entry)
             (folder / "build").mkdir()
             (folder / "build" / "release").symlink_to(build)
             os.chdir(folder)
-            failures += run_page(page, build, folder)
+            failures += run_page(page, build, folder, arguments.update)
         finally:
             os.chdir("/")
             shutil.rmtree(folder)

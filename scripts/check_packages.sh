@@ -1,0 +1,64 @@
+#!/usr/bin/env bash
+# usage: scripts/check_packages.sh [build folder]
+# Makes the Debian packages and the Python wheel from a build (build/release unless given), unpacks them into a clean folder
+# and runs the examples of the README with the unpacked programs, the unpacked library and the unpacked module.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+source=$PWD
+build=$(realpath "${1:-build/release}")
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+mkdir "$work/made" "$work/root" "$work/site" "$work/user"
+
+(cd "$build" && cpack -B "$work/made") >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+programs=("$work"/made/saltus_*.deb) development=("$work"/made/libsaltus-dev_*.deb)
+for package in "${programs[0]}" "${development[0]}"; do
+  echo "== ${package##*/}: $(dpkg-deb --field "$package" Depends)"
+  dpkg-deb -x "$package" "$work/root"
+done
+
+echo "== the programs"
+scene=$work/root/usr/share/saltus/problems/two_balls.yaml
+cd "$work/user"
+"$work/root/usr/bin/saltus_audit" --scene="$scene" --contact=direct,toi_velocity,event --progress=none >audit.txt
+for line in "direct .*wrong" "toi_velocity .*consistent" "event .*right"; do
+  grep -qE "^$line" audit.txt || { cat audit.txt; echo "no verdict: $line"; exit 1; }
+done
+"$work/root/usr/bin/saltus_solve" --scene="$scene" --contact=event --solver=ceres_event --progress=none >solve.txt
+grep -q "1.396542489" solve.txt || { cat solve.txt; exit 1; }
+
+echo "== the library"
+# tests/consumer with the unpacked library, from which one of its programs is enough.
+cmake -S "$source/tests/consumer" -B consumer -DCMAKE_BUILD_TYPE=Release -DCMAKE_PREFIX_PATH="$work/root/usr" >log 2>&1 ||
+  { cat log; exit 1; }
+grep -q "saltus_DIR:PATH=$work/root" consumer/CMakeCache.txt || { echo "another saltus was found"; exit 1; }
+target=$(sed -nE 's/^add_executable\((\S+) main\.cc.*/\1/p' "$source/tests/consumer/CMakeLists.txt")
+cmake --build consumer --target "$target" >log 2>&1 || { tail -30 log; exit 1; }
+"./consumer/$target" "$scene"
+
+if ! compgen -G "$build/python/saltus/_saltus.*.so" >/dev/null; then
+  echo "== no wheel: the Python module is not built"
+  exit 0
+fi
+echo "== the wheel"
+python=$(sed -nE 's/^Python_EXECUTABLE:[A-Z]+=//p;s/^_Python_EXECUTABLE:INTERNAL=//p' "$build/CMakeCache.txt" | head -1)
+# From a copy: setuptools writes into the folder that it builds from.
+mkdir "$work/source"
+cp -r "$source"/{CMakeLists.txt,README.md,LICENSE,pyproject.toml,setup.py,python} "$work/source"
+(cd "$work/source" && SALTUS_CMAKE_BUILD=$build "$python" -m pip wheel . --no-build-isolation --no-deps --no-index -q \
+  -w "$work/made") >log 2>&1 || { tail -30 log; exit 1; }
+wheel=("$work"/made/saltus-*.whl)
+"$python" -m zipfile -e "${wheel[0]}" "$work/site"
+echo "${wheel[0]##*/} needs: $(readelf -d "$work"/site/saltus/_saltus.*.so | sed -nE 's/.*NEEDED.*\[(.*)\]/\1/p' | tr '\n' ' ')"
+PYTHONPATH=$work/site "$python" - "$scene" "$work/site" <<'PYTHON'
+import sys
+import saltus
+assert saltus.__file__.startswith(sys.argv[2]), saltus.__file__
+scene = saltus.load_scene(sys.argv[1])
+verdicts = dict(saltus.audit(scene, ["direct", "toi_velocity", "event"]).verdicts)
+assert verdicts == {"direct": "wrong", "toi_velocity": "consistent", "event": "right"}, verdicts
+run = saltus.solve(scene, "event", "ceres_event")
+assert f"{run.exact_loss:.9f}" == "1.396542489", run.exact_loss
+print(verdicts, f"{run.exact_loss:.9f}")
+PYTHON
+echo "The packages work."

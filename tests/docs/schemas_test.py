@@ -1,0 +1,83 @@
+#!/usr/bin/env python3
+"""What the programs print with --json is as schemas/*.json say.
+
+usage: schemas_test.py --build=DIR        exit code 77 (skipped) without python3-jsonschema
+"""
+
+import argparse
+import copy
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+try:
+    import jsonschema
+except ImportError:
+    print("python3-jsonschema is not installed")
+    sys.exit(77)
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+DROPS = "--scene=problems/drops/drops.yaml --recording=problems/drops/drop_4.csv"
+RUNS = [
+    ("audit", "saltus_audit --scene=problems/two_balls.yaml --contact=all --steps=120"),
+    ("audit", "saltus_audit --scene=problems/ground_wall_spin.yaml --contact=event,direct,qcqp --width_sweep --steps=72"),
+    ("audit", "saltus_audit --scene=problems/two_balls.yaml --contact=direct --steps=60 --surrogate=smoothed_zeroth"),
+    ("audit", "saltus_audit --scene=problems/two_balls.yaml --contact=event --steps=60 "
+              "--simulate='mine={build}/bin/saltus_simulate --contact=direct'"),
+    ("audit", "saltus_audit --scene=problems/carrom_pot.yaml --contact=event"),
+    ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=event,lcp --solver=all --states --steps=60 --iterations=30"),
+    ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=all --solver=none --steps=60"),
+    ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=direct --surrogate=smoothed_zeroth --steps=60 --iterations=3"),
+    ("solve", "saltus_solve --scene=problems/back_spin.yaml --contact=event --solver=gd,ceres_phases --states --iterations=5"),
+    ("solve", "saltus_solve --scene={bounded} --contact=event --solver=gd,ceres_phases,hmp --iterations=50"),
+    ("problem", "two_balls --contact=event,direct --solver=gd --iterations=3"),
+    ("identify", f"saltus_identify {DROPS} --unknown=restitution,gravity.y"),
+    ("identify", f"saltus_identify {DROPS} --law=network:2"),
+    ("identify", f"saltus_identify {DROPS} --unknown=gravity.y --events=affine"),
+    ("identify", f"saltus_identify {DROPS} --contact=event,direct --unknown=restitution,mass.ball"),
+]
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--build", type=pathlib.Path, required=True)
+    build = parser.parse_args().build.resolve()
+    validators = {}
+    for path in sorted((SOURCE / "schemas").glob("*.json")):
+        schema = json.loads(path.read_text(encoding="utf-8"))
+        jsonschema.Draft202012Validator.check_schema(schema)
+        validators[path.stem] = jsonschema.Draft202012Validator(schema)
+    assert {kind for kind, _ in RUNS} == set(validators), "a schema without a run, or a run without a schema"
+    failed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        bounded = pathlib.Path(folder) / "bounded.yaml"
+        scene = (SOURCE / "problems" / "two_balls.yaml").read_text(encoding="utf-8")
+        bounded.write_text(scene.replace("initial: [[3, 3]]", "initial: [[3, 3]], max: 3.5").replace("weight: 1.0", "hard: true"),
+                           encoding="utf-8")
+        for kind, command in RUNS:
+            command = command.format(build=build, bounded=bounded) + " --json --progress=none"
+            done = subprocess.run(f"{build}/bin/{command}", shell=True, cwd=SOURCE, text=True, capture_output=True, check=False)
+            if done.returncode not in (0, 1) or not done.stdout:
+                print(f"{command}: exit code {done.returncode}\n{done.stderr}")
+                failed += 1
+                continue
+            document = json.loads(done.stdout)
+            errors = list(validators[kind].iter_errors(document))
+            failed += bool(errors)
+            for error in errors[:5]:
+                print(f"{command}: {'/'.join(map(str, error.path))}: {error.message[:300]}")
+            # A schema that takes anything would find nothing.
+            wrong = copy.deepcopy(document)
+            first = wrong.get("solve", wrong)
+            first["no such key" if kind != "problem" else "runs"] = 1
+            if validators[kind].is_valid(wrong):
+                print(f"{kind}: takes a document that is wrong")
+                failed += 1
+    print(f"{len(RUNS)} documents, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
