@@ -69,12 +69,15 @@ def same_line(shown, printed, free):
 def free_columns(lines):
     """For each printed line, the columns below a heading "seconds"."""
     free, current = [], []
-    for k, line in enumerate(lines):
+    heading = []
+    for line in lines:
         if not line.strip():
-            current = []
-        if k + 1 < len(lines) and re.fullmatch(r"[- ]*-[- ]*", lines[k + 1]):
-            rules = [m.span() for m in re.finditer(r"-+", lines[k + 1])]
-            current = [r for r in rules for m in re.finditer(r"\bseconds\b", line) if r[0] < m.end() and m.start() < r[1]]
+            current, heading = [], []
+        elif re.fullmatch(r"[- ]*-[- ]*", line):
+            rules = [m.span() for m in re.finditer(r"-+", line)]
+            current = [r for r in rules for head in heading for m in re.finditer(r"\bseconds\b", head)
+                       if r[0] < m.end() and m.start() < r[1]]
+        heading.append(line)
         free.append(current)
     return free
 
