@@ -7,6 +7,10 @@
 namespace saltus {
 namespace {
 
+// Room for all keys that an object will have. One that has to grow copies what it holds, its keys being constant: of a
+// long horizon, gradients of millions of numbers.
+void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
+
 Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
   Json quantities = Json::array();
   for (const QuantityStudy& quantity : study.quantities) {
@@ -107,6 +111,7 @@ void AddBlackBox(const BlackBoxFindings& found, Json* item) {
 
 Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
+  MakeRoom(&item);
   if (audit.black_box) AddBlackBox(*audit.black_box, &item);
   AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
@@ -176,11 +181,13 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
   Json document = {{"scene", request.scene.name},
                    {"steps", request.scene.steps},
                    {"precision", request.precision == Precision::kFloat ? "float" : "double"}};
+  MakeRoom(&document);
   if (report.reference) {
-    document["reference"] = {{"contact", report.reference->contact},
-                             {"loss", report.reference->loss},
-                             {"gradient", GradientToJson(request.scene, report.reference->gradient)},
-                             {"events", EventsToJson(report.reference->events)}};
+    Json& reference =
+        document["reference"] = {{"contact", report.reference->contact}, {"loss", report.reference->loss}};
+    MakeRoom(&reference);
+    reference["gradient"] = GradientToJson(request.scene, report.reference->gradient);
+    reference["events"] = EventsToJson(report.reference->events);
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
   }
   if (report.reference && !report.reference->one_sided.empty()) {
