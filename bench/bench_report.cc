@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "io/file.h"
+#include "base/file.h"
 #include "output/figure.h"
 
 namespace saltus {

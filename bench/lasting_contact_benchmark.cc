@@ -9,10 +9,10 @@
 
 #include <chrono>
 
-#include "control/parallel_for.h"
-#include "physics/scene_generators.h"
+#include "base/parallel_for.h"
 #include "saltus/audit/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
+#include "scene/scene_generators.h"
 #include "timing.h"
 
 namespace saltus {

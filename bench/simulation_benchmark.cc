@@ -12,9 +12,9 @@
 #include <cmath>
 #include <memory>
 
-#include "physics/scene_generators.h"
 #include "saltus/control/batch.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
+#include "scene/scene_generators.h"
 #include "timing.h"
 
 namespace saltus {

@@ -15,7 +15,7 @@
 #include <cmath>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "timing.h"
 

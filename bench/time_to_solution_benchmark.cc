@@ -3,8 +3,8 @@
 #include <benchmark/benchmark.h>
 #include <glog/logging.h>
 
-#include "saltus/control/exact_run.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

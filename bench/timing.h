@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 

@@ -1,5 +1,5 @@
 // A ball thrown so that it comes back: launch velocity and spin.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

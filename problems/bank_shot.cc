@@ -1,5 +1,5 @@
 // A bank shot: launch velocity and side spin of a cue ball that goes by the cushion; the way is searched for.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

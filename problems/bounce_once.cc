@@ -1,5 +1,5 @@
 // Task 1: the gradient of the height after one bounce.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   // There is nothing to optimise in it.

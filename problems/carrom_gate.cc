@@ -1,5 +1,5 @@
 // A carrom shot through a gate: launch velocity of a striker, after which all comes to rest.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

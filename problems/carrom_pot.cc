@@ -1,5 +1,5 @@
 // A carrom pot: launch velocity of a striker that sends a coin into a pocket.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

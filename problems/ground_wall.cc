@@ -1,5 +1,5 @@
 // Task 2: the launch velocity that hits a target off ground and wall.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <iostream>
 
+#include "base/random.h"
 #include "output/table.h"
-#include "physics/random.h"
-#include "saltus/dynamics/learned_contact.h"
-#include "tools/program.h"
+#include "programs/program.h"
+#include "saltus/simulate/learned_contact.h"
 
 namespace saltus {
 namespace {

@@ -1,5 +1,5 @@
 // The follow-up paper's control of one collision of two balls.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

@@ -1,5 +1,5 @@
 // Task 3: the force that makes one ball strike another towards the origin.
-#include "tools/problem.h"
+#include "programs/problem.h"
 
 int main(int argc, char** argv) {
   return saltus::ProblemMain(

@@ -14,8 +14,8 @@
 #include "computation.h"
 #include "convert.h"
 #include "output/palette.h"
+#include "programs/audit.h"
 #include "saltus/control/control_rows.h"
-#include "tools/audit.h"
 
 namespace saltus::python {
 namespace {

@@ -7,8 +7,8 @@
 
 #include "convert.h"
 #include "motion.h"
-#include "physics/units.h"
 #include "saltus/control/control_rows.h"
+#include "scene/units.h"
 
 namespace saltus::python {
 namespace {

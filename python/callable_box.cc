@@ -9,7 +9,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "saltus/control/objective.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus::python {
 namespace {

@@ -11,7 +11,7 @@
 #include <thread>
 #include <utility>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus::python {
 

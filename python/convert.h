@@ -6,9 +6,9 @@
 #include <span>
 #include <string>
 
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene.h"
-#include "tools/json_output.h"
+#include "programs/json_output.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus::python {
 

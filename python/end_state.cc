@@ -4,8 +4,8 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
-#include "physics/units.h"
 #include "saltus/control/control_rows.h"
+#include "scene/units.h"
 
 namespace saltus::python {
 namespace {

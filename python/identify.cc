@@ -8,9 +8,9 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
-#include "tools/identify.h"
-#include "tools/identify_input.h"
-#include "tools/recording_npz.h"
+#include "programs/identify.h"
+#include "programs/identify_input.h"
+#include "programs/recording_npz.h"
 
 namespace saltus::python {
 namespace {

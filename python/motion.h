@@ -6,7 +6,7 @@
 #include "arrays.h"
 #include "computation.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus::python {
 

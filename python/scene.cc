@@ -4,7 +4,7 @@
 
 #include "arrays.h"
 #include "convert.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus::python {
 namespace {

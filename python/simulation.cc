@@ -3,9 +3,9 @@
 
 #include "convert.h"
 #include "motion.h"
-#include "physics/units.h"
 #include "saltus/control/control_rows.h"
-#include "saltus/dynamics/events.h"
+#include "saltus/simulate/events.h"
+#include "scene/units.h"
 
 namespace saltus::python {
 namespace {

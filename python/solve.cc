@@ -5,8 +5,8 @@
 
 #include "computation.h"
 #include "convert.h"
+#include "programs/solved_run.h"
 #include "saltus/solve/solver.h"
-#include "tools/solved_run.h"
 
 namespace saltus::python {
 namespace {

@@ -1,7 +1,7 @@
 // A scene whose sequence is mended, which several tests use.
 #pragma once
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "folders.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 #include "test_scenes.h"
 
 namespace saltus {

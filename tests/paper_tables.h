@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "io/csv.h"
+#include "base/csv.h"
 #include "paper/solver_comparison.h"
 
 namespace saltus {

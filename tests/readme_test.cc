@@ -6,7 +6,7 @@
 #include <string>
 
 #include "folders.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 namespace {

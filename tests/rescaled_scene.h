@@ -5,7 +5,7 @@
 #include <ostream>
 #include <vector>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

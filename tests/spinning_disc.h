@@ -1,7 +1,7 @@
 // A solid disc that spins.
 #pragma once
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "folders.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 

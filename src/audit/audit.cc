@@ -8,11 +8,11 @@
 #include <cstdio>
 #include <numeric>
 
-#include "audit/events_at_once.h"
-#include "audit/own_differences.h"
+#include "audit/gradient/events_at_once.h"
+#include "audit/gradient/own_differences.h"
 #include "exact/closed_forms.h"
-#include "physics/units.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

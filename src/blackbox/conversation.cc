@@ -8,8 +8,8 @@
 #include <cstring>
 #include <utility>
 
+#include "base/file.h"
 #include "blackbox/protocol.h"
-#include "io/file.h"
 
 namespace saltus {
 namespace {

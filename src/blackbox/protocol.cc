@@ -9,7 +9,7 @@
 #include <set>
 #include <span>
 
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 namespace {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <variant>
 
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 namespace {

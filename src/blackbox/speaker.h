@@ -8,7 +8,7 @@
 #include <utility>
 
 #include "blackbox/protocol.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

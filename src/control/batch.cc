@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <limits>
 
-#include "parallel_for.h"
-#include "saltus/dynamics/registry.h"
+#include "base/parallel_for.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

@@ -7,9 +7,9 @@
 #include <limits>
 #include <span>
 
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scalar.h"
-#include "saltus/physics/scene.h"
+#include "saltus/base/scalar.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "event_phases.h"
+#include "control/event_phases.h"
 
 #include <glog/logging.h>
 

@@ -23,8 +23,8 @@
 #include <span>
 #include <vector>
 
-#include "impact.h"
-#include "saltus/physics/scene.h"
+#include "control/impact.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,6 +1,6 @@
 // An impact by Newton's restitution and Coulomb's friction, its adjoint, and how it joins costates.
 //
-// The impulse is that of contact/impact.h, whose symbols these are.
+// The impulse is that of contact/law/impact.h, whose symbols these are.
 //
 // Adjoint (spec of the saltation matrix: v+ = A v-, and B dq for the turning of the normal by dq): with
 // y = lambda_va / m_a - lambda_vb / m_b,
@@ -18,8 +18,8 @@
 #include <cmath>
 #include <optional>
 
-#include "contact/impact.h"
-#include "saltus/physics/scene.h"
+#include "contact/law/impact.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "model_step.h"
+#include "control/model_step.h"
 
 #include <Eigen/Core>
 #include <algorithm>

@@ -4,8 +4,8 @@
 
 #include <ceres/cost_function.h>
 
-#include "phase_costs.h"
-#include "saltus/dynamics/simulator.h"
+#include "control/phase_costs.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "objective_cost.h"
+#include "control/objective_cost.h"
 
 #include <algorithm>
 

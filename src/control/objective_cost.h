@@ -6,7 +6,7 @@
 
 #include <Eigen/Core>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

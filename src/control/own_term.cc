@@ -6,7 +6,7 @@
 #include <limits>
 #include <numeric>
 
-#include "own_term_cost.h"
+#include "control/own_term_cost.h"
 
 namespace saltus {
 namespace {

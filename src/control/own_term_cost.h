@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
-#include "flight.h"
-#include "physics/units.h"
 #include "saltus/control/own_term.h"
+#include "scene/units.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 

@@ -14,8 +14,8 @@
 #include <limits>
 #include <optional>
 
-#include "impact.h"
-#include "saltus/physics/scene.h"
+#include "control/impact.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,8 +1,8 @@
-#include "running_loss.h"
+#include "control/running_loss.h"
 
 #include <algorithm>
 
-#include "phase_costs.h"
+#include "control/phase_costs.h"
 
 namespace saltus {
 namespace {

@@ -2,8 +2,8 @@
 // impacts and where targets turn.
 #pragma once
 
-#include "flight.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "way_costs.h"
+#include "control/way_costs.h"
 
 namespace saltus {
 namespace {

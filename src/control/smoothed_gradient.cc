@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "normal_stream.h"
+#include "base/normal_stream.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -15,7 +15,7 @@
 #include <span>
 #include <vector>
 
-#include "objective_cost.h"
+#include "control/objective_cost.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/step_cost.h"
 

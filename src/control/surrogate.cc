@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -1,15 +1,15 @@
-#include "way_costs.h"
+#include "control/way_costs.h"
 
 #include <algorithm>
 #include <cmath>
 #include <optional>
 
-#include "costate_sweep.h"
-#include "phase_costs.h"
-#include "running_loss.h"
+#include "control/phase_costs.h"
+#include "control/running_loss.h"
+#include "optimality/costate_sweep.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/events.h"
+#include "saltus/simulate/events.h"
 
 namespace saltus {
 namespace {

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "flow.h"
-#include "physics/units.h"
-#include "polynomial.h"
+#include "exact/flow.h"
+#include "exact/polynomial.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

@@ -22,8 +22,8 @@
 #include <string>
 #include <vector>
 
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "flow.h"
+#include "exact/flow.h"
 
 #include <algorithm>
 

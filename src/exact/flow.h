@@ -9,12 +9,12 @@
 
 #include "exact/closed_forms.h"
 #include "saltus/control/contact_sequence.h"
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus::exact_internal {
 
-// In natural units, as all that closed forms work on (physics/units.h).
+// In natural units, as all that closed forms work on (scene/units.h).
 inline constexpr double kTouching = 1e-12;  // the overlap that a valid scene may start with
 inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no usable derivative
 

@@ -6,8 +6,8 @@
 #include <array>
 #include <cmath>
 
-#include "physics/units.h"
-#include "two_disc_core.h"
+#include "exact/two_disc_core.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

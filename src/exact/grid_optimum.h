@@ -20,8 +20,8 @@
 #include <vector>
 
 #include "exact/two_disc_optimum.h"
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

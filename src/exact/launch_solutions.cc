@@ -5,8 +5,8 @@
 #include <cmath>
 #include <optional>
 
-#include "flow.h"
-#include "physics/units.h"
+#include "exact/flow.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "exact/closed_forms.h"
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "polynomial.h"
+#include "exact/polynomial.h"
 
 #include <algorithm>
 #include <cmath>

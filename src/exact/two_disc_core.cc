@@ -1,4 +1,4 @@
-#include "two_disc_core.h"
+#include "exact/two_disc_core.h"
 
 #include <Eigen/Dense>
 #include <cmath>

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
+#include "exact/flow.h"
+#include "exact/polynomial.h"
 #include "exact/two_disc_optimum.h"
-#include "flow.h"
-#include "polynomial.h"
 
 namespace saltus::exact_internal {
 

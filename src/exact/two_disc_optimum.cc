@@ -3,8 +3,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "physics/units.h"
-#include "two_disc_core.h"
+#include "exact/two_disc_core.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

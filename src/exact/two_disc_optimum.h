@@ -27,8 +27,8 @@
 #include <optional>
 #include <string>
 
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -2,13 +2,13 @@
 //
 // Within a step of length h the state after a part s of it is that of a step of length s: no dense output is needed,
 // and the state at an event is as accurate as any other. The search begins where the cubic through the guard's values
-// and rates at the ends of the step has its first zero (contact/event_roots.h), and continues by Newton's method,
+// and rates at the ends of the step has its first zero (contact/event/event_roots.h), and continues by Newton's method,
 // safeguarded by bisection.
 #pragma once
 
 #include <vector>
 
-#include "contact/event_roots.h"
+#include "contact/event/event_roots.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {

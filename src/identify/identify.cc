@@ -10,8 +10,8 @@
 #include "identify/start.h"
 #include "identify/statistics.h"
 #include "identify/unknowns.h"
-#include "physics/units.h"
-#include "saltus/dynamics/learned_contact.h"
+#include "saltus/simulate/learned_contact.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

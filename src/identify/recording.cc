@@ -5,8 +5,8 @@
 #include <sstream>
 #include <tuple>
 
-#include "io/csv.h"
-#include "io/file.h"
+#include "base/csv.h"
+#include "base/file.h"
 
 namespace saltus {
 namespace {

@@ -6,9 +6,9 @@
 #include <tuple>
 #include <utility>
 
+#include "base/linear_algebra.h"
 #include "identify/unknowns.h"
-#include "physics/linear_algebra.h"
-#include "saltus/dynamics/learned_contact.h"
+#include "saltus/simulate/learned_contact.h"
 
 namespace saltus {
 namespace {

@@ -5,7 +5,7 @@
 #include <limits>
 #include <optional>
 
-#include "physics/units.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

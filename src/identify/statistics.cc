@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/linear_algebra.h"
 #include "identify/unknowns.h"
-#include "physics/linear_algebra.h"
 
 namespace saltus {
 namespace {

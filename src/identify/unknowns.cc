@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "physics/units.h"
+#include "scene/units.h"
 
 namespace saltus {
 namespace {

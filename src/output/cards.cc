@@ -1,4 +1,4 @@
-#include "cards.h"
+#include "output/cards.h"
 
 #include <algorithm>
 #include <cmath>

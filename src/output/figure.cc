@@ -8,12 +8,12 @@
 #include <filesystem>
 #include <utility>
 
-#include "figure_script.h"
-#include "figure_text.h"
-#include "gnuplot.h"
-#include "io/file.h"
+#include "base/file.h"
+#include "base/interrupt.h"
 #include "output/drawn_figure.h"
-#include "output/interrupt.h"
+#include "output/figure_script.h"
+#include "output/figure_text.h"
+#include "output/gnuplot.h"
 #include "output/table.h"
 
 namespace saltus {

@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "io/status.h"
+#include "base/status.h"
 #include "output/outline.h"
 #include "output/palette.h"
 

@@ -1,11 +1,11 @@
-#include "figure_layout.h"
+#include "output/figure_layout.h"
 
 #include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
 
-#include "gnuplot_style.h"
+#include "output/gnuplot_style.h"
 
 namespace saltus::internal {
 namespace {

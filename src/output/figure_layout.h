@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "output/figure.h"
-#include "plot_axes.h"
+#include "output/plot_axes.h"
 
 namespace saltus::internal {
 

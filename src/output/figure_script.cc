@@ -1,4 +1,4 @@
-#include "figure_script.h"
+#include "output/figure_script.h"
 
 #include <glog/logging.h>
 

@@ -3,9 +3,9 @@
 
 #include <string>
 
-#include "figure_layout.h"
-#include "gnuplot_style.h"
 #include "output/figure.h"
+#include "output/figure_layout.h"
+#include "output/gnuplot_style.h"
 
 namespace saltus::internal {
 

@@ -1,9 +1,9 @@
-#include "figure_text.h"
+#include "output/figure_text.h"
 
 #include <cmath>
 #include <set>
 
-#include "figure_layout.h"
+#include "output/figure_layout.h"
 #include "output/table.h"
 
 namespace saltus::internal {

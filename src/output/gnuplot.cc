@@ -1,4 +1,4 @@
-#include "gnuplot.h"
+#include "output/gnuplot.h"
 
 #include <spawn.h>
 #include <sys/wait.h>
@@ -14,7 +14,7 @@
 #include <memory>
 #include <thread>
 
-#include "output/interrupt.h"
+#include "base/interrupt.h"
 
 extern char** environ;
 

@@ -1,4 +1,4 @@
-#include "gnuplot_style.h"
+#include "output/gnuplot_style.h"
 
 #include <algorithm>
 #include <array>

@@ -6,11 +6,11 @@
 #include <cctype>
 #include <utility>
 
-#include "figure_text.h"
-#include "io/file.h"
-#include "output/interrupt.h"
-#include "replay_page.h"
-#include "report_style.h"
+#include "base/file.h"
+#include "base/interrupt.h"
+#include "output/figure_text.h"
+#include "output/replay_page.h"
+#include "output/report_style.h"
 
 namespace saltus {
 namespace {

@@ -6,7 +6,7 @@
 #include <string_view>
 #include <vector>
 
-#include "io/status.h"
+#include "base/status.h"
 #include "output/drawn_figure.h"
 #include "output/figure.h"
 #include "output/replay.h"

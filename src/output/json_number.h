@@ -5,7 +5,7 @@
 #include <optional>
 #include <string>
 
-#include "io/status.h"
+#include "base/status.h"
 
 namespace saltus {
 

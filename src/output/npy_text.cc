@@ -1,4 +1,4 @@
-#include "npy_text.h"
+#include "output/npy_text.h"
 
 #include <algorithm>
 #include <cstring>

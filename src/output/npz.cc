@@ -16,9 +16,9 @@
 #include <string_view>
 #include <type_traits>
 
-#include "io/file.h"
-#include "npy_text.h"
-#include "output/interrupt.h"
+#include "base/file.h"
+#include "base/interrupt.h"
+#include "output/npy_text.h"
 
 namespace saltus {
 namespace {

@@ -11,7 +11,7 @@
 #include <variant>
 #include <vector>
 
-#include "io/status.h"
+#include "base/status.h"
 
 namespace saltus {
 

@@ -1,4 +1,4 @@
-#include "plot_axes.h"
+#include "output/plot_axes.h"
 
 #include <glog/logging.h>
 

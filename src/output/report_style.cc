@@ -1,6 +1,6 @@
-#include "report_style.h"
+#include "output/report_style.h"
 
-#include "cards.h"
+#include "output/cards.h"
 
 namespace saltus::internal {
 namespace {

@@ -9,8 +9,8 @@
 #include <cstdio>
 #include <functional>
 
-#include "cards.h"
-#include "io/file.h"
+#include "base/file.h"
+#include "output/cards.h"
 
 namespace saltus {
 namespace {

@@ -6,9 +6,9 @@
 #include <numbers>
 
 #include "output/table.h"
+#include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/parallel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

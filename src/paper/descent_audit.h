@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "paper/paper_figures.h"
-#include "tools/program.h"
+#include "programs/program.h"
 
 namespace saltus {
 

@@ -2,9 +2,9 @@
 
 #include <cmath>
 
-#include "output/interrupt.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/parallel.h"
+#include "base/interrupt.h"
+#include "programs/parallel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
+#include "programs/program.h"
+#include "programs/solve.h"
 #include "saltus/audit/audit.h"
-#include "tools/program.h"
-#include "tools/solve.h"
 
 namespace saltus {
 

@@ -6,13 +6,13 @@
 #include <cmath>
 #include <map>
 
-#include "audit/statistics.h"
-#include "output/interrupt.h"
+#include "audit/gradient/statistics.h"
+#include "base/interrupt.h"
 #include "paper/thread_time.h"
+#include "programs/audit_tables.h"
+#include "programs/parallel.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/audit_tables.h"
-#include "tools/parallel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -7,8 +7,8 @@
 
 #include "paper/paper_figures.h"
 #include "paper/solver_comparison.h"
+#include "programs/simulators.h"
 #include "saltus/audit/audit.h"
-#include "tools/simulators.h"
 
 namespace saltus {
 

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "output/interrupt.h"
-#include "tools/identify_tables.h"
-#include "tools/parallel.h"
+#include "base/interrupt.h"
+#include "programs/identify_tables.h"
+#include "programs/parallel.h"
 
 namespace saltus {
 namespace {

@@ -4,7 +4,7 @@
 
 #include "output/npz.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

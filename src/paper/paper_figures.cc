@@ -3,9 +3,9 @@
 #include <numeric>
 
 #include "exact/two_disc_optimum.h"
+#include "programs/scene_panel.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/scene_panel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

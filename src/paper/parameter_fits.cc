@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/interrupt.h"
+#include "base/random.h"
 #include "identify/unknowns.h"
-#include "output/interrupt.h"
-#include "physics/random.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/parallel.h"
+#include "programs/parallel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -3,9 +3,9 @@
 #include <cmath>
 #include <map>
 
+#include "base/csv.h"
 #include "exact/closed_forms.h"
 #include "exact/two_disc_optimum.h"
-#include "io/csv.h"
 
 namespace saltus {
 namespace {

@@ -7,7 +7,7 @@
 #include <iostream>
 #include <optional>
 
-#include "output/interrupt.h"
+#include "base/interrupt.h"
 #include "paper/descent_audit.h"
 #include "paper/experiments.h"
 #include "paper/formulation_audit.h"
@@ -19,8 +19,8 @@
 #include "paper/published.h"
 #include "paper/solver_comparison.h"
 #include "paper/strike_comparison.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/parallel.h"
+#include "programs/parallel.h"
+#include "saltus/simulate/registry.h"
 
 DEFINE_string(problems_dir, "", "where the scenes of the problems are (default: those that come with saltus)");
 DEFINE_string(data_dir, "",

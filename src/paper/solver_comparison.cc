@@ -6,12 +6,12 @@
 #include <optional>
 #include <set>
 
+#include "base/interrupt.h"
 #include "exact/two_disc_optimum.h"
-#include "output/interrupt.h"
 #include "paper/descent_audit.h"
 #include "paper/thread_time.h"
-#include "saltus/dynamics/registry.h"
-#include "tools/parallel.h"
+#include "programs/parallel.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -5,10 +5,10 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "base/interrupt.h"
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
-#include "output/interrupt.h"
-#include "tools/parallel.h"
+#include "programs/parallel.h"
 
 namespace saltus {
 namespace {

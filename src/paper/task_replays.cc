@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
-#include "saltus/dynamics/registry.h"
-#include "tools/replay_scene.h"
+#include "programs/replay_scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-#include "ceres_common.h"
+#include "solve/ceres_common.h"
 
 #include <algorithm>
 #include <utility>

@@ -8,12 +8,12 @@
 #include <span>
 #include <string>
 
-#include "solve_run.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 
 // Tolerances so tight that in smooth problems rounding alone stops Ceres; whether that was a minimum is judged by
-// Conclude. Solvers work in natural units (physics/units.h), in which losses and variables are about 1, as Ceres'
+// Conclude. Solvers work in natural units (scene/units.h), in which losses and variables are about 1, as Ceres'
 // own constants suppose.
 inline constexpr double kGradientTolerance = 1e-10;
 inline constexpr double kFunctionTolerance = 1e-16;

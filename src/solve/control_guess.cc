@@ -1,4 +1,4 @@
-#include "control_guess.h"
+#include "solve/control_guess.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,13 +1,13 @@
-#include "grid_solver.h"
+#include "solve/grid_solver.h"
 
 #include <cmath>
 #include <optional>
 #include <sstream>
 
 #include "exact/grid_optimum.h"
-#include "phase_solution.h"
-#include "saltus/dynamics/registry.h"
-#include "solve_run.h"
+#include "saltus/simulate/registry.h"
+#include "solve/phases/phase_solution.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {

@@ -1,12 +1,12 @@
-#include "hmp.h"
+#include "solve/hmp.h"
 
 #include <algorithm>
 #include <cmath>
 
-#include "hmp_constrained.h"
-#include "hmp_roots.h"
-#include "phase_run.h"
 #include "saltus/control/objective.h"
+#include "solve/hmp_constrained.h"
+#include "solve/hmp_roots.h"
+#include "solve/phases/phase_run.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-// The indirect method: a zero of the conditions of the hybrid minimum principle (control/costate.h), in continuous
+// The indirect method: a zero of the conditions of the hybrid minimum principle (optimality/costate.h), in continuous
 // time and to rounding.
 //
 // Unknowns are the variables of EventPhases and one multiplier an impact: five for one impact of a pushed disc.

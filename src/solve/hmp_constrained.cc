@@ -1,4 +1,4 @@
-#include "hmp_constrained.h"
+#include "solve/hmp_constrained.h"
 
 #include <ceres/dynamic_autodiff_cost_function.h>
 
@@ -7,10 +7,10 @@
 #include <cmath>
 #include <numeric>
 
-#include "ceres_phases.h"
-#include "control/costate_sweep.h"
-#include "hmp_roots.h"
-#include "phase_solution.h"
+#include "optimality/costate_sweep.h"
+#include "solve/hmp_roots.h"
+#include "solve/phases/ceres_phases.h"
+#include "solve/phases/phase_solution.h"
 
 namespace saltus {
 namespace {

@@ -1,9 +1,9 @@
 // The hybrid minimum principle with bounds, hard terms, running and via terms or a free final time: a zero of its
-// conditions in continuous time (control/costate_shooting.h), by Newton's method from where ceres_phases and the
+// conditions in continuous time (optimality/costate_shooting.h), by Newton's method from where ceres_phases and the
 // multipliers of its certificate are.
 #pragma once
 
-#include "control/costate_shooting.h"
+#include "optimality/costate_shooting.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

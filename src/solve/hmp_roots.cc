@@ -1,4 +1,4 @@
-#include "hmp_roots.h"
+#include "solve/hmp_roots.h"
 
 #include <ceres/dynamic_autodiff_cost_function.h>
 #include <ceres/problem.h>
@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "physics/linear_algebra.h"
+#include "base/linear_algebra.h"
 
 namespace saltus {
 namespace {

@@ -4,7 +4,7 @@
 #include <functional>
 #include <vector>
 
-#include "control/costate.h"
+#include "optimality/costate.h"
 
 namespace ceres {
 class CostFunction;

@@ -1,10 +1,10 @@
-#include "solve_run.h"
+#include "solve/solve_run.h"
 
 #include <algorithm>
 
-#include "control_guess.h"
-#include "saltus/dynamics/events.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/events.h"
+#include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-#include "solve_units.h"
+#include "solve/solve_units.h"
 
 #include <algorithm>
 #include <utility>

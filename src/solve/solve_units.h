@@ -1,8 +1,8 @@
 // What a solver takes and reports, between the units of users and the natural ones in which it works.
 #pragma once
 
-#include "physics/units.h"
 #include "saltus/solve/solver.h"
+#include "scene/units.h"
 
 namespace saltus {
 

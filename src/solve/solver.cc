@@ -3,22 +3,22 @@
 #include <algorithm>
 #include <cmath>
 
-#include "ceres_event.h"
-#include "ceres_lagrangian.h"
-#include "ceres_lbfgs.h"
-#include "ceres_lm.h"
-#include "ceres_phases.h"
-#include "ceres_shooting.h"
-#include "control_guess.h"
-#include "gradient_descent.h"
-#include "grid_solver.h"
-#include "hmp.h"
-#include "mode_search.h"
-#include "phase_solution.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/registry.h"
-#include "solve_run.h"
-#include "solve_units.h"
+#include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
+#include "solve/grid_solver.h"
+#include "solve/hmp.h"
+#include "solve/phases/ceres_event.h"
+#include "solve/phases/ceres_phases.h"
+#include "solve/phases/phase_solution.h"
+#include "solve/search/mode_search.h"
+#include "solve/shooting/ceres_lagrangian.h"
+#include "solve/shooting/ceres_lbfgs.h"
+#include "solve/shooting/ceres_lm.h"
+#include "solve/shooting/ceres_shooting.h"
+#include "solve/shooting/gradient_descent.h"
+#include "solve/solve_run.h"
+#include "solve/solve_units.h"
 
 namespace saltus {
 namespace {

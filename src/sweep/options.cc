@@ -4,8 +4,8 @@
 
 #include <algorithm>
 
-#include "physics/control_problems.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
+#include "scene/control_problems.h"
 
 namespace saltus {
 namespace {

@@ -1,5 +1,5 @@
 // What a sweep can vary: every numeric flag of the programs, some numbers of the scene, the contact model, the solver
-// and the precision; or the scene itself, by the seed of a control problem (physics/control_problems.h).
+// and the precision; or the scene itself, by the seed of a control problem (scene/control_problems.h).
 //
 // Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,
 // position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled,
@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "programs/program.h"
 #include "sweep/value.h"
-#include "tools/program.h"
 
 namespace saltus {
 

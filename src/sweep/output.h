@@ -7,8 +7,8 @@
 
 #include "output/npz.h"
 #include "output/table.h"
+#include "programs/json_output.h"
 #include "sweep/store.h"
-#include "tools/json_output.h"
 
 namespace saltus {
 

@@ -5,12 +5,12 @@
 #include <new>
 
 #include "output/table.h"
-#include "saltus/control/exact_run.h"
-#include "saltus/dynamics/registry.h"
+#include "programs/audit.h"
+#include "programs/simulators.h"
+#include "programs/solve.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "sweep/peak_memory.h"
-#include "tools/audit.h"
-#include "tools/simulators.h"
-#include "tools/solve.h"
 
 namespace saltus {
 namespace {

@@ -4,7 +4,7 @@
 #include <chrono>
 #include <map>
 
-#include "output/interrupt.h"
+#include "base/interrupt.h"
 #include "sweep/output.h"
 
 namespace saltus {

@@ -7,7 +7,7 @@
 #include <map>
 #include <string>
 
-#include "physics/control_problems.h"
+#include "scene/control_problems.h"
 #include "sweep/options.h"
 
 namespace saltus {

@@ -8,8 +8,8 @@
 #include <cstdlib>
 #include <set>
 
-#include "io/csv.h"
-#include "saltus/dynamics/registry.h"
+#include "base/csv.h"
+#include "saltus/simulate/registry.h"
 #include "sweep/options.h"
 
 namespace saltus {

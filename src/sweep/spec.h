@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 #include "sweep/value.h"
 
 namespace saltus {

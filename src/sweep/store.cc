@@ -6,7 +6,7 @@
 #include <array>
 #include <stdexcept>
 
-#include "io/file.h"
+#include "base/file.h"
 
 namespace saltus {
 namespace {

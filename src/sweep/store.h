@@ -15,7 +15,7 @@
 #include <memory>
 #include <string>
 
-#include "io/status.h"
+#include "base/status.h"
 #include "sweep/study.h"
 
 namespace saltus {

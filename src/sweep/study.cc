@@ -5,14 +5,14 @@
 #include <algorithm>
 #include <sstream>
 
+#include "programs/json_output.h"
+#include "programs/simulators.h"
+#include "programs/surrogate_flags.h"
 #include "saltus/control/contact_sequence.h"
-#include "saltus/dynamics/registry.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
 #include "sweep/options.h"
 #include "sweep/point.h"
-#include "tools/json_output.h"
-#include "tools/simulators.h"
-#include "tools/surrogate_flags.h"
 
 namespace saltus {
 namespace {

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "programs/program.h"
 #include "sweep/spec.h"
-#include "tools/program.h"
 
 namespace saltus {
 

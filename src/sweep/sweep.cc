@@ -8,18 +8,18 @@
 #include <iostream>
 #include <regex>
 
-#include "output/interrupt.h"
+#include "base/interrupt.h"
 #include "output/text_layout.h"
-#include "physics/control_problems.h"
-#include "saltus/io/scene_file.h"
+#include "programs/report_parts.h"
+#include "programs/simulators.h"
+#include "saltus/scene/scene_file.h"
+#include "scene/control_problems.h"
 #include "sweep/cluster.h"
 #include "sweep/figures.h"
 #include "sweep/options.h"
 #include "sweep/output.h"
 #include "sweep/run.h"
 #include "sweep/solved.h"
-#include "tools/report_parts.h"
-#include "tools/simulators.h"
 
 DEFINE_string(
     sweep, "",

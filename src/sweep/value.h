@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "output/table.h"
-#include "tools/json_output.h"
+#include "programs/json_output.h"
 
 namespace saltus {
 

@@ -3,7 +3,7 @@
 
 #include "saltus/audit/audit.h"
 #include "saltus/audit/given.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

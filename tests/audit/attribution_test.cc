@@ -6,10 +6,10 @@
 
 #include <cmath>
 
-#include "audit/pulled_costate.h"
-#include "audit/step_map.h"
+#include "audit/attribution/pulled_costate.h"
+#include "audit/attribution/step_map.h"
 #include "saltus/audit/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -6,7 +6,7 @@
 
 #include <map>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

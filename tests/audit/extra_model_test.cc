@@ -2,9 +2,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/own_differences.h"
+#include "audit/gradient/own_differences.h"
 #include "saltus/audit/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

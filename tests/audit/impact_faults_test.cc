@@ -1,9 +1,9 @@
 // The closed form of one impact against the event-driven model, which knows nothing of it.
-#include "audit/impact_faults.h"
+#include "audit/attribution/impact_faults.h"
 
 #include <gtest/gtest.h>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

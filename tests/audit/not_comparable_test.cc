@@ -2,9 +2,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/conditioning.h"
-#include "physics/scene_generators.h"
+#include "audit/gradient/conditioning.h"
 #include "saltus/audit/audit.h"
+#include "scene/scene_generators.h"
 #include "test_scenes.h"
 
 namespace saltus {

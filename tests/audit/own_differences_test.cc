@@ -1,10 +1,10 @@
 // A model's gradient against differences of its own loss.
-#include "audit/own_differences.h"
+#include "audit/gradient/own_differences.h"
 
 #include <gtest/gtest.h>
 
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -4,8 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "base/csv.h"
 #include "folders.h"
-#include "io/csv.h"
 #include "saltus/audit/audit.h"
 #include "test_scenes.h"
 

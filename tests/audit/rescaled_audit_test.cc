@@ -6,7 +6,7 @@
 
 #include "rescaled_scene.h"
 #include "saltus/audit/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -10,8 +10,8 @@
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
 #include "folders.h"
-#include "saltus/io/scene_file.h"
-#include "tools/run_command.h"
+#include "programs/run_command.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus {
 namespace {

@@ -7,15 +7,15 @@
 #include <string>
 #include <vector>
 
-#include "audit/events_at_once.h"
+#include "audit/gradient/events_at_once.h"
 #include "campaign/checks.h"
 #include "campaign/scenes.h"
 #include "contact/random_scene.h"
-#include "physics/units.h"
-#include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/events.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/events.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
 
 namespace saltus::campaign {
 namespace {

@@ -8,12 +8,12 @@
 #include <span>
 
 #include "contact/random_scene.h"
-#include "physics/units.h"
-#include "saltus/contact/event_sides.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/events.h"
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/walls.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/events.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
 
 namespace saltus::campaign {
 namespace {

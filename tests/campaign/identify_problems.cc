@@ -8,7 +8,7 @@
 #include <fstream>
 
 #include "identify/generated_problem.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 DEFINE_int32(problems, 200, "how many");
 DEFINE_int64(seed, 1, "of the first");

@@ -17,11 +17,11 @@
 #include <optional>
 
 #include "contact/random_scene.h"
-#include "physics/control_problems.h"
-#include "saltus/control/exact_run.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
+#include "scene/control_problems.h"
 
 DEFINE_int32(problems, 100, "how many");
 DEFINE_int32(seed, 1, "of the first; the next has the next");

@@ -9,14 +9,14 @@
 #include <iostream>
 #include <sstream>
 
+#include "base/interrupt.h"
 #include "campaign/checks.h"
 #include "campaign/scenes.h"
-#include "output/interrupt.h"
 #include "output/progress.h"
 #include "output/table.h"
-#include "saltus/io/scene_file.h"
+#include "programs/program.h"
+#include "saltus/scene/scene_file.h"
 #include "sweep/workers.h"
-#include "tools/program.h"
 
 DEFINE_int64(scenes, 1000, "how many");
 DEFINE_int64(seed, 1, "of the first scene; the next has the next");

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "contact/random_scene.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus::campaign {
 

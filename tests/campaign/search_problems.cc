@@ -16,10 +16,10 @@
 #include <string>
 #include <vector>
 
-#include "physics/control_problems.h"
-#include "saltus/control/exact_run.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
-#include "solve/search_starts.h"
+#include "scene/control_problems.h"
+#include "solve/search/search_starts.h"
 
 DEFINE_int32(problems, 200, "how many");
 DEFINE_int32(seed, 0, "of the first; the next has the next");

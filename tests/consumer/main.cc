@@ -3,7 +3,7 @@
 #include <cmath>
 #include <iostream>
 
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 #include "saltus/solve/solver.h"
 
 int main(int argc, char** argv) {

@@ -1,13 +1,13 @@
 // A user's own contact model, solved and audited by an installed saltus. Without damping and friction it is the
 // library's compliant_warp: exit code 0 if both do the same.
-#include "saltus/dynamics/own_contact.h"
+#include "saltus/simulate/own_contact.h"
 
 #include <cmath>
 #include <iostream>
 
-#include "own_model.h"
+#include "consumer/own_model.h"
 #include "saltus/audit/audit.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 #include "saltus/solve/solver.h"
 
 int main(int argc, char** argv) {

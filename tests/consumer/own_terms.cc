@@ -5,8 +5,8 @@
 #include <cmath>
 #include <iostream>
 
-#include "saltus/control/exact_run.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 
 namespace {

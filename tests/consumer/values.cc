@@ -7,8 +7,8 @@
 #include <span>
 #include <vector>
 
-#include "own_model.h"
-#include "saltus/physics/scalar.h"
+#include "consumer/own_model.h"
+#include "saltus/base/scalar.h"
 
 namespace {
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus::contact_test {
 

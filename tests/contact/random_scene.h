@@ -6,7 +6,7 @@
 #include <random>
 #include <string>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus::testing {
 

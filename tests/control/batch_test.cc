@@ -9,7 +9,7 @@
 #include <mutex>
 #include <set>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

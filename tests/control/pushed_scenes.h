@@ -1,7 +1,7 @@
 // Short scenes of pushed discs with an impact or two, whose second derivatives are looked at.
 #pragma once
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

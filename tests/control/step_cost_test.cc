@@ -11,7 +11,7 @@
 #include <string>
 
 #include "control/model_step.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -13,11 +13,11 @@
 #include <utility>
 #include <vector>
 
-#include "audit/own_differences.h"
+#include "audit/gradient/own_differences.h"
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

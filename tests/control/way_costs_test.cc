@@ -5,9 +5,9 @@
 #include <cmath>
 #include <numeric>
 
-#include "saltus/control/exact_run.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -8,7 +8,7 @@
 #include <string>
 
 #include "folders.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus::exact_test {
 

@@ -7,12 +7,12 @@
 #include <string>
 #include <vector>
 
-#include "control/limited_run.h"
 #include "fuzz/targets.h"
-#include "physics/units.h"
-#include "saltus/control/certificate.h"
-#include "saltus/dynamics/registry.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/optimality/certificate.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
+#include "simulate/limited_run.h"
 
 namespace saltus::fuzz {
 namespace {

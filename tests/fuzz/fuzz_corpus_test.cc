@@ -4,9 +4,9 @@
 #include <filesystem>
 #include <vector>
 
+#include "base/file.h"
 #include "folders.h"
 #include "fuzz/targets.h"
-#include "io/file.h"
 
 namespace saltus {
 namespace {

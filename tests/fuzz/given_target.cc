@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "fuzz/targets.h"
-#include "tools/given_gradient.h"
-#include "tools/program.h"
+#include "programs/given_gradient.h"
+#include "programs/program.h"
 
 namespace saltus::fuzz {
 namespace {

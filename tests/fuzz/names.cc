@@ -1,8 +1,8 @@
 // Names that the targets refer to, in place of the solvers, contact models and flags behind them: readers want no more,
 // and those would take long to compile.
-#include "dynamics/registry_entry.h"
+#include "programs/program.h"
 #include "saltus/solve/solver.h"
-#include "tools/program.h"
+#include "simulate/registry_entry.h"
 
 namespace saltus {
 

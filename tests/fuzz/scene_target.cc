@@ -1,7 +1,7 @@
 #include <glog/logging.h>
 
 #include "fuzz/targets.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
 
 namespace saltus::fuzz {
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <string_view>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus::fuzz {
 

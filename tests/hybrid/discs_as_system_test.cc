@@ -5,9 +5,9 @@
 #include <cmath>
 #include <vector>
 
-#include "saltus/dynamics/registry.h"
-#include "saltus/dynamics/simulator.h"
 #include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/simulate/registry.h"
+#include "saltus/simulate/simulator.h"
 #include "test_scenes.h"
 
 namespace saltus {

@@ -7,13 +7,13 @@
 
 #include <cmath>
 
-#include "dynamics/conformance.h"
-#include "dynamics/conformance_derivatives.h"
 #include "identify/generated_problem.h"
 #include "identify/loss_and_gradient.h"
 #include "identify/segment_motion.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/learned_contact.h"
+#include "saltus/simulate/learned_contact.h"
+#include "simulate/conformance.h"
+#include "simulate/conformance_derivatives.h"
 #include "test_scenes.h"
 
 namespace saltus {

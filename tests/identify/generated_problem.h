@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "saltus/dynamics/registry.h"
 #include "saltus/identify/identify.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

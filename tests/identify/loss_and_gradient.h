@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

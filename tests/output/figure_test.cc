@@ -8,7 +8,7 @@
 #include <regex>
 #include <set>
 
-#include "io/file.h"
+#include "base/file.h"
 #include "output/drawn_figure.h"
 #include "output/figure_layout.h"
 #include "output/figure_script.h"

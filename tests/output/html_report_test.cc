@@ -6,7 +6,7 @@
 #include <regex>
 #include <set>
 
-#include "io/file.h"
+#include "base/file.h"
 
 namespace saltus {
 namespace {

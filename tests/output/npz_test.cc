@@ -9,7 +9,7 @@
 #include <numbers>
 #include <utility>
 
-#include "io/file.h"
+#include "base/file.h"
 
 namespace saltus {
 namespace {

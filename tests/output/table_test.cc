@@ -6,7 +6,7 @@
 #include <cstdlib>
 #include <limits>
 
-#include "io/csv.h"
+#include "base/csv.h"
 
 namespace saltus {
 namespace {

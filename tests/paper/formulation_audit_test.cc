@@ -5,7 +5,7 @@
 
 #include <cstdlib>
 
-#include "io/csv.h"
+#include "base/csv.h"
 #include "test_scenes.h"
 
 namespace saltus {

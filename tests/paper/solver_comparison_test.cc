@@ -8,7 +8,7 @@
 
 #include "folders.h"
 #include "paper_tables.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {

@@ -4,17 +4,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/conditioning.h"
-#include "audit/own_differences.h"
+#include "audit/gradient/conditioning.h"
+#include "audit/gradient/own_differences.h"
 #include "exact/closed_forms.h"
 #include "exact/grid_optimum.h"
 #include "exact/launch_solutions.h"
 #include "exact/two_disc_optimum.h"
 #include "saltus/audit/audit.h"
-#include "saltus/control/certificate.h"
-#include "saltus/control/exact_run.h"
 #include "saltus/control/objective.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/optimality/certificate.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {

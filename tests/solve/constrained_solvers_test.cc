@@ -6,9 +6,9 @@
 #include <numeric>
 
 #include "constrained_reference.h"
-#include "physics/units.h"
-#include "saltus/control/exact_run.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
+#include "scene/units.h"
 #include "solve/hmp_constrained.h"
 
 namespace saltus {

@@ -9,11 +9,11 @@
 #include <cmath>
 #include <map>
 
+#include "base/csv.h"
 #include "folders.h"
-#include "io/csv.h"
 #include "saltus/audit/gradients.h"
-#include "saltus/control/exact_run.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -1,7 +1,7 @@
 // The optimum on a time grid: published values, and that a rollout confirms them.
 #include <gmock/gmock.h>
 
-#include "saltus/control/exact_run.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "saltus/control/exact_run.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -8,7 +8,7 @@
 #include <memory>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "control/own_term_cost.h"
-#include "saltus/control/exact_run.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

@@ -5,8 +5,8 @@
 
 #include "box_scene.h"
 #include "rescaled_scene.h"
-#include "saltus/dynamics/registry.h"
-#include "saltus/io/scene_file.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
 

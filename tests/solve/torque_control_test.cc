@@ -5,9 +5,9 @@
 #include <cmath>
 #include <string>
 
-#include "saltus/control/certificate.h"
-#include "saltus/control/exact_run.h"
-#include "saltus/dynamics/simulator.h"
+#include "saltus/optimality/certificate.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
 #include "spin_control.h"
 

@@ -14,11 +14,11 @@
 #include <random>
 #include <thread>
 
+#include "base/csv.h"
+#include "base/file.h"
 #include "folders.h"
-#include "io/csv.h"
-#include "io/file.h"
 #include "output/npz.h"
-#include "tools/run_program.h"
+#include "programs/run_program.h"
 
 namespace saltus {
 namespace {

@@ -133,8 +133,8 @@ TEST(SweepOptions, EveryNumericFlagCanBeSwept) {
   gflags::GetAllFlags(&flags);
   int numeric = 0;
   for (const gflags::CommandLineFlagInfo& flag : flags) {
-    if (flag.filename.find("/src/tools/") == std::string::npos) continue;
-    if (flag.filename.find("/src/tools/identify") != std::string::npos) continue;  // of no point
+    if (flag.filename.find("/src/programs/") == std::string::npos) continue;
+    if (flag.filename.find("/src/programs/identify") != std::string::npos) continue;  // of no point
     if (flag.type == "string" || flag.type == "bool" || IsOfTheRun(flag.name)) continue;
     ++numeric;
     EXPECT_TRUE(FindSweepOption(flag.name, TwoBalls()).has_value()) << "--" << flag.name;

@@ -22,7 +22,7 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

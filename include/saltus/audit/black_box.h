@@ -2,7 +2,7 @@
 //
 // Everything that takes a contact model takes one, by ContactOf(): rollouts are questions to it, gradients are its own
 // or else differences of its final states, of a width that its precision allows. AuditBlackBox says what that is worth.
-// Shapes are those of dynamics/simulator.h, with four numbers for a disc.
+// Shapes are those of simulate/simulator.h, with four numbers for a disc.
 #pragma once
 
 #include <memory>
@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "saltus/audit/audit.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

@@ -27,8 +27,8 @@
 #include <string>
 #include <string_view>
 
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

@@ -6,11 +6,11 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/contact/event_sides.h"
-#include "saltus/control/exact_run.h"
 #include "saltus/control/surrogate.h"
-#include "saltus/dynamics/events.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/events.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

@@ -18,7 +18,7 @@
 #include "saltus/contact/integrators.h"
 #include "saltus/contact/model_traits.h"
 #include "saltus/contact/step_input.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -16,7 +16,7 @@
 #include <string>
 #include <vector>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace ceres {
 class CostFunction;

@@ -10,10 +10,10 @@
 //   };
 //   ImpactLaw law{.name = "softening", .parameters = {0.9, 0.1}};
 //   law.function = std::make_shared<ceres::AutoDiffCostFunction<Softening, 1, 2, 2>>(new Softening);
-//   MakeSimulator(LearnedContact(law), scene, Precision::kDouble);     // saltus/dynamics/learned_contact.h
+//   MakeSimulator(LearnedContact(law), scene, Precision::kDouble);     // saltus/simulate/learned_contact.h
 //
-// An impact has the impulse of contact/impact.h with these two numbers: p_n = -(1 + e) m v_n, and p_t slips with mu p_n
-// or sticks. Every impulse that parts the discs and works against their sliding is of that kind.
+// An impact has the impulse of contact/law/impact.h with these two numbers: p_n = -(1 + e) m v_n, and p_t slips with mu
+// p_n or sticks. Every impulse that parts the discs and works against their sliding is of that kind.
 #pragma once
 
 #include <memory>

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "saltus/contact/solve_record.h"
-#include "saltus/physics/geometry.h"
-#include "saltus/physics/walls.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/walls.h"
 
 namespace saltus {
 

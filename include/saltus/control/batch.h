@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/dynamics/registry.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

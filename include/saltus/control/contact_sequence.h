@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "saltus/contact/contact_model.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

@@ -2,14 +2,14 @@
 //
 //   loss = sum of terminal terms + effort * sum_k |u_k|^2 dt        (a control is held over each step of length dt)
 //
-// States and controls have the shapes of dynamics/simulator.h.
+// States and controls have the shapes of simulate/simulator.h.
 #pragma once
 
 #include <Eigen/Core>
 #include <span>
 #include <string>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

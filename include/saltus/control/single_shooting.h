@@ -19,7 +19,7 @@
 
 #include "saltus/control/objective.h"
 #include "saltus/control/shooting_function.h"
-#include "saltus/dynamics/simulator.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -10,7 +10,7 @@
 
 #include <memory>
 
-#include "saltus/dynamics/simulator.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

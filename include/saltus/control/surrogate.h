@@ -3,7 +3,7 @@
 //
 //   complementarity_aware   the reverse sweep through each contact group takes, instead of the derivative, that for the
 //                           contact modes which the loss would rather have, if it is larger (Werling et al. 2021, as in
-//                           NimblePhysics 0.7.2; contact/lcp.h). Of models that have it as an option.
+//                           NimblePhysics 0.7.2; contact/models/lcp.h). Of models that have it as an option.
 //   smoothed_zeroth         an estimate of the gradient of the smoothed loss, from losses alone
 //   smoothed_first          the same from the model's own gradients (smoothed_gradient.h)
 #pragma once
@@ -14,8 +14,8 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

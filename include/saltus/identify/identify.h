@@ -24,8 +24,8 @@
 
 #include "saltus/contact/event_functions.h"
 #include "saltus/contact/impact_law.h"
-#include "saltus/dynamics/registry.h"
 #include "saltus/identify/recording.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

@@ -7,7 +7,7 @@
 #include <variant>
 #include <vector>
 
-#include "saltus/physics/scene.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
 

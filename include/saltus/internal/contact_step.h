@@ -2,7 +2,7 @@
 // it.
 //
 // The engine (rollout, islands, adjoint, linearization) is compiled once per scalar and size of the rotation state, in
-// dynamics/step_simulator.cc; it knows ContactStep only. A model contributes ContactStepOf<M, S>, which instantiates
+// simulate/step_simulator.cc; it knows ContactStep only. A model contributes ContactStepOf<M, S>, which instantiates
 // the model's own functions and nothing else, so a further model costs the compiler its step in values and in Jets. The
 // arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
 #pragma once
@@ -16,8 +16,8 @@
 #include <utility>
 
 #include "saltus/contact/contact_model.h"
-#include "saltus/dynamics/simulator.h"
 #include "saltus/internal/taped.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/physics/scalar.h"
+#include "saltus/base/scalar.h"
 
 namespace saltus {
 

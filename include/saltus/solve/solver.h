@@ -1,6 +1,6 @@
 // What every solver takes and reports, and the registry of solvers: one line each in solver.cc.
 //
-// A solver knows no contact model: it gets a name and asks the registry of dynamics/ for a simulator.
+// A solver knows no contact model: it gets a name and asks the registry of simulate/ for a simulator.
 #pragma once
 
 #include <cstddef>
@@ -11,12 +11,12 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/control/certificate.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/own_term.h"
 #include "saltus/control/surrogate.h"
-#include "saltus/dynamics/registry.h"
-#include "saltus/physics/scene.h"
+#include "saltus/optimality/certificate.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 

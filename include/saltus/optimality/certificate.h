@@ -1,0 +1,147 @@
+// Whether a control is optimal: how well it meets each condition of the hybrid minimum principle, and whether the loss
+// is curved upwards there.
+//
+// The control is constant on intervals; in exact dynamics it has some impacts, which cut the time into phases, and the
+// flight of each pushed disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
+// lambda_v.(u/m + g), and of discs that spin + lambda_angle w:
+//
+//   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: how far the forces on an arc, at the
+//                   middles of their intervals, are from a straight line. The line gives the costates of pushed discs.
+//   transversality  the costates at the end are the derivatives of the terminal terms. All other discs' costates start
+//                   there, and those of spin.
+//   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact; nu is that which fits best.
+//   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
+//                   impacts, this and not the pointwise condition is exact; they differ by O(h^2).)
+//
+// On a grid that does not move, the last condition gives way to another: with an impact on a node and a force that
+// jumps there, the loss has a kink, with the gradients `early` and `late` as if the impact were just before and just
+// after the node. Each belongs to a nu; a minimum lies between them, theta early + (1 - theta) late = 0 with theta in
+// [0, 1] (Clarke).
+//
+// With bounds on forces, hard terms, running and via terms or a free final time, the costates cannot be read off the
+// forces. They are then carried backwards through the motion, with the multipliers of impacts and hard terms that fit
+// best, so that transversality and jumps hold by themselves and what is left is
+//
+//   stationarity    the force on an interval is that within the bounds which is nearest to -lambda_v / (2 effort m) in
+//                   the mean; how far 2 effort m u + lambda_v is from the cone of outward normals there, turned round
+//   Hamiltonian     as above, less what running targets gain as they move; at a final time that is free, -weight.
+//
+// Conditions of first order say nothing of other sequences of impacts, which may be better.
+//
+// Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
+// principle" (arXiv 2205.08622). Residuals are relative to the largest costate (Hamiltonian) of the path.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/events.h"
+
+namespace saltus {
+
+inline constexpr double kCertificateTolerance = 1e-6;
+
+struct ImpactCertificate {
+  double time = 0;              // s
+  std::string a, b;             // as in Event
+  double speed = 0;             // of approach along the normal, m/s
+  double multiplier = 0;        // nu, 1/m
+  double jump = 0;              // residual of the costate jump
+  double hamiltonian = 0;       // residual: the Hamiltonian after less that before
+  bool on_node = false;         // the impact is at the boundary of two control intervals
+  std::optional<double> theta;  // if the force jumps there
+};
+
+// A term that is hard: the loss of the optimum falls by multiplier . d if its target moves by a small d.
+struct ConstraintCertificate {
+  std::string body;
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; of an angle or angular velocity its first entry, 1/rad or s/rad
+};
+
+// The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
+// along eps d from a stationary control the loss gains effort * curvature * eps^2. Bounds and hard terms are kept.
+struct Curvature {
+  enum class Kind {
+    kMinimum,  // positive along all: a local minimum along the sequence of impacts
+    kSaddle,   // negative along one: no minimum
+    kFlat,     // nearly zero along one: undecided
+  };
+  Kind kind = Kind::kFlat;
+  double smallest = 0;            // at most 1 as long as there are more controls than the motion notices
+  std::vector<double> direction;  // K x C x 2, N; its largest component is positive
+};
+
+struct Certificate {
+  enum class Verdict {
+    kStationary,        // all conditions hold
+    kStationaryOnGrid,  // not so, but the gradient on the given intervals vanishes, each theta being in [0, 1]
+    kNotStationary,
+    kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply
+    kNotApplicable,
+    kGlobal,  // all conditions hold, and a lower bound proves that no other control is better
+  };
+  Verdict verdict = Verdict::kNotApplicable;
+  // Which condition fails worst, that it is no minimum though all hold, or why there is nothing to certify.
+  std::string reason;
+  std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
+
+  double stationarity = 0;
+  double costate_jump = 0;
+  double hamiltonian = 0;
+  double transversality = 0;
+  std::vector<ImpactCertificate> impacts;
+  std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
+  std::optional<double> final_time;                // if that is free: residual of the derivative of the loss by it
+
+  // Of the loss by the control on the given intervals, combined with the thetas: what is left of 2 effort m u +
+  // lambda_v in the mean over an interval, relative to the largest costate.
+  std::optional<double> gradient;
+
+  // Where stationary (on the grid too), but not if it took long, nor with terms on the way, free time, no effort.
+  std::optional<Curvature> curvature;
+  bool IsStationary() const {
+    return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
+  }
+  bool IsSaddle() const { return curvature && curvature->kind == Curvature::Kind::kSaddle; }
+
+  // With an impact on a node of a fixed grid: largest component of the gradients of the loss by the control as if all
+  // impacts on nodes were early, late, and of their combination with the thetas, 1/N.
+  std::optional<double> gradient_early, gradient_late, gradient_combined;
+
+  // What is known of other sequences of impacts: nothing or that one of them is better, or that none searched is.
+  enum class Scope { kLocal, kBestOfSearched };
+  Scope scope = Scope::kLocal;
+  int sequences_searched = 0;
+};
+
+// "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable", "global"; "local",
+// "best_of_searched"; "minimum", "saddle", "flat".
+const char* VerdictToString(Certificate::Verdict verdict);
+const char* ScopeToString(Certificate::Scope scope);
+const char* CurvatureToString(Curvature::Kind kind);
+
+// Verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
+std::string VerdictInWords(const Certificate& certificate);
+
+// Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
+// none. Where these or the scene are wrong, or `stop` asked for the end, the certificate is kNotApplicable and says so.
+Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
+
+// The same certificate in other units; its residuals have none.
+Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
+
+// The curvature at a control that need not be stationary, impacts on nodes taking these with them. Nothing where there
+// is nothing to certify, or that would take long.
+std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
+                                     const std::vector<double>& control, const std::vector<double>& durations = {});
+
+// From the residuals, the thetas and the curvature to verdict and reason.
+void Judge(Certificate* certificate);
+// If there are ties, the verdict is kAmbiguous.
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate);
+
+}  // namespace saltus

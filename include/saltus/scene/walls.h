@@ -1,0 +1,87 @@
+// What never moves, as contact knows it: lines and circles (geometry.h), each the part of its scene that a disc can
+// meet from one side. Planes have one part, segments two sides and two ends, arcs likewise, polygons one side each
+// edge.
+//
+// A part counts where it is what is nearest: the side of a segment between the perpendiculars through its ends, an end
+// beyond those of all that meet there. At every place near an edge one part counts, and only one; in an angle that is
+// filled by the disc's side, one of each edge. Ends that several edges share are one part.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+
+namespace saltus {
+
+// Where a part counts: what centres of discs satisfy.
+struct WallExtent {
+  // normal . x >= offset, or > if it is open.
+  struct Bound {
+    Vec2d normal = Vec2d::Zero();  // |normal| = 1
+    double offset = 0;             // m
+    bool open = false;
+    // By how much x satisfies it, m.
+    double Inside(const Vec2d& x) const { return Dot(normal, x) - offset; }
+  };
+  bool endless = true;             // it counts everywhere
+  bool any = false;                // one of the bounds is enough
+  std::vector<Bound> bounds = {};  // none: all around
+
+  // Whether it counts at x, or would within `tolerance`, m.
+  bool Covers(const Vec2d& x, double tolerance = 0) const {
+    if (endless || bounds.empty()) return true;
+    for (const Bound& bound : bounds) {
+      const double inside = bound.Inside(x);
+      const bool holds = inside > -tolerance || (inside == 0 && !bound.open);
+      if (holds == any) return any;
+    }
+    return !any;
+  }
+};
+
+struct WallPart {
+  Wall<double> wall = {};
+  WallExtent extent = {};
+  std::string name = {};                           // of the scene's thing; of an end "name.a", "name.b"
+  Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m, where a line that is not endless ends
+  bool table = false;                              // under all discs: its distance is infinite
+  bool pocket = false;                             // met by the centres of discs, once: there they stay
+
+  // No disc whose centre is at x is nearer to the part; negative behind an endless one, m.
+  double LeastDistance(const Vec2d& x) const {
+    if (wall.curved()) {
+      const double outside = (x - wall.center).norm() - wall.radius;
+      return pocket ? std::max(outside, 0.0) : std::abs(outside);
+    }
+    if (extent.endless) return Dot(wall.normal, x) - wall.offset;
+    return (x - Nearest(x)).norm();
+  }
+  // How fast LeastDistance() can fall while a disc at x goes on straight with velocity v, m/s; not negative within an
+  // arc. Precondition: it is not endless.
+  double Closing(const Vec2d& x, const Vec2d& v) const {
+    const Vec2d away = x - (wall.curved() ? wall.center : Nearest(x));
+    const double distance = away.norm();
+    // Along a direction that parts it from what is convex, the distance is no less than its part along it.
+    return distance > wall.radius ? -Dot(away, v) / distance : v.norm();
+  }
+
+ private:
+  Vec2d Nearest(const Vec2d& x) const {
+    const Vec2d along = to - from;
+    const double share = std::min(std::max(Dot(along, Vec2d(x - from)) / along.squaredNorm(), 0.0), 1.0);
+    return from + share * along;
+  }
+};
+
+// The scene's planes, in their order, its table and its pockets, then the parts of its segments, polygons and arcs,
+// ends last. A Candidate (step_input.h) whose `plane` is true counts in these. Precondition: ValidateStructure(scene)
+// finds nothing.
+std::vector<WallPart> WallPartsOf(const Scene& scene);
+
+// The names of these parts.
+std::vector<std::string> WallNamesOf(const Scene& scene);
+
+}  // namespace saltus

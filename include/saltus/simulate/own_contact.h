@@ -1,0 +1,99 @@
+// A user's own contact model, for everything that takes a contact model.
+//
+//   #include "my_model.h"
+//   saltus::Solve("gd", {.scene = scene, .contact = saltus::OwnContact<MyModel>()}, {});
+//
+// contact/contact_model.h says what a model has.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include "saltus/internal/contact_step.h"
+#include "saltus/simulate/registry.h"
+
+namespace saltus {
+namespace internal {
+
+template <ContactModel M>
+std::string WhyModelNotApplicable(const Scene& scene) {
+  if (!M::kTraits.friction && scene.contact.friction > 0) return "this model knows no friction";
+  if (scene.steps % M::kTraits.grid_steps != 0) {
+    return "this model needs a number of steps divisible by " + std::to_string(M::kTraits.grid_steps);
+  }
+  if (!M::kTraits.event_driven && scene.table) {
+    return "discs slide on a table: this model has no friction with what they lie on";
+  }
+  if (!M::kTraits.event_driven && !scene.pockets.empty()) {
+    return "discs fall into pockets: this model has no time at which they do";
+  }
+  if (scene.Spins()) {
+    if constexpr (requires { typename M::Spinning; }) return WhyModelNotApplicable<typename M::Spinning>(scene);
+    if constexpr (M::kRotation != kSpin) return "discs that spin: this model does not turn them";
+  }
+  if constexpr (requires { M::WhyNot(scene); }) return M::WhyNot(scene);
+  return "";
+}
+
+// Calls visit(option, member) for each option of the model, if it has any.
+template <ContactModel M, typename Visit>
+void VisitOptionsOf(M* model, const Visit& visit) {
+  if constexpr (requires { model->VisitOptions(visit); }) model->VisitOptions(visit);
+}
+
+template <ContactModel M>
+std::vector<ListedOption> ListOptions() {
+  std::vector<ListedOption> options;
+  M model;
+  VisitOptionsOf(&model, [&](const ModelOption& option, const auto& member) {
+    options.push_back({option, static_cast<double>(member), !std::is_floating_point_v<std::decay_t<decltype(member)>>});
+  });
+  return options;
+}
+
+template <ContactModel M>
+M WithOptions(std::span<const OptionValue> values) {
+  M model;
+  VisitOptionsOf(&model, [&](const ModelOption& option, auto& member) {
+    for (const OptionValue& set : values) {
+      if (set.name == option.name) member = static_cast<std::decay_t<decltype(member)>>(set.value);
+    }
+  });
+  return model;
+}
+
+template <ContactModel M>
+std::unique_ptr<Simulator> MakeSimulatorWithOptions(const Scene& scene, Precision precision,
+                                                    std::span<const OptionValue> options) {
+  if constexpr (requires { typename M::Spinning; }) {
+    if (scene.Spins()) return MakeSimulatorWithOptions<typename M::Spinning>(scene, precision, options);
+  }
+  const M model = WithOptions<M>(options);
+  if constexpr (!M::kTraits.double_engine) {
+    if (precision == Precision::kFloat) return MakeModelSimulator<M, float>(scene, precision, model);
+  }
+  return MakeModelSimulator<M, double>(scene, precision, model);
+}
+
+}  // namespace internal
+
+template <ContactModel M>
+ContactEntry MakeContactEntry() {
+  return {M::kTraits,
+          internal::ListOptions<M>(),
+          &internal::WhyModelNotApplicable<M>,
+          &internal::MakeSimulatorWithOptions<M>};
+}
+
+// The model with its options at their defaults; Contact::With() sets them. A model of that name in the registry is
+// another.
+template <ContactModel M>
+Contact OwnContact() {
+  static const auto entry = std::make_shared<const ContactEntry>(MakeContactEntry<M>());
+  return Contact(entry);
+}
+
+}  // namespace saltus

@@ -1,0 +1,310 @@
+#include "saltus/audit/contact_class.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <vector>
+
+#include "audit/attribution/contact_run.h"
+#include "audit/gradient/statistics.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+// Lengths of a step: three to each halving, from the model's own to 256 times finer ones; further only for what is not
+// an impulse there.
+constexpr int kPerHalving = 3;
+constexpr int kHalvings = 8, kMostHalvings = 16;
+constexpr int kReboundHalvings = 4;
+constexpr size_t kNeighbours = kPerHalving;
+constexpr int kMostSteps = 20'000;  // of all runs until a contact is over
+
+// An impulse keeps more than the one, a force that is resolved less than the other. Runs end when it is well resolved.
+constexpr double kImpulse = 0.4, kForce = 0.1, kResolved = 0.02;
+// With less than this part of the restitution asked for, there is none. A critically damped spring keeps 0.135.
+constexpr double kNoRebound = 0.15;
+// Of more than this, restitution or not, something else takes part.
+constexpr double kMostRebound = 1.25;
+// Orders in h on either side of which a force jumps or is continuous at its onset.
+constexpr double kJumps = 1.35, kContinuous = 1.65;
+constexpr double kOnsetSteps = 3000;  // of the whole contact, at the finest length at which its onset is seen
+constexpr double kTolerance = 0.1;    // of dx'/dx
+constexpr double kFeedback = 0.01;    // h dv'/dx above which it is one
+constexpr size_t kFinest = 3 * kPerHalving;
+
+struct Length {
+  double h = 0;
+  ContactRun run;
+};
+
+// Median of `value` over entries [first, first + count), from the end if `first` is negative.
+template <typename T, typename Value>
+double MedianOf(const std::vector<T>& all, int first, size_t count, const Value& value) {
+  const size_t begin = first < 0 ? all.size() - std::min<size_t>(all.size(), -first) : first;
+  std::vector<double> values;
+  for (size_t i = begin; i < std::min(all.size(), begin + count); ++i) values.push_back(value(all[i]));
+  return Median(values);
+}
+
+// p of value ~ h^p, by least squares over the last `count`.
+template <typename T, typename Value>
+double OrderOf(const std::vector<T>& all, size_t count, const Value& value) {
+  std::vector<double> lengths, values;
+  for (size_t i = all.size() - std::min(all.size(), count); i < all.size(); ++i) {
+    lengths.push_back(all[i].h);
+    values.push_back(std::max(value(all[i]), 1e-300));
+  }
+  return PowerOf(lengths, values);
+}
+
+std::string Format(const char* format, double a, double b = 0, double c = 0) {
+  char text[240];
+  std::snprintf(text, sizeof text, format, a, b, c);
+  return text;
+}
+
+class Recogniser {
+ public:
+  Recogniser(const ContactBench& bench, double h, std::vector<double> before, double restitution)
+      : bench_(bench), h_(h), before_(std::move(before)) {
+    out_.restitution = restitution;
+  }
+
+  ContactRecognition Run();
+
+ private:
+  double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
+  bool RunContacts();
+  double FinestConcentration() const {
+    return MedianOf(lengths_, -int(kNeighbours), kNeighbours, [](const Length& l) { return l.run.concentration; });
+  }
+  void RecordContacts();
+  void JudgeForce();
+  void JudgeImpulse();
+  void Decide(ContactClass contact_class, std::string words) {
+    out_.contact_class = contact_class;
+    out_.words = std::move(words);
+  }
+
+  const ContactBench& bench_;
+  double h_;
+  std::vector<double> before_;
+  std::vector<Length> lengths_;  // from the model's own on
+  ContactRecognition out_;
+};
+
+// Until it is clear whether the contact is an impulse. False if it did not happen at some length.
+bool Recogniser::RunContacts() {
+  std::vector<double> from = before_;
+  int steps = 0;
+  for (int i = 0; i <= kMostHalvings * kPerHalving && steps < kMostSteps; ++i) {
+    const ContactRun run = bench_.Run(LengthOf(i), from, /*onset_only=*/false);
+    if (!run.begins) return false;
+    lengths_.push_back({LengthOf(i), run});
+    from = run.before;
+    steps += run.steps;
+    if (lengths_.size() < 2 * kNeighbours) continue;
+    const double concentration = FinestConcentration();
+    if (concentration < kResolved || (i >= kHalvings * kPerHalving && concentration > kImpulse)) break;
+  }
+  return lengths_.size() >= 2 * kNeighbours;
+}
+
+void Recogniser::RecordContacts() {
+  const auto rebound = [](const Length& length) { return length.run.rebound; };
+  out_.concentration =
+      MedianOf(lengths_, 0, kNeighbours, [](const Length& length) { return length.run.concentration; });
+  out_.finer_concentration = FinestConcentration();
+  out_.rebound = MedianOf(lengths_, 0, kNeighbours, rebound);
+  const int last = std::min<int>(lengths_.size(), kReboundHalvings * kPerHalving);
+  out_.finer_rebound = MedianOf(lengths_, std::max<int>(0, last - kNeighbours), kNeighbours, rebound);
+}
+
+void Recogniser::JudgeForce() {
+  std::vector<Length> onsets = lengths_;
+  const double halvings = std::log2(kOnsetSteps / std::max(1, onsets.back().run.touched));
+  const int last = static_cast<int>(onsets.size() + kPerHalving * std::max(2.0, halvings));
+  for (int i = static_cast<int>(onsets.size()); i <= last; ++i) {
+    const ContactRun run = bench_.Run(LengthOf(i), onsets.back().run.before, /*onset_only=*/true);
+    if (!run.begins) break;
+    onsets.push_back({LengthOf(i), run});
+  }
+  const double order = OrderOf(onsets, 2 * kPerHalving + 1, [](const Length& length) { return length.run.first_full; });
+  out_.onset_order = order;
+  const std::string found = Format("a force, at its onset ~ h^%.1f in a step", order);
+  if (order < kJumps) {
+    Decide(ContactClass::kForceWithJump, found + Format("; rebound %.2f", *out_.finer_rebound));
+  } else if (order > kContinuous) {
+    Decide(ContactClass::kContinuousForce, found + Format("; rebound %.2f", *out_.finer_rebound));
+  } else {
+    Decide(ContactClass::kUnclear, found + ", between that of a jump and of a continuous one");
+  }
+}
+
+void Recogniser::JudgeImpulse() {
+  struct Entry {
+    double h, position, velocity;
+  };
+  std::vector<Entry> entries;
+  for (size_t i = lengths_.size() - std::min(lengths_.size(), kFinest); i < lengths_.size(); ++i) {
+    const NormalMap map = bench_.Linearize(lengths_[i].h, lengths_[i].run.before_largest);
+    entries.push_back({lengths_[i].h, map.position_from_position, lengths_[i].h * map.velocity_from_position});
+  }
+  double position = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.position; });
+  if (std::abs(position) < 0.005) position = 0;  // not to be printed as -0.00
+  const double feedback = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.velocity; });
+  const double order = OrderOf(entries, kFinest, [](const Entry& e) { return std::abs(e.velocity); });
+  out_.position_from_position = position;
+  out_.velocity_from_position = feedback;
+  const auto near = [](double value, double target) { return std::abs(value - target) < kTolerance; };
+  const std::string passes = Format("an impulse; the normal position passes with a factor of %.2f", position);
+  const std::string instead = Format(" instead of %.2f", -out_.restitution);
+  const bool rebounds = *out_.finer_rebound > 2 * kTolerance;
+  if (near(position, 0) && rebounds) {
+    Decide(ContactClass::kProjection, passes + instead);
+  } else if (near(position, -*out_.finer_rebound) && rebounds) {
+    Decide(ContactClass::kImpactTimeResolved, passes);
+  } else if (std::abs(position - 1) < kTolerance + std::abs(feedback) && std::abs(feedback) > kFeedback) {
+    // It may have acted within the step, so that the position has felt it.
+    if (std::abs(order) < 0.5) {
+      Decide(ContactClass::kDepthFeedback, Format("an impulse that takes %.2g of the depth out in a step", -feedback));
+    } else {
+      Decide(ContactClass::kUnclear, passes + ", and with the depth it changes as no class does");
+    }
+  } else if (near(position, 1)) {
+    Decide(ContactClass::kImpulseAtStepBoundary, passes + instead);
+  } else {
+    Decide(ContactClass::kUnclear, passes + instead + ", which is that of no known class");
+  }
+}
+
+ContactRecognition Recogniser::Run() {
+  if (!RunContacts()) {
+    out_.words = "the contact does not happen at every length of step";
+    return out_;
+  }
+  RecordContacts();
+  if (std::max(*out_.rebound, *out_.finer_rebound) < kNoRebound * out_.restitution) {
+    Decide(ContactClass::kNoRestitution,
+           Format("rebounds at %.3f of the closing speed, at finer steps %.3f, where %.2f is asked for",
+                  *out_.rebound,
+                  *out_.finer_rebound,
+                  out_.restitution));
+  } else if (*out_.finer_rebound > kMostRebound) {
+    out_.words = Format("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
+  } else if (*out_.finer_concentration < kForce) {
+    JudgeForce();
+  } else if (*out_.finer_concentration > kImpulse) {
+    JudgeImpulse();
+  } else {
+    out_.words =
+        Format("between impulse and force: the largest change in a step is %.2f of all", *out_.finer_concentration);
+  }
+  return out_;
+}
+
+// The contact of a model's own rollout.
+class ModelBench final : public ContactBench {
+ public:
+  ModelBench(const Contact& contact, const Scene& scene, const Encounter& encounter, const StopRequest& stop)
+      : contact_(contact), scene_(scene), encounter_(encounter), stop_(stop) {}
+
+  ContactRun Run(double h, std::span<const double> from, bool onset_only) const override {
+    return ContactRunner(contact_, scene_, encounter_, h, stop_).Run(from, onset_only);
+  }
+  NormalMap Linearize(double h, std::span<const double> before_largest) const override {
+    return ContactRunner(contact_, scene_, encounter_, h, stop_).Linearize(before_largest);
+  }
+
+ private:
+  Contact contact_;
+  const Scene& scene_;
+  const Encounter& encounter_;
+  const StopRequest& stop_;
+};
+
+}  // namespace
+
+ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
+                                    double restitution) {
+  return Recogniser(bench, h, std::move(before), restitution).Run();
+}
+
+const char* ContactClassToString(ContactClass contact_class) {
+  switch (contact_class) {
+    case ContactClass::kUnclear:
+      return "unclear";
+    case ContactClass::kImpactTimeResolved:
+      return "impact time resolved";
+    case ContactClass::kImpulseAtStepBoundary:
+      return "impulse at a step boundary";
+    case ContactClass::kProjection:
+      return "projection";
+    case ContactClass::kDepthFeedback:
+      return "depth feedback";
+    case ContactClass::kContinuousForce:
+      return "continuous force";
+    case ContactClass::kForceWithJump:
+      return "force with a jump";
+    case ContactClass::kNoRestitution:
+      return "no restitution";
+  }
+  LOG(FATAL) << "no such class";
+}
+
+const char* MeaningOf(ContactClass contact_class) {
+  switch (contact_class) {
+    case ContactClass::kUnclear:
+      return "The numbers do not decide.";
+    case ContactClass::kImpactTimeResolved:
+      return "An impulse that is differentiated together with its time: a displacement towards the contact comes back "
+             "with the opposite sign, as it should.";
+    case ContactClass::kImpulseAtStepBoundary:
+      return "An impulse that acts at the boundary of a step, whatever the depth: the motion converges, but its time "
+             "of "
+             "impact is not differentiated, and the gradient by position keeps the wrong sign at every step.";
+    case ContactClass::kProjection:
+      return "Overlap is projected away: whatever the normal position was before the impact, nothing of it is left in "
+             "the gradient.";
+    case ContactClass::kDepthFeedback:
+      return "The impulse corrects a part of the depth within a step: as the depth is a part of what a step moves, the "
+             "gradient grows without bound as steps shrink.";
+    case ContactClass::kContinuousForce:
+      return "A force that sets in from zero: the gradient converges to the exact one as first the step and then the "
+             "softness go to zero.";
+    case ContactClass::kForceWithJump:
+      return "A force that jumps at its onset: what the jump puts into the gradient does not depend on the step, and "
+             "grows with stiffness and damping.";
+    case ContactClass::kNoRestitution:
+      return "Plastic by construction: the gradient is that of a motion that does not rebound.";
+  }
+  LOG(FATAL) << "no such class";
+}
+
+ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop) {
+  ContactRecognition refused;
+  refused.words = WhyNotApplicable(contact, scene);
+  if (!refused.words.empty()) return refused;
+  const Scene natural = InNaturalUnits(scene);
+  const std::optional<Encounter> encounter = FindEncounter(contact, natural, stop);
+  if (!encounter) {
+    refused.restitution = natural.contact.restitution;
+    refused.words = "no two bodies meet by themselves";
+    return refused;
+  }
+  const double h = natural.duration / (natural.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps);
+  ContactRecognition found = RecogniseOnBench(
+      ModelBench(contact, natural, *encounter, stop), h, encounter->before, natural.contact.restitution);
+  const Candidate& pair = encounter->pair;
+  found.step = encounter->step;
+  found.a = natural.bodies[pair.a].name;
+  found.b = pair.plane ? WallNamesOf(natural)[pair.b] : natural.bodies[pair.b].name;
+  return found;
+}
+
+}  // namespace saltus

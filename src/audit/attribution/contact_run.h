@@ -1,0 +1,123 @@
+// One contact of a model, run at one length of step.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <string_view>
+#include <vector>
+
+#include "saltus/audit/contact_class.h"
+#include "saltus/simulate/registry.h"
+
+namespace saltus {
+
+// The relative motion of two discs, or of a disc and a plane, along their normal.
+class PairMotion {
+ public:
+  // `free` is that of the simulator, which outlives this; `force` is that on every disc, B x 2.
+  PairMotion(const Simulator& simulator, const StepLinearization::FreeFlight& free, const Candidate& pair,
+             std::span<const double> force);
+
+  Vec2d NormalAt(std::span<const double> x) const;
+  double Speed(std::span<const double> x) const;  // of separation, m/s
+  // By the step from one state to the other, less that of free flight, m/s.
+  double Change(std::span<const double> from, std::span<const double> to) const;
+  // Whether the pair closes in no faster than its acceleration makes it within a few steps.
+  bool Rests(std::span<const double> x) const;
+  const StepLinearization::FreeFlight& free() const { return free_; }
+
+ private:
+  Vec2d Relative(std::span<const double> x, int offset) const;
+
+  const Simulator& simulator_;
+  StepLinearization::FreeFlight free_;
+  Candidate pair_;
+  Wall<double> wall_;  // of a pair with one
+  Vec2d acceleration_;
+};
+
+// A pair about to meet, and the state of the scene before it does.
+struct Encounter {
+  int step = 0;  // of the model's rollout, in which the contact begins
+  Candidate pair;
+  std::vector<double> before;  // state_size() numbers, up to two steps earlier
+  std::vector<double> force;   // on every disc, B x 2
+};
+
+// The first contact of the model's rollout that takes a part of a pair's closing speed while nothing else is close;
+// nothing if there is none, or if the rollout is not finite.
+std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scene, const StopRequest& stop);
+
+// What a contact does to the velocity along the pair's normal.
+struct ContactRun {
+  bool begins = false;                 // the pair met within the steps allowed
+  bool ends = false;                   // and parted, or came to rest
+  double concentration = 0;            // largest change of a step / sum of their magnitudes
+  double rebound = 0;                  // speed of separation / closing speed; 0 if it rests
+  double first_full = 0;               // change in the second step of the contact / closing speed
+  int steps = 0;                       // that were run
+  int touched = 0;                     // of these, in contact
+  std::vector<double> before;          // two steps before the contact
+  std::vector<double> before_largest;  // two steps before that of the largest change
+};
+
+// d(relative normal position, velocity) after / before an impulse.
+struct NormalMap {
+  double position_from_position = 0, velocity_from_position = 0;  // 1, 1/s
+};
+
+// Puts the steps of a contact together. All speeds and changes are relative to the closing speed.
+class RunRecorder {
+ public:
+  explicit RunRecorder(bool onset_only) : onset_only_(onset_only) {}
+  // A step that changed the speed of separation to `speed`. `touched`: whether the pair may be in contact. `before` is
+  // the state kLead steps before it.
+  void Add(double change, double speed, bool touched, std::span<const double> before);
+  bool ended() const { return run_.ends; }
+  bool begun() const { return run_.begins; }
+  const ContactRun& Finish();
+
+  static constexpr int kLead = 2;  // steps before a contact from which it is run again
+
+ private:
+  bool onset_only_;
+  ContactRun run_;
+  double largest_ = 0, sum_ = 0;
+  int felt_ = 0, at_rest_ = 0;
+};
+
+// One contact, to be run at any length of step.
+class ContactBench {
+ public:
+  virtual ~ContactBench() = default;
+  // From a state before the contact until it is over; if `onset_only`, just its first two steps. What a state is, only
+  // the bench knows.
+  virtual ContactRun Run(double h, std::span<const double> from, bool onset_only) const = 0;
+  // Over the step that follows `before_largest` by two, with free flight undone.
+  virtual NormalMap Linearize(double h, std::span<const double> before_largest) const = 0;
+};
+
+// How a contact is made, from runs with steps of length `h` and finer ones, the first of them from the state `before`.
+ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
+                                    double restitution);
+
+// Steps of length `h` of a model, around one encounter.
+class ContactRunner {
+ public:
+  ContactRunner(const Contact& contact, const Scene& scene, const Encounter& encounter, double h,
+                const StopRequest& stop);
+
+  // From a state before the contact until it is over; if `onset_only`, just its first two steps.
+  ContactRun Run(std::span<const double> from, bool onset_only) const;
+  // Over the step that follows `before_largest` by two, with free flight undone.
+  NormalMap Linearize(std::span<const double> before_largest) const;
+
+ private:
+  const Scene& scene_;
+  const Encounter& encounter_;
+  std::unique_ptr<Simulator> simulator_;
+  PairMotion motion_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,40 @@
+// The linearization of several steps of a simulator, composed, over some of its discs.
+#pragma once
+
+#include <Eigen/Core>
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "saltus/simulate/simulator.h"
+
+namespace saltus {
+
+// The force on every disc (B x 2) in step k.
+using ForceOfStep = std::function<void(int k, std::span<double> force)>;
+
+struct StepMap {
+  std::vector<double> end;         // state after the steps
+  std::vector<StepTouch> touches;  // steps counted from the begin
+  Eigen::MatrixXd A;  // d(end) / d(begin) over the given discs: [p v] of each, and [angle w] if the scene spins
+};
+
+// Numbers of a disc in the state of a scene: those above.
+int NumbersOfDisc(const Scene& scene);
+
+// Whether number j of a disc is a velocity or an angular velocity.
+inline bool IsRate(Eigen::Index j) { return j == 2 || j == 3 || j == 5; }
+
+// Puts lengths and turns on one scale: of each disc of `bodies` the factors of [p v], and of [angle w] if the scene
+// spins: 1, `time`, the radius and the radius times `time`. Of costates they are those to divide by.
+Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time);
+
+// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ... Rotation that is the model's
+// own takes part in the composition, but not in A.
+StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
+                     const std::vector<int>& bodies);
+
+// The same without the linearization.
+StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps);
+
+}  // namespace saltus

@@ -1,0 +1,80 @@
+// A head-on impact, asked of a black box: the pair of a scene by itself, without friction.
+//
+//   e     speed of separation / closing speed
+//   feed  h d(relative velocity at the end) / d(displacement)
+//   keep  d(relative position at the end) / d(displacement) - d(relative velocity) / d(displacement) * (time since)
+//
+// of a displacement of the first disc towards the other before the impact, small beside what it moves in a step: 1 is
+// left of it by an impulse at a step boundary, 0 by a projection, -e by an impact whose time is resolved. These are
+// measured without forces. The class is that of the same contact under the acceleration that the scene has there: the
+// force of some models jumps by it.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "audit/attribution/contact_run.h"
+#include "saltus/audit/black_box.h"
+
+namespace saltus {
+
+// A contact of a scene.
+struct Meeting {
+  Candidate pair;
+  double acceleration = 0;  // of the first towards the other, relative, m/s^2
+};
+
+class HeadOnImpact final : public ContactBench {
+ public:
+  // `noise` is that of the answers, relative.
+  HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const Meeting& meeting, double noise,
+               const StopRequest& stop);
+
+  // Why it cannot be asked; empty if it can.
+  const std::string& reason() const { return reason_; }
+  // Length of a step of the simulator on the scene's time grid, s.
+  double step() const { return traits_.grid_steps * grid_step_; }
+
+  // The state before is the gap, m, and the closing speed, m/s.
+  std::vector<double> FarBefore() const { return {kApproach * speed_ * step(), speed_}; }
+  ContactRun Run(double h, std::span<const double> from, bool onset_only) const override;
+  NormalMap Linearize(double h, std::span<const double> before_largest) const override;
+
+  // At the scene's steps, or so many times finer ones; nothing if an answer is missing. Medians over nine phases of the
+  // impact within a step.
+  std::optional<BlackBoxFindings::HeadOn> Measure(int finer) const;
+
+ private:
+  static constexpr double kApproach = 12.37;  // steps from the start of the first run to the impact
+
+  struct Motion {
+    double position = 0, velocity = 0;  // of the first disc to the other, m, m/s
+  };
+  // What is run: from a gap at a closing speed, under an acceleration.
+  struct Start {
+    double gap, speed, acceleration;
+  };
+  Question Ask(const Start& start, int steps, double h) const;
+  Motion MotionIn(std::span<const double> state) const;
+  // d(motion) / d(displacement) in those runs; empty if an answer is missing.
+  std::vector<Motion> Slopes(const std::vector<Start>& starts, int steps, double h) const;
+  std::vector<Answer> AnswersTo(const std::vector<Question>& questions) const;
+  // After steps first, first + 1, ...; none if an answer is missing.
+  std::vector<Motion> Motions(const Start& start, double h, int first, int count) const;
+
+  std::shared_ptr<BlackBox> box_;
+  double noise_;
+  StopRequest stop_;
+  Scene scene_;
+  double grid_step_;
+  int num_steps_;  // of the scene's grid, over which e, keep and feed are measured
+  Vec2d towards_;  // the direction in which the first disc moves
+  double reach_;   // distance of the first disc from the other, or from the plane, in contact
+  double speed_, acceleration_;
+  BlackBoxTraits traits_;
+  std::string reason_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,260 @@
+#include "audit/blackbox/black_box_simulator.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "saltus/control/contact_sequence.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kRounding = std::numeric_limits<double>::epsilon();
+// Widths of differences, in what a disc moves in a step: narrow, so that impacts stay in their steps, and so much above
+// the noise as the budget of error says.
+constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300, kMuchNoise = 1e-11;
+
+using Kind = Question::Kind;
+
+}  // namespace
+
+Question BlackBoxSimulator::Ask(Kind kind, int steps) const {
+  const std::size_t width = control_width(), all = steps * model_.grid_steps;
+  return {kind,
+          steps * model_.grid_steps,
+          steps * step(),
+          initial_,
+          {control_.begin(), control_.begin() + std::min(control_.size(), all * width)},
+          {}};
+}
+
+bool BlackBoxSimulator::Fail(const std::string& why) {
+  why_failed_ = why;
+  failure_ = RolloutFailure{-1, -1, why_failed_};
+  return false;
+}
+
+bool BlackBoxSimulator::Rollout(std::span<const double> initial, std::span<const double> control) {
+  failure_.reset();
+  touches_.clear();
+  initial_.assign(initial.begin(), initial.end());
+  const std::size_t width = control_width();
+  control_.clear();
+  for (std::size_t i = 0; i < control.size(); i += std::max<std::size_t>(width, 1)) {
+    for (int j = 0; j < model_.grid_steps; ++j) {
+      control_.insert(control_.end(), control.begin() + i, control.begin() + i + width);
+    }
+  }
+  Answer answer = AnswersTo({Ask(Kind::kSimulate, num_steps_)}).front();
+  if (!answer.error.empty()) return Fail(answer.error);
+  states_.assign(num_steps_ + 1, {});
+  states_.front() = initial_;
+  states_.back() = std::move(answer.final);
+  if (options_.touches && traits_.step) FindTouches();
+  return true;
+}
+
+std::vector<double> BlackBoxSimulator::ForceIn(int k) const {
+  std::vector<double> force(2 * num_bodies());
+  const std::size_t width = control_width();
+  if (width > 0) ExpandForce(std::span(control_).subspan(k * model_.grid_steps * width, width), 0, force);
+  return force;
+}
+
+// Those in between are asked for when they are needed, all at once: by steps, or as final states of shorter runs.
+const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
+  if (!states_[k].empty()) return states_[k];
+  if (traits_.states) {
+    Question all = Ask(Kind::kSimulate, num_steps_);
+    all.states = true;
+    const Answer answer = AnswersTo({all}).front();
+    const std::size_t size = state_size();
+    const std::vector<double> unknown(size, std::numeric_limits<double>::quiet_NaN());
+    for (int i = 1; i < num_steps_; ++i) {
+      const auto at = answer.states.begin() + static_cast<std::ptrdiff_t>(i * size);
+      states_[i] = answer.error.empty() ? std::vector<double>(at, at + static_cast<std::ptrdiff_t>(size)) : unknown;
+    }
+    return states_[k];
+  }
+  if (traits_.step) {
+    for (int i = 0; i + 1 < num_steps_; ++i) {
+      states_[i + 1].resize(state_size());
+      Step(states_[i], ForceIn(i), states_[i + 1], nullptr);
+    }
+    return states_[k];
+  }
+  std::vector<Question> questions;
+  std::vector<int> places;
+  for (int i = 0; i <= num_steps_; ++i) {
+    if (!states_[i].empty()) continue;
+    questions.push_back(Ask(Kind::kSimulate, i));
+    places.push_back(i);
+  }
+  const std::vector<Answer> answers = AnswersTo(questions);
+  const std::vector<double> unknown(state_size(), std::numeric_limits<double>::quiet_NaN());
+  for (std::size_t i = 0; i < answers.size(); ++i) {
+    states_[places[i]] = answers[i].error.empty() ? answers[i].final : unknown;
+  }
+  return states_[k];
+}
+
+void BlackBoxSimulator::GetState(int k, std::span<double> x) const {
+  const std::vector<double>& state = StateAt(k);
+  std::copy(state.begin(), state.end(), x.begin());
+}
+
+void BlackBoxSimulator::ExpandInitial(std::span<const double> initial, std::span<double> x) const {
+  std::copy(initial.begin(), initial.end(), x.begin());
+  for (int i = 0; i < num_bodies(); ++i) {
+    if (scene_.bodies[i].fixed) x[kNumbers * i + 2] = x[kNumbers * i + 3] = 0;
+  }
+}
+
+void BlackBoxSimulator::AdjointInto(std::span<const double> cotangent, const SensitivityView& out) {
+  std::fill(out.initial.begin(), out.initial.end(), 0.0);
+  for (std::size_t i = 0; i < out.control.size(); ++i) {
+    out.control[i] = i < out.addend.size() ? out.factor * out.addend[i] : 0.0;
+  }
+  if (out.parameters != nullptr) *out.parameters = {};
+  bool ok = true;
+  if (traits_.gradient && !options_.differences) {
+    ok = AdjointByItself(cotangent, out);
+  } else {
+    AdjointByDifferences(cotangent, out);
+  }
+  // There is no other way to say it: what is not a number is refused as a gradient.
+  if (!ok) std::fill(out.initial.begin(), out.initial.end(), std::numeric_limits<double>::quiet_NaN());
+}
+
+bool BlackBoxSimulator::AdjointByItself(std::span<const double> cotangent, const SensitivityView& out) {
+  Question question = Ask(Kind::kGradient, num_steps_);
+  question.of_final.assign(cotangent.begin(), cotangent.end());
+  const Answer answer = AnswersTo({question}).front();
+  if (!answer.error.empty()) return false;
+  for (std::size_t i = 0; i < out.initial.size(); ++i) {
+    out.initial[i] = scene_.bodies[i / kNumbers].fixed ? 0.0 : answer.initial[i];
+  }
+  const std::size_t width = control_width();
+  for (std::size_t i = 0; !out.control.empty() && i < answer.control.size(); ++i) {
+    out.control[i / width / model_.grid_steps * width + i % width] += answer.control[i];
+  }
+  return true;
+}
+
+double BlackBoxSimulator::LargestSpeed(std::span<const double> x) const {
+  double largest = 0;
+  for (int i = 0; i < num_bodies(); ++i) {
+    largest = std::max(largest, std::hypot(x[kNumbers * i + 2], x[kNumbers * i + 3]));
+  }
+  return largest;
+}
+
+double BlackBoxSimulator::Width(double speed, double extent) const {
+  const double moved = speed * step();
+  const double noise = std::max(options_.noise, kRounding) * extent;
+  return moved * std::clamp(kAboveNoise * noise / moved, kNarrow, kWidest);
+}
+
+std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_control) const {
+  const double T = scene_.duration;
+  double extent = 0, radius = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < num_bodies(); ++i) {
+    radius = std::min(radius, scene_.bodies[i].radius);
+    for (const std::vector<double>* x : {&states_.front(), &states_.back()}) {
+      extent = std::max(extent, std::hypot((*x)[kNumbers * i], (*x)[kNumbers * i + 1]));
+    }
+  }
+  const double speed =
+      std::max({LargestSpeed(states_.front()), LargestSpeed(states_.back()), kNarrow * radius / step()});
+  const double width = Width(speed, extent);
+  // What changes a velocity is felt in every step, and lost there if it is rounding.
+  const double driven = options_.noise > kMuchNoise ? kWidest * speed * step() : width;
+  std::vector<Variable> variables;
+  for (int i = 0; i < kNumbers * num_bodies(); ++i) {
+    if (!scene_.bodies[i / kNumbers].fixed) {
+      variables.push_back({i, false, 0, 0, i % kNumbers < 2 ? width : driven / T});
+    }
+  }
+  const int steps = num_steps_ * model_.grid_steps, segments = std::min(options_.segments, num_steps_);
+  for (int s = 0; with_control && s < segments; ++s) {
+    for (int i = 0; i < control_width(); ++i) {
+      const double mass = scene_.bodies[scene_.control.bodies[i / 2]].mass;
+      const auto at = [&](std::int64_t segment) { return static_cast<int>(segment * steps / segments); };
+      variables.push_back({i, true, at(s), at(s + 1), segments * 2 * mass * driven / (T * T)});
+    }
+  }
+  return variables;
+}
+
+void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, const SensitivityView& out) {
+  const std::vector<Variable> variables = Variables(!out.control.empty());
+  const std::size_t pushed = control_width();
+  std::vector<Question> questions;
+  for (const Variable& variable : variables) {
+    for (const double width : {variable.width, -variable.width}) {
+      Question& question = questions.emplace_back(Ask(Kind::kSimulate, num_steps_));
+      if (!variable.control) question.initial[variable.index] += width;
+      for (int k = variable.begin; k < variable.end; ++k) question.control[k * pushed + variable.index] += width;
+    }
+  }
+  const std::vector<Answer> answers = AnswersTo(questions);
+  for (std::size_t v = 0; v < variables.size(); ++v) {
+    const Variable& variable = variables[v];
+    const Answer &above = answers[2 * v], &below = answers[2 * v + 1];
+    double slope = std::numeric_limits<double>::quiet_NaN();
+    if (above.error.empty() && below.error.empty()) {
+      slope = 0;
+      for (std::size_t i = 0; i < cotangent.size(); ++i) slope += cotangent[i] * (above.final[i] - below.final[i]);
+      // What was changed is not quite the width.
+      const double width =
+          variable.control ? 2 * variable.width
+                           : questions[2 * v].initial[variable.index] - questions[2 * v + 1].initial[variable.index];
+      slope /= width;
+    }
+    if (!variable.control) out.initial[variable.index] += slope;
+    for (int k = variable.begin; k < variable.end; ++k) {
+      out.control[k / model_.grid_steps * pushed + variable.index] += slope / (variable.end - variable.begin);
+    }
+  }
+}
+
+namespace {
+
+std::string WhyNot(BlackBox* box, const Scene& scene, int grid_steps) {
+  const BlackBoxTraits traits = TraitsFor(box, scene);
+  if (!traits.error.empty()) return traits.error;
+  if (!traits.not_applicable.empty()) return traits.not_applicable;
+  if (scene.steps % grid_steps == 0) return "";
+  return "this simulator needs a number of steps divisible by " + std::to_string(grid_steps);
+}
+
+}  // namespace
+
+BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
+  BlackBoxTraits traits = box->Describe(scene);
+  if (const std::string beyond = BeyondPlainDiscs(scene); !beyond.empty()) {
+    traits.not_applicable = "the scene has " + beyond + "; black boxes are audited with discs and planes";
+  }
+  return traits;
+}
+
+Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, const AskingOptions& options) {
+  CHECK_EQ(box->name().find(':'), std::string::npos) << box->name();
+  auto entry = std::make_shared<ContactEntry>();
+  entry->traits.name = box->name();  // which the functions below keep
+  entry->traits.summary = "a black box";
+  entry->traits.grid_steps = traits.grid_steps;
+  entry->traits.rebound = Rebound::kEmergent;
+  entry->why_not_applicable = [box, steps = traits.grid_steps](const Scene& scene) {
+    return WhyNot(box.get(), scene, steps);
+  };
+  entry->make = [box, traits, options, model = entry->traits](
+                    const Scene& scene, Precision precision, std::span<const OptionValue>) {
+    return std::make_unique<BlackBoxSimulator>(box, scene, precision, model, traits, options);
+  };
+  return Contact(std::move(entry));
+}
+
+}  // namespace saltus

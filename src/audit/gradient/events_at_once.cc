@@ -1,0 +1,145 @@
+#include "audit/gradient/events_at_once.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "saltus/control/single_shooting.h"
+#include "saltus/simulate/events.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kSameTime = 1e-9;  // of the duration
+// Widths of differences, in natural units; each so much less than the last. Moved along each other by w, two discs meet
+// later by w^2, which must be more than rounding: what comes first decides the slope.
+constexpr double kWidest = 1e-3, kNarrower = 0.1;
+constexpr int kWidths = 3;
+constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
+constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
+constexpr double kMostWork = 1e7;    // entries times discs times steps
+
+bool HasImpactAtOnce(const Simulator& simulator) {
+  const Scene& scene = simulator.scene();
+  const std::vector<StepTouch> events = EventTouches(simulator);
+  const auto time_of = [&](const StepTouch& at) { return at.step * simulator.step() + at.touch.time; };
+  const auto share = [&](const Candidate& c, const Candidate& d) {
+    const auto has = [&](int i) { return !scene.bodies[i].fixed && (d.a == i || (!d.plane && d.b == i)); };
+    return !(c == d) && (has(c.a) || (!c.plane && has(c.b)));
+  };
+  for (std::size_t k = 0; k < events.size(); ++k) {
+    for (std::size_t j = k; j-- > 0 && time_of(events[k]) - time_of(events[j]) <= kSameTime * scene.duration;) {
+      const bool impact = events[k].touch.kind == ContactKind::kImpact || events[j].touch.kind == ContactKind::kImpact;
+      if (impact && share(events[k].touch.candidate, events[j].touch.candidate)) return true;
+    }
+  }
+  return false;
+}
+
+struct Entry {
+  OneSided name;
+  int variable = 0;
+};
+
+// In the order of SingleShooting's variables.
+std::vector<Entry> EntriesOf(const Scene& scene) {
+  std::vector<Entry> entries;
+  for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) {
+        entries.push_back({{i, quantity, j}, static_cast<int>(entries.size())});
+      }
+    }
+  }
+  return entries;
+}
+
+class Sides {
+ public:
+  Sides(SingleShooting* shooting, double loss, std::vector<double> gradient)
+      : shooting_(*shooting), loss_(loss), gradient_(std::move(gradient)) {}
+
+  // Nothing where the derivative exists from both sides, or where differences do not tell.
+  std::optional<OneSided::Side> Of(int variable, double scale) {
+    const Found below = Follow(variable, -1, scale), above = Follow(variable, 1, scale);
+    if (above.agrees && below.other) return OneSided::Side::kAbove;
+    if (below.agrees && above.other) return OneSided::Side::kBelow;
+    // Other orders to both sides, perhaps the same one: moved across the line of centers, two discs meet later whatever
+    // the side.
+    return above.other && below.other ? std::optional(OneSided::Side::kNone) : std::nullopt;
+  }
+
+ private:
+  struct Found {
+    bool agrees = false;
+    std::optional<double> other;  // the slope on which differences settle instead
+  };
+  // By slopes at w, w/2, w/4 and w/8, of which each three on end give the value at 0 of a parabola.
+  Found Follow(int variable, double sign, double scale) {
+    Found found;
+    double width = kWidest;
+    for (int i = 0; i < kWidths; ++i, width *= kNarrower) {
+      std::array<double, 4> slopes;
+      for (int k = 0; k < 4; ++k) {
+        const double by = sign * std::ldexp(width, -k);
+        std::vector<double> z = shooting_.initial_guess();
+        z[variable] += by;
+        double loss = 0;
+        if (!shooting_.Evaluate(z, &loss, nullptr)) return {};
+        slopes[k] = (loss - loss_) / by;
+      }
+      const auto at_zero = [&](int k) { return slopes[k] / 3 - 2 * slopes[k + 1] + slopes[k + 2] * 8 / 3; };
+      const double slope = at_zero(1), size = scale + std::abs(slope);
+      if (std::abs(slope - gradient_[variable]) <= kTolerance * size) return {.agrees = true, .other = {}};
+      if (std::abs(slope - at_zero(0)) <= kSmooth * size) found.other = slope;
+    }
+    return found;
+  }
+
+  SingleShooting& shooting_;
+  const double loss_;
+  const std::vector<double> gradient_;
+};
+
+}  // namespace
+
+std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene, const std::vector<OneSided>& known,
+                                     const StopRequest& stop) {
+  std::vector<OneSided> found;
+  SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kInitialState);
+  shooting.set_stop(stop);
+  std::vector<double> gradient(shooting.num_variables());
+  double loss = 0;
+  if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
+  if (!HasImpactAtOnce(shooting.simulator())) return found;
+  const std::vector<Entry> entries = EntriesOf(scene);
+  if (static_cast<double>(entries.size()) * scene.num_bodies() * scene.steps > kMostWork) return found;
+  const auto largest = [&](OneSided::Quantity quantity) {
+    double size = kTolerance * std::abs(loss);
+    for (const Entry& entry : entries) {
+      if (entry.name.quantity == quantity) size = std::max(size, std::abs(gradient[entry.variable]));
+    }
+    return size;
+  };
+  const double by_position = largest(OneSided::Quantity::kPosition),
+               by_velocity = largest(OneSided::Quantity::kVelocity);
+  Sides sides(&shooting, loss, gradient);
+  for (const Entry& entry : entries) {
+    const bool is_known = std::ranges::any_of(known, [&](const OneSided& other) {
+      return other.body == entry.name.body && other.quantity == entry.name.quantity &&
+             other.component == entry.name.component;
+    });
+    if (is_known) continue;
+    const bool position = entry.name.quantity == OneSided::Quantity::kPosition;
+    const std::optional<OneSided::Side> side = sides.Of(entry.variable, position ? by_position : by_velocity);
+    if (shooting.stopped()) return found;
+    if (!side) continue;
+    found.push_back(entry.name);
+    found.back().side = *side;
+  }
+  return found;
+}
+
+}  // namespace saltus

@@ -1,0 +1,121 @@
+// What gradients are compared by: the names, units and entries of each quantity (refinement.h).
+#include <glog/logging.h>
+
+#include "saltus/audit/audit.h"
+#include "saltus/audit/refinement.h"
+#include "scene/units.h"
+
+namespace saltus {
+
+const char* QuantityToString(Quantity quantity) {
+  switch (quantity) {
+    case Quantity::kPosition:
+      return "position";
+    case Quantity::kVelocity:
+      return "velocity";
+    case Quantity::kControl:
+      return "control";
+    case Quantity::kRestitution:
+      return "restitution";
+    case Quantity::kFriction:
+      return "friction";
+    case Quantity::kMass:
+      return "mass";
+    case Quantity::kGravity:
+      return "gravity";
+  }
+  LOG(FATAL) << "no such quantity";
+}
+
+double GradientFactor(Quantity quantity, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  switch (quantity) {
+    case Quantity::kPosition:
+      return by.loss / by.length;
+    case Quantity::kVelocity:
+      return by.loss / by.speed;
+    case Quantity::kControl:
+      return by.loss / by.force;
+    case Quantity::kRestitution:
+    case Quantity::kFriction:
+      return by.loss;
+    case Quantity::kMass:
+      return by.loss / by.mass;
+    case Quantity::kGravity:
+      return by.loss / by.acceleration;
+  }
+  LOG(FATAL) << "no such quantity";
+}
+
+std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals) {
+  std::vector<std::string> names;
+  const auto add_vector = [&](const std::string& prefix, const std::string& suffix) {
+    names.push_back(prefix + "x" + suffix);
+    names.push_back(prefix + "y" + suffix);
+  };
+  switch (quantity) {
+    case Quantity::kPosition:
+    case Quantity::kVelocity:
+      for (const Body& body : scene.bodies) {
+        if (!body.fixed) add_vector(quantity == Quantity::kPosition ? "p" : "v", " " + body.name);
+      }
+      break;
+    case Quantity::kControl:
+      for (int k = 0; k < intervals; ++k) {
+        for (int body : scene.control.bodies) {
+          add_vector("u", "[" + std::to_string(k) + "] " + scene.bodies[body].name);
+        }
+        for (int body : scene.control.turned) {
+          names.push_back("torque/radius[" + std::to_string(k) + "] " + scene.bodies[body].name);
+        }
+      }
+      break;
+    case Quantity::kMass:
+      for (const Body& body : scene.bodies) {
+        if (!body.fixed) names.push_back("mass " + body.name);
+      }
+      break;
+    case Quantity::kGravity:
+      add_vector("g", "");
+      break;
+    case Quantity::kRestitution:
+    case Quantity::kFriction:
+      names.push_back(QuantityToString(quantity));
+      break;
+  }
+  return names;
+}
+
+std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals) {
+  const Sensitivity& g = gradient.gradient;
+  std::vector<double> entries;
+  switch (quantity) {
+    case Quantity::kPosition:
+    case Quantity::kVelocity:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        const int at = 4 * i + (quantity == Quantity::kVelocity ? 2 : 0);
+        if (!scene.bodies[i].fixed) entries.insert(entries.end(), {g.initial[at], g.initial[at + 1]});
+      }
+      break;
+    case Quantity::kControl:
+      entries = CoarsenControl(g.control, gradient.num_steps, intervals);
+      break;
+    case Quantity::kRestitution:
+      entries = {g.parameters.restitution};
+      break;
+    case Quantity::kFriction:
+      entries = {g.parameters.friction};
+      break;
+    case Quantity::kMass:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        if (!scene.bodies[i].fixed) entries.push_back(i < int(g.parameters.mass.size()) ? g.parameters.mass[i] : 0.0);
+      }
+      break;
+    case Quantity::kGravity:
+      entries = {g.parameters.gravity[0], g.parameters.gravity[1]};
+      break;
+  }
+  return entries;
+}
+
+}  // namespace saltus

@@ -1,0 +1,373 @@
+#include "saltus/audit/refinement.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "audit/gradient/conditioning.h"
+#include "audit/gradient/statistics.h"
+#include "base/parallel_for.h"
+#include "saltus/audit/audit.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+// Entries smaller than this, relative to the largest of their quantity, may have any sign.
+constexpr double kNegligible = 1e-3;
+
+std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
+  std::vector<Quantity> quantities = {Quantity::kPosition, Quantity::kVelocity};
+  if (scene.num_controlled() > 0) quantities.push_back(Quantity::kControl);
+  if (!parameters) return quantities;
+  quantities.push_back(Quantity::kRestitution);
+  // At zero the loss has only a right derivative with respect to friction.
+  if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
+  quantities.push_back(Quantity::kMass);
+  quantities.push_back(Quantity::kGravity);
+  return quantities;
+}
+
+double Norm(const std::vector<double>& entries) {
+  double sum = 0;
+  for (double entry : entries) sum += entry * entry;
+  return std::sqrt(sum);
+}
+
+double Largest(const std::vector<double>& entries) {
+  double largest = 0;
+  for (double entry : entries) largest = std::max(largest, std::abs(entry));
+  return largest;
+}
+
+double Distance(const std::vector<double>& a, const std::vector<double>& b) {
+  std::vector<double> difference(a.size());
+  std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());
+  return Norm(difference);
+}
+
+// The entries, but 0 for those whose names are in `left_out`.
+std::vector<double> Without(const std::vector<std::string>& left_out, const std::vector<std::string>& names,
+                            std::vector<double> entries) {
+  for (size_t i = 0; i < entries.size(); ++i) {
+    if (std::ranges::find(left_out, names[i]) != left_out.end()) entries[i] = 0;
+  }
+  return entries;
+}
+
+// Names, as of EntryNames, of the entries of `exact` that are derivatives from one side or none.
+std::vector<std::string> OneSidedNames(const Scene& scene, const ModelGradient& exact, Quantity quantity) {
+  std::vector<std::string> names;
+  for (const OneSided& entry : exact.one_sided) {
+    const bool position = entry.quantity == OneSided::Quantity::kPosition;
+    if (quantity != (position ? Quantity::kPosition : Quantity::kVelocity)) continue;
+    names.push_back((position ? "p" : "v") + std::string(entry.component == 0 ? "x " : "y ") +
+                    scene.bodies[entry.body].name);
+  }
+  return names;
+}
+
+// The control is compared over a few parts of the horizon, each of several steps.
+int NumIntervals(const Scene& scene, int most) {
+  int intervals = 1;
+  while (2 * intervals <= most && scene.steps >= 32 * intervals) intervals *= 2;
+  return intervals;
+}
+
+// -d log(error) / d log(steps) over the levels from `first` on, by least squares.
+double FitOrder(const std::vector<RefinementLevel>& levels, size_t first, double rounding) {
+  std::vector<double> steps, errors;
+  for (size_t i = first; i < levels.size(); ++i) {
+    steps.push_back(levels[i].steps);
+    errors.push_back(std::max(levels[i].error, rounding));
+  }
+  return -PowerOf(steps, errors);
+}
+
+// Entries that contradict the exact ones in sign; neither side may be negligible.
+std::vector<std::string> FindWrongSigns(const std::vector<std::string>& names, const std::vector<double>& exact,
+                                        const std::vector<double>& own, const std::vector<double>& finest) {
+  const double negligible = kNegligible * Largest(exact);
+  std::vector<std::string> wrong;
+  for (size_t i = 0; i < exact.size(); ++i) {
+    if (std::abs(exact[i]) <= negligible) continue;
+    const auto contradicts = [&](double value) { return value * exact[i] < 0 && std::abs(value) > negligible; };
+    if (contradicts(own[i]) || contradicts(finest[i])) wrong.push_back(names[i]);
+  }
+  return wrong;
+}
+
+// Beside a step of one disc in free flight.
+constexpr double kWorkOfATouch = 24;
+
+// Before that no floor can be told from slow convergence.
+constexpr double kSettled = 0.01;
+// Roundings of the exact gradient, of which a few were measured, by which a model may miss it.
+constexpr double kRoundings = 10;
+// Orders are fitted over this many of the finest levels.
+constexpr size_t kTail = 4;
+
+void Judge(const RefinementOptions& options, QuantityStudy* study) {
+  const std::vector<RefinementLevel>& levels = study->levels;
+  double largest = 0;
+  for (const RefinementLevel& level : levels) largest = std::max(largest, level.largest);
+  const auto order_from = [&](size_t first) { return FitOrder(levels, first, options.rounding); };
+  study->order = largest > options.rounding ? order_from(levels.size() - kTail) : 0;
+  if (largest <= options.tolerance) {
+    study->verdict = Verdict::kRight;
+  } else if (std::min(study->order, order_from(0)) >= options.smallest_order) {
+    study->verdict = Verdict::kConsistent;
+  } else {
+    study->verdict = study->wrong_signs.empty() ? Verdict::kWrong : Verdict::kWrongSign;
+  }
+}
+
+// An error that falls may yet come to rest above zero, as that of a stiff spring does.
+bool MayHaveAFloor(const QuantityStudy& study) {
+  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
+}
+
+bool EntersTheVerdict(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
+}
+
+// From good to bad; what is wrong outweighs what is unknown.
+int Badness(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+      return 0;
+    case Verdict::kConsistent:
+      return 1;
+    case Verdict::kUnknown:
+    case Verdict::kOneSided:
+      return 2;
+    case Verdict::kIllConditioned:
+    case Verdict::kNotApplicable:
+      return 3;
+    case Verdict::kBiased:
+      return 4;
+    case Verdict::kWrong:
+      return 5;
+    case Verdict::kWrongSign:
+      return 6;
+    case Verdict::kAmbiguous:
+      return 7;
+  }
+  LOG(FATAL) << "no such verdict";
+}
+
+Verdict Overall(const RefinementStudy& study) {
+  Verdict worst = Verdict::kRight;
+  bool judged = false;
+  const auto worsen = [&](Verdict verdict) {
+    judged = true;
+    if (Badness(verdict) > Badness(worst)) worst = verdict;
+  };
+  for (const QuantityStudy& quantity : study.quantities) {
+    if (!quantity.IsJudged()) continue;
+    if (quantity.quantity == Quantity::kPosition || quantity.quantity == Quantity::kVelocity) {
+      worsen(quantity.verdict);
+    } else if (quantity.quantity == Quantity::kControl && IsWrong(quantity.verdict)) {
+      worsen(Verdict::kWrong);
+    }
+  }
+  return judged ? worst : Verdict::kOneSided;
+}
+
+// Errors that are no larger than what rounding does to the exact gradient are nobody's.
+void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
+  for (QuantityStudy& quantity : study->quantities) {
+    if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
+    if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
+    if (!study->conditioning) return;
+    if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
+      quantity.verdict = Verdict::kIllConditioned;
+    }
+  }
+}
+
+// Adds one level after the other to a study.
+class Study {
+ public:
+  Study(const Contact& contact, const Scene& scene, const RefinementOptions& options, const StopRequest& stop,
+        RefinementStudy* out)
+      : contact_(contact), scene_(scene), options_(options), stop_(stop), out_(*out) {
+    out_.intervals = NumIntervals(scene, options.most_intervals);
+    unit_ = out_.intervals * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+    Scene coarse = scene;
+    coarse.steps = out_.intervals;
+    const std::optional<ModelGradient> exact = ExactGradientOf(coarse, stop);
+    if (!exact) {
+      out_.reason = "there is no exact gradient";
+      return;
+    }
+    if (!exact->ambiguous.empty()) {
+      out_.reason = TiesToString(exact->ambiguous);
+      out_.verdict = Verdict::kAmbiguous;
+      return;
+    }
+    for (Quantity quantity : QuantitiesOf(scene, options.parameters)) {
+      QuantityStudy& added = out_.quantities.emplace_back();
+      added.quantity = quantity;
+      added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);
+      added.one_sided = OneSidedNames(scene, *exact, quantity);
+      names_.push_back(EntryNames(scene, quantity, out_.intervals));
+      // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
+      const double norm = Norm(Without(added.one_sided, names_.back(), added.exact));
+      scales_.push_back(std::max(norm, 1e-6 * std::max(1.0, std::abs(exact->loss))));
+    }
+  }
+
+  // As of RefinementOptions::budget.
+  double CostOf(int level) const {
+    const double work = std::max(double(scene_.steps) * scene_.num_bodies(), kWorkOfATouch * touches_);
+    return std::ldexp(work, level) * options_.samples;
+  }
+
+  bool Undecided() const {
+    return std::any_of(out_.quantities.begin(), out_.quantities.end(), [](const QuantityStudy& study) {
+      return EntersTheVerdict(study.quantity) && MayHaveAFloor(study);
+    });
+  }
+
+  // False, with the reason in the study, if a rollout is not finite.
+  bool AddLevel(int level) {
+    const int base = std::max(1, scene_.steps / unit_) << level;
+    const auto steps_of = [&](int sample) { return unit_ * (base + sample); };
+    std::vector<ModelGradient> gradients(options_.samples);
+    const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
+    ParallelFor(threads, options_.samples, [&](int, int sample) {
+      Scene refined = scene_;
+      refined.steps = steps_of(sample);
+      gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
+    });
+    std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
+    double log_steps = 0;
+    for (int sample = 0; sample < options_.samples; ++sample) {
+      log_steps += std::log(steps_of(sample)) / options_.samples;
+      const ModelGradient& gradient = gradients[sample];
+      if (!gradient.ok()) {
+        out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradient.reason;
+        return false;
+      }
+      if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
+      for (size_t q = 0; q < entries.size(); ++q) {
+        entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
+      }
+    }
+    for (size_t q = 0; q < entries.size(); ++q) Record(std::exp(log_steps), entries[q], scales_[q], level, q);
+    return true;
+  }
+
+ private:
+  void Record(double steps, const std::vector<std::vector<double>>& samples, double scale, int level, size_t q) {
+    QuantityStudy& study = out_.quantities[q];
+    const auto judged = [&](const std::vector<double>& entries) {
+      return Without(study.one_sided, names_[q], entries);
+    };
+    std::vector<double> errors;
+    for (const std::vector<double>& entries : samples) {
+      errors.push_back(Distance(judged(entries), judged(study.exact)) / scale);
+    }
+    const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
+    study.levels.push_back({steps, Median(errors), *smallest, *largest});
+    study.finest.clear();
+    for (size_t entry = 0; entry < study.exact.size(); ++entry) {
+      std::vector<double> values;
+      for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
+      study.finest.push_back(Median(values));
+    }
+    if (level == 0) coarsest_.push_back(samples.front());
+    study.wrong_signs = FindWrongSigns(names_[q], judged(study.exact), judged(coarsest_[q]), judged(study.finest));
+    largest_.resize(out_.quantities.size(), 0.0);
+    largest_[q] = std::max(largest_[q], *largest);
+    const double median = study.levels.back().error;
+    study.decisive = median > options_.tolerance ? median : largest_[q];
+    if (study.levels.size() >= kTail) Judge(options_, &study);
+  }
+
+  Contact contact_;
+  const Scene& scene_;
+  const RefinementOptions& options_;
+  const StopRequest& stop_;
+  RefinementStudy& out_;
+  int unit_ = 1;
+  int touches_ = 0;  // at the first level
+  std::vector<double> scales_;
+  std::vector<double> largest_;                  // error of all samples so far, by quantity
+  std::vector<std::vector<std::string>> names_;  // of the entries, by quantity
+  std::vector<std::vector<double>> coarsest_;
+};
+
+}  // namespace
+
+const char* VerdictToString(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+      return "right";
+    case Verdict::kConsistent:
+      return "consistent";
+    case Verdict::kWrong:
+      return "wrong";
+    case Verdict::kWrongSign:
+      return "wrong sign";
+    case Verdict::kUnknown:
+      return "unknown";
+    case Verdict::kBiased:
+      return "biased";
+    case Verdict::kIllConditioned:
+      return "ill-conditioned";
+    case Verdict::kNotApplicable:
+      return "not applicable";
+    case Verdict::kAmbiguous:
+      return "ambiguous";
+    case Verdict::kOneSided:
+      return "one-sided";
+  }
+  LOG(FATAL) << "no such verdict";
+}
+
+bool IsWrong(Verdict verdict) { return verdict == Verdict::kWrong || verdict == Verdict::kWrongSign; }
+
+const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
+  for (const QuantityStudy& study : quantities) {
+    if (study.quantity == quantity) return &study;
+  }
+  return nullptr;
+}
+
+RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, const RefinementOptions& options,
+                                const StopRequest& stop) {
+  RefinementStudy refused;
+  refused.reason = WhyNotApplicable(contact, scene);
+  if (!refused.ok()) return refused;
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    RefinementStudy study = StudyRefinement(contact, natural, options, stop);
+    for (QuantityStudy& quantity : study.quantities) {
+      const double by = GradientFactor(quantity.quantity, natural.units, scene.units);
+      quantity.exact = Multiplied(std::move(quantity.exact), by);
+      quantity.finest = Multiplied(std::move(quantity.finest), by);
+    }
+    return study;
+  }
+  RefinementStudy study;
+  Study run(contact, scene, options, stop, &study);
+  if (!study.ok()) return study;
+  const int levels = std::max<int>(options.levels, kTail);
+  for (int level = 0; level < levels || (level < options.most_levels && run.Undecided()); ++level) {
+    if (level >= static_cast<int>(kTail) && run.CostOf(level) > options.budget) break;
+    if (!run.AddLevel(level)) return study;
+  }
+  for (QuantityStudy& quantity : study.quantities) {
+    if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
+  }
+  ExcuseRounding(scene, &study);
+  study.verdict = Overall(study);
+  return study;
+}
+
+}  // namespace saltus

@@ -1,0 +1,294 @@
+#include "saltus/audit/width_sweep.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <utility>
+
+#include "audit/gradient/statistics.h"
+#include "saltus/control/objective.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/registry.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+constexpr size_t kFewest = 4;           // slopes that make a plateau
+constexpr double kOwnTolerance = 1e-3;  // by which a gradient may miss narrow differences
+constexpr double kScatter = 3;          // spreads by which levels may differ by chance
+constexpr double kMostScatter = 0.25;   // spread beyond which there is no plateau, of the largest entry
+constexpr double kNegligible = 1e-2;    // entries smaller than this, of the largest, may have any sign
+constexpr double kMostSteps = 20000;    // of the refined simulation
+
+// A direction: one entry of the initial state, or a constant force.
+struct Direction {
+  Quantity quantity;
+  std::string entry;
+  int index;  // into the initial state (B x 4), or into the control of one step
+  double grid_width;
+  double most = std::numeric_limits<double>::infinity();  // width at which discs may overlap at the start
+};
+
+// The loss of a model as a function of one variable.
+class Line {
+ public:
+  Line(std::unique_ptr<Simulator> simulator, const StopRequest& stop)
+      : simulator_(std::move(simulator)),
+        initial_(InitialState(simulator_->scene())),
+        control_(InitialControl(simulator_->scene(), simulator_->num_steps())),
+        final_(simulator_->state_size()) {
+    simulator_->set_stop(stop);
+  }
+
+  const Simulator& simulator() const { return *simulator_; }
+
+  // Not a number if the rollout is not finite.
+  double LossAt(const Direction& direction, double offset) {
+    std::vector<double> initial = initial_, control = control_;
+    if (direction.quantity == Quantity::kControl) {
+      const size_t width = simulator_->control_width();
+      for (size_t i = direction.index; i < control.size(); i += width) control[i] += offset;
+    } else {
+      initial[direction.index] += offset;
+    }
+    if (!simulator_->Rollout(initial, control)) return std::numeric_limits<double>::quiet_NaN();
+    simulator_->GetState(simulator_->num_steps(), final_);
+    const Objective& objective = simulator_->scene().objective;
+    return TerminalLoss(objective, final_, simulator_->body_size()) +
+           EffortLoss(objective, control, simulator_->step());
+  }
+
+  // The largest speed of a disc during the rollout from the scene's own start, m/s.
+  double LargestSpeed() {
+    double largest = 0;
+    if (!simulator_->Rollout(initial_, control_)) return largest;
+    std::vector<double> x(simulator_->state_size());
+    for (int k = 0; k <= simulator_->num_steps(); ++k) {
+      simulator_->GetState(k, x);
+      for (int i = 0; i < simulator_->num_bodies(); ++i) {
+        const double* v = &x[i * simulator_->body_size() + 2];
+        largest = std::max(largest, std::hypot(v[0], v[1]));
+      }
+    }
+    return largest;
+  }
+
+ private:
+  std::unique_ptr<Simulator> simulator_;
+  std::vector<double> initial_, control_, final_;
+};
+
+// Half the smallest gap of a disc at the start, m.
+double Room(const Scene& scene, int body) {
+  const Body& a = scene.bodies[body];
+  double gap = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    const Body& b = scene.bodies[i];
+    if (i != body) gap = std::min(gap, (a.position - b.position).norm() - a.radius - b.radius);
+  }
+  for (const WallPart& part : WallPartsOf(scene)) {
+    if (part.extent.Covers(a.position)) gap = std::min(gap, part.LeastDistance(a.position) - a.radius);
+  }
+  return gap / 2;
+}
+
+std::vector<Direction> DirectionsOf(const Scene& scene, double speed, double step) {
+  std::vector<Direction> directions;
+  const double length = speed * step, T = scene.duration;
+  for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
+    const std::vector<std::string> names = EntryNames(scene, quantity, 0);
+    const bool position = quantity == Quantity::kPosition;
+    size_t name = 0;
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      if (scene.bodies[i].fixed) continue;
+      for (int j = 0; j < 2; ++j) {
+        Direction direction{quantity, names[name++], 4 * i + j + (position ? 0 : 2), position ? length : length / T};
+        if (position) direction.most = Room(scene, i);
+        directions.push_back(direction);
+      }
+    }
+  }
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    const Body& body = scene.bodies[scene.control.bodies[c]];
+    for (int j = 0; j < 2; ++j) {
+      directions.push_back({Quantity::kControl,
+                            std::string(j == 0 ? "ux " : "uy ") + body.name,
+                            2 * c + j,
+                            2 * length * body.mass / (T * T)});
+    }
+  }
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    const double mass = body.MomentOfInertia() / (body.radius * body.radius);  // of the rim
+    directions.push_back({Quantity::kControl,
+                          "torque/radius " + body.name,
+                          static_cast<int>(scene.TurnIndex(0, t)),
+                          2 * length * mass / (T * T)});
+  }
+  return directions;
+}
+
+// The level of the slopes of widths in [from, to] grid widths, and how they scatter about it. False without a plateau.
+bool FindPlateau(const WidthSweep& sweep, double from, double to, double* level, double* spread) {
+  std::vector<double> slopes;
+  for (size_t i = 0; i < sweep.widths.size(); ++i) {
+    const double width = sweep.widths[i] / sweep.grid_width;
+    if (width >= from && width <= to && std::isfinite(sweep.slopes[i])) slopes.push_back(sweep.slopes[i]);
+  }
+  if (slopes.size() < kFewest) return false;
+  *level = Median(slopes);
+  for (double& slope : slopes) slope = std::abs(slope - *level);
+  *spread = Median(slopes);
+  return true;
+}
+
+WidthFinding Judge(const WidthSweep& sweep, double scale, double tolerance) {
+  if (sweep.wide_spread > kMostScatter * scale) return WidthFinding::kUndecided;
+  if (std::abs(sweep.gradient - sweep.wide) <= tolerance * scale + kScatter * sweep.wide_spread) {
+    return WidthFinding::kNothing;
+  }
+  const bool own = std::abs(sweep.gradient - sweep.narrow) <= kOwnTolerance * scale + kScatter * sweep.narrow_spread;
+  return own ? WidthFinding::kOnlyOfItsSteps : WidthFinding::kOfNeither;
+}
+
+bool IsAgainst(const WidthSweep& sweep) {
+  return sweep.finding == WidthFinding::kOnlyOfItsSteps || sweep.finding == WidthFinding::kOfNeither;
+}
+
+// The model's gradient along a direction.
+double GradientAlong(const Direction& direction, const ModelGradient& gradient, size_t controls_per_step) {
+  if (direction.quantity != Quantity::kControl) return gradient.gradient.initial[direction.index];
+  double sum = 0;
+  for (size_t i = direction.index; i < gradient.gradient.control.size(); i += controls_per_step) {
+    sum += gradient.gradient.control[i];
+  }
+  return sum;
+}
+
+void Convert(const Units& from, const Units& to, WidthSweep* sweep) {
+  const double by = GradientFactor(sweep->quantity, from, to);
+  for (double* slope : {&sweep->gradient, &sweep->narrow, &sweep->wide, &sweep->narrow_spread, &sweep->wide_spread}) {
+    *slope *= by;
+  }
+  sweep->slopes = Multiplied(std::move(sweep->slopes), by);
+  const double width = UnitFactors(from, to).loss / by;
+  sweep->grid_width *= width;
+  sweep->widths = Multiplied(std::move(sweep->widths), width);
+}
+
+}  // namespace
+
+const char* WidthFindingToString(WidthFinding finding) {
+  switch (finding) {
+    case WidthFinding::kNothing:
+      return "nothing found";
+    case WidthFinding::kOnlyOfItsSteps:
+      return "agrees with narrow differences, not with wide ones";
+    case WidthFinding::kOfNeither:
+      return "agrees with no differences";
+    case WidthFinding::kUndecided:
+      return "undecided";
+  }
+  LOG(FATAL) << "no such finding";
+}
+
+const WidthSweep* WidthSweepStudy::Worst() const {
+  const WidthSweep* worst = nullptr;
+  const auto miss = [](const WidthSweep& sweep) { return std::abs(sweep.gradient - sweep.wide); };
+  for (const WidthSweep& sweep : sweeps) {
+    if (!IsAgainst(sweep)) continue;
+    // Only entries of one unit can be compared.
+    if (worst != nullptr && (sweep.quantity != worst->quantity || miss(sweep) <= miss(*worst))) continue;
+    worst = &sweep;
+  }
+  return worst;
+}
+
+std::string WidthSweepStudy::Summary() const {
+  if (!ok()) return reason;
+  const WidthSweep* worst = Worst();
+  if (worst == nullptr) {
+    const bool undecided = std::any_of(sweeps.begin(), sweeps.end(), [](const WidthSweep& sweep) {
+      return sweep.finding == WidthFinding::kUndecided;
+    });
+    return undecided ? "differences of some entries scatter too much to tell"
+                     : "differences of all widths agree with it";
+  }
+  // Differences of rounding are shown as none.
+  const auto shown = [&](double value) { return std::abs(value) < 1e-7 * std::abs(worst->wide) ? 0.0 : value; };
+  char text[256];
+  std::snprintf(text,
+                sizeof text,
+                "d/d%s is %.4g; differences narrower than a step give %.4g, wider ones %.4g",
+                worst->entry.c_str(),
+                shown(worst->gradient),
+                shown(worst->narrow),
+                worst->wide);
+  return text;
+}
+
+WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options,
+                            const StopRequest& stop) {
+  WidthSweepStudy refused;
+  refused.reason = WhyNotApplicable(contact, scene);
+  if (!refused.ok()) return refused;
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    WidthSweepStudy study = SweepWidths(contact, natural, options, stop);
+    for (WidthSweep& sweep : study.sweeps) Convert(natural.units, scene.units, &sweep);
+    return study;
+  }
+  WidthSweepStudy study;
+  Scene refined = scene;
+  // Not quite a multiple, so that an impact on a grid node is not on one again.
+  refined.steps = scene.steps * std::clamp<int>(kMostSteps / scene.steps, 1, options.refine) +
+                  CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+  const ModelGradient own = ComputeGradient(contact, refined, Precision::kDouble, stop);
+  if (!own.ok()) {
+    study.reason = own.reason;
+    return study;
+  }
+  Line line(MakeSimulator(contact, refined, Precision::kDouble), stop);
+  const double speed = std::max(line.LargestSpeed(), 1e-9);
+  for (const Direction& direction : DirectionsOf(scene, speed, line.simulator().step())) {
+    if (line.simulator().stopped()) return study;
+    WidthSweep& sweep = study.sweeps.emplace_back();
+    sweep.quantity = direction.quantity;
+    sweep.entry = direction.entry;
+    sweep.grid_width = direction.grid_width;
+    sweep.gradient = GradientAlong(direction, own, scene.control_width());
+    const int count = static_cast<int>(options.per_decade * std::log10(options.largest / options.smallest)) + 1;
+    for (int i = 0; i < count; ++i) {
+      const double width = direction.grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade);
+      if (width > direction.most) break;
+      sweep.widths.push_back(width);
+      sweep.slopes.push_back((line.LossAt(direction, width) - line.LossAt(direction, -width)) / (2 * width));
+    }
+  }
+  for (WidthSweep& sweep : study.sweeps) {
+    const bool narrow = FindPlateau(sweep, options.narrow_from, options.narrow_to, &sweep.narrow, &sweep.narrow_spread);
+    const bool wide = FindPlateau(sweep, options.wide_from, options.wide_to, &sweep.wide, &sweep.wide_spread);
+    sweep.finding = narrow && wide ? WidthFinding::kNothing : WidthFinding::kUndecided;
+  }
+  for (WidthSweep& sweep : study.sweeps) {
+    if (sweep.finding == WidthFinding::kUndecided) continue;
+    double scale = 1e-9 * std::max(1.0, std::abs(own.loss));
+    for (const WidthSweep& other : study.sweeps) {
+      if (other.quantity == sweep.quantity) scale = std::max({scale, std::abs(other.wide), std::abs(other.gradient)});
+    }
+    sweep.finding = Judge(sweep, scale, options.tolerance);
+    if (!IsAgainst(sweep)) continue;
+    const double negligible = kNegligible * scale;
+    const bool flips =
+        sweep.gradient * sweep.wide < 0 && std::abs(sweep.gradient) > negligible && std::abs(sweep.wide) > negligible;
+    if (study.verdict == Verdict::kUnknown || flips) study.verdict = flips ? Verdict::kWrongSign : Verdict::kWrong;
+  }
+  return study;
+}
+
+}  // namespace saltus

@@ -1,0 +1,79 @@
+// What linear_algebra.h has besides the complete orthogonal decomposition.
+#include "base/linear_algebra.h"
+
+#include <Eigen/Dense>
+
+namespace saltus {
+
+Eigen::VectorXd SolveLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
+  return matrix.partialPivLu().solve(right);
+}
+
+Eigen::MatrixXd SolveLuColumns(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right) {
+  return matrix.partialPivLu().solve(right);
+}
+
+Eigen::VectorXd SolveFullPivotLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
+  return matrix.fullPivLu().solve(right);
+}
+
+std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
+  const Eigen::LLT<Eigen::MatrixXd> factor(matrix);
+  if (factor.info() != Eigen::Success) return std::nullopt;
+  return factor.solve(right);
+}
+
+void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right) { Eigen::LLT<MatrixRef>(matrix).solveInPlace(right); }
+
+Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
+  return matrix.ldlt().solve(right);
+}
+
+Eigen::VectorXd LeastSquaresSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
+  return matrix.colPivHouseholderQr().solve(right);
+}
+
+Eigen::MatrixXd NullSpace(const Eigen::MatrixXd& rows) {
+  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(rows.transpose());
+  const Eigen::MatrixXd q = qr.householderQ() * Eigen::MatrixXd::Identity(rows.cols(), rows.cols());
+  return q.rightCols(rows.cols() - qr.rank());
+}
+
+SymmetricEigen EigenOf(const Eigen::MatrixXd& symmetric) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(symmetric);
+  return {solver.eigenvalues(), solver.eigenvectors()};
+}
+
+void Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product) { product.noalias() = a * b; }
+
+void MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product) {
+  product.noalias() = a.transpose() * b;
+}
+
+void MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product) {
+  product.noalias() = a * b.transpose();
+}
+
+Eigen::MatrixXd Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b) {
+  Eigen::MatrixXd product(a.rows(), b.cols());
+  Multiply(a, b, product);
+  return product;
+}
+
+Eigen::MatrixXd MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b) {
+  Eigen::MatrixXd product(a.cols(), b.cols());
+  MultiplyTransposed(a, b, product);
+  return product;
+}
+
+Eigen::MatrixXd MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b) {
+  Eigen::MatrixXd product(a.rows(), b.rows());
+  MultiplyByTransposed(a, b, product);
+  return product;
+}
+
+void AddProduct(const ConstMatrixRef& a, const ConstMatrixRef& b, Eigen::MatrixXd* sum) { sum->noalias() += a * b; }
+
+void AddGram(double weight, const Eigen::MatrixXd& a, Eigen::MatrixXd* sum) { *sum += weight * a.transpose() * a; }
+
+}  // namespace saltus

@@ -1,0 +1,174 @@
+// Scalar conditions across contacts, and the forces that keep them, with derivatives (event_press.h).
+#pragma once
+
+#include <algorithm>
+#include <memory>
+#include <memory_resource>
+#include <type_traits>
+#include <vector>
+
+#include "contact/solvers/contact_system.h"
+#include "saltus/contact/step_input.h"
+#include "saltus/internal/taped.h"
+
+namespace saltus::internal {
+
+template <typename T, int kRotation = 0>
+class ForceRows {
+ public:
+  struct Row {
+    int a, b;           // b = -1: a plane
+    Vec2<T> direction;  // what is measured
+    Vec2<T> push;       // along which the force acts
+    T violation;
+    T force;
+    // How much of these two is along the tangent, where discs that spin turn with it.
+    T along = T(0.0), push_along = T(0.0);
+    Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
+  };
+
+  explicit ForceRows(const StepInput<T>& in)
+      : in_(in), rows_(in.scratch), inverse_mass_(in.scratch), sides_(in.scratch), matrix_(in.scratch) {}
+
+  void Clear() {
+    rows_.clear();
+    if (!inverse_mass_.empty()) return;
+    inverse_mass_.reserve(in_.bodies.size());
+    for (const BodyConstants<T>& body : in_.bodies) inverse_mass_.push_back(Value(body.inverse_mass));
+  }
+  void Add(const Row& row) { rows_.push_back(row); }
+  auto begin() { return rows_.begin(); }
+  auto end() { return rows_.end(); }
+  const Row& operator[](std::size_t row) const { return rows_[row]; }
+  // Per disc, values.
+  std::span<const double> inverse_mass() const { return inverse_mass_; }
+
+  // Sets the forces that undo the violations. The matrix has values only: violations are small, or without a value.
+  void Solve() {
+    const int n = static_cast<int>(rows_.size());
+    if (n == 0) return;
+    sides_.clear();
+    for (const Row& row : rows_) sides_.push_back({row.a, row.b, ValueOf(row.direction), ValueOf(row.push)});
+    if (n > kMostDenseRows) return SolveAsSystem();
+    matrix_.resize(n * n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) {
+        matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_);
+        if constexpr (kRotation == kSpin) matrix_[i * n + j] += TurnCoupling(rows_[i], rows_[j]);
+      }
+    }
+    PseudoInvert(n, matrix_);
+    if constexpr (std::is_same_v<T, Taped>) {
+      SetForces(std::make_shared<const Inverse>(Inverse{{matrix_.begin(), matrix_.end()}}));
+    } else {
+      for (int i = 0; i < n; ++i) {
+        rows_[i].force = T(0.0);
+        for (int j = 0; j < n; ++j) rows_[i].force -= rows_[j].violation * matrix_[i * n + j];
+      }
+    }
+  }
+
+  // Calls apply(disc, change) for what the forces do to the turning of the discs.
+  template <typename Apply>
+  void ForEachTurn(const Apply& apply) const {
+    for (const Row& row : rows_) {
+      const auto turn = [&](int i) {
+        apply(i, T(-(row.force * row.push_along) * (in_.bodies[i].radius * in_.bodies[i].inverse_inertia)));
+      };
+      turn(row.a);
+      if (row.b >= 0) turn(row.b);
+    }
+  }
+
+  // Calls apply(disc, change) for what the forces do to the discs.
+  template <typename Apply>
+  void ForEachPush(const Apply& apply) const {
+    for (const Row& row : rows_) {
+      apply(row.a, Scale(T(row.force * in_.bodies[row.a].inverse_mass), row.push));
+      if (row.b >= 0) apply(row.b, Scale(T(-row.force * in_.bodies[row.b].inverse_mass), row.push));
+    }
+  }
+
+ private:
+  // A small system, as ContactSystem is a large one.
+  struct Inverse {
+    std::vector<double> matrix;
+    void Solve(std::span<double> x) const { Multiply(x, x.size(), 1); }
+    void SolveTransposed(std::span<double> x) const { Multiply(x, 1, x.size()); }
+    void Multiply(std::span<double> x, std::size_t by_row, std::size_t by_column) const {
+      const std::vector<double> given(x.begin(), x.end());
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        x[i] = 0;
+        for (std::size_t j = 0; j < x.size(); ++j) x[i] += given[j] * matrix[i * by_row + j * by_column];
+      }
+    }
+  };
+
+  // How much the torque of the force of row j changes what row i measures.
+  double TurnCoupling(const Row& i, const Row& j) const {
+    double mobility = 0;
+    const auto meet = [&](int p, int q) {
+      const auto& disc = in_.bodies[std::max(p, 0)];
+      if (p >= 0 && p == q) mobility += disc.radius * disc.radius * Value(disc.inverse_inertia);
+    };
+    meet(i.a, j.a);
+    meet(i.b, j.b);
+    meet(i.a, j.b);
+    meet(i.b, j.a);
+    return mobility * Value(i.along) * Value(j.push_along);
+  }
+
+  static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
+
+  void SolveAsSystem() {
+    system_ = std::make_shared<const ContactSystem>(sides_, inverse_mass_, system_.get());
+    SetForces(system_);
+  }
+
+  template <typename System>
+  void SetForces(const std::shared_ptr<const System>& system) {
+    const std::size_t n = rows_.size();
+    std::vector<double> x(n);
+    const auto solve = [&](const auto& part) {
+      for (std::size_t i = 0; i < n; ++i) x[i] = part(rows_[i].violation);
+      system->Solve(x);
+    };
+    solve([](const T& violation) { return Value(violation); });
+    for (std::size_t i = 0; i < n; ++i) rows_[i].force = T(-x[i]);
+    if constexpr (std::is_same_v<T, Taped>) {
+      WriteMap(system);
+    } else if constexpr (!std::is_same_v<T, double>) {
+      for (int direction = 0; direction < kJetWidth; ++direction) {
+        solve([&](const T& violation) { return violation.v[direction]; });
+        for (std::size_t i = 0; i < n; ++i) rows_[i].force.v[direction] = -x[i];
+      }
+    }
+  }
+
+  template <typename System>
+  void WriteMap(const std::shared_ptr<const System>& system) {
+    std::vector<Taped> violations, forces;
+    bool constant = true;
+    for (const Row& row : rows_) {
+      violations.push_back(row.violation);
+      forces.push_back(row.force);
+      constant = constant && row.violation.place() == 0;
+    }
+    if (constant) return;
+    Tape::OfThread().AddMap(violations, forces, [system](std::span<const double> outputs, std::span<double> inputs) {
+      std::copy(outputs.begin(), outputs.end(), inputs.begin());
+      system->SolveTransposed(inputs);
+      for (double& input : inputs) input = -input;
+    });
+    for (std::size_t i = 0; i < rows_.size(); ++i) rows_[i].force = forces[i];
+  }
+
+  const StepInput<T>& in_;
+  std::pmr::vector<Row> rows_;
+  std::pmr::vector<double> inverse_mass_;
+  std::pmr::vector<ContactRow> sides_;
+  std::pmr::vector<double> matrix_;
+  std::shared_ptr<const ContactSystem> system_;  // the last large one
+};
+
+}  // namespace saltus::internal

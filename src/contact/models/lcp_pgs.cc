@@ -1,0 +1,71 @@
+#include "contact/models/lcp_pgs.h"
+
+namespace saltus {
+
+GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, double friction,
+                                     int num_normals, int sweeps, std::pmr::memory_resource* memory)
+    : A_(A), x_(b.size(), 0.0, memory), friction_(friction), num_normals_(num_normals), updates_(memory) {
+  const int n = static_cast<int>(b.size());
+  updates_.reserve(static_cast<std::size_t>(sweeps) * n);
+  for (int sweep = 0; sweep < sweeps; ++sweep) {
+    for (int i = 0; i < n; ++i) {
+      double rest = b[i];
+      for (int j = 0; j < n; ++j) {
+        if (j != i) rest -= A_[i * n + j] * x_[j];
+      }
+      const double y = rest / A_[i * n + i];
+      Update update{SweepClass::kFree, x_[i]};
+      if (i < num_normals_) {
+        if (!(y > 0)) update.kind = SweepClass::kOff;
+        x_[i] = y > 0 ? y : 0;
+      } else {
+        const double bound = friction_ * x_[i - num_normals_];
+        if (y > bound) update.kind = SweepClass::kUpper;
+        if (y < -bound) update.kind = SweepClass::kLower;
+        x_[i] = y > bound ? bound : y < -bound ? -bound : y;
+      }
+      updates_.push_back(update);
+    }
+  }
+}
+
+SweepClass GaussSeidelSweeps::ClassOf(int row) const { return updates_[updates_.size() - x_.size() + row].kind; }
+
+GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
+  const int n = static_cast<int>(x_.size());
+  std::pmr::memory_resource* const memory = updates_.get_allocator().resource();
+  Derivative d{std::pmr::vector<double>(n * n, 0.0, memory), std::pmr::vector<double>(n, 0.0, memory), 0};
+  std::pmr::vector<double> x(x_, memory), cotangent(n, 0.0, memory);
+  cotangent[row] = 1;
+  for (int k = static_cast<int>(updates_.size()) - 1; k >= 0; --k) {
+    const int i = k % n;
+    const double assigned = x[i], g = cotangent[i];
+    x[i] = updates_[k].overwritten;
+    cotangent[i] = 0;
+    switch (updates_[k].kind) {
+      case SweepClass::kFree: {
+        const double w = g / A_[i * n + i];
+        d.by_b[i] += w;
+        d.by_A[i * n + i] -= w * assigned;
+        for (int j = 0; j < n; ++j) {
+          if (j == i) continue;
+          d.by_A[i * n + j] -= w * x[j];
+          cotangent[j] -= w * A_[i * n + j];
+        }
+        break;
+      }
+      case SweepClass::kUpper:
+      case SweepClass::kLower: {
+        const double sign = updates_[k].kind == SweepClass::kUpper ? 1 : -1;
+        cotangent[i - num_normals_] += sign * friction_ * g;
+        d.by_friction += sign * x[i - num_normals_] * g;
+        break;
+      }
+      case SweepClass::kOff:
+        break;
+    }
+  }
+  return d;
+}
+
+}  // namespace saltus

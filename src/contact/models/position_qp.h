@@ -1,0 +1,226 @@
+// Positions projected by a quadratic program, velocities from them (Liang, Lin, Koltun 2019; Qiao et al. 2020,
+// "Scalable differentiable physics").
+//
+//   v_f = v + h (u/m + g),  x* = p + h v_f
+//   x   = argmin 1/2 |x - x*|^2_M   s.t.   phi_c(x*) + n_c . (x - x*)_rel >= 0,  c in A;   normals at x*
+//       = x* + M^-1 N^T l,          N M^-1 N^T l + phi(x*) >= 0  _|_  l >= 0                l in kg m
+//   p'  = x,  v' = (x - p) / h of the discs that were moved
+//
+// A begins with the pairs that overlap at x*; those that overlap at x join it, and the program is solved again from the
+// same x*, until none does. For discs the linear gap is at most the true one, so none is linearised twice. A disc that
+// x* has carried through the centre of another is beyond the model: h |v| must stay below a radius.
+//
+// Impacts are plastic: what is projected away takes the approach with it. An extension is restitution, by another such
+// program in velocities, over the contacts that push and approach, with v^ = (x - p) / h:
+//   v'  = argmin 1/2 |w - v^|^2_M   s.t.   n_c . w_rel >= -e n_c . v_f,rel
+//
+// The derivative is that of the rows that push, by the implicit function theorem, normals included; those of the
+// released program are constant (normal_gradient=0, which is wrong unless impacts are head-on). Nothing of the normal
+// position survives a projection: this is exact for plastic impacts without friction, and only for them.
+// Momentum is conserved.
+#pragma once
+
+#include <Eigen/Core>
+#include <limits>
+#include <memory_resource>
+#include <optional>
+#include <vector>
+
+#include "contact/models/contact_rows.h"
+#include "contact/models/qcqp.h"
+#include "saltus/contact/contact_model.h"
+
+namespace saltus {
+
+struct PositionQpRule {
+  static constexpr ModelTraits kTraits = {.name = "position_qp",
+                                          .summary = "positions projected by a quadratic program",
+                                          .source = "Liang et al. 2019; Qiao et al. 2020",
+                                          .friction = false,
+                                          .double_engine = true,
+                                          .chains = true,
+                                          .rebound = Rebound::kPlastic,
+                                          .projects = true,
+                                          .allocates = true,
+                                          .relative = true};
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  bool restitution = false;
+  bool normal_gradient = true;
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"restitution", "1: that of the scene, by a program in velocities", 0, 1}, restitution);
+    visit(ModelOption{"normal_gradient", "0: normals are constants, as in the released program", 0, 1, true},
+          normal_gradient);
+  }
+
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
+    return SemiImplicitEuler(in, i, x);
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    FreeFlight(*this, in, x, next);
+    const std::span<GapContact<T>> contacts = Contacts<T>(in, next);
+    const std::span<const double> found = in.Solved([&] { return Multipliers<T>(in, contacts, next); });
+    ContactGroup<T> pushing = Pushing<T>(in, contacts, found);
+    if (pushing.num_contacts() == 0) return;
+    const std::pmr::vector<T> multipliers = Differentiated(in, pushing, Gaps(in, pushing), Positive(found));
+    std::pmr::vector<T> approach(in.scratch);
+    for (int i = 0; i < pushing.size(); ++i) {
+      in.Report(pushing.candidate(i));
+      approach.push_back(pushing.Along(i, [&](int disc) -> const Vec2<T>& { return next[disc].v; }));
+    }
+    MoveApart<T>(in, pushing, multipliers, x, next);
+    if (restitution) Bounce<T>(in, pushing, approach, next);
+  }
+
+ private:
+  // Every pair, as it is at x*.
+  template <typename T>
+  std::span<GapContact<T>> Contacts(const StepInput<T>& in, std::span<const State<T>> predicted) const {
+    const std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      const Candidate& c = in.candidates[i];
+      const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return predicted[disc].p; });
+      contacts[i] = {c, at.normal, at.distance - in.ContactDistance(c)};
+      if (normal_gradient) continue;
+      for (int j = 0; j < 2; ++j) contacts[i].normal[j] = T(Value(at.normal[j]));
+    }
+    return contacts;
+  }
+
+  // l of every pair, zero of those not in A.
+  template <typename T>
+  static std::vector<double> Multipliers(const StepInput<T>& in, std::span<const GapContact<T>> contacts,
+                                         std::span<const State<T>> predicted) {
+    std::vector<double> all(contacts.size(), 0.0);
+    std::vector<std::size_t> active;
+    std::vector<char> is_active(contacts.size(), 0);
+    std::vector<Vec2d> at(predicted.size());
+    while (true) {
+      for (std::size_t i = 0; i < at.size(); ++i) at[i] = {Value(predicted[i].p[0]), Value(predicted[i].p[1])};
+      ContactGroup<T> group(in, /*friction=*/false);
+      for (const std::size_t i : active) {
+        group.Add(contacts[i]);
+        ApplyValue(in, contacts[i], all[i], &at);
+      }
+      const std::size_t known = active.size();
+      for (std::size_t i = 0; i < contacts.size(); ++i) {
+        if (is_active[i] || !(GapAt(in, contacts[i].candidate, at) < 0)) continue;
+        is_active[i] = 1;
+        active.push_back(i);
+        group.Add(contacts[i]);
+      }
+      if (active.size() == known) return all;
+      Eigen::VectorXd gaps(active.size());
+      for (std::size_t k = 0; k < active.size(); ++k) gaps[k] = Value(contacts[active[k]].gap);
+      const Eigen::VectorXd solution = SolveLcp(in, group, gaps);
+      for (std::size_t k = 0; k < active.size(); ++k) all[active[k]] = solution[k];
+      if (!solution.allFinite()) return all;
+    }
+  }
+
+  // x >= 0, A x + c >= 0, one of them zero in each row.
+  template <typename T>
+  static Eigen::VectorXd SolveLcp(const StepInput<T>& in, const ContactGroup<T>& group, const Eigen::VectorXd& c) {
+    const Eigen::VectorXd zero = Eigen::VectorXd::Zero(c.size());
+    const Eigen::VectorXd unbounded = Eigen::VectorXd::Constant(c.size(), std::numeric_limits<double>::infinity());
+    const std::optional<Eigen::VectorXd> x = SolveBoxQp(group.CouplingValues(), c, zero, unbounded, zero);
+    if (x) return *x;
+    in.Fail("the quadratic program of a projection is not solved");
+    return Eigen::VectorXd::Constant(c.size(), std::numeric_limits<double>::quiet_NaN());
+  }
+
+  template <typename T>
+  static void ApplyValue(const StepInput<T>& in, const GapContact<T>& contact, double multiplier,
+                         std::vector<Vec2d>* at) {
+    const Candidate& c = contact.candidate;
+    const Vec2d push = multiplier * Vec2d(Value(contact.normal[0]), Value(contact.normal[1]));
+    (*at)[c.a] += Value(in.InverseMassA(c)) * push;
+    if (!c.plane) (*at)[c.b] -= Value(in.InverseMassB(c)) * push;
+  }
+
+  template <typename T>
+  static double GapAt(const StepInput<T>& in, const Candidate& c, const std::vector<Vec2d>& at) {
+    const double distance =
+        c.plane ? Separate<double>(at[c.a], in.planes[c.b]).distance : Separate<double>(at[c.a], at[c.b]).distance;
+    return distance - in.ContactDistance(c);
+  }
+
+  // The contacts whose number is not zero (or not a number).
+  template <typename T>
+  static ContactGroup<T> Pushing(const StepInput<T>& in, std::span<const GapContact<T>> contacts,
+                                 std::span<const double> numbers) {
+    ContactGroup<T> group(in, /*friction=*/false);
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      if (numbers[i] != 0) group.Add(contacts[i]);
+    }
+    return group;
+  }
+  static Eigen::VectorXd Positive(std::span<const double> numbers) {
+    std::vector<double> kept;
+    for (const double number : numbers) {
+      if (number != 0) kept.push_back(number);
+    }
+    return Eigen::Map<const Eigen::VectorXd>(kept.data(), kept.size());
+  }
+
+  template <typename T>
+  static std::pmr::vector<T> Gaps(const StepInput<T>& in, const ContactGroup<T>& group) {
+    std::pmr::vector<T> gaps(in.scratch);
+    for (int i = 0; i < group.num_contacts(); ++i) gaps.push_back(group.contact(i).gap);
+    return gaps;
+  }
+
+  // A x + c = 0 in all rows.
+  template <typename T>
+  static std::pmr::vector<T> Differentiated(const StepInput<T>& in, const ContactGroup<T>& group,
+                                            const std::pmr::vector<T>& c, const Eigen::VectorXd& x) {
+    const std::vector<LcpClass> classes(group.size(), LcpClass::kClamping);
+    return ImpulsesInClasses<T>(in, group, c, x, classes);
+  }
+
+  template <typename T>
+  static void MoveApart(const StepInput<T>& in, const ContactGroup<T>& group, const std::pmr::vector<T>& multipliers,
+                        std::span<const State<T>> x, std::span<State<T>> next) {
+    group.Push(multipliers, [&](int disc, const Vec2<T>& change) {
+      if (in.bodies[disc].fixed) return;
+      next[disc].p += change;
+      for (int j = 0; j < 2; ++j) next[disc].v[j] = Divide(T(next[disc].p[j] - x[disc].p[j]), in.h);
+    });
+  }
+
+  // `approach`: n . v_f,rel of each contact.
+  template <typename T>
+  static void Bounce(const StepInput<T>& in, const ContactGroup<T>& pushing, const std::pmr::vector<T>& approach,
+                     std::span<State<T>> next) {
+    ContactGroup<T> closing(in, /*friction=*/false);
+    std::pmr::vector<T> c(in.scratch);
+    std::vector<double> values;
+    for (int i = 0; i < pushing.num_contacts(); ++i) {
+      if (!(approach[i] < 0.0)) continue;
+      closing.Add(pushing.contact(i));
+      const T speed = pushing.Along(i, [&](int disc) -> const Vec2<T>& { return next[disc].v; });
+      c.push_back(speed + in.contact.restitution * approach[i]);
+      values.push_back(Value(c.back()));
+    }
+    if (values.empty()) return;
+    const Eigen::Map<const Eigen::VectorXd> speeds(values.data(), values.size());
+    const std::span<const double> found = in.Solved([&] { return SolveLcp(in, closing, speeds); });
+    std::vector<LcpClass> classes;
+    for (const double impulse : found) classes.push_back(impulse == 0 ? LcpClass::kFree : LcpClass::kClamping);
+    const Eigen::VectorXd impulses = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
+    closing.Push(ImpulsesInClasses<T>(in, closing, c, impulses, classes),
+                 [&](int disc, const Vec2<T>& change) { next[disc].v += change; });
+  }
+};
+
+struct PositionQp : PositionQpRule {
+  using Spinning = SpinsFreely<PositionQpRule>;
+};
+
+}  // namespace saltus

@@ -1,0 +1,124 @@
+// Contact impulses by staggered cone programs (Le Lidec et al. 2021, "Differentiable simulation for physical system
+// identification").
+//
+//   v^f = v + h (u/m + g);  contacts where the gap at the old positions is <= 0; normals N, tangents T of each group
+//   normal impulses    l_n = argmin over l >= 0 of        1/2 l^T (N M^-1 N^T) l + l^T (N v^f + N M^-1 T^T l_t + e N v)
+//   friction impulses  l_t = argmin over |l_t| <= mu l_n  1/2 l^T (T M^-1 T^T) l + l^T (T v^f + T M^-1 N^T l_n)
+//   v'  = v^f + M^-1 (N^T l_n + T^T l_t),   p' = p + h v'
+//
+// in turn until neither changes by more than `tolerance`. In the plane each friction disc is an interval. The term of
+// restitution acts where N v < 0, on the velocity before forces; it is not in the source. If `passes` do not suffice,
+// as may happen with much friction, the step has no result: it is not a number.
+//
+// The derivative is that of the fixed point of both programs in their active sets, not of the passes. Everything is
+// differentiated; not differentiable where a contact appears and where an active set changes. Momentum is conserved.
+#pragma once
+
+#include <Eigen/Core>
+#include <limits>
+#include <memory_resource>
+#include <optional>
+#include <vector>
+
+#include "contact/models/contact_rows.h"
+#include "saltus/contact/contact_model.h"
+
+namespace saltus {
+
+// argmin of 1/2 x^T A x + c^T x over low <= x <= high for symmetric positive semidefinite A: coordinate descent, then
+// one solve in the coordinates that it leaves inside. Nothing if the descent has not ended after its most sweeps and
+// the solve does not give the minimum either.
+std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c,
+                                          const Eigen::VectorXd& low, const Eigen::VectorXd& high,
+                                          const Eigen::VectorXd& start);
+
+struct StaggeredImpulses {
+  Eigen::VectorXd x;  // normals, then tangents
+  std::vector<LcpClass> classes;
+  bool converged = false;
+};
+// `c`: N v^f + restitution, then T v^f. Without tangents it has one entry a contact.
+StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
+                                 int passes, double tolerance);
+
+template <int kTurn>
+struct QcqpOf {
+  static constexpr ModelTraits kTraits = {.name = "qcqp",
+                                          .summary = "staggered programs for normal and friction impulses",
+                                          .source = "Le Lidec et al. 2021",
+                                          .double_engine = true,
+                                          .allocates = true,
+                                          .relative = true};
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+  template <typename T>
+  using Group = ContactGroup<T, kTurn>;
+
+  int passes = 1000;
+  double tolerance = 1e-13;  // of the impulses, relative to the largest
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"passes", "of the two programs in turn", 1, 1e6}, passes);
+    visit(ModelOption{"tolerance", "of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
+  }
+
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
+    return SemiImplicitEuler(in, i, x);
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    FreeFlight(*this, in, x, next);
+    const auto groups = FindContactGroups(in, x, [](const T& gap) { return gap <= 0.0; });
+    for (const Group<T>& group : groups) {
+      const std::pmr::vector<T> c = Velocities<T>(in, group, x, next);
+      Eigen::VectorXd values(group.size());
+      for (int row = 0; row < group.size(); ++row) values[row] = Value(c[row]);
+      const StaggeredImpulses solution = SolveStaggered(
+          group.CouplingValues(), values, Value(in.contact.friction), group.num_contacts(), passes, tolerance);
+      Report(in, group, solution);
+      std::pmr::vector<T> impulse = ImpulsesInClasses(in, group, c, solution.x, solution.classes);
+      if (!solution.converged) {
+        in.Fail("the programs for normal and friction impulses do not come to agree");
+        impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
+      }
+      group.PushTwists(impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
+    }
+  }
+
+ private:
+  // The linear terms of both programs, m/s.
+  template <typename T>
+  static std::pmr::vector<T> Velocities(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
+                                        std::span<const State<T>> flying) {
+    std::pmr::vector<T> c(in.scratch);
+    for (int row = 0; row < group.size(); ++row) {
+      c.push_back(group.AlongTwists(row, [&](int i) { return TwistOf(flying[i]); }));
+      if (!group.IsNormal(row)) continue;
+      const T before = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
+      if (before < 0.0) c.back() += in.contact.restitution * before;
+    }
+    return c;
+  }
+
+  template <typename T>
+  static void Report(const StepInput<T>& in, const Group<T>& group, const StaggeredImpulses& solution) {
+    for (int i = 0; i < group.num_contacts(); ++i) {
+      if (solution.classes[i] == LcpClass::kFree) continue;
+      const bool sticks = group.friction() && solution.classes[i + group.num_contacts()] == LcpClass::kClamping;
+      in.Report(group.contact(i).candidate,
+                !group.friction() ? ContactMode::kFrictionless
+                : sticks          ? ContactMode::kStick
+                                  : ContactMode::kSlip);
+    }
+  }
+};
+
+struct Qcqp : QcqpOf<0> {
+  using Spinning = QcqpOf<kSpin>;
+};
+
+}  // namespace saltus

@@ -1,0 +1,275 @@
+// Contact with static friction only: what touches sticks, whatever the coefficient (Du et al. 2021, "DiffPD").
+//
+//   v_f = v + h (u/m + g),  d* = h v_f;   n_c and t_c at the old positions p
+//   d   = argmin 1/2 |d - d*|^2_M + omega/2 sum over A of (t_c . d_rel)^2   s.t.   n_c . d_rel = g_c,  c in A
+//   p'  = p + d,  v' = d / h of the discs in A
+//
+// g_c = -phi_c(p): the gap closes (anchor at the surface); in the source g_c = 0: a disc freezes where its step began
+// (source_anchor=1). A is empty at first. In every round contacts of A that pull leave it, by the forces of least norm
+// along all n and t that hold d, and pairs that overlap at p + d join it. If that does not end, the step has no result.
+//
+// Two discs that touch stick to each other; a disc with two contacts at most closes both gaps, and the tangents yield,
+// as they are held by omega only. Impacts are plastic.
+//
+// The derivative is that of the equations of d in A, by the implicit function theorem. It is not that of an impact: the
+// place where a disc stops along the surface does not know when the impact was.
+#pragma once
+
+#include <Eigen/Core>
+#include <limits>
+#include <memory_resource>
+#include <vector>
+
+#include "base/linear_algebra.h"
+#include "contact/models/contact_rows.h"
+#include "contact/solvers/block_solve.h"
+#include "saltus/contact/contact_model.h"
+
+namespace saltus {
+
+struct StaticLcp {
+  static constexpr ModelTraits kTraits = {.name = "static_lcp",
+                                          .summary = "static contact: what touches sticks, friction is not read",
+                                          .source = "DiffPD (Du et al. 2021)",
+                                          .friction = false,
+                                          .double_engine = true,
+                                          .chains = true,
+                                          .rebound = Rebound::kPlastic,
+                                          .projects = true,
+                                          .allocates = true,
+                                          .relative = true};
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  bool source_anchor = false;
+  int rounds = 10;
+  double omega = 1e8;  // kg
+  template <typename Visit>
+  void VisitOptions(const Visit& visit) {
+    visit(ModelOption{"source_anchor", "1: discs freeze where the step began, as in the source", 0, 1}, source_anchor);
+    visit(ModelOption{"rounds", "in which contacts leave and join", 1, 1e4}, rounds);
+    visit(ModelOption{"omega", "weight of the tangents, kg", 1, 1e12}, omega);
+  }
+
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
+    return SemiImplicitEuler(in, i, x);
+  }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    FreeFlight(*this, in, x, next);
+    // One number for each pair, not zero of those in A; then the unknowns.
+    const std::span<const double> found = in.Solved([&] { return FindContacts<T>(in, x, next); });
+    Rows<T> rows(in, x.size());
+    for (std::size_t i = 0; i < in.candidates.size(); ++i) {
+      if (found[i] == 0) continue;
+      in.Report(in.candidates[i], ContactMode::kStick);
+      AddRow(in, i, x, &rows);
+    }
+    if (rows.contacts.empty()) return;
+    const std::pmr::vector<T> moved = Differentiated<T>(in, rows, next, found.subspan(in.candidates.size()));
+    for (std::size_t k = 0; k < rows.discs.size(); ++k) {
+      State<T>& to = next[rows.discs[k]];
+      const Vec2<T> d(moved[2 * k], moved[2 * k + 1]);
+      to.p = x[rows.discs[k]].p + d;
+      to.v = Vec2<T>(Divide(d[0], in.h), Divide(d[1], in.h));
+    }
+  }
+
+ private:
+  // Overlap at which a pair joins, m.
+  static constexpr double kJoins = 1e-13;
+
+  // The contacts of A, and the free discs that they hold: unknowns are the displacements of these, then the multipliers
+  // of the normals, p, and of the tangents, f = omega t . d_rel.
+  template <typename T>
+  struct Rows {
+    Rows(const StepInput<T>& in, std::size_t num_bodies)
+        : contacts(in.scratch), discs(in.scratch), place(num_bodies, -1, in.scratch) {}
+    std::pmr::vector<GapContact<T>> contacts;
+    std::pmr::vector<int> discs;
+    std::pmr::vector<int> place;  // of each disc in `discs`; -1 if it is not held, or fixed
+    int size() const { return static_cast<int>(2 * (discs.size() + contacts.size())); }
+    int NormalRow(std::size_t i) const { return static_cast<int>(2 * discs.size() + i); }
+    int TangentRow(std::size_t i) const { return static_cast<int>(2 * discs.size() + contacts.size() + i); }
+
+    // Calls visit(unknown of d_x, sign) for the discs of contact i that move.
+    template <typename Visit>
+    void ForSides(std::size_t i, const Visit& visit) const {
+      const Candidate& c = contacts[i].candidate;
+      if (place[c.a] >= 0) visit(2 * place[c.a], 1.0);
+      if (!c.plane && place[c.b] >= 0) visit(2 * place[c.b], -1.0);
+    }
+  };
+
+  template <typename T>
+  static void AddRow(const StepInput<T>& in, std::size_t candidate, std::span<const State<T>> x, Rows<T>* rows) {
+    const Candidate& c = in.candidates[candidate];
+    const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return x[disc].p; });
+    rows->contacts.push_back({c, at.normal, at.distance - in.ContactDistance(c)});
+    for (const int disc : {c.a, c.plane ? c.a : c.b}) {
+      if (in.bodies[disc].fixed || rows->place[disc] >= 0) continue;
+      rows->place[disc] = static_cast<int>(rows->discs.size());
+      rows->discs.push_back(disc);
+    }
+  }
+
+  // F(z) of M (d - d*) + T^T f - N^T p = 0, N d = g and T d = f / omega. `flying`: with the velocities v_f.
+  template <typename T, typename Z>
+  std::pmr::vector<T> Residual(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
+                               const Z& z) const {
+    std::pmr::vector<T> F(rows.size(), T(0.0), in.scratch);
+    for (std::size_t k = 0; k < rows.discs.size(); ++k) {
+      const int disc = rows.discs[k];
+      for (int j = 0; j < 2; ++j) F[2 * k + j] = in.bodies[disc].mass * (z[2 * k + j] - in.h * flying[disc].v[j]);
+    }
+    for (std::size_t i = 0; i < rows.contacts.size(); ++i) {
+      const GapContact<T>& contact = rows.contacts[i];
+      const Vec2<T> tangent = Perpendicular(contact.normal);
+      T along = source_anchor ? T(0.0) : contact.gap, slid = T(0.0);
+      rows.ForSides(i, [&](int at, double sign) {
+        along += sign * (contact.normal[0] * z[at] + contact.normal[1] * z[at + 1]);
+        slid += sign * (tangent[0] * z[at] + tangent[1] * z[at + 1]);
+      });
+      const int normal = rows.NormalRow(i), tangential = rows.TangentRow(i);
+      F[normal] = along;
+      F[tangential] = slid - z[tangential] / omega;
+      rows.ForSides(i, [&](int at, double sign) {
+        for (int j = 0; j < 2; ++j) F[at + j] += sign * (tangent[j] * z[tangential] - contact.normal[j] * z[normal]);
+      });
+    }
+    return F;
+  }
+
+  // dF/dz, of values.
+  template <typename T>
+  Eigen::MatrixXd Matrix(const StepInput<T>& in, const Rows<T>& rows) const {
+    Eigen::MatrixXd K = Eigen::MatrixXd::Zero(rows.size(), rows.size());
+    for (std::size_t k = 0; k < rows.discs.size(); ++k) {
+      K.block<2, 2>(2 * k, 2 * k).diagonal().setConstant(Value(in.bodies[rows.discs[k]].mass));
+    }
+    for (std::size_t i = 0; i < rows.contacts.size(); ++i) {
+      const Vec2d n(Value(rows.contacts[i].normal[0]), Value(rows.contacts[i].normal[1])), t = Perpendicular(n);
+      const int normal = rows.NormalRow(i), tangential = rows.TangentRow(i);
+      K(tangential, tangential) = -1 / omega;
+      rows.ForSides(i, [&](int at, double sign) {
+        K.block<1, 2>(normal, at) = sign * n.transpose();
+        K.block<2, 1>(at, normal) = -sign * n;
+        K.block<1, 2>(tangential, at) = sign * t.transpose();
+        K.block<2, 1>(at, tangential) = sign * t;
+      });
+    }
+    return K;
+  }
+
+  // Displacements and multipliers: the value `z`, which solves the equations, by one Newton correction in T.
+  template <typename T>
+  std::pmr::vector<T> Differentiated(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
+                                     std::span<const double> z) const {
+    std::pmr::vector<T> corrected(z.begin(), z.end(), in.scratch);
+    if constexpr (!std::is_same_v<T, double>) {
+      const std::pmr::vector<T> residual = Residual<T>(in, rows, flying, corrected);
+      Eigen::MatrixXd variation(rows.size(), kJetWidth);
+      for (int i = 0; i < rows.size(); ++i) variation.row(i) = residual[i].v;
+      const Eigen::MatrixXd change = LeastNormSolutions(Matrix(in, rows), variation);
+      for (int i = 0; i < rows.size(); ++i) corrected[i].v = -change.row(i);
+    }
+    return corrected;
+  }
+
+  template <typename T>
+  std::vector<double> FindContacts(const StepInput<T>& in, std::span<const State<T>> x,
+                                   std::span<const State<T>> flying) const {
+    std::vector<double> found(in.candidates.size(), 0.0);
+    for (int round = 0; round <= rounds; ++round) {
+      Rows<T> rows(in, x.size());
+      std::vector<std::size_t> members;
+      for (std::size_t i = 0; i < in.candidates.size(); ++i) {
+        if (found[i] == 0) continue;
+        members.push_back(i);
+        AddRow(in, i, x, &rows);
+      }
+      const Eigen::VectorXd z = Solve(in, rows, flying);
+      bool changed = false;
+      const Eigen::VectorXd normal = NormalForces(in, rows, flying, z);
+      for (std::size_t k = 0; k < members.size(); ++k) {
+        if (!(normal[k] < 0)) continue;
+        found[members[k]] = 0;
+        changed = true;
+      }
+      std::vector<char> held(in.candidates.size(), 0);
+      for (const std::size_t i : members) held[i] = 1;
+      for (std::size_t i = 0; i < in.candidates.size(); ++i) {
+        if (held[i] || !(GapAfter(in, rows, in.candidates[i], x, flying, z) < -kJoins)) continue;
+        found[i] = 1;
+        changed = true;
+      }
+      if (changed) continue;
+      found.insert(found.end(), z.begin(), z.end());
+      return found;
+    }
+    return NoResult(in, x, std::move(found));
+  }
+
+  template <typename T>
+  static std::vector<double> NoResult(const StepInput<T>& in, std::span<const State<T>> x, std::vector<double> found) {
+    in.Fail("contacts that stick do not settle");
+    if (std::count(found.begin(), found.end(), 0.0) == std::ptrdiff_t(found.size())) found[0] = 1;
+    Rows<T> rows(in, x.size());
+    for (std::size_t i = 0; i < in.candidates.size(); ++i) {
+      if (found[i] != 0) AddRow(in, i, x, &rows);
+    }
+    found.resize(found.size() + rows.size(), std::numeric_limits<double>::quiet_NaN());
+    return found;
+  }
+
+  template <typename T>
+  Eigen::VectorXd Solve(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying) const {
+    if (rows.contacts.empty()) return Eigen::VectorXd(0);
+    const std::pmr::vector<T> at_zero = Residual<T>(in, rows, flying, std::vector<double>(rows.size(), 0.0));
+    Eigen::VectorXd F(rows.size());
+    for (int i = 0; i < rows.size(); ++i) F[i] = Value(at_zero[i]);
+    return SolveByBlocks(Matrix(in, rows), -F);
+  }
+
+  // Of least norm, along the normals and tangents of A, with which the discs move by z.
+  template <typename T>
+  static Eigen::VectorXd NormalForces(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
+                                      const Eigen::VectorXd& z) {
+    const auto num_contacts = static_cast<Eigen::Index>(rows.contacts.size());
+    if (num_contacts == 0) return Eigen::VectorXd(0);
+    Eigen::MatrixXd directions = Eigen::MatrixXd::Zero(2 * rows.discs.size(), 2 * num_contacts);
+    Eigen::VectorXd needed(2 * rows.discs.size());
+    for (std::size_t k = 0; k < rows.discs.size(); ++k) {
+      const int disc = rows.discs[k];
+      for (int j = 0; j < 2; ++j) {
+        needed[2 * k + j] = Value(in.bodies[disc].mass) * (z[2 * k + j] - in.h * Value(flying[disc].v[j]));
+      }
+    }
+    for (Eigen::Index i = 0; i < num_contacts; ++i) {
+      const Vec2d n(Value(rows.contacts[i].normal[0]), Value(rows.contacts[i].normal[1]));
+      rows.ForSides(i, [&](int at, double sign) {
+        directions.block<2, 1>(at, i) = sign * n;
+        directions.block<2, 1>(at, num_contacts + i) = sign * Perpendicular(n);
+      });
+    }
+    return SolveByBlocks(directions, needed).head(num_contacts);
+  }
+
+  template <typename T>
+  static double GapAfter(const StepInput<T>& in, const Rows<T>& rows, const Candidate& c, std::span<const State<T>> x,
+                         std::span<const State<T>> flying, const Eigen::VectorXd& z) {
+    const auto position = [&](int disc) -> Vec2d {
+      const int place = rows.place[disc];
+      if (place < 0) return {Value(flying[disc].p[0]), Value(flying[disc].p[1])};
+      return {Value(x[disc].p[0]) + z[2 * place], Value(x[disc].p[1]) + z[2 * place + 1]};
+    };
+    const double distance = c.plane ? Separate<double>(position(c.a), in.planes[c.b]).distance
+                                    : Separate<double>(position(c.a), position(c.b)).distance;
+    return distance - in.ContactDistance(c);
+  }
+};
+
+}  // namespace saltus

@@ -1,0 +1,106 @@
+#include "saltus/optimality/certificate.h"
+
+#include <cmath>
+#include <numeric>
+
+#include "optimality/optimality_conditions.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/control/objective.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
+  if (scene.optimize != Optimize::kControl || scene.control.bodies.empty()) return "no control is optimized";
+  if (scene.objective.effort == 0 && !scene.control.IsBounded()) {
+    return "without a cost of effort forces and costates are not related";
+  }
+  if (!exact.ok) return exact.reason;
+  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+    return "the scene has " + beyond + "; the conditions are those of impacts of discs and planes";
+  }
+  if (!exact.only_impacts) return "discs rest on or graze each other or a plane; the conditions are those of impacts";
+  return "";
+}
+
+double FactorOf(TerminalTerm::Quantity quantity, const UnitFactors& by) {
+  const double factors[] = {by.length, by.speed, 1, by.rate};  // by quantity
+  return factors[static_cast<int>(quantity)];
+}
+
+std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
+                                    const std::vector<double>& durations) {
+  if (!durations.empty()) return durations;
+  const size_t intervals = control.size() / scene.control_width();
+  return std::vector<double>(intervals, scene.duration / intervals);
+}
+
+}  // namespace
+
+Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations, const StopRequest& stop) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors by(scene.units, natural.units);
+    return InUnits(Certify(natural,
+                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
+                           Multiplied(control, by.force),
+                           Multiplied(durations, by.time),
+                           stop),
+                   natural.units,
+                   scene.units);
+  }
+  Certificate certificate;
+  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
+  certificate.reason = WhyNotCertify(scene, exact);
+  if (!certificate.reason.empty()) return certificate;
+  JudgeTies(exact.ambiguous, &certificate);
+  if (certificate.verdict == Certificate::Verdict::kAmbiguous) return certificate;
+  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
+  Scene whole = scene;
+  if (std::optional<FreeDuration>& free = whole.objective.duration) {
+    whole.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+    if (free->min == free->max) free.reset();  // nothing is asked of a time that cannot be another
+  }
+  const Flight flight(whole, initial, control, lengths, exact);
+  const ControlledMotion motion{whole, control, lengths, flight, exact};
+  if (BeyondTerminalCost(whole).empty() && scene.num_turned() == 0) return FreeConditions(motion);
+  certificate.reason = WhyNotConstrainedConditions(whole, flight);
+  return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
+}
+
+Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  for (ImpactCertificate& impact : certificate.impacts) {
+    impact.time *= by.time;
+    impact.speed *= by.speed;
+    impact.multiplier *= by.loss / by.length;
+  }
+  for (ConstraintCertificate& constraint : certificate.constraints) {
+    constraint.multiplier *= by.loss / FactorOf(constraint.quantity, by);
+  }
+  for (Tie& tie : certificate.ambiguous) tie.time *= by.time;
+  for (std::optional<double>* gradient :
+       {&certificate.gradient_early, &certificate.gradient_late, &certificate.gradient_combined}) {
+    if (*gradient) **gradient *= by.loss / by.force;
+  }
+  // Its square integrates to 1, whatever the unit of force.
+  if (certificate.curvature) {
+    for (double& force : certificate.curvature->direction) force /= std::sqrt(by.time);
+  }
+  return certificate;
+}
+
+std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
+                                     const std::vector<double>& control, const std::vector<double>& durations) {
+  const ExactRun exact = SimulateExactly(scene, initial, control, durations);
+  if (!WhyNotCertify(scene, exact).empty() || !BeyondTerminalCost(scene).empty() || scene.num_turned() > 0) {
+    return std::nullopt;
+  }
+  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
+  const Flight flight(scene, initial, control, lengths, exact);
+  return FindCurvature(CondensedLoss(scene, flight, control, lengths));
+}
+
+}  // namespace saltus

@@ -1,0 +1,135 @@
+// The loss as a function of the control alone, along the impacts that a flight has: states and impact times are
+// eliminated, the times by the implicit function theorem. Along these impacts it is smooth.
+//
+// The motion knows the control by few numbers s = F u, linear in it. Of each pushed disc on each of its arcs, from one
+// of its impacts to the next, over which it flies for a fixed time S with pieces of lengths l_i, middles t_i from the
+// start:
+//
+//   the velocity and the way that it gains,   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m,
+//
+// and the force at each impact whose time varies: the time shifts by dt, and with it the force just before acts for dt
+// longer and that just after for dt less (together, of an impact inside an interval, nothing). So with interval lengths
+// M the loss is
+//
+//   L(u) = effort u^T M u + G(F u),   second derivative   2 effort M + F^T G'' F:
+//
+// that of the effort and a part whose rank is a few times the impacts, whatever the number of intervals. G' comes from
+// costates carried backwards through the impacts (impact.h), G'' from the same sweep in Jets.
+//
+// An impact on a node, where the force jumps, is either followed by that boundary of the two intervals, for the discs
+// that take part; or it is held on the node, by a multiplier between those of the two one-sided gradients. Held impacts
+// restrict directions to those along which they stay on their nodes, to first order.
+//
+// So do bounds that forces are at, and hard terminal terms. L is then the Lagrangian: multipliers of hard terms add to
+// the costates at the end, and a bound on the norm, which is curved itself, adds to M.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+#include "simulate/flight.h"
+
+namespace saltus {
+
+// What holds a motion back, with the multipliers that belong to it.
+struct Restrictions {
+  struct Force {
+    Eigen::Matrix2d free = Eigen::Matrix2d::Identity();  // projects on the directions along its bounds
+    double bend = 0;  // second derivative of its bounds, times their multiplier, as a part of that of the effort
+  };
+  std::vector<Force> forces = {};  // K x C; empty: all are free
+  std::vector<Vec2d> hard = {};    // multipliers of hard terminal terms
+};
+
+class CondensedLoss {
+ public:
+  // `theta`, by impact: the weight of the gradient as if the impact were early, if it is held on its node; an empty
+  // vector holds none. The flight must outlive the object and be that of `control` on intervals of `lengths`.
+  CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
+                std::span<const double> lengths, std::vector<std::optional<double>> theta = {},
+                Restrictions restrictions = {});
+
+  // Of F.
+  int num_functionals() const { return static_cast<int>(values_.size()); }
+
+  // By the control, K x C x 2, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left out.
+  Eigen::VectorXd Gradient() const;
+
+  // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort (and of the
+  // bounds on norms) alone, and its direction (K x C x 2).
+  struct Curvature {
+    double smallest = 1, largest = 1;
+    Eigen::VectorXd direction;
+  };
+  Curvature SmallestCurvature() const;
+
+  // The control that one step of Newton's method leads to, along directions that keep what is held: to the optimum, if
+  // this is near. Nothing if second derivatives are singular. Precondition: forces are not restricted.
+  std::optional<Eigen::VectorXd> NewtonStep() const;
+
+  // 2 effort M + F^T G'' F, for tests.
+  Eigen::MatrixXd DenseHessian() const;
+
+ private:
+  // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end).
+  struct Arc {
+    int body = 0;
+    double begin = 0, end = 0;  // s
+    int functional = -1;        // of the first of its four; -1: not pushed
+  };
+  struct Side {
+    int body = -1;  // -1: a plane or a fixed disc
+    int arc_before = -1, arc_after = -1;
+    int force_before = -1, force_after = -1;  // functionals: the forces of the intervals that end and start there
+  };
+  // A component of F u: `weights` of the forces, along one axis, of a pushed disc from interval `first` on.
+  struct Functional {
+    int column = 0;  // 2 c + axis
+    int first = 0;
+    std::vector<double> weights;
+  };
+
+  int AddArc(int body, int from_hit, int to_hit);
+  int AddForce(int body, int interval);
+  void AddFunctionals(int body, int first, const std::vector<double>& weights);
+  std::pair<int, int> IntervalsAt(int hit) const;
+  // Derivatives of G by F u where that is s; and unless null what is held: the gaps at impacts (in order), and what
+  // hard terms hold.
+  template <typename T>
+  void Sweep(const T* s, T* gradient, T* gaps) const;
+  // G'', and the derivatives of what is held, a row each.
+  void SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd* gaps) const;
+  Eigen::VectorXd Transposed(const Eigen::VectorXd& s) const;  // F^T s
+  Eigen::MatrixXd Gram() const;                                // F M^-1 F^T, M restricted
+  double Length(Eigen::Index i) const { return lengths_[i / width_]; }
+  const Restrictions::Force& ForceAt(size_t interval, int c) const {
+    return restrictions_.forces.empty() ? free_ : restrictions_.forces[interval * (width_ / 2) + c];
+  }
+  // M^-1 x of the free directions, and how many these are.
+  void DivideByWeights(Eigen::VectorXd* x) const;
+  Eigen::Index NumFree() const;
+
+  const Scene& scene_;
+  const Flight& flight_;
+  std::span<const double> control_, lengths_;
+  std::vector<std::optional<double>> theta_;
+  Restrictions restrictions_;
+  Restrictions::Force free_;
+  Objective soft_;           // without hard terms
+  int width_;                // 2 C
+  std::vector<int> pushed_;  // by body: its place among the pushed ones, or -1
+  std::vector<double> nodes_;
+  std::vector<int> interval_at_;  // by hit: that which it lies in or starts; see IntervalsAt
+  std::vector<Arc> arcs_;
+  std::vector<int> first_arc_, last_arc_;  // by body; -1 if it is fixed
+  std::vector<std::array<Side, 2>> sides_;
+  std::vector<Functional> functionals_;
+  std::vector<double> values_;  // F u
+  int num_held_ = 0;
+};
+
+}  // namespace saltus

@@ -1,0 +1,437 @@
+// The conditions with bounds on the forces, hard terms, running and via terms and a free final time.
+//
+// Along a given motion the costates are affine in the multipliers of impacts and of hard terms, theta, and so are what
+// is left of the conditions:
+//
+//   force          2 effort m u + lambda_v, in the mean over an interval, is opposite to a normal of the bounds at u;
+//                  so is, of a torque with f = torque / radius, 2 effort (I/r^2) f + lambda_w / r
+//   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
+//   final time     nor does moving that; at its bounds the loss may fall towards outside.
+//
+// The theta that meet them best are found as cone_conditions.h says. On a grid that does not move, the impacts on nodes
+// have multipliers between those of the two one-sided gradients instead, and the other impacts those that keep the
+// Hamiltonian.
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "base/time_grid.h"
+#include "control/control_bounds.h"
+#include "optimality/cone_conditions.h"
+#include "optimality/costate_sweep.h"
+#include "optimality/optimality_conditions.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
+constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
+
+class ConstrainedCertifier {
+ public:
+  explicit ConstrainedCertifier(const ControlledMotion& motion)
+      : motion_(motion), scene_(motion.scene), sweep_(scene_, motion.flight) {
+    for (int k = 0; k < num_hits(); ++k) boundaries_.push_back(sweep_.SegmentAfter(k));
+    for (int i = 0; i < sweep_.num_via(); ++i) boundaries_.push_back(sweep_.SegmentAfterVia(i));
+    boundaries_.insert(boundaries_.end(), {0, num_segments()});
+    std::sort(boundaries_.begin(), boundaries_.end());
+    boundaries_.erase(std::unique(boundaries_.begin(), boundaries_.end()), boundaries_.end());
+  }
+
+  Certificate Run() {
+    Certificate result;
+    result.impacts.resize(num_hits());
+    for (int k = 0; k < num_hits(); ++k) {
+      const Flight::Hit& hit = motion_.flight.hits()[k];
+      ImpactCertificate& impact = result.impacts[k];
+      impact.time = hit.time;
+      impact.a = motion_.exact.events[k].a;
+      impact.b = motion_.exact.events[k].b;
+      impact.speed = -hit.impact.speed;
+      impact.on_node = hit.on_node;
+    }
+    OfMovingGrid(&result);
+    Judge(&result);
+    if (result.verdict != Certificate::Verdict::kStationary) {
+      OfFixedGrid(&result);
+      Judge(&result);
+    }
+    if (!result.IsStationary()) return result;
+    result.reason = WhyNoCurvature();
+    if (result.reason.empty()) {
+      AddCurvature(&result);
+      Judge(&result);
+    }
+    return result;
+  }
+
+ private:
+  using Result = CostateSweep::Result;
+
+  int num_hits() const { return static_cast<int>(motion_.flight.hits().size()); }
+  int num_segments() const { return static_cast<int>(sweep_.segments().size()); }
+  double effort() const { return scene_.objective.effort; }
+  double Mass(int c) const { return scene_.bodies[scene_.control.bodies[c]].mass; }
+  Vec2d Force(int interval, int c) const {
+    const double* u = &motion_.control[scene_.ForceIndex(interval, c)];
+    return {u[0], u[1]};
+  }
+  double EffortRate(int interval) const {
+    double sum = 0;
+    for (int c = 0; c < scene_.num_controlled(); ++c) sum += effort() * Force(interval, c).squaredNorm();
+    for (int t = 0; t < scene_.num_turned(); ++t) sum += effort() * Turn(interval, t) * Turn(interval, t);
+    return sum;
+  }
+
+  const Body& Turned(int t) const { return scene_.bodies[scene_.control.turned[t]]; }
+  double Turn(int interval, int t) const { return motion_.control[scene_.TurnIndex(interval, t)]; }
+
+  // The sweep of the objective alone, and of each unknown: of impacts k for which `unknown[k]`, then of hard terms, two
+  // each. Other impacts keep the Hamiltonian.
+  std::vector<Result> Sweeps(const std::vector<bool>& unknown) const {
+    std::vector<Result> sweeps;
+    const auto add = [&](const CostateSweep::Source& source, int impact) {
+      sweeps.push_back(sweep_.Sweep(source, [&](int k, const ImpactJump& jump, double gain) {
+        return unknown[k] ? double(k == impact) : sweep_.Late(k, jump, gain);
+      }));
+    };
+    add({}, -1);
+    for (int k = 0; k < num_hits(); ++k) {
+      if (unknown[k]) add({.objective = false}, k);
+    }
+    for (int i = 0; i < 2 * sweep_.num_hard(); ++i) {
+      CostateSweep::Source source{.objective = false};
+      source.hard.assign(sweep_.num_hard(), Vec2d(0, 0));
+      source.hard[i / 2][i % 2] = 1;
+      add(source, -1);
+    }
+    return sweeps;
+  }
+
+  // What all sweeps together are at theta: sizes, and the multipliers.
+  Result Combined(const std::vector<bool>& unknown, const Eigen::VectorXd& theta) const {
+    std::vector<double> nu(num_hits());
+    Eigen::Index next = 0;
+    for (int k = 0; k < num_hits(); ++k) {
+      if (unknown[k]) nu[k] = theta[next++];
+    }
+    CostateSweep::Source source;
+    for (; next + 1 < theta.size(); next += 2) source.hard.emplace_back(theta[next], theta[next + 1]);
+    return sweep_.Sweep(source, [&](int k, const ImpactJump& jump, double gain) {
+      return unknown[k] ? nu[k] : sweep_.Late(k, jump, gain);
+    });
+  }
+
+  bool IsAtNorm(int interval, int c) const {
+    const std::vector<double>& norms = scene_.control.max_norm;
+    return !norms.empty() && Force(interval, c).norm() >= (1 - kAtBound) * norms[c];
+  }
+
+  // Of the bounds that a force is at.
+  std::vector<Vec2d> NormalsAt(int interval, int c) const {
+    std::vector<Vec2d> normals;
+    const Vec2d u = Force(interval, c);
+    const std::vector<double>& max = scene_.control.max;
+    for (int d = 0; d < 2 && !max.empty(); ++d) {
+      if (std::abs(u[d]) >= (1 - kAtBound) * max[c]) normals.push_back((u[d] > 0 ? 1.0 : -1.0) * Vec2d::Unit(d));
+    }
+    if (IsAtNorm(interval, c)) normals.push_back(u.normalized());
+    return normals;
+  }
+
+  NormalCone ConeAt(int interval, int c) const {
+    NormalCone cone;
+    for (const Vec2d& normal : NormalsAt(interval, c)) cone.Add(normal);
+    return cone;
+  }
+
+  NormalCone TurnConeAt(int interval, int t) const {
+    NormalCone cone;
+    const double turn = Turn(interval, t), most = MostTurn(scene_, t);
+    if (std::abs(turn) >= (1 - kAtBound) * most) cone.Add(Vec2d(turn > 0 ? 1 : -1, 0));
+    return cone;
+  }
+
+  bool HasCondition(size_t interval) const { return motion_.lengths[interval] > kNoInterval * scene_.duration; }
+
+  void AddForces(const std::vector<Result>& sweeps, ConeConditions* conditions) const {
+    const int n = static_cast<int>(sweeps.size()) - 1;
+    const int pushed = scene_.num_controlled();
+    const size_t intervals = motion_.lengths.size();
+    std::vector<Eigen::Matrix2Xd> mean(intervals * pushed, Eigen::Matrix2Xd::Zero(2, n + 1));
+    for (int i = 0; i < num_segments(); ++i) {
+      const int interval = sweep_.segments()[i].piece.interval;
+      for (int c = 0; c < pushed; ++c) {
+        for (int j = 0; j <= n; ++j) {
+          mean[interval * pushed + c].col(j) += sweeps[j].push[i][c] / motion_.lengths[interval];
+        }
+      }
+    }
+    for (size_t k = 0; k < intervals; ++k) {
+      if (!HasCondition(k)) continue;
+      for (int c = 0; c < pushed; ++c) {
+        const int interval = static_cast<int>(k);
+        const Eigen::Matrix2Xd& of = mean[k * pushed + c];
+        conditions->AddForce(
+            of.col(0) + 2 * effort() * Mass(c) * Force(interval, c), of.rightCols(n), ConeAt(interval, c));
+      }
+    }
+    for (int t = 0; t < scene_.num_turned(); ++t) AddTorques(t, sweeps, conditions);
+  }
+
+  // Of one turned disc, as forces with a second component that is always 0.
+  void AddTorques(int t, const std::vector<Result>& sweeps, ConeConditions* conditions) const {
+    const int n = static_cast<int>(sweeps.size()) - 1;
+    const double radius = Turned(t).radius, mass = Turned(t).MomentOfInertia() / (radius * radius);
+    std::vector<Eigen::Matrix2Xd> mean(motion_.lengths.size(), Eigen::Matrix2Xd::Zero(2, n + 1));
+    for (int i = 0; i < num_segments(); ++i) {
+      const int interval = sweep_.segments()[i].piece.interval;
+      for (int j = 0; j <= n; ++j) mean[interval](0, j) += sweeps[j].turn[i][t] / (radius * motion_.lengths[interval]);
+    }
+    for (size_t k = 0; k < mean.size(); ++k) {
+      if (!HasCondition(k)) continue;
+      const int interval = static_cast<int>(k);
+      const Vec2d own(2 * effort() * mass * Turn(interval, t), 0);
+      conditions->AddForce(mean[k].col(0) + own, mean[k].rightCols(n), TurnConeAt(interval, t));
+    }
+  }
+
+  struct Phase {
+    int begin = 0, end = 0;  // segments
+  };
+  // The phase that ends (begins) at a boundary; empty if that is at the beginning (end).
+  Phase PhaseBefore(int boundary) const {
+    const auto at = std::lower_bound(boundaries_.begin(), boundaries_.end(), boundary);
+    return at == boundaries_.begin() ? Phase{} : Phase{*(at - 1), boundary};
+  }
+  Phase PhaseAfter(int boundary) const {
+    const auto at = std::upper_bound(boundaries_.begin(), boundaries_.end(), boundary);
+    return at == boundaries_.end() ? Phase{} : Phase{boundary, *at};
+  }
+
+  // The derivative of the loss as the end (or else the beginning) of a phase is moved, and its intervals with it.
+  double MovedBy(const Phase& phase, bool end, const Result& sweep, bool of_objective) const {
+    const std::vector<CostateSweep::Segment>& segments = sweep_.segments();
+    const double begin = segments[phase.begin].piece.start;
+    double length = 0, hamiltonian = 0, drift = 0, moment = 0;
+    for (int i = phase.begin; i < phase.end; ++i) {
+      const Flight::Piece& piece = segments[i].piece;
+      length += piece.duration;
+      hamiltonian += sweep.hamiltonian[i];
+      if (of_objective) hamiltonian += piece.duration * EffortRate(piece.interval);
+      drift += sweep.drift[i];
+      moment += sweep.drift_moment[i] + (piece.start - begin) * sweep.drift[i];
+    }
+    const double stretched = (hamiltonian + moment) / length;
+    return end ? stretched : drift - stretched;
+  }
+
+  // The Hamiltonian just after impact k where no phase follows it, but another impact or the end.
+  double JustAfter(int k, const Result& sweep, bool of_objective) const {
+    const int last = std::max(sweep_.SegmentAfter(k) - 1, 0);
+    const Flight::Piece& piece = sweep_.segments()[last].piece;
+    const DiscStates& x = k + 1 < num_hits() ? motion_.flight.hits()[k + 1].before : motion_.flight.end();
+    double sum = of_objective ? EffortRate(piece.interval) : 0.0;
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      const Costate<double>& costate = sweep.after_impact[k][i];
+      sum += costate.position.dot(x.v[i]) + costate.velocity.dot(piece.acceleration[i]);
+      if (costate.angle != 0) sum += costate.angle * x.spin[i];
+      if (!piece.turning.empty()) sum += costate.angular_velocity * piece.turning[i];
+    }
+    return sum;
+  }
+
+  // The derivative of the loss by the time of impact k.
+  double ByImpactTime(int k, const Result& sweep, bool of_objective) const {
+    const auto follows = [&](int i) {
+      return i >= 0 && i + 1 < num_hits() && sweep_.SegmentAfter(i) == sweep_.SegmentAfter(i + 1);
+    };
+    const int at = sweep_.SegmentAfter(k);
+    const Phase before = PhaseBefore(at), after = PhaseAfter(at);
+    double sum = 0;
+    if (follows(k - 1)) {
+      sum += JustAfter(k - 1, sweep, of_objective);
+    } else if (before.end > before.begin) {
+      sum += MovedBy(before, true, sweep, of_objective);
+    }
+    if (follows(k) || after.end == after.begin) {
+      sum -= JustAfter(k, sweep, of_objective);
+    } else {
+      sum += MovedBy(after, false, sweep, of_objective);
+    }
+    return sum;
+  }
+
+  bool IsAtEnd(int k) const { return sweep_.SegmentAfter(k) == num_segments(); }
+
+  template <typename Of>
+  static void Add(const std::vector<Result>& sweeps, const Of& of, double constant, int allowed,
+                  ConeConditions* conditions) {
+    Eigen::RowVectorXd columns(sweeps.size() - 1);
+    for (size_t j = 1; j < sweeps.size(); ++j) columns[j - 1] = of(sweeps[j], false);
+    conditions->AddNumber(constant + of(sweeps[0], true), columns, allowed);
+  }
+
+  // The signs that the derivative of the loss by the final time may have.
+  int SignByDuration() const {
+    const FreeDuration& free = *scene_.objective.duration;
+    if (scene_.duration <= free.min * (1 + kAtBound)) return 1;
+    return scene_.duration >= free.max * (1 - kAtBound) ? -1 : 0;
+  }
+
+  void SetSizes(const Result& sweep) {
+    position_scale_ = std::max(sweep.largest_position, sweep.largest_velocity / scene_.duration);
+    hamiltonian_scale_ = sweep.largest_hamiltonian;
+    for (size_t k = 0; k < motion_.lengths.size(); ++k) {
+      hamiltonian_scale_ = std::max(hamiltonian_scale_, EffortRate(static_cast<int>(k)));
+    }
+  }
+  double RelativeForce(const ConeConditions& conditions) const {
+    const double force = conditions.LargestForce();
+    return force == 0 ? 0.0 : force / (position_scale_ * scene_.duration);
+  }
+  double RelativeHamiltonian(double left) const { return left == 0 ? 0.0 : left / hamiltonian_scale_; }
+
+  void OfMovingGrid(Certificate* result) {
+    const std::vector<bool> unknown(num_hits(), true);
+    const std::vector<Result> sweeps = Sweeps(unknown);
+    ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
+    AddForces(sweeps, &conditions);
+    for (int k = 0; k < num_hits(); ++k) {
+      // At the final time an impact may want to be later.
+      const auto by_time = [&](const Result& sweep, bool whole) { return ByImpactTime(k, sweep, whole); };
+      Add(sweeps, by_time, 0, IsAtEnd(k) ? -1 : 0, &conditions);
+    }
+    if (scene_.objective.duration) {
+      const Phase last = PhaseBefore(num_segments());
+      const auto by_end = [&](const Result& sweep, bool whole) { return MovedBy(last, true, sweep, whole); };
+      Add(sweeps, by_end, scene_.objective.duration->weight, SignByDuration(), &conditions);
+    }
+    conditions.Solve();
+    const Result found = Combined(unknown, conditions.theta());
+    SetSizes(found);
+    result->stationarity = RelativeForce(conditions);
+    SetRestrictions(conditions);
+    for (int k = 0; k < num_hits(); ++k) {
+      result->impacts[k].multiplier = found.multipliers[k];
+      result->impacts[k].hamiltonian = RelativeHamiltonian(conditions.Number(k));
+      result->hamiltonian = std::max(result->hamiltonian, std::abs(result->impacts[k].hamiltonian));
+    }
+    if (scene_.objective.duration) {
+      result->final_time = RelativeHamiltonian(conditions.Number(num_hits()));
+      result->hamiltonian = std::max(result->hamiltonian, std::abs(*result->final_time));
+    }
+    SetConstraints(conditions.theta().tail(2 * sweep_.num_hard()), result);
+  }
+
+  void OfFixedGrid(Certificate* result) {
+    std::vector<bool> unknown;
+    for (const Flight::Hit& hit : motion_.flight.hits()) unknown.push_back(hit.on_node);
+    const std::vector<Result> sweeps = Sweeps(unknown);
+    ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
+    AddForces(sweeps, &conditions);
+    if (scene_.objective.duration) {  // all intervals scale with it
+      const auto by_scale = [&](const Result& sweep, bool whole) {
+        return MovedBy({0, num_segments()}, true, sweep, whole) - sweep.clock / scene_.duration;
+      };
+      Add(sweeps, by_scale, scene_.objective.duration->weight, SignByDuration(), &conditions);
+    }
+    conditions.Solve();
+    const Result found = Combined(unknown, conditions.theta());
+    SetSizes(found);
+    result->gradient = RelativeForce(conditions);
+    SetRestrictions(conditions);
+    if (scene_.objective.duration) {
+      result->gradient = std::max(*result->gradient, std::abs(RelativeHamiltonian(conditions.Number(0))));
+    }
+    // Where between the one-sided multipliers those of impacts on nodes are.
+    sweep_.Sweep({.objective = true, .hard = HardOf(conditions.theta())},
+                 [&](int k, const ImpactJump& jump, double gain) {
+                   const double late = sweep_.Late(k, jump, gain);
+                   if (!unknown[k]) return late;
+                   const double early = sweep_.Early(k, jump, gain), kink = early - late;
+                   if (std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late))) {
+                     result->impacts[k].theta = (found.multipliers[k] - late) / kink;
+                   }
+                   return found.multipliers[k];
+                 });
+  }
+
+  // Terms on the way and the final time would have a part of their own; impacts at the final time are a kink.
+  std::string WhyNoCurvature() const {
+    const Objective& objective = scene_.objective;
+    const auto with = [](const char* what) { return std::string("its curvature is not looked at with ") + what; };
+    if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
+    if (!objective.running.empty()) return with("running terms");
+    if (!objective.via.empty()) return with("via terms");
+    if (scene_.num_turned() > 0) return with("torques");
+    if (objective.duration) return with("a free duration");
+    for (int k = 0; k < num_hits(); ++k) {
+      if (IsAtEnd(k)) return with("an impact at the final time");
+    }
+    return "";
+  }
+
+  void AddCurvature(Certificate* result) const {
+    std::vector<std::optional<double>> held(num_hits());
+    if (result->verdict == Certificate::Verdict::kStationaryOnGrid) {
+      for (int k = 0; k < num_hits(); ++k) held[k] = result->impacts[k].theta;
+    }
+    result->curvature = FindCurvature(
+        CondensedLoss(scene_, motion_.flight, motion_.control, motion_.lengths, std::move(held), restrictions_));
+  }
+
+  // At the multipliers found.
+  void SetRestrictions(const ConeConditions& conditions) {
+    restrictions_.hard = HardOf(conditions.theta());
+    restrictions_.forces.assign(motion_.lengths.size() * scene_.num_controlled(), {});
+    size_t next = 0;
+    for (size_t i = 0; i < restrictions_.forces.size(); ++i) {
+      const int interval = static_cast<int>(i / scene_.num_controlled()),
+                c = static_cast<int>(i % scene_.num_controlled());
+      const Vec2d left = HasCondition(interval) ? conditions.Force(next++) : Vec2d(0, 0);
+      Restrictions::Force& force = restrictions_.forces[i];
+      for (const Vec2d& normal : NormalsAt(interval, c)) {
+        const Vec2d along = force.free * normal;
+        if (along.norm() > 1e-9) force.free -= along * along.transpose() / along.squaredNorm();
+      }
+      if (IsAtNorm(interval, c) && effort() > 0) {
+        const Vec2d u = Force(interval, c);
+        force.bend = std::max(0.0, -left.dot(u) / (2 * effort() * Mass(c) * u.squaredNorm()));
+      }
+    }
+  }
+
+  std::vector<Vec2d> HardOf(const Eigen::VectorXd& theta) const {
+    std::vector<Vec2d> hard;
+    for (Eigen::Index i = theta.size() - 2 * sweep_.num_hard(); i < theta.size(); i += 2) {
+      hard.emplace_back(theta[i], theta[i + 1]);
+    }
+    return hard;
+  }
+
+  void SetConstraints(const Eigen::VectorXd& theta, Certificate* result) const {
+    Eigen::Index next = 0;
+    const auto add = [&](const auto& term) {
+      if (!term.hard) return;
+      result->constraints.push_back({scene_.bodies[term.body].name, term.quantity, {theta[next], theta[next + 1]}});
+      next += 2;
+    };
+    for (const TerminalTerm& term : scene_.objective.terminal) add(term);
+    for (const ViaTerm& term : scene_.objective.via) add(term);
+  }
+
+  const ControlledMotion& motion_;
+  const Scene& scene_;
+  CostateSweep sweep_;
+  std::vector<int> boundaries_;  // of phases: segments, 0 and their number included
+  double position_scale_ = 0, hamiltonian_scale_ = 0;
+  Restrictions restrictions_;
+};
+
+}  // namespace
+
+Certificate ConstrainedConditions(const ControlledMotion& motion) { return ConstrainedCertifier(motion).Run(); }
+
+}  // namespace saltus

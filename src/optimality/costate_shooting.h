@@ -1,0 +1,104 @@
+// The conditions of the hybrid minimum principle in continuous time as a square system, with bounds on the forces, hard
+// terms, running and via terms and a free final time: a shooting method, forward from the start.
+//
+// States and costates of every disc that matters fly together between events (impacts, via terms, turns of targets):
+//
+//   p' = v,  v' = u/m + g,  lambda_q' = -dL/dq,  lambda_v' = -lambda_q - dL/dv,
+//   u = that within the bounds which is nearest to -lambda_v / (2 effort m).
+//
+// Unknown are the costates at the start, of each impact its time, its multiplier nu and the costates after it, the
+// multipliers of hard terms and the final time if that is free. What must vanish is listed in Evaluate. A force within
+// its bounds makes this linear with constant coefficients: Taylor's series, to rounding. At bounds it is integrated by
+// Gauss' rule between the times at which it gets there or leaves; these are found for costates that are linear in time,
+// so a disc may have bounds or running terms and not both. Derivatives need not move these times: forces are
+// continuous.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <optional>
+#include <vector>
+
+#include "control/phase_costs.h"
+#include "optimality/impact_jump.h"
+#include "saltus/contact/contact_model.h"
+#include "saltus/scene/scene.h"
+
+namespace saltus {
+
+inline constexpr int kCostateShootingStride = 4;  // of the Jets that Evaluate takes, and double
+
+class CostateShooting {
+ public:
+  // State and costates of a disc; q and w are lambda_q and lambda_v.
+  template <typename T>
+  struct Flying {
+    Vec2<T> p, v, q, w;
+  };
+  // A flight from event to event.
+  struct Leg {
+    int body = 0;
+    double begin = 0;  // s
+    Flying<double> start;
+  };
+
+  // `moving_end`: the final time is unknown. Preconditions: WhyNot() is empty, effort > 0.
+  CostateShooting(const Scene& scene, std::vector<Candidate> sequence, bool moving_end);
+
+  // Why a scene is beyond this; empty if it is not.
+  static std::string WhyNot(const Scene& scene);
+
+  int num_unknowns() const { return num_unknowns_; }
+  const Scene& scene() const { return scene_; }
+
+  // The unknowns from: costates of all discs at the start and after each impact, times and multipliers of impacts,
+  // multipliers of hard terms (terminal ones first), and the final time.
+  std::vector<double> Unknowns(const std::vector<Costate<double>>& start,
+                               const std::vector<std::vector<Costate<double>>>& after_impact,
+                               const std::vector<double>& times, const std::vector<double>& multipliers,
+                               const std::vector<Vec2d>& hard, double end) const;
+
+  struct Sizes {  // of the residuals, in their order
+    int jumps = 0, hamiltonians = 0, gaps = 0, terminal = 0;
+  };
+  const Sizes& sizes() const { return sizes_; }
+
+  // As many residuals as unknowns. False if there is no such motion. Loss and flights are left out if null.
+  template <typename T>
+  bool Evaluate(const T* y, T* residuals, T* loss = nullptr, std::vector<Leg>* legs = nullptr) const;
+  // The force on pushed disc c at a time. Precondition: `legs` are those of a motion, the time is in it.
+  Vec2d ForceAt(const std::vector<Leg>& legs, int c, double time) const;
+
+  double Time(const double* y, int impact) const { return y[impact_index_[impact]]; }
+  double Multiplier(const double* y, int impact) const { return y[impact_index_[impact] + 1]; }
+  double Duration(const double* y) const { return end_index_ < 0 ? scene_.duration : y[end_index_]; }
+  Vec2d Hard(const double* y, int term) const { return {y[hard_index_ + 2 * term], y[hard_index_ + 2 * term + 1]}; }
+
+ private:
+  bool Matters(int body) const { return index_[body] >= 0; }
+  template <typename T>
+  Vec2<T> ForceOf(int body, const Vec2<T>& lambda_v) const;
+  // From time `from` on, for `length`; T(0) for a disc that nothing pushes.
+  template <typename T>
+  void Fly(int body, const T& from, const T& length, Flying<T>* x, T* loss) const;
+  template <typename T>
+  void FlyBySeries(int body, const T& from, const T& length, Flying<T>* x, T* loss) const;
+  template <typename T>
+  void FlyAtBounds(int body, const T& length, Flying<T>* x, T* loss) const;
+  std::vector<double> Switches(int body, const Vec2d& lambda_q, const Vec2d& lambda_v, double length) const;
+  template <typename T>
+  T Running(int body, const T& time, const Flying<T>& x, bool of_velocity_only) const;
+  template <typename T>
+  T Hamiltonian(int body, const T& time, const Flying<T>& x, bool of_velocity_only) const;
+
+  Scene scene_;
+  std::vector<Candidate> sequence_;
+  std::vector<int> place_;                  // by body: among the pushed ones, or -1
+  std::vector<int> index_;                  // by body: of its costates at the start, or -1
+  std::vector<int> impact_index_;           // by impact: of its time, its multiplier and the costates after it
+  std::vector<std::vector<double>> turns_;  // by body: of its targets, rising
+  int hard_index_ = 0, end_index_ = -1, num_unknowns_ = 0;
+  Sizes sizes_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,286 @@
+#include "programs/audit.h"
+
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <atomic>
+#include <iostream>
+#include <memory>
+#include <new>
+#include <optional>
+
+#include "base/interrupt.h"
+#include "programs/audit_files.h"
+#include "programs/audit_report.h"
+#include "programs/audit_tables.h"
+#include "programs/given_gradient.h"
+#include "programs/parallel.h"
+#include "programs/report_parts.h"
+#include "programs/surrogate_flags.h"
+#include "saltus/simulate/registry.h"
+
+DEFINE_double(attribution_seconds, 0,
+              "how long the error of a wrong gradient may be traced to contacts, for each model; 0: no limit");
+DEFINE_bool(width_sweep, false,
+            "differences of the loss of every width, too (always where there is no exact gradient)");
+DEFINE_string(given, "", "a gradient computed elsewhere, to be audited too: JSON with the keys of those of --json");
+
+namespace saltus {
+namespace {
+
+constexpr std::size_t kMostNamed = 6;  // models in one line
+
+// An audit that has nothing to say but why.
+ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
+  ModelAudit audit;
+  audit.gradient.contact = contact;
+  audit.gradient.reason = reason;
+  audit.interrupted = reason == kStopped;
+  return audit;
+}
+
+// The exact gradient, as a job like the others: it may take long too.
+std::optional<ModelGradient> FindReference(const Request& request, Progress* progress) {
+  using Reference = std::optional<ModelGradient>;
+  const auto found =
+      ComputeAll<Reference>({"exact gradient"}, 1, progress, [scene = request.scene](int, const SayNote&, const auto&) {
+        return ExactGradientOf(scene, AskedToStop);
+      });
+  return found.results[0].value_or(std::nullopt);
+}
+
+// The gradient in --given beside the reference.
+struct GivenAudit {
+  std::string name;
+  std::vector<GivenEntry> entries;
+};
+
+std::optional<GivenGradient> ReadGiven(const Request& request) {
+  if (FLAGS_given.empty()) return std::nullopt;
+  return ReadGivenGradient(FLAGS_given, request.scene);
+}
+
+std::optional<GivenAudit> AuditGiven(const Request& request, const std::optional<GivenGradient>& given,
+                                     const AuditReport& report) {
+  if (!given || !report.reference) return std::nullopt;
+  return GivenAudit{given->name, JudgeGiven(request.scene, *given, *report.reference)};
+}
+
+Json GivenToJson(const GivenAudit& audit) {
+  Json entries = Json::array();
+  for (const GivenEntry& entry : audit.entries) {
+    entries.push_back({{"entry", entry.entry},
+                       {"given", NumberToJson(entry.given)},
+                       {"exact", NumberToJson(entry.exact)},
+                       {"verdict", VerdictToString(entry.verdict)}});
+  }
+  return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
+}
+
+// "d/dpy puck"
+std::string NameOf(const Scene& scene, const OneSided& entry) {
+  const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
+  return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
+}
+
+std::string WhyNotJudged(OneSided::Side side) {
+  switch (side) {
+    case OneSided::Side::kAbove:
+      return "the exact one exists from above only, and is not judged";
+    case OneSided::Side::kBelow:
+      return "the exact one exists from below only, and is not judged";
+    case OneSided::Side::kNone:
+      break;
+  }
+  return "the exact one does not exist";
+}
+
+// One after the other, each with copies on all threads.
+void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>& simulators,
+                     const AuditOptions& options, Progress* progress, AuditReport* report) {
+  std::vector<std::string> names;
+  for (const SimulatorCommand& simulator : simulators) names.push_back(simulator.name);
+  const auto audits = ComputeAll<ModelAudit>(
+      names,
+      1,
+      progress,
+      [request, simulators, reference = report->reference, options](int i, const SayNote&, const auto&) {
+        try {
+          return AuditBlackBox(OpenSimulator(simulators[i], request.threads), request.scene, reference, options);
+        } catch (const std::bad_alloc&) {
+          HoldMemoryBackAgain();
+          ModelAudit audit = WithoutGradient(simulators[i].name, kMemoryRanOut);
+          audit.black_box.emplace();
+          return audit;
+        }
+      });
+  for (std::size_t i = 0; i < audits.results.size(); ++i) {
+    if (!audits.started[i]) continue;
+    ModelAudit stopped = WithoutGradient(names[i], kStopped);
+    stopped.black_box.emplace();
+    report->models.push_back(audits.results[i].value_or(std::move(stopped)));
+  }
+}
+
+// What is said of black boxes below the tables.
+std::vector<std::string> RemarksOn(const ModelAudit& audit) {
+  return audit.black_box ? audit.black_box->remarks : std::vector<std::string>{};
+}
+
+}  // namespace
+
+AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
+  AuditOptions options;
+  options.width_sweep = FLAGS_width_sweep;
+  if (!(FLAGS_attribution_seconds >= 0)) throw InputError("--attribution_seconds: expected seconds, or 0 for no limit");
+  options.attribution_seconds = FLAGS_attribution_seconds;
+  options.surrogate = request.options.surrogate;
+  if (options.surrogate && FLAGS_width_sweep) {
+    throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");
+  }
+  // The last models at work share the threads of those that are done.
+  const auto at_work = std::make_shared<std::atomic<int>>(static_cast<int>(request.contacts.size()));
+  options.threads_now = [at_work, threads = request.threads] {
+    return std::max(1, threads / std::max(1, at_work->load()));
+  };
+  options.stop = AskedToStop;
+  Progress progress(
+      request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size() + simulators.size());
+  AuditReport report;
+  report.reference = FindReference(request, &progress);
+  if (needs_reference && !report.reference && !InterruptGuard::Interrupted()) {
+    throw InputError("--given: the scene has no exact gradient to compare with");
+  }
+  const auto audits = ComputeAll<ModelAudit>(
+      request.contacts,
+      request.threads,
+      &progress,
+      [request, reference = report.reference, options, at_work](int i, const SayNote& say, const auto&) {
+        AuditOptions own = options;
+        own.status = say;
+        const std::shared_ptr<void> done(nullptr, [at_work](void*) { --*at_work; });
+        try {
+          return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
+        } catch (const std::bad_alloc&) {
+          HoldMemoryBackAgain();
+          return WithoutGradient(request.contacts[i], kMemoryRanOut);
+        }
+      });
+  for (size_t i = 0; i < audits.results.size(); ++i) {
+    if (!audits.started[i]) continue;
+    report.models.push_back(audits.results[i].value_or(WithoutGradient(request.contacts[i], kStopped)));
+  }
+  AuditSimulators(request, simulators, options, &progress, &report);
+  return report;
+}
+
+void PrintAuditTable(const Request& request, const AuditReport& report) {
+  const TextLayout layout = LayoutOfStandardOutput();
+  const std::string& name = request.scene.name;
+  const auto print = [&](const std::string& caption, const Table& table) {
+    std::cout << Paragraph(name + ": " + caption, layout.width) << "\n" << table.ToText(layout) << "\n";
+  };
+  for (const ModelAudit& audit : report.models) {
+    const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) && audit.own &&
+                          audit.own->agreement == Agreement::kAgrees;
+    if (!deceives) continue;
+    std::cout << Paragraph("The gradient of " + audit.gradient.contact + " AGREES WITH DIFFERENCES, AND IS WRONG.",
+                           layout.width)
+              << "\n";
+  }
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  Table gradients = GradientTable(request, report);
+  // A row an entry, whose exact value is beside it wherever it goes on.
+  if (!gradients.FitsOneLine(layout.width)) gradients = gradients.Transposed("entry", report.reference ? 2 : 1);
+  print((surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : std::string("gradient")) +
+            " of the loss at the initial guess",
+        gradients);
+  print("verdicts", VerdictTable(report));
+  const Table plateaus = PlateauTable(report);
+  if (!plateaus.rows().empty()) print("differences of the loss", plateaus);
+  const Table boxes = BlackBoxTable(report);
+  if (!boxes.rows().empty()) print("black boxes, from a head-on impact", boxes);
+  std::string remarks;
+  const auto remark = [&](const std::string& of, const std::string& text) {
+    remarks += Paragraph(of + ": " + text, layout.width);
+  };
+  if (report.reference) {
+    for (const auto side : {OneSided::Side::kAbove, OneSided::Side::kBelow, OneSided::Side::kNone}) {
+      std::string names;
+      for (const OneSided& entry : report.reference->one_sided) {
+        if (entry.side == side) names += (names.empty() ? "" : ", ") + NameOf(request.scene, entry);
+      }
+      if (!names.empty()) remark(names, WhyNotJudged(side));
+    }
+  }
+  for (const ModelAudit& audit : report.models) {
+    const std::string& contact = audit.gradient.contact;
+    for (const std::string& finding : RemarksOn(audit)) remark(contact, finding);
+    if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
+    if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; the rest of its audit is missing");
+    if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
+    if (audit.attribution && !audit.attribution->limit.empty()) {
+      remark(contact, "traced no further by --attribution_seconds: " + audit.attribution->limit);
+    }
+  }
+  std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
+}
+
+int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {
+  const std::size_t asked = request.contacts.size() + simulators;
+  bool failed = report.models.size() < asked;
+  std::size_t without = 0;
+  std::string named;
+  for (const ModelAudit& audit : report.models) {
+    failed = failed || audit.interrupted;
+    if (audit.gradient.ok()) continue;
+    const bool not_applicable = !audit.interrupted && IsNotApplicable(audit, request.scene);
+    if (not_applicable && asked == 1) {
+      std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
+      return kWrongInput;
+    }
+    failed = failed || !not_applicable;
+    if (not_applicable || ++without > kMostNamed) continue;
+    named += (without == 1 ? "" : ", ") + audit.gradient.contact + ": " + audit.gradient.reason;
+  }
+  if (without > kMostNamed) named += " and " + std::to_string(without - kMostNamed) + " more";
+  if (without > 0) std::cerr << "no gradient of " << without << " of " << asked << " (" << named << ")" << std::endl;
+  return failed ? kAnswerFailed : kDone;
+}
+
+int AuditMain(int argc, char** argv) {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  return RunMain(argc, argv, FindProgram("saltus_audit"), [&arguments] {
+    Request request;
+    if (!ReadRequest({}, &request)) return kDone;
+    const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+    // By themselves, unless contact models are asked for too.
+    if (!simulators.empty() && !IsGiven("contact")) request.contacts.clear();
+    if (!simulators.empty() && request.options.surrogate) {
+      throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");
+    }
+    const std::optional<GivenGradient> gradient = ReadGiven(request);
+    const InterruptGuard guard;
+    const AuditReport report = RunAudit(request, gradient.has_value(), simulators);
+    const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
+    const auto print = [&] {
+      if (request.json) {
+        Json document = AuditToJson(request, report);
+        if (given) document["given"] = GivenToJson(*given);
+        PrintJson(document, request.precision);
+      } else {
+        PrintAuditTable(request, report);
+        if (given) {
+          const TextLayout layout = LayoutOfStandardOutput();
+          std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width) << "\n"
+                    << GivenTable(given->entries).ToText(layout) << std::endl;
+        }
+      }
+    };
+    DoAll({[&] { WriteAuditFiles(request, report); }, [&] { WriteAuditReport(request, report); }, print});
+    PrintReportPath(request);
+    return AuditExitCode(request, report, simulators.size());
+  });
+}
+
+}  // namespace saltus

@@ -1,0 +1,205 @@
+#include "programs/identify.h"
+
+#include <gflags/gflags.h>
+
+#include <iostream>
+#include <optional>
+
+#include "base/interrupt.h"
+#include "programs/command_line.h"
+#include "programs/identify_input.h"
+#include "programs/identify_report.h"
+#include "programs/identify_tables.h"
+#include "programs/report_parts.h"
+
+DEFINE_string(recording, "", "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own start");
+DEFINE_string(unknown, "restitution",
+              "comma-separated: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY; of vectors "
+              "one component as gravity.y");
+DEFINE_string(law, "",
+              "learns the law of impact: network (restitution by the speed of approach) or impulse (friction too, by "
+              "approach and sliding), each with :N hidden units (default :4)");
+DEFINE_string(
+    events, "",
+    "learns where and how discs bounce off the scene's planes: affine (angle, distance and a linear update of "
+    "each) or profile (a plane that is not flat, restitution and friction), with :N units (default :3)");
+DEFINE_string(law_beside, "", "CSV (speed, restitution) of a law that is known, to stand beside the learned one");
+DEFINE_string(loss, "huber", "of a sample's residual: none (squares), huber or cauchy");
+DEFINE_double(loss_scale, 2, "sigmas beyond which a sample counts less");
+DEFINE_double(segment, 0, "s, > 0: recordings are cut into segments of this length, each with its own start");
+DEFINE_bool(known_start, false, "the initial state is that of the scene (default: it is identified too)");
+DEFINE_int32(starts, 12, "fits from different starts, at most");
+
+namespace saltus {
+namespace {
+
+// Whether something is learned that is more than numbers of a scene.
+bool Learns() { return !FLAGS_law.empty() || !FLAGS_events.empty(); }
+
+IdentifyOptions OptionsFromFlags(const Request& request) {
+  IdentifyOptions options;
+  if (!FLAGS_law.empty()) {
+    auto law = ParseLaw(FLAGS_law, request.scene);
+    if (const auto* wrong = std::get_if<std::string>(&law)) throw InputError("--law=" + FLAGS_law + "; " + *wrong);
+    options.law = std::get<ImpactLaw>(std::move(law));
+  }
+  if (!FLAGS_events.empty()) {
+    auto events = ParseEvents(FLAGS_events, request.scene);
+    if (const auto* wrong = std::get_if<std::string>(&events)) {
+      throw InputError("--events=" + FLAGS_events + "; " + *wrong);
+    }
+    options.events = std::get<EventFunctions>(std::move(events));
+  }
+  const std::optional<RobustLoss> loss = ParseRobustLoss(FLAGS_loss);
+  if (!loss) throw InputError("--loss=" + FLAGS_loss + "; expected none, huber or cauchy");
+  options.loss = *loss;
+  if (!(FLAGS_loss_scale > 0)) throw InputError("--loss_scale must be positive");
+  if (!(FLAGS_segment >= 0)) throw InputError("--segment must not be negative");
+  if (FLAGS_starts < 1) throw InputError("--starts must be at least 1");
+  options.loss_scale = FLAGS_loss_scale;
+  options.segment = FLAGS_segment;
+  options.initial_states = !FLAGS_known_start;
+  options.starts = FLAGS_starts;
+  options.threads = request.threads;
+  options.stop = InterruptGuard::Interrupted;
+  return options;
+}
+
+std::vector<Recording> ReadRecordings(const Scene& scene) {
+  if (FLAGS_recording.empty()) throw InputError("--recording=FILE is needed; -h lists all flags");
+  std::vector<Recording> recordings;
+  for (const std::string& path : SplitAtCommas(FLAGS_recording)) {
+    auto loaded = LoadAnyRecording(path, scene);
+    if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
+    recordings.push_back(std::get<Recording>(std::move(loaded)));
+  }
+  return recordings;
+}
+
+std::vector<Unknown> ReadUnknowns(const Scene& scene) {
+  if (Learns() && !IsGiven("unknown")) return {};
+  auto unknowns = ParseUnknowns(FLAGS_unknown, scene);
+  if (const auto* wrong = std::get_if<std::string>(&unknowns)) throw InputError("--unknown: " + *wrong);
+  return std::get<std::vector<Unknown>>(std::move(unknowns));
+}
+
+void PrintTables(const Scene& scene, const Identified& identified) {
+  const TextLayout layout = LayoutOfStandardOutput();
+  const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
+  std::cout << scene.name << ": " << (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown) << "\n\n"
+            << FitTable(identified).ToText(layout) << std::endl;
+  const Table estimates = EstimateTable(identified);
+  if (!estimates.rows().empty()) {
+    std::cout << "95 % confidence is from ... to\n\n" << estimates.ToText(layout) << std::endl;
+  }
+  const Table comparison = ComparisonTable(identified);
+  if (!comparison.rows().empty()) {
+    std::cout << "Beside event, whose motion and derivatives are exact: bias is what a value is more\n\n"
+              << comparison.ToText(layout) << std::endl;
+  }
+  const Table law = LawTable(identified);
+  if (!law.rows().empty()) {
+    std::cout << "Law of impact, at speeds that the impacts had, in m/s\n\n" << law.ToText(layout) << std::endl;
+  }
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) {
+    std::cout
+        << "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned "
+           "by how much its normal is\n\n"
+        << events.ToText(layout) << std::endl;
+  }
+  const Table outliers = OutlierTable(scene, identified);
+  if (outliers.rows().empty()) return;
+  std::cout << "Outliers, at most " << kMostOutliersNamed << " of them, residuals in sigmas\n\n"
+            << outliers.ToText(layout) << std::endl;
+}
+
+void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified) {
+  if (directory.empty()) return;
+  WriteTextFile(directory + "/" + scene.name + "_parameters.csv", EstimateTable(identified).ToCsv());
+  WriteTextFile(directory + "/" + scene.name + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
+  const Table comparison = ComparisonTable(identified), law = LawTable(identified);
+  const Table events = EventTable(scene, identified);
+  if (!events.rows().empty()) WriteTextFile(directory + "/" + scene.name + "_events.csv", events.ToCsv());
+  if (!comparison.rows().empty()) {
+    WriteTextFile(directory + "/" + scene.name + "_beside_event.csv", comparison.ToCsv());
+  }
+  if (law.rows().empty()) return;
+  const std::string path = directory + "/" + scene.name + "_law";
+  WriteTextFile(path + ".csv", law.ToCsv());
+  const Status drawn = WriteFigure(LawFigure(*LawOf(identified), identified.known_law), path + ".svg", path + ".png");
+  if (!drawn.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(drawn.message());
+}
+
+int ExitCodeOf(const Identified& identified) {
+  std::size_t not_applicable = 0, failed = 0;
+  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
+    const IdentifyReport& report = identified.reports[i];
+    not_applicable += report.verdict == FitVerdict::kNotApplicable;
+    failed += report.verdict != FitVerdict::kFits && report.verdict != FitVerdict::kNotApplicable;
+    if (report.verdict == FitVerdict::kFits) continue;
+    std::cerr << (report.verdict == FitVerdict::kNotApplicable ? "error: " : "") << identified.contacts[i] << ": "
+              << FitVerdictToString(report.verdict) << (report.reason.empty() ? "" : ", ") << report.reason
+              << std::endl;
+  }
+  if (not_applicable == identified.reports.size() && not_applicable > 0) return kWrongInput;
+  return failed > 0 || identified.reports.size() < identified.contacts.size() ? kAnswerFailed : kDone;
+}
+
+// What is fitted, without fits.
+Identified ReadAll(const Request& request) {
+  Identified identified;
+  identified.recordings = ReadRecordings(request.scene);
+  identified.contacts = IsGiven("contact") ? request.contacts : std::vector<std::string>{"event"};
+  if (!FLAGS_law_beside.empty() && FLAGS_law.empty()) throw InputError("--law_beside: expected --law with it");
+  if (!FLAGS_law_beside.empty()) identified.known_law = ReadKnownLaw(FLAGS_law_beside);
+  return identified;
+}
+
+void FitAll(const Request& request, Identified* out) {
+  Identified& identified = *out;
+  const std::vector<Unknown> unknowns = ReadUnknowns(request.scene);
+  IdentifyOptions options = OptionsFromFlags(request);
+  Progress progress(
+      request.progress, stderr, "identify " + request.scene.name, static_cast<int64_t>(identified.contacts.size()));
+  progress.UnitsDiffer();
+  for (const std::string& contact : identified.contacts) {
+    if (InterruptGuard::Interrupted()) break;
+    options.status = [&](const std::string& what) { progress.Advance(0, contact + " " + what); };
+    try {
+      identified.reports.push_back(Identify(contact, request.scene, identified.recordings, unknowns, options));
+    } catch (const std::bad_alloc&) {
+      HoldMemoryBackAgain();
+      IdentifyReport& failed = identified.reports.emplace_back();
+      failed.verdict = FitVerdict::kFailed;
+      failed.reason = kMemoryRanOut;
+    }
+    progress.Advance(1, contact);
+  }
+}
+
+}  // namespace
+
+int IdentifyMain(int argc, char** argv) {
+  return RunMain(argc, argv, FindProgram("saltus_identify"), [] {
+    Request request;
+    if (!ReadRequest({}, &request)) return kDone;
+    Identified identified = ReadAll(request);  // which a signal ends at once, as there is nothing to keep yet
+    const InterruptGuard guard;
+    FitAll(request, &identified);
+    const auto print = [&] {
+      if (request.json) {
+        PrintJson(IdentifiedToJson(request.scene, identified), Precision::kDouble);
+      } else {
+        PrintTables(request.scene, identified);
+      }
+    };
+    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
+           [&] { WriteIdentifyReport(request, identified); },
+           print});
+    PrintReportPath(request);
+    return ExitCodeOf(identified);
+  });
+}
+
+}  // namespace saltus

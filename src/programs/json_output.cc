@@ -1,0 +1,207 @@
+#include "programs/json_output.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <iostream>
+
+#include "output/json_number.h"
+#include "saltus/control/control_rows.h"
+
+namespace saltus {
+namespace {
+
+Json ParametersToJson(const ParameterGradient& p) {
+  if (p.mass.empty()) return nullptr;
+  Json mass = Json::array(), force = Json::array();
+  for (double value : p.mass) mass.push_back(NumberToJson(value));
+  for (const Vec2d& value : p.force) force.push_back({NumberToJson(value[0]), NumberToJson(value[1])});
+  Json item = {{"restitution", NumberToJson(p.restitution)},
+               {"friction", NumberToJson(p.friction)},
+               {"stiffness", NumberToJson(p.stiffness)},
+               {"damping", NumberToJson(p.damping)},
+               {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
+               {"mass", mass},
+               {"force", force}};
+  for (double value : p.inertia) item["inertia"].push_back(NumberToJson(value));
+  return item;
+}
+
+}  // namespace
+
+Json NumberToJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+
+Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset) {
+  Json vectors = Json::array();
+  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
+    vectors.push_back({NumberToJson(initial[i + offset]), NumberToJson(initial[i + offset + 1])});
+  }
+  return vectors;
+}
+
+Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry) {
+  Json rotations = Json::array();
+  for (size_t i = 4 * scene.bodies.size() + entry; i < initial.size(); i += kSpin) {
+    rotations.push_back(NumberToJson(initial[i]));
+  }
+  return rotations;
+}
+
+namespace {
+
+// From rows (control_rows.h).
+Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
+  Json intervals = Json::array();
+  const std::vector<int>& turned = scene.control.turned;
+  const size_t columns = ControlColumns(scene), width = columns * scene.num_controlled();
+  for (size_t begin = 0; width > 0 && begin < rows.size(); begin += width) {
+    Json forces = Json::array();
+    for (int c = 0; c < scene.num_controlled(); ++c) {
+      const double* row = &rows[begin + c * columns];
+      Json force = {NumberToJson(row[0]), NumberToJson(row[1])};
+      const bool turns = std::find(turned.begin(), turned.end(), scene.control.bodies[c]) != turned.end();
+      if (turns) force.push_back(NumberToJson(row[2]));
+      forces.push_back(std::move(force));
+    }
+    intervals.push_back(std::move(forces));
+  }
+  return intervals;
+}
+
+}  // namespace
+
+Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
+  return RowsToJson(scene, RowsOfControl(scene, control));
+}
+
+Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient) {
+  return RowsToJson(scene, RowsOfGradient(scene, gradient));
+}
+
+Json EventsToJson(const std::vector<Event>& events) {
+  Json list = Json::array();
+  for (const Event& event : events) {
+    list.push_back({{"time", event.time}, {"a", event.a}, {"b", event.b}, {"mode", ContactModeToString(event.mode)}});
+  }
+  return list;
+}
+
+void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item) {
+  if (ambiguous.empty()) return;
+  Json& list = (*item)["ambiguous"] = Json::array();
+  for (const Tie& tie : ambiguous) list.push_back({{"time", NumberToJson(tie.time)}, {"bodies", tie.bodies}});
+  if (spread) (*item)["loss_spread"] = {NumberToJson(spread->lowest), NumberToJson(spread->highest)};
+}
+
+Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
+  // Whatever loss a solver has minimized, the conditions are those of the exact one.
+  Json item = {{"of", "exact_loss"}, {"verdict", VerdictToString(certificate.verdict)}};
+  if (!certificate.reason.empty()) item["reason"] = certificate.reason;
+  AddTies(certificate.ambiguous, std::nullopt, &item);
+  using enum Certificate::Verdict;
+  if (certificate.verdict == kNotApplicable || certificate.verdict == kAmbiguous) return item;
+  item["scope"] = ScopeToString(certificate.scope);
+  item["sequences_searched"] = certificate.sequences_searched;
+  item["stationarity"] = NumberToJson(certificate.stationarity);
+  item["costate_jump"] = NumberToJson(certificate.costate_jump);
+  item["hamiltonian"] = NumberToJson(certificate.hamiltonian);
+  item["transversality"] = NumberToJson(certificate.transversality);
+  if (certificate.gradient) item["gradient"] = NumberToJson(*certificate.gradient);
+  if (certificate.curvature) {
+    item["curvature"] = {{"kind", CurvatureToString(certificate.curvature->kind)},
+                         {"smallest", NumberToJson(certificate.curvature->smallest)},
+                         {"direction", ControlToJson(scene, certificate.curvature->direction)}};
+  }
+  if (certificate.final_time) item["final_time"] = NumberToJson(*certificate.final_time);
+  for (const ConstraintCertificate& constraint : certificate.constraints) {
+    constexpr const char* kQuantities[] = {"position", "velocity", "angle", "angular_velocity"};
+    const Vec2d& nu = constraint.multiplier;
+    const bool of_spin = constraint.quantity == TerminalTerm::Quantity::kAngle ||
+                         constraint.quantity == TerminalTerm::Quantity::kAngularVelocity;
+    Json multiplier = NumberToJson(nu[0]);
+    if (!of_spin) multiplier = {NumberToJson(nu[0]), NumberToJson(nu[1])};
+    item["constraints"].push_back({{"body", constraint.body},
+                                   {"quantity", kQuantities[static_cast<int>(constraint.quantity)]},
+                                   {"multiplier", std::move(multiplier)}});
+  }
+  Json impacts = Json::array();
+  for (const ImpactCertificate& impact : certificate.impacts) {
+    Json entry = {{"time", NumberToJson(impact.time)},
+                  {"a", impact.a},
+                  {"b", impact.b},
+                  {"speed", NumberToJson(impact.speed)},
+                  {"multiplier", NumberToJson(impact.multiplier)},
+                  {"costate_jump", NumberToJson(impact.jump)},
+                  {"hamiltonian", NumberToJson(impact.hamiltonian)},
+                  {"on_node", impact.on_node}};
+    if (impact.theta) entry["theta"] = NumberToJson(*impact.theta);
+    impacts.push_back(std::move(entry));
+  }
+  item["impacts"] = std::move(impacts);
+  if (certificate.gradient_combined) {
+    item["gradient_early"] = NumberToJson(*certificate.gradient_early);
+    item["gradient_late"] = NumberToJson(*certificate.gradient_late);
+    item["gradient_combined"] = NumberToJson(*certificate.gradient_combined);
+  }
+  return item;
+}
+
+Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
+  Json list = Json::array();
+  for (const LocalOptimum& optimum : optima) {
+    Json sequence = Json::array();
+    for (const Candidate& c : optimum.sequence) {
+      const std::string& b = c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name;
+      sequence.push_back({{"a", scene.bodies[c.a].name}, {"b", b}});
+    }
+    list.push_back({{"sequence", std::move(sequence)},
+                    {"loss", NumberToJson(optimum.loss)},
+                    {"times", NumbersToJson(optimum.times)}});
+  }
+  return list;
+}
+
+Json SearchedToJson(const Searched& searched) {
+  return {{"sequences", searched.sequences},
+          {"starts", searched.starts},
+          {"work", NumberToJson(searched.work)},
+          {"complete", searched.complete},
+          {"lower_bound", NumberToJson(searched.lower_bound)}};
+}
+
+Json NumbersToJson(const std::vector<double>& values) {
+  Json list = Json::array();
+  for (double value : values) list.push_back(NumberToJson(value));
+  return list;
+}
+
+Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
+  Json item = {{"position", VectorsToJson(scene, gradient.initial, 0)},
+               {"velocity", VectorsToJson(scene, gradient.initial, 2)},
+               {"control", ControlGradientToJson(scene, gradient.control)},
+               {"parameters", ParametersToJson(gradient.parameters)}};
+  if (!scene.Spins()) return item;
+  item["angle"] = RotationsToJson(scene, gradient.initial, 0);
+  item["angular_velocity"] = RotationsToJson(scene, gradient.initial, 1);
+  return item;
+}
+
+Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
+  Json list = Json::array();
+  for (const OneSided& entry : entries) {
+    list.push_back({{"body", scene.bodies[entry.body].name},
+                    {"quantity", QuantityToString(entry.quantity)},
+                    {"component", entry.component == 0 ? "x" : "y"},
+                    {"side", SideToString(entry.side)}});
+  }
+  return list;
+}
+
+void PrintJson(const Json& document, Precision precision) {
+  const StatusOr<std::string> text = DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits);
+  CHECK(text.ok()) << text.status().message();
+  std::cout << *text << std::endl;
+}
+
+}  // namespace saltus

@@ -1,0 +1,45 @@
+// Results as JSON, under the keys that the README promises.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <vector>
+
+#include "saltus/audit/gradients.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+using Json = nlohmann::ordered_json;
+
+// [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
+Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset);
+// The angles (entry 0) or angular velocities (entry 1) of all discs in it. Precondition: the scene has discs that spin.
+Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry);
+// [[ [x, y] per controlled disc ] per control interval]; [] without control. Of discs that are turned [x, y, torque].
+Json ControlToJson(const Scene& scene, const std::vector<double>& control);
+// The same of derivatives by a control.
+Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient);
+Json EventsToJson(const std::vector<Event>& events);
+// Adds "ambiguous": [{ "time", "bodies" }, ...] and "loss_spread": [lowest, highest], where there are ambiguous ties.
+void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);
+// Without masses there are no derivatives by parameters: null.
+Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
+// Entries of a gradient that exist from one side only.
+Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
+
+// The conditions of the minimum principle, see saltus/optimality/certificate.h.
+Json CertificateToJson(const Scene& scene, const Certificate& certificate);
+// [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
+Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
+Json SearchedToJson(const Searched& searched);
+
+// A finite number, or null.
+Json NumberToJson(double value);
+Json NumbersToJson(const std::vector<double>& values);
+
+// Prints the document to stdout with 17 significant digits (9 in single precision).
+void PrintJson(const Json& document, Precision precision);
+
+}  // namespace saltus

@@ -1,0 +1,20 @@
+// Task 2 as an enumeration: every launch that hits the target exactly, one per sequence of hits.
+#pragma once
+
+#include <vector>
+
+#include "exact/launch_solutions.h"
+#include "output/table.h"
+#include "programs/json_output.h"
+
+namespace saltus {
+
+// Slowest first, which is the one of least effort. Empty if the scene is not of this kind (see FindLaunchSolutions) or
+// optimizes something else than velocities.
+std::vector<LaunchSolution> FindLaunches(const Scene& scene);
+
+// One object a launch: velocity, speed_squared, events, and minimum_effort: true for the slowest.
+Json LaunchesToJson(const std::vector<LaunchSolution>& launches);
+Table LaunchTable(const std::vector<LaunchSolution>& launches);
+
+}  // namespace saltus

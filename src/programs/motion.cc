@@ -1,0 +1,414 @@
+#include "programs/motion.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <tuple>
+
+#include "base/time_grid.h"
+#include "programs/exact_flight.h"
+#include "saltus/simulate/events.h"
+#include "scene/units.h"
+#include "solve/control_guess.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kJustAfter = 1e-6;   // of a step: when velocities after an impact are looked at
+constexpr double kOneInstant = 1e-9;  // of a step, or of the whole: what is nearer to each other is drawn as one
+
+using ContactKey = std::tuple<bool, int, int>;
+ContactKey KeyOf(const Candidate& c) { return {c.plane, c.a, c.b}; }
+
+const std::string& ExactModelName() {
+  static const std::string& name = *new std::string([] {
+    for (const ModelTraits& traits : AllContactModels()) {
+      if (traits.event_driven) return std::string(traits.name);
+    }
+    return std::string();
+  }());
+  return name;
+}
+
+// Momentum that disc a (or, if it is fixed, what b gives to it) gains from state x to state y beyond that of `forces`
+// over `time`.
+Vec2d ImpulseOn(const Scene& scene, const Candidate& c, std::span<const double> x, std::span<const double> y,
+                int body_size, std::span<const double> forces, double time) {
+  const bool mirrored = scene.bodies[c.a].fixed && !c.plane;
+  const int i = mirrored ? c.b : c.a;
+  const Body& body = scene.bodies[i];
+  if (body.fixed) return Vec2d::Zero();
+  Vec2d gain = Vec2d::Zero();
+  for (int j = 0; j < 2; ++j) {
+    const double velocity = y[i * body_size + 2 + j] - x[i * body_size + 2 + j];
+    gain[j] = body.mass * velocity - time * (forces[2 * i + j] + body.mass * scene.gravity[j]);
+  }
+  return mirrored ? Vec2d(-gain) : gain;
+}
+
+// One simulator's rollout, its states one after the other, up to where it fails.
+class Way {
+ public:
+  Way(const Contact& contact, const Scene& scene, Precision precision, std::span<const double> initial,
+      std::span<const double> control, const MotionOptions& options)
+      : simulator_(MakeSimulator(contact, scene, precision)), control_(control) {
+    simulator_->set_memory_limit(std::max(options.most_bytes / 2, simulator_->LeastMemory()));
+    simulator_->set_stop(options.stop);
+    ok_ = simulator_->Rollout(initial, control);
+    x_.resize(simulator_->state_size());
+    next_ = x_;
+    force_.resize(simulator_->force_size());
+    if (ok_) {
+      simulator_->GetState(0, x_);
+    } else {
+      simulator_->ExpandInitial(initial, x_);
+    }
+  }
+
+  const Simulator& simulator() const { return *simulator_; }
+  int num_steps() const { return simulator_->num_steps(); }
+  int step() const { return step_; }
+  // Before and after the current step, and the force on every disc during it.
+  std::span<const double> x() const { return x_; }
+  std::span<const double> next() const { return next_; }
+  std::span<const double> force() const { return force_; }
+  std::string WhyFailed() const { return simulator_->stopped() ? kStopped : simulator_->WhyFailed(); }
+
+  // Takes step k = 0, 1, ...; false where the rollout fails or is stopped.
+  bool Take(int k) {
+    if (k > 0) x_.swap(next_);
+    step_ = k;
+    simulator_->ExpandForce(control_, k, force_);
+    if (ok_) {
+      simulator_->GetState(k + 1, next_);
+    } else {
+      simulator_->Step(x_, force_, next_);
+    }
+    if (simulator_->stopped()) return false;  // a state that was asked for may be none
+    return std::all_of(next_.begin(), next_.end(), [](double value) { return std::isfinite(value); });
+  }
+
+ private:
+  std::unique_ptr<Simulator> simulator_;
+  std::span<const double> control_;
+  bool ok_ = false;
+  int step_ = 0;
+  std::vector<double> x_, next_, force_;
+};
+
+// Collects states, as many as the options allow.
+class Recorder {
+ public:
+  Recorder(const Scene& scene, const MotionOptions& options, size_t nodes, Motion* motion)
+      : bodies_(scene.bodies.size()),
+        spins_(scene.Spins()),
+        stride_((nodes + options.most_nodes - 1) / options.most_nodes),
+        motion_(motion) {
+    const size_t kept = nodes / stride_ + 2, each = bodies_ * (spins_ ? 4 + kSpin : 4) * sizeof(double);
+    instants_left_ = options.most_nodes > kept ? (options.most_nodes - kept) / 2 : 0;
+    instants_left_ = std::min(instants_left_, (options.most_bytes / each) / 2);
+    if (kept > options.most_bytes / each) {
+      motion->failure = "its states take " + std::to_string(kept * each >> 20) + " MiB, more than the limit of " +
+                        std::to_string(options.most_bytes >> 20) + " MiB";
+    }
+  }
+
+  bool whole() const { return stride_ == 1; }
+  // Makes room for so many nodes, and for two states at each event.
+  void Reserve(size_t nodes, size_t events) {
+    const size_t rows = motion_->times.size() + nodes / stride_ + 2 + 2 * std::min(events, instants_left_ / 2);
+    motion_->times.reserve(rows);
+    motion_->states.reserve(4 * bodies_ * rows);
+    if (spins_) motion_->rotations.reserve(kSpin * bodies_ * rows);
+  }
+
+  bool TakesInstants(size_t count) {
+    if (instants_left_ < count) return false;
+    instants_left_ -= count;
+    return true;
+  }
+
+  void Add(double time, std::span<const double> x, int body_size) {
+    motion_->times.push_back(time);
+    for (size_t i = 0; i < bodies_; ++i) {
+      const auto body = x.begin() + static_cast<std::ptrdiff_t>(i) * body_size;
+      motion_->states.insert(motion_->states.end(), body, body + 4);
+      if (spins_) motion_->rotations.insert(motion_->rotations.end(), body + 4, body + 4 + kSpin);
+    }
+  }
+  void AddNode(double time, std::span<const double> x, int body_size, bool last = false) {
+    if (number_++ % stride_ == 0 || last) Add(time, x, body_size);
+  }
+
+ private:
+  size_t bodies_;
+  bool spins_;
+  size_t stride_, instants_left_ = 0, number_ = 0;
+  Motion* motion_;
+};
+
+// Joins what touches in steps that follow each other.
+class TouchCollector {
+ public:
+  TouchCollector(Motion* motion, double margin) : motion_(motion), margin_(margin) {}
+
+  void Add(const Candidate& c, double begin, double end, const Vec2d& impulse) {
+    const auto [at, is_new] = last_.try_emplace(KeyOf(c), motion_->touches.size());
+    if (!is_new) {
+      TouchSpan& span = motion_->touches[at->second];
+      if (begin <= span.end + margin_ && end > span.end) {
+        span.end = end;
+        span.impulse += impulse;
+        return;
+      }
+      if (end <= span.end && begin < end) return;  // reported twice in a step
+      at->second = motion_->touches.size();
+    }
+    motion_->touches.push_back({c, begin, end, impulse});
+  }
+
+ private:
+  Motion* motion_;
+  double margin_;
+  std::map<ContactKey, size_t> last_;
+};
+
+void SortTouches(Motion* motion) {
+  std::stable_sort(motion->touches.begin(), motion->touches.end(), [](const TouchSpan& l, const TouchSpan& r) {
+    return l.begin < r.begin;
+  });
+}
+
+// Intervals of equal length that follow each other.
+struct Group {
+  int first = 0, count = 0;
+  double length = 0;
+};
+std::vector<Group> GroupsOf(const std::vector<double>& lengths) {
+  std::vector<Group> groups;
+  for (size_t k = 0; k < lengths.size(); ++k) {
+    if (groups.empty() || groups.back().length != lengths[k]) groups.push_back({static_cast<int>(k), 0, lengths[k]});
+    ++groups.back().count;
+  }
+  std::erase_if(groups, [](const Group& group) { return group.length == 0; });
+  return groups;
+}
+
+// Exact motion of a scene in its natural units.
+class ExactMotion {
+ public:
+  ExactMotion(const Scene& scene, const MotionOptions& options, size_t nodes)
+      : scene_(scene),
+        options_(options),
+        size_(InitialSize(scene) / scene.num_bodies()),
+        flight_(ExactModelName(), scene),
+        recorder_(scene, options, nodes, &motion_),
+        touches_(&motion_, kOneInstant * scene.duration) {
+    motion_.arcs = recorder_.whole();
+  }
+
+  Motion Run(std::vector<double> x, const std::vector<double>& control, const std::vector<double>& lengths) {
+    const size_t width = scene_.control_width();
+    if (motion_.failure.empty()) recorder_.AddNode(0, ToState(x, scene_.num_bodies()), size_);
+    for (const Group& group : GroupsOf(lengths)) {
+      if (!motion_.failure.empty()) break;
+      Scene part = scene_;
+      part.steps = group.count;
+      part.duration = group.count * group.length;
+      const std::span<const double> rows(control.data() + width * group.first, width * group.count);
+      RunGroup(part, rows, &x);
+    }
+    SortTouches(&motion_);
+    return std::move(motion_);
+  }
+
+ private:
+  void RunGroup(const Scene& part, std::span<const double> rows, std::vector<double>* x) {
+    motion_.failure = WhyNotApplicable(ExactModelName(), part);
+    if (!motion_.failure.empty()) return;
+    Way way(ExactModelName(), part, Precision::kDouble, *x, rows, options_);
+    const double h = way.simulator().step();
+    const std::vector<StepTouch>& touches = way.simulator().touches();
+    const std::vector<StepTouch> events = EventTouches(way.simulator());
+    recorder_.Reserve(way.num_steps(), events.size());
+    auto touch = touches.begin();
+    auto event = events.begin();
+    for (int k = 0; k < way.num_steps(); ++k) {
+      if (!way.Take(k)) {
+        motion_.failure = way.WhyFailed();
+        return;
+      }
+      std::vector<StepTouch> here;
+      for (; event != events.end() && event->step == k; ++event) here.push_back(*event);
+      if (!here.empty()) AddInstants(way, here, Touching(touch, touches.end()), h);
+      for (; touch != touches.end() && touch->step == k; ++touch) Extend(*touch, k * h, h);
+      recorder_.AddNode(start_ + (k + 1) * h, way.next(), size_, k + 1 == way.num_steps());
+    }
+    start_ += way.num_steps() * h;
+    *x = ToInitial(way.next(), scene_.num_bodies());
+  }
+
+  using Touches = std::vector<StepTouch>::const_iterator;
+
+  // Which discs touch anything in the step of the first touch, or in the next one, into which flights may reach.
+  std::vector<char> Touching(Touches touch, Touches end) const {
+    std::vector<char> touching(scene_.bodies.size());
+    for (const int step = touch->step; touch != end && touch->step <= step + 1; ++touch) {
+      const Candidate& c = touch->touch.candidate;
+      touching[c.a] = 1;
+      if (!c.plane) touching[c.b] = 1;
+    }
+    return touching;
+  }
+
+  // The states before and after each event of a step: from the last one flown, or begun with, once more.
+  void AddInstants(const Way& way, const std::vector<StepTouch>& events, const std::vector<char>& touching, double h) {
+    if (!recorder_.TakesInstants(2 * events.size())) {
+      motion_.arcs = false;
+      for (const StepTouch& at : events) Report(at, start_ + way.step() * h, Vec2d::Zero());
+      return;
+    }
+    flight_.SetTouching(touching);
+    std::vector<double> before(way.x().begin(), way.x().end());
+    double now = 0;
+    for (size_t i = 0, end = 0; i < events.size(); i = end) {
+      const double time = events[i].touch.time, instant = start_ + way.step() * h + time;
+      while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
+      if (time - now > kOneInstant * h) {
+        // What is left for the end of the flight (time_grid.h) happens with the next one.
+        before = flight_.Fly(before, way.force(), time - now);
+        recorder_.Add(instant, before, size_);
+        now = time;
+      }
+      std::vector<double> after = flight_.Fly(before, way.force(), kJustAfter * h);
+      for (size_t j = 0; j < after.size(); j += size_) std::copy_n(before.begin() + j, 2, after.begin() + j);
+      recorder_.Add(instant, after, size_);
+      for (size_t j = i; j < end; ++j) {
+        Report(events[j],
+               start_ + way.step() * h,
+               ImpulseOn(scene_, events[j].touch.candidate, before, after, size_, way.force(), kJustAfter * h));
+      }
+    }
+  }
+
+  void Report(const StepTouch& at, double step_start, const Vec2d& impulse) {
+    const double time = step_start + at.touch.time;
+    if (at.touch.kind == ContactKind::kSustained) {
+      touches_.Add(at.touch.candidate, time, time, impulse);
+    } else {
+      motion_.touches.push_back({at.touch.candidate, time, time, impulse});
+    }
+  }
+
+  // Contacts that press last to the end of the step.
+  void Extend(const StepTouch& at, double step_start, double h) {
+    if (at.touch.kind != ContactKind::kSustained) return;
+    const double begin = start_ + step_start;
+    touches_.Add(at.touch.candidate, begin, begin + h, Vec2d::Zero());
+  }
+
+  const Scene& scene_;
+  const MotionOptions& options_;
+  Motion motion_;
+  int size_;  // of a body's state
+  ExactFlight flight_;
+  Recorder recorder_;
+  TouchCollector touches_;
+  double start_ = 0;  // s, of the group
+};
+
+Motion ConvertMotion(Motion motion, const Units& from, const Units& to) {
+  const UnitFactors by(from, to);
+  motion.states = ConvertStates(std::move(motion.states), from, to);
+  for (size_t i = 1; i < motion.rotations.size(); i += kSpin) motion.rotations[i] *= by.rate;
+  for (double& time : motion.times) time *= by.time;
+  for (TouchSpan& touch : motion.touches) {
+    touch.begin *= by.time;
+    touch.end *= by.time;
+    touch.impulse *= by.mass * by.speed;
+  }
+  return motion;
+}
+
+Motion Refuse(const std::string& reason) {
+  Motion motion;
+  motion.failure = reason;
+  return motion;
+}
+
+}  // namespace
+
+Motion SimulateExactMotion(const Scene& given, const MotionInput& input, const MotionOptions& options) {
+  if (const std::string reason = WhyNotApplicable(ExactModelName(), given); !reason.empty()) return Refuse(reason);
+  const Scene scene = InNaturalUnits(given);
+  const UnitFactors to(given.units, scene.units);
+  std::vector<double> lengths(scene.steps, scene.dt());
+  if (scene.num_controlled() > 0) {
+    const ControlGuess guess{{input.control}, Multiplied(input.durations, to.time)};
+    lengths = LengthsOf(guess, scene);
+  } else if (!input.durations.empty()) {
+    lengths = Multiplied(input.durations, to.time);
+  }
+  ExactMotion exact(scene, options, lengths.size() + 1);
+  Motion motion = exact.Run(ConvertInitial(input.initial, scene.num_bodies(), given.units, scene.units),
+                            Multiplied(input.control, to.force),
+                            lengths);
+  return ConvertMotion(std::move(motion), scene.units, given.units);
+}
+
+Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionInput& input,
+                      const MotionOptions& options) {
+  Scene scene = given;
+  if (!input.durations.empty()) {
+    scene.duration = std::accumulate(input.durations.begin(), input.durations.end(), 0.0);
+  }
+  if (const std::string reason = WhyNotApplicable(contact, scene); !reason.empty()) return Refuse(reason);
+  if (contact.entry()->traits.event_driven) return SimulateExactMotion(given, input, options);
+  const int steps = scene.steps / contact.entry()->traits.grid_steps;
+  std::vector<double> control = input.control;
+  if (!control.empty()) control = MeanOverSteps({control, input.durations}, scene.control_width(), steps);
+
+  Motion motion;
+  Recorder recorder(scene, options, steps + 1, &motion);
+  if (!motion.failure.empty()) return motion;
+  Way way(contact, scene, options.precision, input.initial, control, options);
+  const int size = way.simulator().body_size();
+  const double h = way.simulator().step();
+  TouchCollector touches(&motion, 0.5 * h);
+  auto touch = way.simulator().touches().begin();
+  recorder.AddNode(0, way.x(), size);
+  for (int k = 0; k < way.num_steps(); ++k) {
+    if (!way.Take(k)) {
+      motion.failure = way.WhyFailed();
+      break;
+    }
+    for (; touch != way.simulator().touches().end() && touch->step == k; ++touch) {
+      const Candidate& c = touch->touch.candidate;
+      touches.Add(c, k * h, (k + 1) * h, ImpulseOn(scene, c, way.x(), way.next(), size, way.force(), h));
+    }
+    recorder.AddNode((k + 1) * h, way.next(), size, k + 1 == way.num_steps());
+  }
+  SortTouches(&motion);
+  return motion;
+}
+
+Motion AtNodes(const Motion& motion, const std::vector<double>& nodes) {
+  Motion at{.times = nodes, .states = {}, .arcs = false, .touches = motion.touches, .failure = motion.failure};
+  if (motion.times.empty()) return at;
+  const double margin = 1e-10 * motion.times.back();
+  size_t row = 0;
+  for (const double time : nodes) {
+    while (row + 1 < motion.times.size() && motion.times[row] < time - margin) ++row;
+    const auto take = [&](const std::vector<double>& from, std::vector<double>* to) {
+      const auto width = static_cast<std::ptrdiff_t>(from.size() / motion.times.size());
+      const auto begin = from.begin() + static_cast<std::ptrdiff_t>(row) * width;
+      to->insert(to->end(), begin, begin + width);
+    };
+    take(motion.states, &at.states);
+    take(motion.rotations, &at.rotations);
+  }
+  return at;
+}
+
+}  // namespace saltus

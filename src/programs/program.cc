@@ -1,0 +1,408 @@
+#include "programs/program.h"
+
+#include <fcntl.h>
+#include <gflags/gflags.h>
+#include <glog/logging.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+#include <cstring>
+#include <exception>
+#include <filesystem>
+#include <iostream>
+#include <new>
+#include <thread>
+
+#include "base/file.h"
+#include "base/interrupt.h"
+#include "base/suggestion.h"
+#include "output/text_layout.h"
+#include "programs/command_line.h"
+#include "programs/program_flags.h"
+#include "programs/saved_solution.h"
+#include "programs/surrogate_flags.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
+
+DEFINE_string(scene, "", "the scene, in YAML");
+DEFINE_string(contact, "all",
+              "comma-separated names, each perhaps with options of its own (ncp:kappa=1e-6:kappa_grad=1e-4), 'all', or "
+              "'list' to print what there is");
+DEFINE_string(solver, "", "comma-separated names, 'all', 'none', or 'list' to print what there is (default: gd)");
+DEFINE_int32(steps, 0, "number of time steps");
+DEFINE_string(precision, "double", "of the contact model's arithmetic, double or float");
+DEFINE_double(stiffness, 0, "of contacts, N/m; compliant models only");
+DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
+DEFINE_double(friction, 0, "coefficient of friction, >= 0");
+DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
+DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
+DEFINE_bool(rate_per_time, false, "the rate is one per unit of time (default: per step)");
+DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
+DEFINE_string(sequence, "auto",
+              "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
+              "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
+              "striker-target,target-ceiling");
+DEFINE_double(search_work, saltus::SearchOptions().work, "of mode_search at most, gradients; 0 is any");
+DEFINE_double(search_seconds, 0, "time limit of mode_search, s, on which its answer depends; 0 is none");
+DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
+DEFINE_int32(search_starts, 8, "random ones of mode_search, beside the initial guess");
+DEFINE_uint64(search_seed, 1, "of these starts");
+DEFINE_int32(threads, 0, "0 is one per core");
+DEFINE_int32(memory_limit, 1024, "for the states of a rollout; others are computed again");
+DEFINE_string(output_dir, "", "where result files are written");
+DEFINE_string(control, "", "JSON or NPZ with a control to start from, or with --solver=none to simulate");
+DEFINE_string(warm_start, "", "JSON or NPZ of a solution to start from: its control, velocities or positions");
+DEFINE_bool(states, false, "times and states of every solution in --json");
+DEFINE_bool(json, false, "one JSON document on standard output, instead of tables");
+DEFINE_string(progress, "auto", "on standard error: auto, plain (lines) or none");
+DEFINE_bool(h, false, "as --help");
+
+DECLARE_bool(help);
+DECLARE_bool(helpshort);
+
+namespace google {
+extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); not in its header
+}
+
+namespace saltus {
+namespace {
+
+template <typename Entries>
+std::vector<std::string> NameList(const Entries& entries) {
+  std::vector<std::string> names;
+  for (const auto& entry : entries) names.emplace_back(entry.name);
+  return names;
+}
+
+template <typename Entries>
+std::string Names(const Entries& entries) {
+  std::string names;
+  for (const std::string& name : NameList(entries)) names += (names.empty() ? "" : ", ") + name;
+  return names;
+}
+
+template <typename Entries>
+void PrintList(const Entries& entries) {
+  for (const auto& entry : entries) {
+    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+  }
+}
+
+void PrintModels() {
+  for (const ModelTraits& model : AllContactModels()) {
+    std::printf("%-16s %s\n", std::string(model.name).c_str(), std::string(model.summary).c_str());
+    for (const ListedOption& option : OptionsOf(model.name)) {
+      std::printf(
+          "  :%s=%g  %s\n", std::string(option.name).c_str(), option.initial, std::string(option.meaning).c_str());
+    }
+  }
+}
+
+// A comma-separated list of contact models with their options.
+std::vector<std::string> ReadContacts(const std::string& value) {
+  std::vector<std::string> contacts;
+  if (value == "all") {
+    for (const ModelTraits& model : AllContactModels()) contacts.emplace_back(model.name);
+    return contacts;
+  }
+  for (const std::string& contact : SplitAtCommas(value)) {
+    const std::string wrong = WhatIsWrongWith(contact);
+    if (!wrong.empty()) {
+      const std::string name = contact.substr(0, contact.find(':'));
+      const bool known = FindContactModel(name) != nullptr;
+      throw InputError("--contact=" + value + ": " + wrong +
+                       (known ? "" : Suggestion(name, NameList(AllContactModels()))));
+    }
+    if (std::find(contacts.begin(), contacts.end(), contact) == contacts.end()) contacts.push_back(contact);
+  }
+  if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
+  return contacts;
+}
+
+// A comma-separated list of names of `entries`.
+template <typename Entries>
+std::vector<std::string> ReadNames(const char* flag, const std::string& value, const Entries& entries) {
+  std::vector<std::string> names;
+  if (value == "all") {
+    for (const auto& entry : entries) names.emplace_back(entry.name);
+    return names;
+  }
+  for (const std::string& name : SplitAtCommas(value)) {
+    const bool known =
+        std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
+    if (!known) {
+      throw InputError("--" + std::string(flag) + "=" + value + ": '" + name +
+                       "' is unknown; expected 'all' or some of " + Names(entries) +
+                       Suggestion(name, NameList(entries)));
+    }
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  if (names.empty()) throw InputError("--" + std::string(flag) + " is empty; expected some of " + Names(entries));
+  return names;
+}
+
+double Finite(const char* flag, double value) {
+  if (!std::isfinite(value)) throw InputError("--" + std::string(flag) + " must be a finite number");
+  return value;
+}
+
+SearchOptions SearchFromFlags() {
+  const SearchOptions options{.work = FLAGS_search_work,
+                              .seconds = FLAGS_search_seconds,
+                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                              .starts = FLAGS_search_starts,
+                              .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
+  return options;
+}
+
+void RefuseFlagsOfOneScene() {
+  for (const char* flag : {"scene", "control", "warm_start"}) {
+    if (IsGiven(flag)) throw InputError("--" + std::string(flag) + ": scenes are made from seeds");
+  }
+}
+
+// --control and --warm_start.
+void ReadStart(Request* request) {
+  if (!FLAGS_control.empty() && !FLAGS_warm_start.empty()) {
+    throw InputError("--control and --warm_start both say where to start; expected one of them");
+  }
+  const bool warm = !FLAGS_warm_start.empty();
+  const std::string flag = warm ? "--warm_start" : "--control", path = warm ? FLAGS_warm_start : FLAGS_control;
+  if (path.empty()) return;
+  Scene* scene = &request->scene;
+  const SavedSolution solution = ReadSolution(flag, path, *scene);
+  if (warm) StartFrom(flag, solution, scene);
+  const bool needed = !warm || scene->optimize == Optimize::kControl;
+  if (solution.control.empty()) {
+    if (needed) throw InputError(flag + ": " + path + ": expected a control");
+    return;
+  }
+  ControlGuess guess{solution.control, solution.durations};
+  if (const std::string wrong = WhatIsWrongWith(guess, *scene); !wrong.empty()) {
+    throw InputError(flag + ": " + path + ": " + wrong);
+  }
+  if (scene->optimize == Optimize::kControl) request->options.guess = guess;
+  if (!request->solvers.empty() && scene->optimize != Optimize::kControl && !warm) {
+    throw InputError("--control: the scene optimizes no control; expected --solver=none with it");
+  }
+  request->start = std::move(guess);
+}
+
+std::atomic<bool> end_without_waiting{false};
+std::vector<std::string> files_given;
+
+// A program started with a standard stream closed would get its number for the first file it opens, and print into it.
+void OccupyStandardStreams() {
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    // Not to be written to: what is printed is lost, and has to be seen to be.
+    if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) (void)open("/dev/null", O_RDONLY);
+  }
+}
+
+// The exit code once all has been printed.
+int FinishOutput(int code) {
+  errno = 0;
+  std::cout.flush();
+  const bool flushed = std::fflush(stdout) == 0;
+  if (flushed && std::cout && std::ferror(stdout) == 0) return code;
+  std::cerr << "error: standard output took not all that was printed"
+            << (errno == 0 ? "" : std::string(": ") + std::strerror(errno)) << std::endl;
+  return code == kDone ? kAnswerFailed : code;
+}
+
+int RunBody(const std::function<int()>& body) {
+  const auto fail = [](const std::string& message, int code) {
+    std::cerr << "error: " << message << std::endl;
+    return code;
+  };
+  try {
+    return body();
+  } catch (const InputError& error) {
+    return fail(error.what(), kWrongInput);
+  } catch (const std::bad_alloc&) {
+    return fail(kMemoryRanOut, kAnswerFailed);
+  } catch (const std::exception& error) {
+    return fail(error.what(), kAnswerFailed);
+  }
+}
+
+}  // namespace
+
+int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
+  OccupyStandardStreams();
+  HoldMemoryBack(kAnswerFailed);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file that becomes too large is an error like others of writing
+  google::InitGoogleLogging(argv[0]);
+  FLAGS_logtostderr = true;
+  // Ceres says in its log what the solvers take note of and go on after. The programs say themselves what matters, and
+  // a check that fails is always said.
+  FLAGS_minloglevel = google::GLOG_FATAL;
+  gflags::SetUsageMessage(program.summary);
+  gflags::SetVersionString(SALTUS_VERSION);
+  google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
+  const int code = RunBody([&] {
+    CheckCommandLine(argc, argv, program);
+    gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
+    RefuseFlagsOfOthers(program);
+    if (FLAGS_h || FLAGS_help || FLAGS_helpshort) {
+      std::cout << HelpText(program, LayoutOfStandardOutput().width);
+      return kDone;
+    }
+    google::gflags_exitfunc = [](int) { std::exit(FinishOutput(kDone)); };
+    gflags::HandleCommandLineHelpFlags();
+    if (program.files) {
+      files_given.assign(argv + 1, argv + argc);
+    } else if (argc > 1) {
+      throw InputError("'" + std::string(argv[1]) + "' is not a flag; flags look like --name=value");
+    }
+    return body();
+  });
+  if (end_without_waiting) EndProgram(code);
+  if (code != kDone || !InterruptGuard::Interrupted()) return FinishOutput(code);
+  std::cerr << "interrupted; what takes long of the results may be missing" << std::endl;
+  return FinishOutput(kAnswerFailed);
+}
+
+const std::vector<std::string>& FilesGiven() { return files_given; }
+
+void EndWithoutWaiting() { end_without_waiting = true; }
+
+void EndProgram(int code) { _exit(FinishOutput(code)); }
+
+void DoAll(const std::vector<std::function<void()>>& parts) {
+  std::exception_ptr first;
+  for (const std::function<void()>& part : parts) {
+    try {
+      part();
+    } catch (...) {
+      if (!first) first = std::current_exception();
+      HoldMemoryBackAgain();
+    }
+  }
+  if (first) std::rethrow_exception(first);
+}
+
+bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
+
+std::string ShippedFile(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
+  const std::filesystem::path installed = program.parent_path().parent_path() / SALTUS_DATA_FOLDER / path;
+  if (!error && std::filesystem::exists(installed, error)) return installed;
+  return SALTUS_SOURCE_DIR "/" + path;
+}
+
+Scene LoadScene(const std::string& path) {
+  std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);
+  if (const auto* error = std::get_if<SceneFileError>(&loaded)) throw InputError(error->ToString());
+  return std::get<Scene>(std::move(loaded));
+}
+
+int ThreadsFromFlags() {
+  if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
+  if (FLAGS_threads > 0) return FLAGS_threads;
+  return std::max(1u, std::thread::hardware_concurrency());
+}
+
+ProgressMode ProgressFromFlags() {
+  if (const std::optional<ProgressMode> mode = ParseProgressMode(FLAGS_progress)) return *mode;
+  throw InputError("--progress=" + FLAGS_progress + "; expected auto, plain or none");
+}
+
+std::string OutputDirFromFlags() { return FLAGS_output_dir; }
+
+void ApplySceneFlags(Scene* scene) {
+  if (IsGiven("steps")) scene->steps = FLAGS_steps;
+  if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
+  if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
+  if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
+  if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
+  if (const std::optional<SceneError> error = Validate(*scene)) {
+    throw InputError("with the flags given, " + error->key + ": " + error->message);
+  }
+}
+
+Precision PrecisionFromFlags() {
+  if (FLAGS_precision != "double" && FLAGS_precision != "float") {
+    throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
+  }
+  return FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
+}
+
+bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
+  if (FLAGS_contact == "list") {
+    PrintModels();
+    return false;
+  }
+  if (FLAGS_solver == "list") {
+    PrintList(AllSolvers());
+    return false;
+  }
+  if (WantsListOfSurrogates()) {
+    PrintList(AllSurrogates());
+    return false;
+  }
+  const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
+  if (defaults.generated) RefuseFlagsOfOneScene();
+  if (!defaults.generated && path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
+  request->contacts = ReadContacts(FLAGS_contact);
+  const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
+  if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, AllSolvers());
+  request->precision = PrecisionFromFlags();
+  request->scene = defaults.generated ? *defaults.generated : LoadScene(path);
+  ApplySceneFlags(&request->scene);
+  ReadStart(request);
+
+  request->options.search = FLAGS_sequence == "auto";
+  if (FLAGS_sequence != "auto" && FLAGS_sequence != "fixed") {
+    const std::string wrong =
+        ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequence.emplace());
+    if (!wrong.empty()) throw InputError("--sequence=" + FLAGS_sequence + ": " + wrong);
+  }
+  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
+  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
+  request->options.learning_rate = defaults.learning_rate;
+  if (IsGiven("learning_rate")) {
+    request->options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
+    if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
+  } else {
+    if (defaults.learning_rate == 0) request->options.learning_rate = DefaultLearningRate(request->scene);
+    if (FLAGS_rate_per_time) request->options.learning_rate *= request->scene.duration / kPublishedSteps;
+  }
+  request->options.rate_per_time = FLAGS_rate_per_time;
+  if (FLAGS_rate_per_time && request->scene.optimize != Optimize::kControl) {
+    throw InputError("--rate_per_time: the scene does not optimize a control");
+  }
+  request->options.search_options = SearchFromFlags();
+  request->options.surrogate = SurrogateFromFlags();
+  if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
+  request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
+  request->threads = ThreadsFromFlags();
+  request->output_dir = OutputDirFromFlags();
+  if (!request->output_dir.empty()) MakeDirectory(request->output_dir);
+  request->json = FLAGS_json;
+  request->states = FLAGS_states;
+  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; files have states anyway");
+  request->progress = ProgressFromFlags();
+  return true;
+}
+
+void MakeDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::create_directories(path, error);
+  if (error) throw InputError("cannot create directory '" + path + "': " + error.message());
+}
+
+void WriteTextFile(const std::string& path, const std::string& text) {
+  const Status status = WriteFile(path, text, InterruptGuard::Interrupted);
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+}  // namespace saltus

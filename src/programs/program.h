@@ -1,0 +1,112 @@
+// What all programs share: flags, the scene they describe, exit codes.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "output/progress.h"
+#include "programs/memory_reserve.h"
+#include "programs/program_flags.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/simulator.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// Exit codes, as promised to scripts.
+inline constexpr int kDone = 0;
+inline constexpr int kAnswerFailed = 1;  // it ran, but did not converge or a row did not match
+inline constexpr int kWrongInput = 2;
+
+// The input was wrong; the message names the place and what was expected. RunMain turns it into exit code 2.
+struct InputError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// The name of no solver, --solver=none.
+inline constexpr char kNoSolver[] = "none";
+
+// Defaults that differ from program to program; flags given on the command line override them.
+struct ProgramDefaults {
+  std::string scene;                              // file; empty if --scene must be given
+  std::optional<Scene> generated = std::nullopt;  // in place of any file; --scene is then an error
+  std::string solver = "gd";                      // --solver
+  double learning_rate = 0;                       // 0: by what is optimised (10 for a control, 0.01 otherwise)
+  int iterations = 1000;
+};
+
+// What the common flags ask for.
+struct Request {
+  Scene scene;
+  std::vector<std::string> contacts;
+  std::vector<std::string> solvers;
+  Precision precision = Precision::kDouble;
+  SolverOptions options;
+  int threads = 1;
+  std::optional<ControlGuess> start;  // the control that a flag gives, also where none is optimized
+  bool states = false;                // --states
+  std::string output_dir;             // empty: write no files
+  bool json = false;
+  ProgressMode progress = ProgressMode::kAuto;
+};
+
+// Results could not be written. RunMain turns it into exit code 1.
+struct OutputError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Parses flags, runs `body` and turns what it throws into exit codes. Flags that are not the program's are wrong input.
+// If standard output did not take all that was printed, that is an error too.
+int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body);
+
+// The arguments that are no flags, of a program that takes files.
+const std::vector<std::string>& FilesGiven();
+
+// Makes RunMain end the process without waiting for threads that are at work still.
+void EndWithoutWaiting();
+
+// Ends the process so, at once.
+[[noreturn]] void EndProgram(int code);
+
+// Calls all, also after one that throws, and then throws what the first threw: where one file cannot be written, or
+// memory runs out in making it, the others still are, and the tables are printed.
+void DoAll(const std::vector<std::function<void()>>& parts);
+
+// Reads the common flags. Throws InputError. If --contact=list, --solver=list or --surrogate=list is given, prints the
+// list and returns false: the program is done.
+bool ReadRequest(const ProgramDefaults& defaults, Request* request);
+
+// What flags say in place of the scene. Throws InputError if that is impossible.
+void ApplySceneFlags(Scene* scene);
+
+// The parts of ReadRequest, for programs without a scene.
+int ThreadsFromFlags();
+ProgressMode ProgressFromFlags();
+std::string OutputDirFromFlags();
+Precision PrecisionFromFlags();
+
+// A file or folder that comes with saltus, such as "problems/two_balls.yaml": of the installation that the running
+// program belongs to, or else of the source tree.
+std::string ShippedFile(const std::string& path);
+
+// Loads a scene file. Throws InputError.
+Scene LoadScene(const std::string& path);
+
+// Whether a flag was given on the command line, in a flag file or in the environment. Precondition: there is such a
+// flag.
+bool IsGiven(const char* flag);
+
+// The learning rate of the published experiments for this kind of problem, per N for controls.
+inline double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
+inline constexpr int kPublishedSteps = 480;  // for which that of a control is
+
+// Creates the directory and its parents if need be. Throws InputError.
+void MakeDirectory(const std::string& path);
+
+// Writes a whole file. Throws OutputError if it cannot.
+void WriteTextFile(const std::string& path, const std::string& text);
+
+}  // namespace saltus

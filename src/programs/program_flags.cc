@@ -1,0 +1,213 @@
+#include "programs/program_flags.h"
+
+#include <gflags/gflags.h>
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <optional>
+
+#include "base/suggestion.h"
+#include "output/text_layout.h"
+
+namespace saltus {
+namespace {
+
+constexpr char kProblems[] = "the problems' programs";
+constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
+
+const FlagGroup kScene = {"Scene (in place of what the file says)",
+                          {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
+const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
+const FlagGroup kSimulators = {"Simulators of others", {"simulate=COMMAND", "simulate_seconds=S"}};
+const FlagGroup kModelsAndSimulators = {"Contact models",
+                                        {"contact=LIST", "precision=NAME", "simulate=COMMAND", "simulate_seconds=S"}};
+const FlagGroup kSolvers = {"Solvers",
+                            {"solver=LIST",
+                             "iterations=N",
+                             "learning_rate=X",
+                             "rate_per_time",
+                             "sequence=LIST",
+                             "memory_limit=MIB",
+                             "search_work=N",
+                             "search_seconds=S",
+                             "search_memory=MIB",
+                             "search_starts=N",
+                             "search_seed=N"}};
+const FlagGroup kStart = {"Start (in place of the scene's)", {"control=FILE", "warm_start=FILE"}};
+const FlagGroup kSurrogate = {
+    "Surrogate gradients",
+    {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
+const FlagGroup kOutput = {"Output", {"json", "output_dir=DIR", "progress=NAME", "threads=N"}};
+
+// "scene" of "scene=FILE", "all_formulations" of "[no]all_formulations".
+std::string NameOf(std::string_view flag) {
+  if (flag.starts_with("[no]")) flag.remove_prefix(4);
+  return std::string(flag.substr(0, flag.find('=')));
+}
+
+bool Takes(const Program& program, std::string_view name) {
+  const std::vector<std::string> names = FlagNames(program);
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+std::optional<gflags::CommandLineFlagInfo> InfoOf(const std::string& name) {
+  gflags::CommandLineFlagInfo info;
+  if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info)) return std::nullopt;
+  return info;
+}
+
+// "text (default: value)", unless the text says what happens without the flag.
+std::string Explanation(const gflags::CommandLineFlagInfo& info) {
+  const std::string& value = info.default_value;
+  const bool says =
+      info.description.find("default") != std::string::npos || value.empty() || value == "0" || info.type == "bool";
+  return info.description + (says ? "" : " (default: " + value + ")");
+}
+
+// "a, b and c".
+std::string Join(const std::vector<std::string>& words) {
+  std::string text;
+  for (size_t i = 0; i < words.size(); ++i) {
+    text += (i == 0 ? "" : i + 1 == words.size() ? " and " : ", ") + words[i];
+  }
+  return text;
+}
+
+std::vector<Program> MakePrograms() {
+  return {
+      {kProblems,
+       "Gradients of every contact model, and optimisation, of a problem of the papers",
+       {"[--contact=LIST] [--solver=LIST|none] [--json]"},
+       {kScene, kModels, kSolvers, kStart, {"Audit", {"attribution_seconds=S", "width_sweep"}}, kSurrogate, kOutput}},
+      {"saltus_audit",
+       "Gradients of contact models: which are right, which are wrong, where and why",
+       {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
+       {kScene,
+        kModels,
+        {"Audit", {"attribution_seconds=S", "given=FILE", "width_sweep"}},
+        kSimulators,
+        kSurrogate,
+        kOutput}},
+      {"saltus_solve",
+       "Optimises a scene with the chosen contact models and solvers",
+       {"--scene=FILE [--contact=LIST] [--solver=LIST|none] [--json]"},
+       {kScene, kModels, kSolvers, kStart, kSurrogate, {"States", {"states"}}, kOutput}},
+      {"saltus_replay",
+       "Writes a page that plays saved motions",
+       {"FILE... [--scene=FILE] [--output=FILE.html]"},
+       {{"Replay", {"scene=FILE", "output=FILE"}}},
+       "A FILE is an NPZ file or the JSON of saltus_solve --states, or has states of another simulator under the same "
+       "keys; several make one page of several motions. The README has the keys.",
+       true},
+      {"saltus_sweep",
+       "Many points of some options, one row each, as CSV on standard output",
+       {"--scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
+       {{"Points", {"sweep=POINTS", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
+        kScene,
+        kModelsAndSimulators,
+        kSolvers,
+        kSurrogate,
+        kOutput},
+       "With --output_dir, every finished point is kept at once in DIR/sweep.sqlite: the same command goes on where "
+       "the "
+       "last one ended, however that was. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
+       "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
+       "--shard=1/N ... --shard=N/N on each and then --merge."},
+      {"saltus_identify",
+       "Parameters of a scene from recordings of its motion, with their confidence",
+       {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},
+       {{"Data", {"recording=LIST", "segment=S"}},
+        {"Fit",
+         {"unknown=LIST",
+          "law=NAME",
+          "law_beside=FILE",
+          "events=NAME",
+          "known_start",
+          "loss=NAME",
+          "loss_scale=X",
+          "starts=N"}},
+        kScene,
+        {"Contact models (default: event)", {"contact=LIST"}},
+        kOutput}},
+      {"saltus_scene",
+       "Writes a scene of many discs, or a control problem, to standard output, for --scene of the other programs",
+       {"[--kind=NAME] [--discs=N] [--seed=N]"},
+       {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
+      {"saltus_simulate",
+       "A contact model as a black box: answers on standard output what is asked on standard input, one JSON object a "
+       "line",
+       {"--contact=NAME [--precision=NAME] [--offer=LIST]"},
+       {kModels, {"Protocol", {"offer=LIST"}}}},
+      {"saltus_reproduce",
+       "Every table and figure of the paper, next to the published values",
+       {"[--output_dir=DIR] [--simulate=\"[NAME=]COMMAND\"]"},
+       {{"What", {"[no]all_formulations", "every_solver"}},
+        kSimulators,
+        {"Input", {"problems_dir=DIR", "data_dir=DIR"}},
+        {"Output", {"output_dir=DIR", "progress=NAME", "threads=N"}}}}};
+}
+
+}  // namespace
+
+const std::vector<Program>& AllPrograms() {
+  static const std::vector<Program>& programs = *new std::vector<Program>(MakePrograms());
+  return programs;
+}
+
+const Program& FindProgram(std::string_view name) {
+  const std::vector<Program>& programs = AllPrograms();
+  const auto found =
+      std::find_if(programs.begin(), programs.end(), [&](const Program& program) { return program.name == name; });
+  CHECK(found != programs.end()) << name;
+  return *found;
+}
+
+Program ProblemProgram(const std::string& name) {
+  Program program = FindProgram(kProblems);
+  program.name = name;
+  return program;
+}
+
+std::vector<std::string> FlagNames(const Program& program) {
+  std::vector<std::string> names;
+  for (const FlagGroup& group : program.groups) {
+    for (const std::string& flag : group.flags) names.push_back(NameOf(flag));
+  }
+  return names;
+}
+
+std::string HelpText(const Program& program, size_t width) {
+  std::string text = Paragraph(program.name + ": " + program.summary + ".", width) + "\n";
+  for (const std::string& usage : program.usage)
+    text += Paragraph(usage, width, program.name.size() + 3, "  " + program.name);
+  for (const FlagGroup& group : program.groups) {
+    text += "\n" + Paragraph(group.title, width);
+    for (const std::string& flag : group.flags) {
+      const std::optional<gflags::CommandLineFlagInfo> info = InfoOf(NameOf(flag));
+      CHECK(info) << program.name << " has no flag " << flag;
+      text += Paragraph(Explanation(*info), width, kFlagColumns, "  --" + flag);
+    }
+  }
+  if (!program.notes.empty()) text += "\n" + Paragraph(program.notes, width);
+  return text + "\n" +
+         Paragraph(
+             "Also --flagfile=FILE, --fromenv=FLAGS, --version, and --helpfull for every flag, those of logging "
+             "included. Exit code: 0 done, 1 the answer failed, 2 wrong input.",
+             width);
+}
+
+std::string WhyNoFlagOf(const Program& program, std::string_view name) {
+  if (Takes(program, name)) return "";
+  std::vector<std::string> takers, flags;
+  for (const Program& other : AllPrograms()) {
+    if (Takes(other, name)) takers.push_back(other.name);
+  }
+  const std::string flag = "--" + std::string(name);
+  if (!takers.empty()) return flag + " is not a flag of " + program.name + ", but of " + Join(takers);
+  if (InfoOf(std::string(name))) return "";
+  for (const std::string& own : FlagNames(program)) flags.push_back("--" + own);
+  const std::string meant = Suggestion(flag, flags);
+  return flag + " is not a flag of " + program.name + (meant.empty() ? "; -h lists them" : meant);
+}
+
+}  // namespace saltus

@@ -1,0 +1,50 @@
+#include "programs/simulate.h"
+
+#include <gflags/gflags.h>
+
+#include <iostream>
+#include <sstream>
+#include <string>
+
+#include "blackbox/speaker.h"
+#include "programs/program.h"
+
+DEFINE_string(offer, "gradient,step,states",
+              "what it gives besides final states: some of gradient, step and states, or none");
+DECLARE_string(contact);
+DECLARE_string(precision);
+
+namespace saltus {
+namespace {
+
+Offer ReadOffer() {
+  Offer offer{false, false, false};
+  if (FLAGS_offer == "none") return offer;
+  std::stringstream list(FLAGS_offer);
+  for (std::string name; std::getline(list, name, ',');) {
+    bool* given = name == "gradient" ? &offer.gradient : name == "step" ? &offer.step : &offer.states;
+    if (given == &offer.states && name != "states") {
+      throw InputError("--offer=" + FLAGS_offer + ": found '" + name + "', expected gradient, step, states or none");
+    }
+    *given = true;
+  }
+  return offer;
+}
+
+}  // namespace
+
+int SimulateMain(int argc, char** argv) {
+  return RunMain(argc, argv, FindProgram("saltus_simulate"), [] {
+    if (FLAGS_contact == "all") throw InputError("--contact=NAME is needed; saltus_audit --contact=list lists them");
+    if (const std::string wrong = WhatIsWrongWith(FLAGS_contact); !wrong.empty()) {
+      throw InputError("--contact=" + FLAGS_contact + ": " + wrong);
+    }
+    Speaker speaker(FLAGS_contact, PrecisionFromFlags(), ReadOffer());
+    for (std::string line; std::getline(std::cin, line);) {
+      if (!line.empty()) std::cout << speaker.AnswerTo(line) << std::endl;
+    }
+    return kDone;
+  });
+}
+
+}  // namespace saltus

@@ -1,0 +1,161 @@
+#include "programs/simulators.h"
+
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+#include <map>
+#include <mutex>
+#include <sstream>
+
+#include "base/file.h"
+#include "blackbox/command_box.h"
+
+DEFINE_string(simulate, "", "a simulator of yours: [NAME=]COMMAND, or @FILE of such lines");
+DEFINE_double(simulate_seconds, 30, "after which a simulator that is silent has failed");
+
+namespace saltus {
+namespace {
+
+constexpr char kFlag[] = "simulate";
+constexpr std::size_t kMostListBytes = 1 << 20;
+
+bool IsOfName(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_' || c == '-' || c == '.'; }
+
+// The values of --simulate=X, -simulate=X and --simulate X.
+std::vector<std::string> ValuesIn(const std::vector<std::string>& arguments) {
+  std::vector<std::string> values;
+  for (std::size_t i = 0; i < arguments.size() && arguments[i] != "--"; ++i) {
+    const std::string& argument = arguments[i];
+    const std::size_t dashes = argument.starts_with("--") ? 2 : argument.starts_with("-") ? 1 : 0;
+    const std::size_t equals = std::min(argument.find('='), argument.size());
+    if (dashes == 0 || argument.substr(dashes, equals - dashes) != kFlag) continue;
+    if (equals < argument.size()) {
+      values.push_back(argument.substr(equals + 1));
+    } else if (i + 1 < arguments.size()) {
+      values.push_back(arguments[++i]);
+    }
+  }
+  return values;
+}
+
+std::vector<std::string> LinesOf(const std::string& path) {
+  const StatusOr<std::string> text = ReadFile(path, kMostListBytes);
+  if (!text.ok()) throw InputError("--simulate=@" + path + ": " + text.status().message());
+  std::vector<std::string> lines;
+  std::stringstream stream(*text);
+  for (std::string line; std::getline(stream, line);) {
+    const std::size_t begin = line.find_first_not_of(" \t\r");
+    if (begin != std::string::npos && line[begin] != '#') lines.push_back(line.substr(begin));
+  }
+  return lines;
+}
+
+std::string NameFrom(const std::string& command) {
+  std::string last = "simulator";
+  std::stringstream words(command);
+  for (std::string word; words >> word;) {
+    if (!word.starts_with("-")) last = std::filesystem::path(word).filename();
+  }
+  std::replace_if(
+      last.begin(), last.end(), [](char c) { return !IsOfName(c); }, '_');
+  return last.empty() ? "simulator" : last;
+}
+
+std::vector<SimulatorCommand>& Kept() {
+  static std::vector<SimulatorCommand>& kept = *new std::vector<SimulatorCommand>;
+  return kept;
+}
+
+// Stays until the process ends, and with it the command.
+std::shared_ptr<BlackBox> OpenedOnce(const std::string& contact) {
+  static std::mutex& mutex = *new std::mutex;
+  static auto& opened = *new std::map<std::string, std::shared_ptr<BlackBox>>;
+  const std::lock_guard lock(mutex);
+  std::shared_ptr<BlackBox>& box = opened[contact];
+  if (box == nullptr) box = OpenSimulator(*FindSimulator(contact), /*copies=*/1);
+  return box;
+}
+
+}  // namespace
+
+SimulatorCommand ParseSimulator(const std::string& text) {
+  const std::size_t equals = text.find('=');
+  const bool named = equals != std::string::npos && equals > 0 &&
+                     std::all_of(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(equals), IsOfName);
+  SimulatorCommand simulator;
+  simulator.command = named ? text.substr(equals + 1) : text;
+  simulator.name = named ? text.substr(0, equals) : NameFrom(text);
+  if (simulator.command.find_first_not_of(" \t") == std::string::npos) {
+    throw InputError("--simulate=" + text + ": expected [NAME=]COMMAND");
+  }
+  return simulator;
+}
+
+std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments) {
+  if (!(FLAGS_simulate_seconds > 0) || !std::isfinite(FLAGS_simulate_seconds)) {
+    throw InputError("--simulate_seconds must be positive");
+  }
+  std::vector<std::string> values = ValuesIn(arguments);
+  if (values.empty() && IsGiven(kFlag)) values.push_back(FLAGS_simulate);
+  std::vector<SimulatorCommand> simulators;
+  const auto add = [&](const std::string& value) {
+    SimulatorCommand simulator = ParseSimulator(value);
+    for (const SimulatorCommand& other : simulators) {
+      if (other.name == simulator.name) {
+        throw InputError("--simulate=" + value + ": there are two of the name '" + other.name +
+                         "'; name them, as in --simulate=NAME=COMMAND");
+      }
+    }
+    simulators.push_back(std::move(simulator));
+  };
+  for (const std::string& value : values) {
+    if (!value.starts_with("@")) {
+      add(value);
+      continue;
+    }
+    for (const std::string& line : LinesOf(value.substr(1))) add(line);
+  }
+  return simulators;
+}
+
+std::vector<std::string> KeepSimulators(std::vector<SimulatorCommand> simulators) {
+  std::vector<std::string> names;
+  for (const SimulatorCommand& simulator : simulators) {
+    if (FindContactModel(simulator.name) != nullptr) {
+      throw InputError("--simulate: there is a contact model '" + simulator.name + "'; expected another name");
+    }
+    names.push_back(simulator.name);
+  }
+  Kept() = std::move(simulators);
+  return names;
+}
+
+const SimulatorCommand* FindSimulator(const std::string& contact) {
+  for (const SimulatorCommand& simulator : Kept()) {
+    if (simulator.name == contact) return &simulator;
+  }
+  return nullptr;
+}
+
+Contact ContactNamed(const std::string& contact, const Scene& scene) {
+  return FindSimulator(contact) == nullptr ? Contact(contact) : MeasuredContactOf(OpenedOnce(contact), scene);
+}
+
+bool HasFailed(const std::string& contact, const Scene& scene) {
+  return FindSimulator(contact) != nullptr && !OpenedOnce(contact)->Describe(scene).error.empty();
+}
+
+std::shared_ptr<BlackBox> OpenSimulator(const SimulatorCommand& simulator, int copies) {
+  return std::make_shared<CommandBox>(
+      CommandOptions{simulator.name,
+                     simulator.command,
+                     copies,
+                     FLAGS_simulate_seconds,
+                     [name = simulator.name](const std::string& line) { std::cerr << name + ": " + line + "\n"; }});
+}
+
+}  // namespace saltus

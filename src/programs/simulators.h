@@ -1,0 +1,40 @@
+// --simulate: commands that are black boxes.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "programs/program.h"
+#include "saltus/audit/black_box.h"
+
+namespace saltus {
+
+// A command, and the name of its row.
+struct SimulatorCommand {
+  std::string name;
+  std::string command;
+};
+
+// Every --simulate=[NAME=]COMMAND of a command line, where gflags keeps the last only, and the lines of every @FILE.
+// Without --simulate there, that of a flag file or of the environment. After gflags has read the flags. Throws
+// InputError.
+std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments);
+
+// "[NAME=]COMMAND"; without a name, one made of the last word of the command that is no flag. Throws InputError.
+SimulatorCommand ParseSimulator(const std::string& text);
+
+// For programs to which a simulator is one more value of --contact: keeps them for the functions below, and returns
+// their names. To be called once.
+std::vector<std::string> KeepSimulators(std::vector<SimulatorCommand> simulators);
+// The command of a kept one, or null.
+const SimulatorCommand* FindSimulator(const std::string& contact);
+// The contact model of a name: a kept simulator, of which this process runs one copy, or one of the registry.
+Contact ContactNamed(const std::string& contact, const Scene& scene);
+// Whether a kept simulator has failed.
+bool HasFailed(const std::string& contact, const Scene& scene);
+
+// Asks it with so many copies, and passes on what it prints on standard error.
+std::shared_ptr<BlackBox> OpenSimulator(const SimulatorCommand& simulator, int copies);
+
+}  // namespace saltus

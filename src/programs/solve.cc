@@ -1,0 +1,282 @@
+#include "programs/solve.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <iostream>
+#include <new>
+#include <sstream>
+
+#include "base/interrupt.h"
+#include "output/table.h"
+#include "programs/certificate_table.h"
+#include "programs/parallel.h"
+#include "programs/report_parts.h"
+#include "programs/simulated_run.h"
+#include "programs/solution_files.h"
+#include "programs/solve_report.h"
+#include "programs/surrogate_flags.h"
+#include "saltus/simulate/registry.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kWorse = 1e-9;       // relative: losses differ by more than rounding
+constexpr double kOpenDefect = 1e-9;  // m, m/s
+constexpr size_t kMostNamed = 6;      // runs in one line
+
+// Whether a loss is less than another by more than rounding.
+bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
+
+// What the table has to say of a run.
+std::string Remark(const SolvedRun& run) {
+  const SolveReport& report = run.report;
+  std::ostringstream text;
+  const auto add = [&](const auto&... parts) {
+    if (text.tellp() > 0) text << "; ";
+    (text << ... << parts);
+  };
+  if (const std::string remark = RemarkOn(run); !remark.empty()) add(remark);
+  if (report.losses.empty()) return text.str();
+  if (EndsWorse(report)) add("ends worse than it began");
+  if (report.initial_violation > kFeasible && report.final_violation <= kFeasible) {
+    add("the initial guess does not meet the constraints");
+  }
+  if (report.best && IsLess(report.best->loss, report.final_loss)) {
+    add("best ", Cell(report.best->loss).Display(10), " after ", report.best->iteration, " iterations");
+  }
+  return text.str();
+}
+
+SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
+                        const std::string& reason) {
+  SolvedRun run;
+  run.report.solver = solver;
+  run.report.contact = contact;
+  run.report.termination = termination;
+  run.report.reason = reason;
+  return run;
+}
+
+// A solver has converged on the loss under its contact model, which says little of the exact one.
+std::string TerminationInWords(const SolveReport& report) {
+  const bool elsewhere = IsConvergence(report) && !FindContactModel(report.contact)->event_driven;
+  return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
+}
+
+// States are most of a document: where there is no memory for them, the rest is printed.
+void PrintSolveJson(const Request& request, const SolvedRuns& solved) {
+  const auto print = [&](const Request& what) { PrintJson(SolveToJson(what, solved), what.precision); };
+  try {
+    return print(request);
+  } catch (const std::bad_alloc&) {
+    if (!request.states) throw;
+  }
+  HoldMemoryBackAgain();
+  Request without = request;
+  without.states = false;
+  print(without);
+  throw std::bad_alloc();
+}
+
+// Runs that are refused for one reason: each of these solvers with each of these contact models.
+struct Refusal {
+  std::vector<std::string> contacts, solvers;
+  std::string reason;
+};
+
+std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
+  std::vector<Refusal> of_contacts, refusals;
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.termination != Termination::kNotApplicable) continue;
+    const std::string contact = LabelOf(report.contact, report.surrogate);
+    const auto same = std::find_if(of_contacts.begin(), of_contacts.end(), [&](const Refusal& other) {
+      return other.contacts[0] == contact && other.reason == report.reason;
+    });
+    if (same == of_contacts.end()) {
+      of_contacts.push_back({{contact}, {report.solver}, report.reason});
+    } else {
+      same->solvers.push_back(report.solver);
+    }
+  }
+  for (const Refusal& one : of_contacts) {
+    const auto same = std::find_if(refusals.begin(), refusals.end(), [&](const Refusal& other) {
+      return other.solvers == one.solvers && other.reason == one.reason;
+    });
+    if (same == refusals.end()) {
+      refusals.push_back(one);
+    } else {
+      same->contacts.push_back(one.contacts[0]);
+    }
+  }
+  return refusals;
+}
+
+std::string SomeOf(const std::vector<std::string>& names) {
+  std::string text;
+  for (size_t i = 0; i < std::min(names.size(), kMostNamed); ++i) text += (i == 0 ? "" : ", ") + names[i];
+  return names.size() > kMostNamed ? text + " and " + std::to_string(names.size() - kMostNamed) + " more" : text;
+}
+
+}  // namespace
+
+SolvedRuns SolveAll(const Request& request) {
+  struct Task {
+    std::string contact, solver;
+  };
+  std::vector<Task> tasks;
+  std::vector<std::string> names;
+  const auto is_exact = [](const std::string& contact) { return FindContactModel(contact)->event_driven; };
+  const bool any_exact = std::any_of(request.contacts.begin(), request.contacts.end(), is_exact);
+  for (const std::string& contact : request.contacts) {
+    for (const std::string& solver : request.solvers) {
+      if (FindSolver(solver)->exact_only && any_exact && !is_exact(contact)) continue;
+      tasks.push_back({contact, solver});
+      names.push_back(contact + " " + solver);
+    }
+    if (request.solvers.empty()) {
+      tasks.push_back({contact, kNoSolver});
+      names.push_back(contact);
+    }
+  }
+  Progress progress(request.progress, stderr, "solve " + request.scene.name, static_cast<int64_t>(tasks.size()));
+  const auto done = ComputeAll<SolvedRun>(
+      names, request.threads, &progress, [request, tasks](int i, const SayNote& say, const auto& keep) {
+        const auto& [contact, solver] = tasks[i];
+        SolverOptions options = request.options;
+        if (tasks.size() == 1) options.threads = request.threads;
+        options.stop = AskedToStop;
+        options.status = say;
+        try {
+          if (solver == kNoSolver) return SimulateOnly(request, contact);
+          return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+        } catch (const std::bad_alloc&) {
+          HoldMemoryBackAgain();
+          return WithoutLosses(solver, contact, Termination::kFailed, kMemoryRanOut);
+        }
+      });
+  SolvedRuns solved;
+  solved.interrupted = !done.complete;
+  for (size_t i = 0; i < tasks.size(); ++i) {
+    if (!done.started[i]) continue;
+    solved.runs.push_back(
+        done.results[i].value_or(WithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
+    solved.interrupted |= solved.runs.back().report.termination == Termination::kInterrupted;
+  }
+  return solved;
+}
+
+std::string WhyNoAnswer(const SolveReport& report) {
+  if (report.termination == Termination::kNotApplicable) return "";
+  if (report.termination == Termination::kFailed) return "failed, " + report.reason;
+  if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
+  if (LargestDefect(report) > kOpenDefect) return "open defects";
+  return EndsWorse(report) ? "ends worse than it began" : "";
+}
+
+Table RunTable(const SolvedRuns& solved) {
+  Table table({{"contact"},
+               {"solver"},
+               {"initial loss", 10},
+               {"final loss", 10},
+               {"exact loss", 10},
+               {"iterations"},
+               {"gradients"},
+               {"seconds", 3},
+               {"termination"},
+               {"remark"}},
+              2);
+  for (const SolvedRun& run : solved.runs) {
+    const SolveReport& report = run.report;
+    if (report.termination == Termination::kNotApplicable) continue;  // below
+    const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
+    const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
+    const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
+    table.AddRow({LabelOf(report.contact, report.surrogate),
+                  report.solver,
+                  of_solver(report.initial_loss),
+                  of_run(report.final_loss),
+                  run.exact.ok ? of_run(run.exact.loss) : Cell(),
+                  of_solver(report.iterations),
+                  of_solver(report.evaluations),
+                  of_run(report.seconds),
+                  TerminationInWords(report),
+                  ran ? Remark(run) : report.reason});
+  }
+  for (const Refusal& refusal : RefusalsOf(solved)) {
+    std::vector<Cell> row(table.columns().size());
+    row[0] = SomeOf(refusal.contacts);
+    row[1] = SomeOf(refusal.solvers);
+    row[row.size() - 2] = TerminationToString(Termination::kNotApplicable);
+    row.back() = refusal.reason;
+    table.AddRow(std::move(row));
+  }
+  return table;
+}
+
+void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
+  const TextLayout layout = LayoutOfStandardOutput();
+  const std::string& name = request.scene.name;
+  std::cout << name << ": " << request.scene.steps << " steps\n\n" << RunTable(solved).ToText(layout) << std::endl;
+  const Table certificates = CertificateTable(solved);
+  if (certificates.rows().empty()) return;
+  char tolerance[16];
+  std::snprintf(tolerance, sizeof tolerance, "%g", kCertificateTolerance);
+  std::cout << Paragraph(name + ": certificates of the exact loss, stationary with a residual of at most " + tolerance +
+                             ", a minimum with positive curvature (1 is that of the effort alone)",
+                         layout.width)
+            << "\n"
+            << certificates.ToText(layout) << std::endl;
+}
+
+std::string RemarkOn(const SolvedRun& run) {
+  const std::string& reason = run.report.reason;
+  if (run.exact.ambiguous.empty()) return reason;
+  return reason + (reason.empty() ? "" : "; ") + "ambiguous: " + DescribeTies(run.exact.ambiguous, run.exact.spread);
+}
+
+int SolveExitCode(const SolvedRuns& solved) {
+  const std::vector<SolvedRun>& runs = solved.runs;
+  const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
+    return run.report.termination == Termination::kNotApplicable;
+  });
+  if (!runs.empty() && none && !solved.interrupted) {
+    std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
+              << runs[0].report.reason << std::endl;
+    return kWrongInput;
+  }
+  size_t failed = 0;
+  std::string named;
+  for (const SolvedRun& run : runs) {
+    const std::string why = WhyNoAnswer(run.report);
+    if (why.empty() || ++failed > kMostNamed) continue;
+    named += (failed == 1 ? "" : ", ") + run.report.contact + " " + run.report.solver + ": " + why;
+  }
+  if (failed > kMostNamed) named += " and " + std::to_string(failed - kMostNamed) + " more";
+  if (failed > 0) {
+    std::cerr << "no answer from " << failed << " of " << runs.size() << " runs (" << named << ")" << std::endl;
+  }
+  return failed > 0 || solved.interrupted ? kAnswerFailed : kDone;
+}
+
+int SolveMain(int argc, char** argv) {
+  return RunMain(argc, argv, FindProgram("saltus_solve"), [] {
+    Request request;
+    if (!ReadRequest({}, &request)) return kDone;
+    const InterruptGuard guard;
+    const SolvedRuns solved = SolveAll(request);
+    const auto print = [&] {
+      if (request.json) {
+        PrintSolveJson(request, solved);
+      } else {
+        PrintSolveTable(request, solved);
+      }
+    };
+    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
+    PrintReportPath(request);
+    return SolveExitCode(solved);
+  });
+}
+
+}  // namespace saltus

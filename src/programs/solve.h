@@ -1,0 +1,33 @@
+// Optimise a scene with chosen contact models and solvers.
+#pragma once
+
+#include <string>
+
+#include "output/table.h"
+#include "programs/program.h"
+#include "programs/solved_run.h"
+
+namespace saltus {
+
+// The report's reason, and what is ambiguous in its exact run.
+std::string RemarkOn(const SolvedRun& run);
+
+// Every contact model with every solver, contact models outermost, or without a solver the start under each; on all
+// threads, in the same order whatever their number. Solvers that know exact contact only run with the event-driven
+// model alone, if it is among those asked for. Interruption (SIGINT, under an InterruptGuard) leaves out the runs that
+// were not begun.
+SolvedRuns SolveAll(const Request& request);
+
+// Why a run is no answer, in a few words: it did not converge, its defects are open, or it ends worse than it began.
+// Empty if it is one, and for what is not applicable.
+std::string WhyNoAnswer(const SolveReport& report);
+
+Table RunTable(const SolvedRuns& solved);
+void PrintSolveTable(const Request& request, const SolvedRuns& solved);
+// The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
+int SolveExitCode(const SolvedRuns& solved);
+
+// `saltus_solve`.
+int SolveMain(int argc, char** argv);
+
+}  // namespace saltus

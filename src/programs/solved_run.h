@@ -1,0 +1,43 @@
+// A run of a solver with its solution checked, as every output reports it. No flags: for programs and the Python
+// module.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "programs/json_output.h"
+#include "programs/program.h"
+
+namespace saltus {
+
+// A solver's report with its solution re-simulated exactly, and certified if it is a control.
+struct SolvedRun {
+  SolveReport report;
+  ExactRun exact;
+  std::optional<Certificate> certificate;
+  std::vector<double> final_state;  // B x 4, under its contact model; empty if that fails
+  bool simulated = false;           // nothing was solved, and the start has a finite loss
+
+  // Whether there is an initial state and a control to look at.
+  bool HasSolution() const { return simulated || !report.losses.empty(); }
+};
+
+struct SolvedRuns {
+  std::vector<SolvedRun> runs;
+  bool interrupted = false;  // some are missing, or were at work
+};
+// Solves, re-simulates and certifies. Calls `keep` with the run as it is before it is checked.
+SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,
+                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep);
+
+// Whether a solver has converged; what was only simulated has not.
+bool IsConvergence(const SolveReport& report);
+
+// The largest defect of the solution; 0 of solvers without defects.
+double LargestDefect(const SolveReport& report);
+
+Json SolveToJson(const Request& request, const SolvedRuns& solved);
+
+}  // namespace saltus

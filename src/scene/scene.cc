@@ -1,0 +1,499 @@
+#include "saltus/scene/scene.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <string_view>
+#include <unordered_map>
+
+#include "base/number_text.h"
+#include "scene/polygon.h"
+#include "scene/scene_overlap.h"
+#include "scene/scene_rules.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+constexpr std::size_t kLongestName = 100;  // names become parts of file names
+
+struct Range {
+  double low, high;
+  const char* expected;
+};
+struct Ranges {
+  Range any, positive, above_zero, not_negative;
+};
+constexpr double kLeast = std::numeric_limits<double>::min();
+constexpr Ranges kGivenRanges{
+    {-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e24"},
+    {kSmallestPositive, kLargestMagnitude, "a positive number, 1e-24 to 1e24"},
+    // Parts of a horizon may be shorter than a whole one.
+    {kLeast, kLargestMagnitude, "a positive number, up to 1e24"},
+    {0, kLargestMagnitude, "a number >= 0 and at most 1e24"},
+};
+// In other units than those in which scenes are given. Products of four such numbers do not overflow.
+constexpr double kLargestConverted = 1e72;
+constexpr Ranges kConvertedRanges{
+    {-kLargestConverted, kLargestConverted, "a finite number of magnitude at most 1e72"},
+    {1 / kLargestConverted, kLargestConverted, "a positive number, 1e-72 to 1e72"},
+    {kLeast, kLargestConverted, "a positive number, up to 1e72"},
+    {0, kLargestConverted, "a number >= 0 and at most 1e72"},
+};
+constexpr Range kFraction{0, 1, "a number from 0 to 1"};
+
+// The path of a number in the scene file; text only if it is needed.
+struct Key {
+  const char* list = "";
+  std::optional<std::size_t> index = std::nullopt;
+  const char* field = nullptr;
+  std::optional<int> component = std::nullopt;
+
+  std::string ToString() const {
+    std::string path = list;
+    if (index) path += '[' + std::to_string(*index) + ']';
+    if (field) path += std::string(".") + field;
+    if (component) path += '[' + std::to_string(*component) + ']';
+    return path;
+  }
+};
+
+Key At(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
+
+// Of TerminalTerm::Quantity, as in scene files.
+const char* QuantityToString(TerminalTerm::Quantity quantity) {
+  constexpr const char* kNames[] = {"position", "velocity", "angle", "angular_velocity"};
+  return kNames[static_cast<int>(quantity)];
+}
+
+bool IsConverted(const Scene& scene) {
+  Units given;
+  given.natural = scene.units.natural;
+  return scene.units != given;
+}
+
+// A name as it may stand in a message: it can be anything, as long as anything.
+std::string Quoted(const std::string& name) {
+  std::string text = name.substr(0, kLongestName);
+  std::replace_if(
+      text.begin(), text.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  return '"' + text + (name.size() > kLongestName ? "...\"" : "\"");
+}
+
+// Checks rules in order and keeps the first that fails.
+class Rules {
+ public:
+  // With `structure_only`, those of ValidateStructure.
+  Rules(const Scene& scene, bool structure_only)
+      : scene_(scene), all_(!structure_only), in_(IsConverted(scene) ? kConvertedRanges : kGivenRanges) {}
+
+  std::optional<SceneError> Check() {
+    CheckTime();
+    CheckBodies();
+    CheckPlanes();
+    CheckSegments();
+    CheckPolygons();
+    CheckArcs();
+    CheckPockets();
+    CheckTable();
+    CheckContact();
+    CheckControl();
+    CheckObjective();
+    CheckFree();
+    CheckFreeSpin();
+    CheckNoContact();
+    return error_;
+  }
+
+ private:
+  // `message` gives the text, which is costly to write for every number of a scene.
+  template <typename Message>
+  void Expect(bool holds, const Key& key, const Message& message) {
+    if (!holds && !error_) error_ = SceneError{key.ToString(), message()};
+  }
+  void Expect(bool holds, const Key& key, const char* message) {
+    Expect(holds, key, [&] { return std::string(message); });
+  }
+
+  void Number(const Key& key, double value, const Range& range) {
+    Expect(value >= range.low && value <= range.high, key, [&] {
+      return "found " + ToText(value) + ", expected " + range.expected;
+    });
+  }
+
+  void Vector(const Key& key, const Vec2d& value) {
+    for (int j = 0; j < 2; ++j) Number({key.list, key.index, key.field, j}, value[j], in_.any);
+  }
+
+  void Name(const Key& key, const std::string& name, std::string_view others) {
+    const auto ok = [&](char c) {
+      return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || others.find(c) != std::string_view::npos;
+    };
+    Expect(!name.empty() && name.size() <= kLongestName && std::all_of(name.begin(), name.end(), ok), key, [&] {
+      return "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, 0-9 and " +
+             std::string(others);
+    });
+  }
+
+  // Of a body or plane.
+  void UniqueName(const Key& key, const std::string& name) {
+    if (!all_) return;
+    Name(key, name, "_-.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+    const auto [other, is_new] = names_.emplace(name, key);
+    Expect(is_new, key, [&, &other = other] {
+      return "found " + name + ", which is " + other->second.ToString() + " too; expected a unique name";
+    });
+  }
+
+  // A list of bodies that move, without repetition.
+  void Movable(const char* list, const std::vector<int>& bodies) {
+    if (bodies.empty()) return;
+    std::vector<bool> seen(scene_.bodies.size(), false);
+    for (std::size_t i = 0; i < bodies.size(); ++i) {
+      if (!BodyIndex(At(list, i), bodies[i])) return;
+      const Body& body = scene_.bodies[bodies[i]];
+      Expect(!body.fixed, At(list, i), [&] {
+        return "found " + body.name + ", which is fixed; expected a body that moves";
+      });
+      Expect(!seen[bodies[i]], At(list, i), [&] { return "found " + body.name + " twice; expected each body once"; });
+      seen[bodies[i]] = true;
+    }
+  }
+
+  bool BodyIndex(const Key& key, int body) {
+    const bool in_range = body >= 0 && body < scene_.num_bodies();
+    Expect(in_range, key, [&] {
+      return "found body number " + std::to_string(body) + ", expected one of the scene's bodies";
+    });
+    return in_range;
+  }
+
+  void CheckTime() {
+    if (all_) Name({"name"}, scene_.name, "_");
+    Number({"duration"}, scene_.duration, all_ ? in_.positive : in_.above_zero);
+    Expect(scene_.steps >= 1 && scene_.steps <= kMaxSteps, {"steps"}, [&] {
+      return "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " +
+             std::to_string(kMaxSteps);
+    });
+    Vector({"gravity"}, scene_.gravity);
+  }
+
+  void CheckBodies() {
+    Expect(!scene_.bodies.empty(), {"bodies"}, "found none, expected at least one body");
+    for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[i];
+      UniqueName(At("bodies", i, "name"), body.name);
+      Number(At("bodies", i, "radius"), body.radius, in_.positive);
+      if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, in_.positive);
+      Vector(At("bodies", i, "position"), body.position);
+      Vector(At("bodies", i, "velocity"), body.velocity);
+      if (body.fixed)
+        Expect(body.velocity.isZero(0), At("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
+      CheckSpin(i);
+    }
+  }
+
+  void CheckSpin(std::size_t i) {
+    const Body& body = scene_.bodies[i];
+    if (body.inertia.kind == Inertia::Kind::kGiven)
+      Number(At("bodies", i, "inertia"), body.inertia.moment, in_.positive);
+    Expect(
+        !body.Spins() || !body.fixed, At("bodies", i, "inertia"), "found an inertia, expected none: the body is fixed");
+    Number(At("bodies", i, "angle"), body.angle, in_.any);
+    Number(At("bodies", i, "angular_velocity"), body.angular_velocity, in_.any);
+    if (body.Spins()) return;
+    constexpr char kNoInertia[] = "expected 0, or inertia: solid or a number in kg m^2: without inertia it cannot spin";
+    Expect(body.angle == 0, At("bodies", i, "angle"), kNoInertia);
+    Expect(body.angular_velocity == 0, At("bodies", i, "angular_velocity"), kNoInertia);
+  }
+
+  void CheckPlanes() {
+    for (std::size_t i = 0; i < scene_.planes.size() && !error_; ++i) {
+      const Plane& plane = scene_.planes[i];
+      UniqueName(At("planes", i, "name"), plane.name);
+      Vector(At("planes", i, "point"), plane.point);
+      Vector(At("planes", i, "normal"), plane.normal);
+      const double length = std::hypot(plane.normal[0], plane.normal[1]);
+      Expect(length >= kSmallestPositive, At("planes", i, "normal"), [&] {
+        return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-24";
+      });
+    }
+  }
+
+  void CheckSegments() {
+    for (std::size_t i = 0; i < scene_.segments.size() && !error_; ++i) {
+      const EdgeSegment& segment = scene_.segments[i];
+      UniqueName(At("segments", i, "name"), segment.name);
+      Vector(At("segments", i, "from"), segment.from);
+      Vector(At("segments", i, "to"), segment.to);
+      Expect((segment.to - segment.from).norm() >= in_.positive.low,
+             At("segments", i, "to"),
+             "found the point where it begins, expected another: a segment has a length");
+    }
+  }
+
+  void CheckPolygons() {
+    for (std::size_t i = 0; i < scene_.polygons.size() && !error_; ++i) {
+      const EdgePolygon& polygon = scene_.polygons[i];
+      UniqueName(At("polygons", i, "name"), polygon.name);
+      for (std::size_t k = 0; k < polygon.points.size(); ++k) {
+        for (int j = 0; j < 2; ++j) {
+          Number({"polygons", i, "points", static_cast<int>(k)}, polygon.points[k][j], in_.any);
+        }
+      }
+      if (error_) return;
+      const std::string wrong = WhyNoPolygon(polygon.points, all_);
+      Expect(wrong.empty(), At("polygons", i, "points"), [&] { return wrong; });
+    }
+  }
+
+  void CheckArcs() {
+    for (std::size_t i = 0; i < scene_.arcs.size() && !error_; ++i) {
+      const EdgeArc& arc = scene_.arcs[i];
+      UniqueName(At("arcs", i, "name"), arc.name);
+      Vector(At("arcs", i, "center"), arc.center);
+      Number(At("arcs", i, "radius"), arc.radius, in_.positive);
+      Number(At("arcs", i, "from"), arc.from, in_.any);
+      const double turn = arc.to - arc.from;
+      Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), At("arcs", i, "to"), [&] {
+        return "found " + ToText(arc.to) + " rad, expected more than from, by at most a full turn";
+      });
+    }
+  }
+
+  void CheckPockets() {
+    for (std::size_t i = 0; i < scene_.pockets.size() && !error_; ++i) {
+      const Pocket& pocket = scene_.pockets[i];
+      UniqueName(At("pockets", i, "name"), pocket.name);
+      Vector(At("pockets", i, "position"), pocket.position);
+      Number(At("pockets", i, "radius"), pocket.radius, in_.positive);
+    }
+  }
+
+  void CheckTable() {
+    if (!scene_.table) return;
+    Number({"table.friction"}, scene_.table->friction, in_.not_negative);
+    Number({"table.gravity"}, scene_.table->gravity, in_.not_negative);
+  }
+
+  void CheckContact() {
+    Number({"contact.restitution"}, scene_.contact.restitution, kFraction);
+    Number({"contact.friction"}, scene_.contact.friction, in_.not_negative);
+    Number({"contact.stiffness"}, scene_.contact.stiffness, in_.not_negative);
+    Number({"contact.damping"}, scene_.contact.damping, in_.not_negative);
+  }
+
+  void CheckControl() {
+    const Control& control = scene_.control;
+    Movable("control.bodies", control.bodies);
+    Expect(control.initial.size() == control.bodies.size(), {"control.initial"}, [&] {
+      return "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
+             std::to_string(control.bodies.size()) + " controlled bodies";
+    });
+    for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    Bounds("control.max", control.max, control.bodies, " controlled bodies");
+    Bounds("control.max_norm", control.max_norm, control.bodies, " controlled bodies");
+    CheckTurned();
+    if (!all_) return;
+    Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
+           {"optimize"},
+           "found control, expected velocity, position or none: no body is controlled");
+  }
+
+  void CheckTurned() {
+    const Control& control = scene_.control;
+    Movable("control.torque", control.turned);
+    for (std::size_t i = 0; i < control.turned.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[control.turned[i]];
+      const auto& bodies = control.bodies;
+      Expect(std::find(bodies.begin(), bodies.end(), control.turned[i]) != bodies.end(), At("control.torque", i), [&] {
+        return "found " + body.name + ", expected one of control.bodies";
+      });
+      Expect(body.Spins(), At("control.torque", i), [&] {
+        return "found " + body.name + ", which has no inertia; expected a body that spins";
+      });
+    }
+    Expect(control.initial_torque.size() == control.turned.size(), {"control.initial"}, [&] {
+      return "found " + std::to_string(control.initial_torque.size()) + " torques, expected one for each of the " +
+             std::to_string(control.turned.size()) + " bodies in control.torque";
+    });
+    for (std::size_t i = 0; i < control.initial_torque.size(); ++i) {
+      Number(At("control.initial", i), control.initial_torque[i], in_.any);
+    }
+    Bounds("control.max_torque", control.max_torque, control.turned, " bodies in control.torque");
+  }
+
+  // One for each of these bodies, or none.
+  void Bounds(const char* key, const std::vector<double>& bounds, const std::vector<int>& bodies, const char* which) {
+    Expect(bounds.empty() || bounds.size() == bodies.size(), {key}, [&] {
+      return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
+             std::to_string(bodies.size()) + which;
+    });
+    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], in_.positive);
+  }
+
+  void PositionOrVelocity(const Key& key, TerminalTerm::Quantity quantity) {
+    using Quantity = TerminalTerm::Quantity;
+    Expect(quantity == Quantity::kPosition || quantity == Quantity::kVelocity, key, [&] {
+      return std::string("found ") + QuantityToString(quantity) +
+             ", expected position or velocity: rotation is read at the final time only, by objective.terminal";
+    });
+  }
+
+  void CheckRunning() {
+    for (std::size_t i = 0; i < scene_.objective.running.size(); ++i) {
+      const RunningTerm& term = scene_.objective.running[i];
+      BodyIndex(At("objective.running", i, "body"), term.body);
+      PositionOrVelocity(At("objective.running", i, "quantity"), term.quantity);
+      const Key target = At("objective.running", i, "target");
+      Expect(!term.times.empty() && term.times.size() == term.targets.size(), target, "expected rows [time, x, y]");
+      for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
+        const Key row{target.list, target.index, target.field, static_cast<int>(k)};
+        Number(row, term.times[k], in_.any);
+        for (int j = 0; j < 2; ++j) Number(row, term.targets[k][j], in_.any);
+        Expect(k == 0 || term.times[k] > term.times[k - 1], row, "expected times that rise from row to row");
+      }
+      Number(At("objective.running", i, "weight"), term.weight, in_.not_negative);
+    }
+  }
+
+  void CheckVia() {
+    for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const ViaTerm& term = scene_.objective.via[i];
+      BodyIndex(At("objective.via", i, "body"), term.body);
+      PositionOrVelocity(At("objective.via", i, "quantity"), term.quantity);
+      Vector(At("objective.via", i, "target"), term.target);
+      Number(At("objective.via", i, "weight"), term.weight, in_.not_negative);
+      Expect(term.time > 0 && term.time < scene_.duration, At("objective.via", i, "time"), [&] {
+        return "found " + ToText(term.time) + ", expected a time strictly between 0 and the duration, " +
+               ToText(scene_.duration) + ": terms at its end belong in objective.terminal";
+      });
+    }
+  }
+
+  void CheckFreeDuration() {
+    if (!scene_.objective.duration) return;
+    const FreeDuration& duration = *scene_.objective.duration;
+    Number({"objective.duration.min"}, duration.min, in_.positive);
+    Number({"objective.duration.max"}, duration.max, in_.positive);
+    Expect(duration.min <= duration.max, {"objective.duration.max"}, "found a number below min, expected min or more");
+    Number({"objective.duration.weight"}, duration.weight, in_.not_negative);
+    for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
+      const double time = scene_.objective.via[i].time;
+      Expect(time < duration.max, At("objective.via", i, "time"), [&] {
+        return "found " + ToText(time) + ", expected a time before objective.duration.max, " + ToText(duration.max);
+      });
+    }
+  }
+
+  void CheckNoContact() {
+    for (std::size_t i = 0; i < scene_.no_contact.size(); ++i) {
+      const NoContact& pair = scene_.no_contact[i];
+      const Key key = At("no_contact", i);
+      BodyIndex(key, pair.a);
+      if (pair.plane) {
+        Expect(
+            pair.b >= 0 && pair.b < static_cast<int>(scene_.planes.size()), key, "expected one of the scene's planes");
+      } else {
+        BodyIndex(key, pair.b);
+        Expect(pair.a < pair.b, key, "expected two different bodies, in the order of their indices");
+      }
+      if (!all_ || error_) continue;
+      const bool moves = !scene_.bodies[pair.a].fixed || (!pair.plane && !scene_.bodies[pair.b].fixed);
+      Expect(moves, key, "found two that never move, expected a pair of which one is a body that moves");
+    }
+  }
+
+  void CheckObjective() {
+    const std::vector<TerminalTerm>& terms = scene_.objective.terminal;
+    for (std::size_t i = 0; i < terms.size(); ++i) {
+      const TerminalTerm& term = terms[i];
+      BodyIndex(At("objective.terminal", i, "body"), term.body);
+      Vector(At("objective.terminal", i, "target"), term.target);
+      Number(At("objective.terminal", i, "weight"), term.weight, term.component ? in_.any : in_.not_negative);
+      Expect(!term.component || *term.component == 0 || *term.component == 1,
+             At("objective.terminal", i, "component"),
+             "expected 0 (x) or 1 (y)");
+      if (term.IsOfSpin() && !error_) {
+        Expect(scene_.bodies[term.body].Spins(), At("objective.terminal", i, "quantity"), [&] {
+          return std::string("found ") + QuantityToString(term.quantity) +
+                 ", expected position or velocity: " + scene_.bodies[term.body].name +
+                 " has no inertia and cannot spin";
+        });
+        Expect(!term.component && term.target[1] == 0,
+               At("objective.terminal", i, "target"),
+               "expected one number, and no component: it is of spin");
+      }
+      Expect(!term.hard || !term.component,
+             At("objective.terminal", i, "hard"),
+             "found a hard term with a component, expected a target: a linear term is no constraint");
+    }
+    Number({"objective.effort"}, scene_.objective.effort, in_.not_negative);
+    CheckRunning();
+    CheckVia();
+    CheckFreeDuration();
+    if (!all_) return;
+    Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
+           {"objective.terminal"},
+           "found no term, expected at least one: there is something to optimize");
+  }
+
+  void CheckFree() {
+    Movable("free", scene_.free);
+    if (!all_) return;
+    const bool needed = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
+    Expect(!needed || !scene_.free.empty(), {"free"}, "found no body, expected at least one that moves");
+  }
+
+  void CheckFreeSpin() {
+    Movable("free_spin", scene_.free_spin);
+    for (std::size_t i = 0; i < scene_.free_spin.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[scene_.free_spin[i]];
+      Expect(body.Spins(), At("free_spin", i), [&] {
+        return "found " + body.name + ", which has no inertia; expected a body that spins";
+      });
+    }
+    if (!all_ || scene_.free_spin.empty()) return;
+    Expect(scene_.optimize == Optimize::kVelocity,
+           {"free_spin"},
+           "found bodies, expected none: angular velocities are optimized with optimize: velocity");
+  }
+
+  const Scene& scene_;
+  const bool all_;
+  const Ranges& in_;
+  std::unordered_map<std::string, Key> names_;  // of bodies and planes
+  std::optional<SceneError> error_;
+};
+
+// The first rule of ValidateStructure that `scene` breaks in its natural units, in which solvers work.
+std::optional<SceneError> BrokenInNaturalUnits(const Scene& scene) {
+  if (scene.units.natural) return std::nullopt;
+  const Scene natural = InNaturalUnits(scene);
+  std::optional<SceneError> error = BrokenRule(natural);
+  if (!error) return error;
+  const Units& units = natural.units;
+  error->message += "; this is in the units of the scene, " + ToText(units.length) + " m, " + ToText(units.time) +
+                    " s and " + ToText(units.mass) + " kg, which are too far from what the key says";
+  return error;
+}
+
+}  // namespace
+
+std::optional<SceneError> BrokenRule(const Scene& scene) { return Rules(scene, /*structure_only=*/true).Check(); }
+
+std::optional<SceneError> Validate(const Scene& scene) {
+  if (auto error = Rules(scene, /*structure_only=*/false).Check()) return error;
+  if (auto error = BrokenInNaturalUnits(scene)) return error;
+  return FindOverlap(scene);  // meaningful for finite numbers only
+}
+
+std::optional<SceneError> ValidateStructure(const Scene& scene) {
+  if (auto error = BrokenRule(scene)) return error;
+  return BrokenInNaturalUnits(scene);
+}
+
+}  // namespace saltus

@@ -1,0 +1,406 @@
+#include "scene/scene_reader.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "base/suggestion.h"
+#include "scene/yaml_text.h"
+
+namespace saltus::internal {
+namespace {
+
+Inertia ReadInertia(const Value& value) {
+  const std::string text = value.node.IsScalar() ? value.node.Scalar() : "";
+  if (text == "none") return {};
+  if (text == "solid") return {Inertia::Kind::kSolid};
+  return {Inertia::Kind::kGiven, ReadNumber(value, "none, solid or a number in kg m^2")};
+}
+
+}  // namespace
+
+int SceneReader::LineOf(std::string path) const {
+  while (!path.empty()) {
+    if (const auto found = line_of_path_.find(path); found != line_of_path_.end()) return found->second;
+    const std::size_t end = path.find_last_of(".[");
+    path.resize(end == std::string::npos ? 0 : end);
+  }
+  return 1;
+}
+
+const Value* SceneReader::Fields::Find(const std::string& key) const {
+  const auto found = values.find(key);
+  return found == values.end() ? nullptr : &found->second;
+}
+
+const Value& SceneReader::Fields::Require(const std::string& key, const std::string& expected) const {
+  if (const Value* value = Find(key)) return *value;
+  throw SceneFileFailure{
+      map.line, map.path.empty() ? key : map.path + '.' + key, "found no such key, expected " + expected};
+}
+
+SceneReader::Fields SceneReader::ReadFields(const Value& map, const std::vector<std::string>& known) {
+  if (!map.node.IsMap()) FailExpected(map, "a map with keys out of " + Join(known));
+  Fields fields{map, {}};
+  for (const auto& entry : map.node) {
+    const YAML::Node& key = entry.first;
+    const int line = key.Mark().is_null() ? map.line : key.Mark().line + 1;
+    if (!key.IsScalar())
+      throw SceneFileFailure{line, map.path, "found " + Describe(key) + " as a key, expected a word"};
+    const std::string path = (map.path.empty() ? "" : map.path + '.') + Printable(key.Scalar());
+    if (std::find(known.begin(), known.end(), key.Scalar()) == known.end()) {
+      throw SceneFileFailure{
+          line, path, "found an unknown key, expected one of " + Join(known) + Suggestion(key.Scalar(), known)};
+    }
+    if (!fields.values.emplace(key.Scalar(), Value{entry.second, path, line}).second) {
+      throw SceneFileFailure{line, path, "found the key again, expected it once"};
+    }
+    line_of_path_.emplace(path, line);
+  }
+  return fields;
+}
+
+std::vector<Value> SceneReader::ReadList(const Value& list, const std::string& expected) {
+  if (!list.node.IsSequence()) FailExpected(list, expected);
+  std::vector<Value> items;
+  for (const auto& node : list.node) {
+    const std::string path = list.path + '[' + std::to_string(items.size()) + ']';
+    const int line = node.Mark().is_null() ? list.line : node.Mark().line + 1;
+    line_of_path_.emplace(path, line);
+    items.push_back({node, path, line});
+  }
+  return items;
+}
+
+Vec2d SceneReader::ReadVector(const Value& value) {
+  constexpr char kExpected[] = "a vector [x, y]";
+  const std::vector<Value> entries = ReadList(value, kExpected);
+  if (entries.size() != 2) FailExpected(value, kExpected);
+  return {ReadNumber(entries[0]), ReadNumber(entries[1])};
+}
+
+int SceneReader::ReadBodyName(const Value& value) const {
+  const std::string& name = ReadName(value);
+  if (const auto found = body_of_name_.find(name); found != body_of_name_.end()) return found->second;
+  std::vector<std::string> names;
+  for (const Body& body : scene_.bodies) names.push_back(body.name);
+  FailExpected(value, "the name of a body" + Suggestion(name, names));
+}
+
+std::vector<int> SceneReader::ReadBodyNames(const Value& value) {
+  const std::vector<Value> names = ReadList(value, "a list of names of bodies");
+  if (names.empty()) FailExpected(value, "at least one name of a body");
+  std::vector<int> bodies;
+  for (const Value& name : names) bodies.push_back(ReadBodyName(name));
+  return bodies;
+}
+
+Body SceneReader::ReadBody(const Value& value) {
+  const Fields fields = ReadFields(
+      value, {"name", "radius", "mass", "fixed", "position", "velocity", "inertia", "angle", "angular_velocity"});
+  Body body;
+  body.name = ReadName(fields.Require("name", "a name"));
+  body.radius = ReadNumber(fields.Require("radius", "the radius in m"));
+  if (const Value* fixed = fields.Find("fixed")) body.fixed = ReadBool(*fixed);
+  if (!body.fixed) {
+    body.mass = ReadNumber(fields.Require("mass", "the mass in kg"));
+  } else if (const Value* mass = fields.Find("mass")) {
+    Fail(*mass, "found a mass, expected none: the body is fixed");
+  }
+  body.position = ReadVector(fields.Require("position", "the position [x, y] in m"));
+  if (const Value* velocity = fields.Find("velocity")) body.velocity = ReadVector(*velocity);
+  if (const Value* inertia = fields.Find("inertia")) body.inertia = ReadInertia(*inertia);
+  if (const Value* angle = fields.Find("angle")) body.angle = ReadNumber(*angle);
+  if (const Value* spin = fields.Find("angular_velocity")) body.angular_velocity = ReadNumber(*spin);
+  return body;
+}
+
+Plane SceneReader::ReadPlane(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "point", "normal"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("point", "a point [x, y] of the boundary in m")),
+          ReadVector(fields.Require("normal", "the normal [x, y]"))};
+}
+
+EdgeSegment SceneReader::ReadSegment(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "from", "to"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("from", "the point [x, y] in m where it begins")),
+          ReadVector(fields.Require("to", "the point [x, y] in m where it ends"))};
+}
+
+EdgePolygon SceneReader::ReadPolygon(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "points", "solid"});
+  EdgePolygon polygon;
+  polygon.name = ReadName(fields.Require("name", "a name"));
+  const Value& points = fields.Require("points", "the corners, a list of points [x, y] in m");
+  for (const Value& point : ReadList(points, "a list of points [x, y]")) polygon.points.push_back(ReadVector(point));
+  const Value& solid = fields.Require("solid", "inside or outside");
+  const bool outside = ReadChoice(solid, {"inside", "outside"}) == 1;
+  polygon.solid = outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside;
+  return polygon;
+}
+
+EdgeArc SceneReader::ReadArc(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "center", "radius", "from", "to"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("center", "the center [x, y] in m")),
+          ReadNumber(fields.Require("radius", "the radius in m")),
+          ReadNumber(fields.Require("from", "the angle in rad where it begins")),
+          ReadNumber(fields.Require("to", "the angle in rad where it ends"))};
+}
+
+Pocket SceneReader::ReadPocket(const Value& value) {
+  const Fields fields = ReadFields(value, {"name", "position", "radius"});
+  return {ReadName(fields.Require("name", "a name")),
+          ReadVector(fields.Require("position", "the position [x, y] of the centre in m")),
+          ReadNumber(fields.Require("radius", "the radius in m"))};
+}
+
+TableFriction SceneReader::ReadTable(const Value& value) {
+  const Fields fields = ReadFields(value, {"friction", "gravity"});
+  TableFriction table;
+  table.friction = ReadNumber(fields.Require("friction", "the coefficient of friction"));
+  if (const Value* gravity = fields.Find("gravity")) table.gravity = ReadNumber(*gravity);
+  return table;
+}
+
+ContactParameters SceneReader::ReadContact(const Value& value) {
+  const Fields fields = ReadFields(value, {"restitution", "friction", "stiffness", "damping"});
+  ContactParameters contact;
+  if (const Value* restitution = fields.Find("restitution")) contact.restitution = ReadNumber(*restitution);
+  if (const Value* friction = fields.Find("friction")) contact.friction = ReadNumber(*friction);
+  if (const Value* stiffness = fields.Find("stiffness")) contact.stiffness = ReadNumber(*stiffness);
+  if (const Value* damping = fields.Find("damping")) contact.damping = ReadNumber(*damping);
+  return contact;
+}
+
+// One number for all, or a list with one for each.
+std::vector<double> SceneReader::ReadBounds(const Value& value, size_t count) {
+  if (!value.node.IsSequence()) return std::vector<double>(count, ReadNumber(value));
+  std::vector<double> bounds;
+  for (const Value& bound : ReadList(value, "a number, or a list of numbers")) bounds.push_back(ReadNumber(bound));
+  return bounds;
+}
+
+Control SceneReader::ReadControl(const Value& value) {
+  const Fields fields = ReadFields(value, {"bodies", "torque", "initial", "max", "max_norm", "max_torque"});
+  Control control;
+  control.bodies = ReadBodyNames(fields.Require("bodies", "a list of names of bodies"));
+  if (const Value* torque = fields.Find("torque")) control.turned = ReadBodyNames(*torque);
+  control.initial_torque.assign(control.turned.size(), 0.0);
+  const Value& initial = fields.Require("initial", "a list with one force [x, y] per controlled body, in N");
+  for (const Value& force : ReadList(initial, "a list with one force [x, y] per controlled body")) {
+    const auto begin = control.turned.begin(), end = control.turned.end();
+    const auto turned = control.initial.size() < control.bodies.size()
+                            ? std::find(begin, end, control.bodies[control.initial.size()])
+                            : end;
+    if (turned == end) {
+      control.initial.push_back(ReadVector(force));
+      continue;
+    }
+    constexpr char kExpected[] = "[x, y, torque], in N and N m, as the body is turned too";
+    const std::vector<Value> entries = ReadList(force, kExpected);
+    if (entries.size() != 3) FailExpected(force, kExpected);
+    control.initial.emplace_back(ReadNumber(entries[0]), ReadNumber(entries[1]));
+    control.initial_torque[turned - begin] = ReadNumber(entries[2]);
+  }
+  if (const Value* max = fields.Find("max")) control.max = ReadBounds(*max, control.bodies.size());
+  if (const Value* norm = fields.Find("max_norm")) control.max_norm = ReadBounds(*norm, control.bodies.size());
+  if (const Value* max = fields.Find("max_torque")) {
+    if (control.turned.empty()) Fail(*max, "found bounds of torques, expected none: there is no key control.torque");
+    control.max_torque = ReadBounds(*max, control.turned.size());
+  }
+  return control;
+}
+
+TerminalTerm::Quantity SceneReader::ReadQuantity(const Fields& fields) {
+  const Value& quantity = fields.Require("quantity", "position, velocity, angle or angular_velocity");
+  return static_cast<TerminalTerm::Quantity>(ReadChoice(quantity, {kQuantities.begin(), kQuantities.end()}));
+}
+
+TerminalTerm SceneReader::ReadTerm(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight", "hard"});
+  TerminalTerm term;
+  term.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  term.quantity = ReadQuantity(fields);
+  if (const Value* component = fields.Find("component")) {
+    term.component = ReadChoice(*component, {"x", "y"});
+    if (const Value* target = fields.Find("target")) {
+      Fail(*target, "found a target, expected none: with a component the term is linear");
+    }
+  } else if (term.IsOfSpin()) {
+    term.target = {ReadNumber(fields.Require("target", "the target in rad or rad/s")), 0};
+  } else {
+    term.target = ReadVector(fields.Require("target", "the target [x, y], or component: x or y"));
+  }
+  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
+  if (const Value* weight = fields.Find("weight")) {
+    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
+    term.weight = ReadNumber(*weight);
+  }
+  return term;
+}
+
+RunningTerm SceneReader::ReadRunning(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "quantity", "target", "weight"});
+  RunningTerm term;
+  term.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  term.quantity = ReadQuantity(fields);
+  constexpr char kRow[] = "a row [time, x, y]";
+  for (const Value& row : ReadList(fields.Require("target", "rows [time, x, y]"), "a list of rows [time, x, y]")) {
+    const std::vector<Value> entries = ReadList(row, kRow);
+    if (entries.size() != 3) FailExpected(row, kRow);
+    term.times.push_back(ReadNumber(entries[0]));
+    term.targets.emplace_back(ReadNumber(entries[1]), ReadNumber(entries[2]));
+  }
+  if (const Value* weight = fields.Find("weight")) term.weight = ReadNumber(*weight);
+  return term;
+}
+
+ViaTerm SceneReader::ReadVia(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "time", "quantity", "target", "weight", "hard"});
+  ViaTerm term;
+  term.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  term.time = ReadNumber(fields.Require("time", "the time in s"));
+  term.quantity = ReadQuantity(fields);
+  term.target = ReadVector(fields.Require("target", "the target [x, y]"));
+  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
+  if (const Value* weight = fields.Find("weight")) {
+    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
+    term.weight = ReadNumber(*weight);
+  }
+  return term;
+}
+
+FreeDuration SceneReader::ReadFreeDuration(const Value& value) {
+  const Fields fields = ReadFields(value, {"free", "min", "max", "weight"});
+  if (const Value& free = fields.Require("free", "free: true"); !ReadBool(free)) {
+    Fail(free, "found false, expected true, or no key duration: the scene's own is meant then");
+  }
+  FreeDuration duration;
+  duration.min = ReadNumber(fields.Require("min", "the shortest duration in s"));
+  duration.max = ReadNumber(fields.Require("max", "the longest duration in s"));
+  if (const Value* weight = fields.Find("weight")) duration.weight = ReadNumber(*weight);
+  return duration;
+}
+
+// Two names, of discs or of a disc and a plane.
+NoContact SceneReader::ReadNoContact(const Value& value) {
+  constexpr char kExpected[] = "a pair [body, body or plane]";
+  const std::vector<Value> names = ReadList(value, kExpected);
+  if (names.size() != 2) FailExpected(value, kExpected);
+  NoContact pair;
+  pair.a = ReadBodyName(names[0]);
+  const std::string& second = ReadName(names[1]);
+  for (size_t i = 0; i < scene_.planes.size(); ++i) {
+    if (scene_.planes[i].name == second) return {pair.a, static_cast<int>(i), true};
+  }
+  pair.b = ReadBodyName(names[1]);
+  if (pair.b < pair.a) std::swap(pair.a, pair.b);
+  return pair;
+}
+
+Objective SceneReader::ReadObjective(const Value& value) {
+  const Fields fields = ReadFields(value, {"terminal", "effort", "running", "via", "duration"});
+  Objective objective;
+  for (const Value& term : ReadList(fields.Require("terminal", "a list of terms"), "a list of terms")) {
+    objective.terminal.push_back(ReadTerm(term));
+  }
+  if (const Value* effort = fields.Find("effort")) objective.effort = ReadNumber(*effort);
+  if (const Value* running = fields.Find("running")) {
+    for (const Value& term : ReadList(*running, "a list of terms")) objective.running.push_back(ReadRunning(term));
+  }
+  if (const Value* via = fields.Find("via")) {
+    for (const Value& term : ReadList(*via, "a list of terms")) objective.via.push_back(ReadVia(term));
+  }
+  if (const Value* duration = fields.Find("duration")) objective.duration = ReadFreeDuration(*duration);
+  return objective;
+}
+
+void SceneReader::ReadBodies(const Value& value) {
+  for (const Value& body : ReadList(value, "a list of bodies")) {
+    scene_.bodies.push_back(ReadBody(body));
+    body_of_name_.emplace(scene_.bodies.back().name, scene_.num_bodies() - 1);
+  }
+}
+
+// A free duration between equal bounds is none: it is the scene's, with its price if it has one.
+void SceneReader::FixDuration() {
+  std::optional<FreeDuration>& duration = scene_.objective.duration;
+  if (!duration || duration->min != duration->max) return;
+  scene_.duration = duration->min;
+  if (duration->weight == 0) duration.reset();
+}
+
+Scene SceneReader::Read(const YAML::Node& root) {
+  const Fields fields = ReadFields({root, "", 1},
+                                   {"name",
+                                    "duration",
+                                    "steps",
+                                    "gravity",
+                                    "bodies",
+                                    "planes",
+                                    "segments",
+                                    "polygons",
+                                    "arcs",
+                                    "pockets",
+                                    "table",
+                                    "contact",
+                                    "control",
+                                    "objective",
+                                    "no_contact",
+                                    "optimize",
+                                    "free",
+                                    "free_spin"});
+  scene_.name = ReadName(fields.Require("name", "the name of the scene"));
+  scene_.duration = ReadNumber(fields.Require("duration", "the duration in s"));
+  scene_.steps = ReadSteps(fields.Require("steps", "the number of steps"));
+  if (const Value* gravity = fields.Find("gravity")) scene_.gravity = ReadVector(*gravity);
+  ReadBodies(fields.Require("bodies", "a list of bodies"));
+  if (const Value* planes = fields.Find("planes")) {
+    for (const Value& plane : ReadList(*planes, "a list of planes")) scene_.planes.push_back(ReadPlane(plane));
+  }
+  if (const Value* segments = fields.Find("segments")) {
+    for (const Value& one : ReadList(*segments, "a list of segments")) scene_.segments.push_back(ReadSegment(one));
+  }
+  if (const Value* polygons = fields.Find("polygons")) {
+    for (const Value& one : ReadList(*polygons, "a list of polygons")) scene_.polygons.push_back(ReadPolygon(one));
+  }
+  if (const Value* arcs = fields.Find("arcs")) {
+    for (const Value& one : ReadList(*arcs, "a list of arcs")) scene_.arcs.push_back(ReadArc(one));
+  }
+  if (const Value* pockets = fields.Find("pockets")) {
+    for (const Value& one : ReadList(*pockets, "a list of pockets")) scene_.pockets.push_back(ReadPocket(one));
+  }
+  if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
+  if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
+  if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
+  scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
+  if (const Value* pairs = fields.Find("no_contact")) {
+    for (const Value& pair : ReadList(*pairs, "a list of pairs")) scene_.no_contact.push_back(ReadNoContact(pair));
+  }
+  const Value& optimize = fields.Require("optimize", "control, velocity, position or none");
+  constexpr Optimize kChoices[] = {Optimize::kControl, Optimize::kVelocity, Optimize::kPosition, Optimize::kNone};
+  scene_.optimize = kChoices[ReadChoice(optimize, {"control", "velocity", "position", "none"})];
+  const bool starts = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
+  if (const Value* free = fields.Find("free")) {
+    const bool lacks_control = scene_.optimize == Optimize::kControl && scene_.num_controlled() == 0;
+    if (!starts && !lacks_control)
+      Fail(*free, "found bodies, expected none: they are for optimize: velocity or position");
+    scene_.free = ReadBodyNames(*free);
+  } else if (starts) {
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (!scene_.bodies[i].fixed) scene_.free.push_back(i);
+    }
+  }
+  if (const Value* spin = fields.Find("free_spin")) scene_.free_spin = ReadBodyNames(*spin);
+  FixDuration();
+  // Where a control is to be optimized, that there is none is the error.
+  if (scene_.objective.effort != 0 && scene_.num_controlled() == 0 && scene_.optimize != Optimize::kControl) {
+    throw SceneFileFailure{
+        LineOf("objective.effort"), "objective.effort", "expected 0 or no such key: no body is controlled"};
+  }
+  return scene_;
+}
+
+}  // namespace saltus::internal

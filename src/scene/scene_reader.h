@@ -1,0 +1,66 @@
+// Scenes out of the trees of scene files.
+#pragma once
+
+#include <array>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+#include "scene/yaml_value.h"
+
+namespace saltus::internal {
+
+// Of quantities in scene files, in the order of TerminalTerm::Quantity.
+inline constexpr std::array kQuantities = {"position", "velocity", "angle", "angular_velocity"};
+
+// Builds a Scene out of a YAML tree, and remembers the line of every path that it passes.
+class SceneReader {
+ public:
+  Scene Read(const YAML::Node& root);
+
+  // Line of a path, or of the innermost part of it that stands in the text.
+  int LineOf(std::string path) const;
+
+ private:
+  // A map all of whose keys are known.
+  struct Fields {
+    Value map;
+    std::unordered_map<std::string, Value> values;
+
+    const Value* Find(const std::string& key) const;
+    const Value& Require(const std::string& key, const std::string& expected) const;
+  };
+
+  Fields ReadFields(const Value& map, const std::vector<std::string>& known);
+  std::vector<Value> ReadList(const Value& list, const std::string& expected);
+  Vec2d ReadVector(const Value& value);
+  int ReadBodyName(const Value& value) const;
+  std::vector<int> ReadBodyNames(const Value& value);
+
+  Body ReadBody(const Value& value);
+  Plane ReadPlane(const Value& value);
+  EdgeSegment ReadSegment(const Value& value);
+  EdgePolygon ReadPolygon(const Value& value);
+  EdgeArc ReadArc(const Value& value);
+  Pocket ReadPocket(const Value& value);
+  TableFriction ReadTable(const Value& value);
+  ContactParameters ReadContact(const Value& value);
+  std::vector<double> ReadBounds(const Value& value, size_t count);
+  Control ReadControl(const Value& value);
+  TerminalTerm::Quantity ReadQuantity(const Fields& fields);
+  TerminalTerm ReadTerm(const Value& value);
+  RunningTerm ReadRunning(const Value& value);
+  ViaTerm ReadVia(const Value& value);
+  FreeDuration ReadFreeDuration(const Value& value);
+  NoContact ReadNoContact(const Value& value);
+  Objective ReadObjective(const Value& value);
+  void ReadBodies(const Value& value);
+  void FixDuration();
+
+  Scene scene_;
+  std::unordered_map<std::string, int> body_of_name_;
+  std::unordered_map<std::string, int> line_of_path_;
+};
+
+}  // namespace saltus::internal

@@ -1,0 +1,320 @@
+#include "scene/units.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+#include "scene/scene_rules.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kFar = 64;  // lengths from the origin; the origin moves by multiples of it
+
+// Numbers from which a scale can be found; without any it is 1.
+bool IsSize(double x) { return x > 0 && x < std::numeric_limits<double>::infinity(); }
+
+// 2^n nearest to x on a logarithmic scale, n = floor(log2(x sqrt(2))) exactly.
+double NearestPower(double x) { return IsSize(x) ? std::ldexp(1.0, std::ilogb(x * std::numbers::sqrt2)) : 1.0; }
+
+// The same for sqrt(square).
+double NearestPowerOfRoot(double square) {
+  if (!IsSize(square)) return 1;
+  const int twice = std::ilogb(2 * square);
+  return std::ldexp(1.0, (twice - (twice % 2 + 2) % 2) / 2);
+}
+
+struct Extent {
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  void Include(double from, double to) {
+    low = std::min(low, from);
+    high = std::max(high, to);
+  }
+  double size() const { return high > low ? high - low : 0; }
+  double middle() const { return high >= low ? low + 0.5 * (high - low) : 0; }
+};
+
+bool IsPositionTarget(const TerminalTerm& term) {
+  return term.quantity == TerminalTerm::Quantity::kPosition && !term.component;
+}
+
+// Calls visit(point) for points that the scene's segments, polygons, arcs and pockets do not leave.
+template <typename Visit>
+void VisitEdges(const Scene& scene, const Visit& visit) {
+  for (const EdgeSegment& segment : scene.segments) {
+    visit(segment.from);
+    visit(segment.to);
+  }
+  for (const EdgePolygon& polygon : scene.polygons) {
+    for (const Vec2d& point : polygon.points) visit(point);
+  }
+  for (const EdgeArc& arc : scene.arcs) {
+    for (const double side : {-arc.radius, arc.radius}) visit(Vec2d(arc.center + Vec2d(side, side)));
+  }
+  for (const Pocket& pocket : scene.pockets) {
+    for (const double side : {-pocket.radius, pocket.radius}) visit(Vec2d(pocket.position + Vec2d(side, side)));
+  }
+}
+
+// In one direction.
+Extent ExtentOf(const Scene& scene, int axis) {
+  Extent extent;
+  for (const Body& body : scene.bodies) {
+    extent.Include(body.position[axis] - body.radius, body.position[axis] + body.radius);
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (IsPositionTarget(term)) extent.Include(term.target[axis], term.target[axis]);
+  }
+  VisitEdges(scene, [&](const Vec2d& point) { extent.Include(point[axis], point[axis]); });
+  return extent;
+}
+
+double LengthOf(const Scene& scene) {
+  double length = std::max(ExtentOf(scene, 0).size(), ExtentOf(scene, 1).size());
+  for (const Plane& plane : scene.planes) {
+    const Vec2d normal = plane.normal.normalized();
+    for (const Body& body : scene.bodies) {
+      if (!body.fixed) length = std::max(length, std::abs(Dot(normal, Vec2d(body.position - plane.point))));
+    }
+  }
+  return NearestPower(length);
+}
+
+double MassOf(const Scene& scene) {
+  double mass = 0;
+  for (int body : scene.control.bodies) mass = std::max(mass, scene.bodies[body].mass);
+  for (size_t i = 0; scene.control.bodies.empty() && i < scene.bodies.size(); ++i) {
+    if (!scene.bodies[i].fixed) mass = std::max(mass, scene.bodies[i].mass);
+  }
+  return NearestPower(mass);
+}
+
+double SpeedOf(const Scene& scene, double length) {
+  const double mean = length / scene.duration;
+  const double table = scene.table ? scene.table->friction * scene.table->gravity : 0;
+  double square = mean * mean, gravity = scene.gravity.norm() + table, acceleration = gravity;
+  for (const Body& body : scene.bodies) {
+    square = std::max(square, body.velocity.squaredNorm());
+    // Friction turns the speed of the rim into speed.
+    if (body.Spins()) square = std::max(square, std::pow(body.radius * body.angular_velocity, 2));
+  }
+  for (size_t i = 0; i < scene.control.bodies.size(); ++i) {
+    const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
+    acceleration = std::max(acceleration, gravity + push);
+  }
+  for (int t = 0; t < scene.num_turned(); ++t) {  // of the rim
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    const double push = std::abs(scene.control.initial_torque[t]) * body.radius / body.MomentOfInertia();
+    acceleration = std::max(acceleration, gravity + push);
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool velocity = term.quantity == TerminalTerm::Quantity::kVelocity && !term.component;
+    if (velocity) square = std::max(square, term.target.squaredNorm());
+  }
+  return NearestPowerOfRoot(std::max(square, acceleration * length));
+}
+
+double SizeOf(TerminalTerm::Quantity quantity, const Units& units) {
+  switch (quantity) {
+    case TerminalTerm::Quantity::kPosition:
+      return units.length;
+    case TerminalTerm::Quantity::kVelocity:
+      return units.speed();
+    case TerminalTerm::Quantity::kAngle:
+      return 1;
+    case TerminalTerm::Quantity::kAngularVelocity:
+      break;
+  }
+  return 1 / units.time;
+}
+
+// Of scenes in any units, whose size is 1 then.
+double LossOf(const Scene& scene, const Units& units) {
+  double loss = 0;
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const double size = SizeOf(term.quantity, units);
+    loss = std::max(loss, std::abs(term.weight) * (term.component ? size : size * size));
+  }
+  if (!scene.control.bodies.empty()) {
+    // The force that moves the mass by the length in the duration.
+    const double force = units.mass * units.length / (scene.duration * scene.duration);
+    loss = std::max(loss, scene.objective.effort * force * force * scene.duration);
+  }
+  return NearestPower(loss);
+}
+
+}  // namespace
+
+UnitFactors::UnitFactors(const Units& from, const Units& to)
+    : length(from.length / to.length),
+      time(from.time / to.time),
+      mass(from.mass / to.mass),
+      loss(from.loss / to.loss),
+      speed(from.speed() / to.speed()),
+      acceleration(from.acceleration() / to.acceleration()),
+      force(from.force() / to.force()),
+      rate(to.time / from.time),
+      moment_of_inertia(from.moment_of_inertia() / to.moment_of_inertia()) {}
+
+Units NaturalUnits(const Scene& scene) {
+  if (scene.units.natural) return scene.units;
+  if (BrokenRule(scene)) {  // whoever asks is told so by what checks it
+    Units units = scene.units;
+    units.natural = true;
+    return units;
+  }
+  // In the scene's own first.
+  Units units;
+  units.length = LengthOf(scene);
+  units.mass = MassOf(scene);
+  units.time = units.length / SpeedOf(scene, units.length);
+  units.loss = LossOf(scene, units);
+  const double far = kFar * units.length;
+  for (int axis = 0; axis < 2; ++axis) units.origin[axis] = far * std::round(ExtentOf(scene, axis).middle() / far);
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    const bool linear = term.quantity == TerminalTerm::Quantity::kPosition && term.component;
+    if (linear) units.loss_at_origin += term.weight * units.origin[*term.component];
+  }
+  const Units& given = scene.units;
+  units.length *= given.length;
+  units.mass *= given.mass;
+  units.time *= given.time;
+  units.loss *= given.loss;
+  units.origin = given.origin + given.length * units.origin;
+  units.loss_at_origin = given.loss_at_origin + given.loss * units.loss_at_origin;
+  units.natural = true;
+  return units;
+}
+
+Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to) {
+  Vec2d moved = from.length * position;
+  if (from.origin != to.origin) moved = (moved + from.origin) - to.origin;
+  return moved / to.length;
+}
+
+double ConvertLoss(double loss, const Units& from, const Units& to) {
+  return (loss * from.loss + (from.loss_at_origin - to.loss_at_origin)) / to.loss;
+}
+
+std::vector<double> ConvertStates(std::vector<double> states, const Units& from, const Units& to) {
+  const double speed = UnitFactors(from, to).speed;
+  for (size_t i = 0; i + 4 <= states.size(); i += 4) {
+    const Vec2d position = ConvertPosition({states[i], states[i + 1]}, from, to);
+    states[i] = position[0];
+    states[i + 1] = position[1];
+    states[i + 2] *= speed;
+    states[i + 3] *= speed;
+  }
+  return states;
+}
+
+std::vector<double> ConvertInitial(std::vector<double> initial, int bodies, const Units& from, const Units& to) {
+  const size_t moves = std::min(initial.size(), 4 * static_cast<size_t>(bodies));
+  const std::vector<double> rotations(initial.begin() + static_cast<std::ptrdiff_t>(moves), initial.end());
+  initial.resize(moves);
+  initial = ConvertStates(std::move(initial), from, to);
+  const double rate = UnitFactors(from, to).rate;
+  for (size_t i = 0; i < rotations.size(); ++i) initial.push_back(i % 2 == 0 ? rotations[i] : rate * rotations[i]);
+  return initial;
+}
+
+std::vector<double> Multiplied(std::vector<double> numbers, double factor) {
+  for (double& number : numbers) number *= factor;
+  return numbers;
+}
+
+Scene InUnits(const Scene& scene, const Units& units) {
+  const UnitFactors by(scene.units, units);
+  const auto convert_position = [&](Vec2d* position) { *position = ConvertPosition(*position, scene.units, units); };
+  Scene out = scene;
+  out.units = units;
+  out.duration *= by.time;
+  out.gravity *= by.acceleration;
+  for (Body& body : out.bodies) {
+    body.radius *= by.length;
+    body.mass *= by.mass;
+    convert_position(&body.position);
+    body.velocity *= by.speed;
+    body.inertia.moment *= by.moment_of_inertia;
+    body.angular_velocity *= by.rate;
+  }
+  for (Plane& plane : out.planes) convert_position(&plane.point);
+  for (EdgeSegment& segment : out.segments) {
+    convert_position(&segment.from);
+    convert_position(&segment.to);
+  }
+  for (EdgePolygon& polygon : out.polygons) {
+    for (Vec2d& point : polygon.points) convert_position(&point);
+  }
+  for (EdgeArc& arc : out.arcs) {
+    convert_position(&arc.center);
+    arc.radius *= by.length;
+  }
+  for (Pocket& pocket : out.pockets) {
+    convert_position(&pocket.position);
+    pocket.radius *= by.length;
+  }
+  if (out.table) out.table->gravity *= by.acceleration;
+  out.contact.stiffness *= by.force / by.length;
+  out.contact.damping *= by.force / by.speed;
+  for (Vec2d& force : out.control.initial) force *= by.force;
+  out.control.max = Multiplied(std::move(out.control.max), by.force);
+  out.control.max_norm = Multiplied(std::move(out.control.max_norm), by.force);
+  out.control.initial_torque = Multiplied(std::move(out.control.initial_torque), by.force * by.length);
+  out.control.max_torque = Multiplied(std::move(out.control.max_torque), by.force * by.length);
+  using Quantity = TerminalTerm::Quantity;
+  const auto size_of = [&](const auto& term) {
+    switch (term.quantity) {
+      case Quantity::kPosition:
+        return by.length;
+      case Quantity::kVelocity:
+        return by.speed;
+      case Quantity::kAngle:
+        return 1.0;
+      case Quantity::kAngularVelocity:
+        break;
+    }
+    return by.rate;
+  };
+  const auto convert_target = [&](const auto& term, Vec2d* target) {
+    if (term.quantity == Quantity::kPosition) {
+      convert_position(target);
+    } else {
+      *target *= size_of(term);
+    }
+  };
+  for (TerminalTerm& term : out.objective.terminal) {
+    if (!term.component) convert_target(term, &term.target);
+    term.weight *= by.loss / (term.component ? size_of(term) : size_of(term) * size_of(term));
+  }
+  for (ViaTerm& term : out.objective.via) {
+    convert_target(term, &term.target);
+    term.time *= by.time;
+    term.weight *= by.loss / (size_of(term) * size_of(term));
+  }
+  for (RunningTerm& term : out.objective.running) {
+    for (Vec2d& target : term.targets) convert_target(term, &target);
+    term.times = Multiplied(std::move(term.times), by.time);
+    term.weight *= by.loss / (size_of(term) * size_of(term) * by.time);
+  }
+  if (std::optional<FreeDuration>& free = out.objective.duration) {
+    free->min *= by.time;
+    free->max *= by.time;
+    free->weight *= by.loss / by.time;
+  }
+  out.objective.effort *= by.loss / (by.force * by.force * by.time);
+  return out;
+}
+
+Scene NearOrigin(const Scene& scene) {
+  const Units natural = NaturalUnits(scene);
+  Units units = scene.units;
+  units.origin = natural.origin;
+  units.loss_at_origin = natural.loss_at_origin;
+  return InUnits(scene, units);
+}
+
+Scene InNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : InUnits(scene, NaturalUnits(scene)); }
+
+}  // namespace saltus

@@ -1,0 +1,355 @@
+#include "simulate/broad_phase.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <tuple>
+
+namespace saltus {
+namespace {
+
+// Rounding must never hide a pair.
+constexpr double kMargin = 1e-6;
+
+constexpr double kMostSteps = 1e9;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// The first t with closing * t + acceleration * t^2 >= gap; never negative. `closing` may be negative.
+double TimeToCover(double gap, double closing, double acceleration) {
+  if (gap <= 0) return 0;
+  const double root = std::sqrt(closing * closing + 4 * acceleration * gap);
+  if (closing < 0) return acceleration > 0 ? (root - closing) / (2 * acceleration) : kInfinity;
+  return closing + root > 0 ? 2 * gap / (closing + root) : kInfinity;
+}
+
+// Cells of the grid in each direction; a power of two. The grid goes on periodically, so that no disc is outside: what
+// far cells put into the same bucket is told apart by distance. At least 4, so that a cell's neighbours are different
+// ones.
+int GridWidth(int num_discs) {
+  int width = 4;
+  while (width * width < 2 * num_discs) width *= 2;
+  return width;
+}
+
+}  // namespace
+
+BroadPhase::BroadPhase(std::vector<WallPart> walls, std::vector<Disc> discs, const Options& options)
+    : walls_(std::move(walls)),
+      parts_(walls_),
+      discs_(std::move(discs)),
+      options_(options),
+      acceleration_(discs_.size(), 0.0),
+      now_(discs_.size()),
+      speed_(discs_.size()),
+      reach_(discs_.size()),
+      margin_(discs_.size()),
+      around_(discs_.size()) {
+  smallest_radius_ = kInfinity;
+  for (const Disc& disc : discs_) {
+    largest_radius_ = std::max(largest_radius_, disc.radius);
+    smallest_radius_ = std::min(smallest_radius_, disc.radius);
+  }
+}
+
+void BroadPhase::SetAccelerations(std::span<const double> accelerations) {
+  acceleration_.assign(accelerations.begin(), accelerations.end());
+  for (int i = 0; i < num_discs(); ++i) {
+    if (discs_[i].fixed) acceleration_[i] = 0;
+  }
+}
+
+template <typename S>
+int BroadPhase::Find(const S* x, int stride, std::vector<Candidate>* candidates) {
+  for (int i = 0; i < num_discs(); ++i, x += stride) {
+    now_[i].p = Vec2d(x[0], x[1]);
+    now_[i].v = Vec2d(x[2], x[3]);
+    if (discs_[i].gyration2 > 0) now_[i].turning = std::sqrt(discs_[i].gyration2) * x[5];
+  }
+  return FindInMotion(candidates);
+}
+
+template int BroadPhase::Find(const double*, int, std::vector<Candidate>*);
+template int BroadPhase::Find(const float*, int, std::vector<Candidate>*);
+
+int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
+  for (int i = 0; i < num_discs(); ++i) speed_[i] = discs_[i].fixed ? 0.0 : std::sqrt(Dot(now_[i].v, now_[i].v));
+  candidates->clear();
+  // Impacts may speed discs up within the step, which may add candidates, until the islands no longer grow.
+  for (size_t before = 0;; before = candidates->size()) {
+    SetReaches();
+    if (!ListStands()) {
+      if (num_discs() <= options_.all_pairs) {
+        ListAllPairs();
+      } else {
+        ListNearPairs();
+      }
+    }
+    Collect(candidates);
+    if (candidates->empty()) return QuietSteps();
+    if (!options_.chains || candidates->size() == before) return 1;
+    BoundSpeedsByEnergy(*candidates);
+  }
+}
+
+void BroadPhase::SetReaches() {
+  const double dt = options_.dt;
+  for (int i = 0; i < num_discs(); ++i) {
+    margin_[i] = kMargin * (std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]) + discs_[i].radius);
+    reach_[i] = (discs_[i].fixed ? 0.0 : (speed_[i] + acceleration_[i] * dt) * dt) + margin_[i];
+  }
+}
+
+bool BroadPhase::ListStands() const {
+  if (!listed_ || skin_ == kInfinity) return listed_;
+  for (int i = 0; i < num_discs(); ++i) {
+    const double left = 0.5 * skin_ - reach_[i];
+    const Vec2d moved = now_[i].p - there_[i];
+    if (left < 0 || Dot(moved, moved) > left * left) return false;
+  }
+  return true;
+}
+
+void BroadPhase::ListAllPairs() {
+  list_.clear();
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int j = i + 1; j < num_discs(); ++j) {
+      if (!discs_[i].fixed || !discs_[j].fixed) list_.push_back({i, j, false});
+    }
+  }
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int p = 0; !discs_[i].fixed && p < num_planes(); ++p) list_.push_back({i, p, true});
+  }
+  skin_ = kInfinity;
+  listed_ = true;
+}
+
+void BroadPhase::ListNearPairs() {
+  // With a wide skin the list stands for long, but is long where discs are small and close to each other.
+  const double reach = *std::max_element(reach_.begin(), reach_.end());
+  skin_ = std::max(4 * reach, std::min(18 * reach, 3 * smallest_radius_));
+  listed_ = true;
+  list_.clear();
+  there_.resize(num_discs());
+  for (int i = 0; i < num_discs(); ++i) there_[i] = now_[i].p;
+  // What is not finite meets nothing, and has no cell.
+  if (!std::isfinite(std::accumulate(reach_.begin(), reach_.end(), 0.0))) return;
+
+  const double near_gap = skin_ + options_.push_gap;
+  SortIntoGrid(2 * largest_radius_ + near_gap);
+  const int width = GridWidth(num_discs()), mask = width - 1;
+  for (int i = 0; i < num_discs(); ++i) {
+    const auto first = list_.size();
+    const auto compare_with = [&](int begin, int end) {
+      for (int at = begin; at < end; ++at) {
+        const int j = bucket_[at];
+        if (j <= i) continue;
+        const Vec2d d = there_[i] - there_[j];
+        const double near = discs_[i].radius + discs_[j].radius + near_gap;
+        if (Dot(d, d) <= near * near && !(discs_[i].fixed && discs_[j].fixed)) list_.push_back({i, j, false});
+      }
+    };
+    const int x = static_cast<int>(cell_x_[i]), y = static_cast<int>(cell_y_[i]);
+    for (int above = -1; above <= 1; ++above) {
+      const int row = ((y + above) & mask) * width;
+      if (x > 0 && x < mask) {
+        compare_with(bucket_start_[row + x - 1], bucket_start_[row + x + 2]);
+      } else {
+        for (int right = -1; right <= 1; ++right) {
+          const int bucket = row + ((x + right) & mask);
+          compare_with(bucket_start_[bucket], bucket_start_[bucket + 1]);
+        }
+      }
+    }
+    std::sort(list_.begin() + first, list_.end(), [](const auto& l, const auto& r) { return l.b < r.b; });
+  }
+  ListNearWalls(near_gap);
+}
+
+void BroadPhase::ListNearWalls(double near_gap) {
+  for (int i = 0; i < num_discs(); ++i) {
+    for (int p = 0; !discs_[i].fixed && p < num_planes(); ++p) {
+      const double gap = Dot(walls_[p].wall.normal, there_[i]) - walls_[p].wall.offset - discs_[i].radius;
+      if (gap <= near_gap || walls_[p].table) list_.push_back({i, p, true});
+    }
+  }
+}
+
+void BroadPhase::ListNearParts(int i) {
+  Around& around = around_[i];
+  const double touching = discs_[i].radius + options_.push_gap + reach_[i];
+  // Well before the list ends: otherwise, of many discs, one list always ends soon, and all are looked at again.
+  const double skin = std::max(4 * reach_[i], discs_[i].radius);
+  if (LeastUnlistedDistance(i) > touching + 0.5 * skin) return;
+  around.near = parts_.num_parts() <= options_.all_pairs ? kInfinity : touching + skin;
+  around.listed_at = now_[i].p;
+  parts_.FindNear(now_[i].p, around.near, &around.parts);
+  around.least = -kInfinity;  // not looked at yet
+}
+
+void BroadPhase::CollectParts(int i, std::vector<Candidate>* candidates) {
+  ListNearParts(i);
+  const double touching = discs_[i].radius + options_.push_gap + reach_[i];
+  if (LeastPartDistance(i) > touching) return;
+  Around& around = around_[i];
+  around.at = now_[i].p;
+  around.least = LeastUnlistedDistance(i);
+  for (int p : around.parts) {
+    const double distance = walls_[p].LeastDistance(now_[i].p);
+    around.least = std::min(around.least, distance);
+    if (distance < touching && MayCount(i, p)) candidates->push_back({i, p, true});
+  }
+}
+
+bool BroadPhase::MayCount(int i, int p) const {
+  const WallPart& part = walls_[p];
+  if (part.pocket) return true;
+  const Vec2d& x = now_[i].p;
+  const bool in_front = Separate<double>(x, part.wall).distance >= 0;
+  if (!options_.all_parts) return in_front && part.extent.Covers(x);
+  // From behind it is reached around an end only.
+  return in_front || !part.extent.Covers(x, -reach_[i]);
+}
+
+void BroadPhase::SortIntoGrid(double cell) {
+  const int n = num_discs(), width = GridWidth(n);
+  const auto bucket_of = [&](int i) { return cell_y_[i] * width + cell_x_[i]; };
+  cell_x_.resize(n);
+  cell_y_.resize(n);
+  bucket_.resize(n);
+  bucket_start_.assign(width * width + 1, 0);
+  constexpr double kFarthest = 1e15;  // further out, cells no longer matter
+  const auto cell_at = [&](double x) {
+    return static_cast<std::int64_t>(std::clamp(std::floor(x / cell), -kFarthest, kFarthest)) & (width - 1);
+  };
+  for (int i = 0; i < n; ++i) {
+    cell_x_[i] = cell_at(there_[i][0]);
+    cell_y_[i] = cell_at(there_[i][1]);
+    ++bucket_start_[bucket_of(i) + 1];
+  }
+  for (int b = 0; b < width * width; ++b) bucket_start_[b + 1] += bucket_start_[b];
+  // Filled from behind: the end of each bucket becomes its beginning.
+  for (int i = n - 1; i >= 0; --i) bucket_[--bucket_start_[bucket_of(i) + 1]] = i;
+  std::rotate(bucket_start_.begin(), bucket_start_.begin() + 1, bucket_start_.end());
+  bucket_start_.back() = n;
+}
+
+void BroadPhase::Collect(std::vector<Candidate>* candidates) {
+  candidates->clear();
+  for (const Candidate& c : list_) {
+    if (c.plane) {
+      const Wall<double>& plane = walls_[c.b].wall;
+      const double gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
+      const bool near = gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(plane.offset);
+      if (near || walls_[c.b].table) candidates->push_back(c);
+    } else {
+      const Vec2d d = now_[c.a].p - now_[c.b].p;
+      const double near = discs_[c.a].radius + discs_[c.b].radius + options_.push_gap + reach_[c.a] + reach_[c.b];
+      if (Dot(d, d) < near * near) candidates->push_back(c);
+    }
+  }
+  if (parts_.num_parts() == 0) return;
+  for (int i = 0; i < num_discs(); ++i) {
+    if (!discs_[i].fixed) CollectParts(i, candidates);
+  }
+  const auto walls = std::ranges::find_if(*candidates, [](const Candidate& pair) { return pair.plane; });
+  const auto before = [](const Candidate& l, const Candidate& r) { return std::tie(l.a, l.b) < std::tie(r.a, r.b); };
+  if (num_planes() > 0) std::sort(walls, candidates->end(), before);
+}
+
+int BroadPhase::Root(int i) {
+  while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+  return i;
+}
+
+void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
+  const int n = num_discs();
+  parent_.resize(n);
+  std::iota(parent_.begin(), parent_.end(), 0);
+  for (const Candidate& c : candidates) {
+    if (!c.plane && !discs_[c.a].fixed && !discs_[c.b].fixed) parent_[Root(c.a)] = Root(c.b);
+  }
+  energy_.assign(n, 0.0);  // twice the kinetic energy that a group can have during the step
+  group_size_.assign(n, 0);
+  for (int i = 0; i < n; ++i) group_size_[Root(i)] += !discs_[i].fixed;
+  const auto may_gain = [&](int i) { return group_size_[Root(i)] > 1 || discs_[i].gyration2 > 0; };
+  for (int i = 0; i < n; ++i) {
+    if (discs_[i].fixed || !may_gain(i)) continue;
+    const double speed = now_[i].v.norm();
+    const double all = now_[i].turning == 0 ? speed : std::hypot(speed, now_[i].turning);
+    const double fastest = all + acceleration_[i] * options_.dt;
+    energy_[Root(i)] += discs_[i].mass * fastest * fastest;
+  }
+  for (int i = 0; i < n; ++i) {
+    // A group gains speed from forces too: each disc at most its own acceleration, times the mass ratio after impacts.
+    if (may_gain(i)) speed_[i] = std::max(speed_[i], std::sqrt(energy_[Root(i)] / discs_[i].mass));
+  }
+}
+
+double BroadPhase::Drift(int i) const {
+  // After n steps and the prediction of the next, a disc is off p + t v by at most a (t^2 + t dt) / 2, where `a` counts
+  // what each step's rounding adds to position and velocity.
+  const double dt = options_.dt;
+  const double size = std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]);
+  return discs_[i].fixed ? 0.0 : acceleration_[i] + 4 * options_.rounding * (size / dt + speed_[i]) / dt;
+}
+
+double BroadPhase::TimeToMeet(const Candidate& c) const {
+  const double dt = options_.dt;
+  double gap, closing, acceleration;
+  if (c.plane && !walls_[c.b].extent.endless) {
+    gap = walls_[c.b].LeastDistance(now_[c.a].p) - discs_[c.a].radius - margin_[c.a];
+    closing = walls_[c.b].Closing(now_[c.a].p, now_[c.a].v);
+    acceleration = Drift(c.a);
+  } else if (c.plane) {
+    const Wall<double>& plane = walls_[c.b].wall;
+    gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
+    gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
+    closing = -Dot(plane.normal, now_[c.a].v);
+    acceleration = Drift(c.a);
+  } else {
+    const Vec2d d = now_[c.a].p - now_[c.b].p;
+    const double distance = std::sqrt(Dot(d, d));
+    gap = distance - discs_[c.a].radius - discs_[c.b].radius - margin_[c.a] - margin_[c.b];
+    closing = -Dot(d, Vec2d(now_[c.a].v - now_[c.b].v)) / distance;
+    acceleration = Drift(c.a) + Drift(c.b);
+  }
+  return TimeToCover(gap - options_.push_gap, closing + 0.5 * acceleration * dt, 0.5 * acceleration);
+}
+
+double BroadPhase::TimeToMeetParts(int i, double enough) const {
+  if (discs_[i].fixed) return enough;
+  const double drift = Drift(i), touching = discs_[i].radius + margin_[i] + options_.push_gap;
+  const auto time_to = [&](double distance) {
+    return TimeToCover(distance - touching, speed_[i] + 0.5 * drift * options_.dt, 0.5 * drift);
+  };
+  if (time_to(LeastPartDistance(i)) >= enough) return enough;
+  const auto reached_in = [&](double time) {
+    return touching + time * (speed_[i] + 0.5 * drift * (options_.dt + time));
+  };
+  double least = std::min(enough, time_to(LeastUnlistedDistance(i)));
+  double reached = reached_in(least);  // what is further is not met before then
+  for (int p : around_[i].parts) {
+    if (walls_[p].LeastDistance(now_[i].p) >= reached) continue;
+    const double time = TimeToMeet({i, p, true});
+    if (time >= least) continue;
+    least = time;
+    reached = reached_in(least);
+  }
+  return least;
+}
+
+int BroadPhase::QuietSteps() const {
+  double quiet = kInfinity;
+  for (const Candidate& c : list_) quiet = std::min(quiet, TimeToMeet(c));
+  for (int i = 0; i < num_discs() && parts_.num_parts() > 0; ++i) quiet = TimeToMeetParts(i, quiet);
+  if (skin_ < kInfinity) {
+    for (int i = 0; i < num_discs(); ++i) {
+      const double left = 0.5 * skin_ - (now_[i].p - there_[i]).norm() - margin_[i];
+      quiet = std::min(quiet, TimeToCover(left, speed_[i], acceleration_[i]));
+    }
+  }
+  return static_cast<int>(std::clamp(quiet / options_.dt * (1 - kMargin), 1.0, kMostSteps));
+}
+
+}  // namespace saltus

@@ -1,0 +1,129 @@
+// Which discs can touch within one step, whatever contact model resolves it.
+//
+// A disc cannot leave the ball of radius
+//   reach = (|v| + |a| dt) dt
+// around its position before the step ends, for any of the integrators. A pair is a candidate if its gap is no larger
+// than its reaches, plus the gap from which on the model lets bodies push each other (ModelTraits::push_gap). Where
+// impacts can follow each other within a step (ModelTraits::chains), the speed of a disc is bounded by the kinetic
+// energy of all discs that it can meet, that of their spin included, and candidates are extended until they no longer
+// grow.
+//
+// Few discs are compared all with all. Of many, a list of near pairs is kept (Verlet 1967), found with a uniform grid:
+// all pairs whose gap is at most `skin` more than that. It stands as long as no disc can have moved by more than half
+// of that.
+//
+// Of the parts of edges (walls.h), near pairs come from a grid of their own (part_grid.h). They are looked at again
+// when the disc can have come near the nearest of them. A part is a candidate for a disc where it counts at the start
+// of the step, on the disc's side; or, for models that look ahead (all_parts), wherever it may do so before the end.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "saltus/contact/contact_model.h"
+#include "saltus/scene/walls.h"
+#include "simulate/part_grid.h"
+
+namespace saltus {
+
+class BroadPhase {
+ public:
+  struct Disc {
+    double radius;
+    double mass;
+    bool fixed;
+    double gyration2 = 0;  // m^2, square of the radius of gyration of a disc that spins; else 0
+  };
+  struct Options {
+    double dt;               // s
+    bool chains;             // as ModelTraits::chains
+    double push_gap;         // m, ModelTraits::push_gap
+    double rounding;         // relative error of one operation of the simulation
+    bool all_parts = false;  // edges: all that may be met, not only those that count at the start
+    int all_pairs = 16;      // up to so many discs, and parts of edges, all pairs are compared
+  };
+
+  BroadPhase(std::vector<WallPart> walls, std::vector<Disc> discs, const Options& options);
+
+  // Bounds on the accelerations of the discs in the steps to come, m/s^2.
+  void SetAccelerations(std::span<const double> accelerations);
+
+  // Overwrites `candidates`: discs by index pairs, then discs against planes. Returns for how many steps, this one
+  // included, the list stands, at least 1: one if there are candidates; otherwise as long as no disc can have met
+  // another while the accelerations stay within their bounds. `x` has [p_x p_y v_x v_y ...] of each disc, `stride`
+  // numbers from one disc to the next; of one that spins, its angular velocity is the sixth. Discs that are not finite
+  // meet nothing.
+  template <typename S>
+  int Find(const S* x, int stride, std::vector<Candidate>* candidates);
+
+ private:
+  struct Motion {
+    Vec2d p, v;
+    double turning = 0;  // m/s, radius of gyration times angular velocity
+  };
+
+  int num_planes() const { return static_cast<int>(walls_.size()) - parts_.num_parts(); }
+  int num_discs() const { return static_cast<int>(discs_.size()); }
+  int FindInMotion(std::vector<Candidate>* candidates);
+  // reach_ from the speeds, with a margin for rounding.
+  void SetReaches();
+  bool ListStands() const;
+  void ListAllPairs();
+  void ListNearPairs();
+  void SortIntoGrid(double cell);
+  void ListNearWalls(double near_gap);
+  // Lists the parts of edges near disc i, unless the list stands.
+  void ListNearParts(int i);
+  void Collect(std::vector<Candidate>* candidates);
+  void CollectParts(int i, std::vector<Candidate>* candidates);
+  // Whether part p of an edge may count for disc i within the step.
+  bool MayCount(int i, int p) const;
+  // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
+  void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
+  int Root(int i);
+  // For how many steps nothing meets, if nothing can in this one.
+  int QuietSteps() const;
+  double TimeToMeet(const Candidate& pair) const;
+  // Of disc i and the parts of edges near it, or `enough` if it is no less.
+  double TimeToMeetParts(int i, double enough) const;
+  // A bound on the acceleration of disc i, what rounding adds included, m/s^2.
+  double Drift(int i) const;
+  // A bound on the distance of disc i to any part of an edge, and to those that are not listed for it, m.
+  double LeastPartDistance(int i) const { return around_[i].least - (now_[i].p - around_[i].at).norm(); }
+  double LeastUnlistedDistance(int i) const { return around_[i].near - (now_[i].p - around_[i].listed_at).norm(); }
+
+  std::vector<WallPart> walls_;
+  PartGrid parts_;
+  std::vector<Disc> discs_;
+  Options options_;
+  std::vector<double> acceleration_;
+
+  std::vector<Motion> now_;
+  std::vector<double> speed_, reach_, margin_;  // m/s, m, m, bounds for this step
+
+  std::vector<Candidate> list_;  // near pairs, discs by index pairs, then discs against planes
+  // The parts of edges near a disc.
+  struct Around {
+    std::vector<int> parts;
+    Vec2d listed_at = Vec2d::Zero();  // where it was when they were listed, ...
+    double near = -1;                 // m, ... all that were so near
+    Vec2d at = Vec2d::Zero();         // where it was when they were last looked at, ...
+    double least = 0;                 // m, ... and a bound on the distance to any part then
+  };
+  std::vector<Around> around_;
+  bool listed_ = false;
+  double skin_ = 0;             // m; infinite if the list has all pairs
+  std::vector<Vec2d> there_;    // positions when it was made
+  double largest_radius_ = 0;   // m
+  double smallest_radius_ = 0;  // m
+
+  std::vector<int> parent_, group_size_;
+  std::vector<double> energy_;
+
+  // The grid: discs sorted by the hash of their cell.
+  std::vector<std::int64_t> cell_x_, cell_y_;
+  std::vector<int> bucket_start_, bucket_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,305 @@
+#include "saltus/simulate/event_sides.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory_resource>
+#include <numeric>
+
+#include "contact/event/event_press.h"
+
+namespace saltus {
+namespace {
+
+using internal::Approach;
+template <int kRotation>
+using Group = internal::PressedGroup<double, kRotation>;
+template <int kRotation>
+using ContactOf = typename Group<kRotation>::Contact;
+
+// A component of a direction, of length 1, that is rounding.
+constexpr double kNoComponent = 1e-9;
+
+// The discs of a scene at its start, as a step sees them.
+template <int kRotation>
+struct Start {
+  explicit Start(const Scene& scene) {
+    for (const Body& body : scene.bodies) {
+      const double inverse_mass = body.fixed ? 0.0 : 1 / body.mass;
+      bodies.push_back({body.mass, inverse_mass, body.radius, body.fixed});
+      if (body.Spins()) bodies.back().inverse_inertia = 1 / body.MomentOfInertia();
+    }
+    for (WallPart& part : WallPartsOf(scene)) {
+      if (part.pocket && in.num_pockets++ == 0) in.first_pocket = static_cast<int>(planes.size());
+      planes.push_back(part.wall);
+      extents.push_back(std::move(part.extent));
+    }
+    force.assign(bodies.size(), Vec2d(0, 0));
+    for (int i = 0; i < scene.num_controlled(); ++i) force[scene.control.bodies[i]] = scene.control.initial[i];
+    in.h = scene.dt();
+    in.gravity = scene.gravity;
+    in.contact = {scene.contact.restitution, scene.contact.friction, scene.contact.stiffness, scene.contact.damping};
+    in.bodies = bodies;
+    in.planes = planes;
+    in.extents = extents;
+    in.force = force;
+    in.scratch = &scratch;
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      const Body& body = scene.bodies[i];
+      discs.push_back({0, body.position, body.fixed ? Vec2d(0, 0) : body.velocity, in.Acceleration(i)});
+      if constexpr (kRotation == kSpin) discs.back().turn = {body.angle, body.angular_velocity, 0};
+    }
+    FindTouching();
+    in.candidates = touching;
+  }
+
+  Approach Measure(const Candidate& c) const {
+    const auto motion = [&](int i) { return internal::Motion{discs[i].p, discs[i].v, discs[i].a}; };
+    if (c.plane) return MeasureApproach(motion(c.a), planes[c.b], in.ContactDistance(c));
+    return MeasureApproach(motion(c.a), motion(c.b), in.ContactDistance(c));
+  }
+  // Whether the normal turns as the two move along each other.
+  bool Bends(const Candidate& c) const { return !c.plane || planes[c.b].curved(); }
+  Vec2d Normal(const Candidate& c) const {
+    return SeparationAt(in, c, [&](int i) { return discs[i].p; }).normal;
+  }
+
+  std::pmr::monotonic_buffer_resource scratch;  // what a step keeps until its end
+  std::vector<BodyConstants<double>> bodies;
+  std::vector<Wall<double>> planes;
+  std::vector<WallExtent> extents;
+  std::vector<Vec2d> force;
+  std::vector<internal::EventDisc<double, kRotation>> discs;
+  std::vector<Candidate> touching;
+  StepInput<double> in{};
+
+ private:
+  // Discs in order of their left ends, so that only those whose widths meet are looked at.
+  void FindTouching() {
+    const int n = static_cast<int>(bodies.size());
+    const auto add = [&](const Candidate& c) {
+      if (in.IsPocket(c)) return;
+      if (c.plane && !extents[c.b].Covers(discs[c.a].p, internal::kSeam)) return;
+      const double gap = Measure(c).gap;
+      const bool behind = c.plane && !extents[c.b].endless && gap <= -bodies[c.a].radius;
+      if (gap <= internal::kContactGap && !behind) touching.push_back(c);
+    };
+    const auto left = [&](int i) { return discs[i].p[0] - bodies[i].radius; };
+    std::vector<int> order(n);
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](int i, int j) { return left(i) < left(j); });
+    for (int k = 0; k < n; ++k) {
+      const int i = order[k];
+      const double right = discs[i].p[0] + bodies[i].radius + internal::kContactGap;
+      for (int l = k + 1; l < n && left(order[l]) <= right; ++l) {
+        const int j = order[l];
+        if (!bodies[i].fixed || !bodies[j].fixed) add({std::min(i, j), std::max(i, j)});
+      }
+      for (int plane = 0; plane < static_cast<int>(planes.size()) && !bodies[i].fixed; ++plane) add({i, plane, true});
+    }
+  }
+};
+
+// Collects the sides on which derivatives do not exist.
+template <int kRotation>
+class Sides {
+ public:
+  explicit Sides(const Start<kRotation>& start) : start_(start), missing_(start.bodies.size()) {}
+
+  // There is no derivative for changes of `quantity` that move a against b along -direction.
+  void AddOneSided(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
+    const Vec2d unit = direction.normalized();
+    Add(c.a, quantity, unit);
+    if (!c.plane) Add(c.b, quantity, -unit);
+  }
+  // Nor along direction.
+  void AddNone(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
+    AddOneSided(c, quantity, direction);
+    AddOneSided(c, quantity, -direction);
+  }
+
+  std::vector<OneSided> All() const {
+    std::vector<OneSided> all;
+    for (int i = 0; i < static_cast<int>(missing_.size()); ++i) {
+      if (start_.bodies[i].fixed) continue;
+      for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
+        for (int k = 0; k < 2; ++k) {
+          const auto& [below, above] = missing_[i].at[static_cast<int>(quantity)][k];
+          if (!below && !above) continue;
+          const auto side = !above ? OneSided::Side::kAbove : !below ? OneSided::Side::kBelow : OneSided::Side::kNone;
+          all.push_back({i, quantity, k, side});
+        }
+      }
+    }
+    return all;
+  }
+
+ private:
+  struct Missing {
+    bool at[2][2][2] = {};  // by quantity and component: for a smaller value, for a larger one
+  };
+  void Add(int i, OneSided::Quantity quantity, const Vec2d& direction) {
+    for (int k = 0; k < 2; ++k) {
+      bool(&missing)[2] = missing_[i].at[static_cast<int>(quantity)][k];
+      if (direction[k] > kNoComponent) missing[0] = true;
+      if (direction[k] < -kNoComponent) missing[1] = true;
+    }
+  }
+
+  const Start<kRotation>& start_;
+  std::vector<Missing> missing_;
+};
+
+bool LossHasVelocities(const Scene& scene) {
+  const std::vector<TerminalTerm>& terms = scene.objective.terminal;
+  return std::any_of(terms.begin(), terms.end(), [](const TerminalTerm& term) {
+    return term.quantity == TerminalTerm::Quantity::kVelocity;
+  });
+}
+
+// Several contacts, of which some that stick are pressed along themselves.
+template <int kRotation>
+bool IsHeldByFriction(const Group<kRotation>& group) {
+  return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const auto& contact) {
+           return contact.closed && contact.mode == ContactMode::kStick &&
+                  std::abs(contact.force.tangential_force) > kNoComponent * contact.force.normal_force;
+         });
+}
+
+// How much the force of a contact accelerates what another measures along its normal, at the discs that they share.
+template <int kRotation>
+bool Couples(const Start<kRotation>& start, const Group<kRotation>& group, const ContactOf<kRotation>& measured,
+             const ContactOf<kRotation>& pushing) {
+  const Candidate &m = start.touching[measured.pair], &p = start.touching[pushing.pair];
+  double shared = 0;
+  const auto meet = [&](int i, int j, double sign) { shared += i == j ? sign * start.bodies[i].inverse_mass : 0; };
+  meet(m.a, p.a, 1);
+  if (!p.plane) meet(m.a, p.b, -1);
+  if (!m.plane) meet(m.b, p.a, -1);
+  if (!m.plane && !p.plane) meet(m.b, p.b, 1);
+  if (shared == 0) return false;
+  const Vec2d normal = start.Normal(m), pushed = start.Normal(p), tangent = Perpendicular(pushed);
+  const auto along = [&](const Vec2d& direction) { return std::abs(Dot(normal, direction)) > kNoComponent; };
+  if (pushing.mode == ContactMode::kStick) return along(pushed) || along(tangent);
+  return along(pushed + group.TangentialShare(pushing) * tangent);
+}
+
+// The pressed contacts whose forces reach, from one to the next, one that touches only: what bounces there strikes it.
+template <int kRotation>
+std::vector<const ContactOf<kRotation>*> FindRattling(const Start<kRotation>& start, const Group<kRotation>& group) {
+  std::vector<const ContactOf<kRotation>*> reached;
+  for (const auto& contact : group.contacts()) {
+    if (!contact.closed) reached.push_back(&contact);
+  }
+  const std::size_t open = reached.size();
+  for (std::size_t k = 0; k < reached.size(); ++k) {
+    for (const auto& contact : group.contacts()) {
+      const bool known = std::find(reached.begin(), reached.end(), &contact) != reached.end();
+      if (!known && Couples<kRotation>(start, group, *reached[k], contact)) reached.push_back(&contact);
+    }
+  }
+  reached.erase(reached.begin(), reached.begin() + static_cast<std::ptrdiff_t>(open));
+  return reached;
+}
+
+template <int kRotation>
+void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<kRotation>& group,
+                Sides<kRotation>* sides) {
+  using Quantity = OneSided::Quantity;
+  const double friction = scene.contact.friction, restitution = scene.contact.restitution;
+  const bool undecided = IsHeldByFriction<kRotation>(group);
+  for (const auto* contact : FindRattling<kRotation>(start, group)) {
+    const Candidate& c = start.touching[contact->pair];
+    const Vec2d normal = start.Normal(c);
+    for (const auto quantity : {Quantity::kPosition, Quantity::kVelocity}) sides->AddNone(c, quantity, normal);
+    if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, Perpendicular(normal));  // see below
+  }
+  for (const auto& contact : group.contacts()) {
+    const Candidate& c = start.touching[contact.pair];
+    const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
+    if (!contact.closed) {
+      sides->AddOneSided(c, Quantity::kVelocity, normal);
+      // Before the point where they slide past each other they would meet there.
+      const double sliding = group.SlidingSpeed(contact);
+      if (start.Bends(c) && std::abs(sliding) > internal::kStickSpeed) {
+        sides->AddOneSided(c, Quantity::kPosition, std::copysign(1.0, sliding) * tangent);
+      }
+      continue;
+    }
+    if (restitution >= 1) {
+      sides->AddNone(c, Quantity::kPosition, normal);
+      if (LossHasVelocities(scene)) {
+        sides->AddNone(c, Quantity::kVelocity, normal);
+        if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, tangent);  // see below
+      }
+    }
+    if (undecided) sides->AddNone(c, Quantity::kPosition, normal);
+    const bool starts =
+        contact.mode == ContactMode::kSlip && std::abs(group.SlidingSpeed(contact)) <= internal::kStickSpeed;
+    if (!starts) continue;
+    // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
+    const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;
+    sides->AddOneSided(c, Quantity::kVelocity, slides);
+    const PressingContact& force = contact.force;
+    const double give = force.tangential_mass > 0 ? force.mass / force.tangential_mass : 1;  // as discs that spin turn
+    const double stopped = friction * (1 + restitution) * give;  // along the tangent, of the speed of an impact
+    sides->AddOneSided(c, Quantity::kVelocity, slides + stopped * normal);
+    const Vec2d a = start.discs[c.a].a - (c.plane ? Vec2d(0, 0) : start.discs[c.b].a);
+    const bool alone = group.contacts().size() == 1;
+    const bool slips = restitution == 0 || Dot(slides, a) >= -stopped * Dot(normal, a);
+    if (alone && slips) continue;
+    sides->AddNone(c, Quantity::kPosition, normal);
+    // Moved along another disc by h, it is h^2 / (2 R) off it, and falls back at a speed that is proportional to h.
+    if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, tangent);
+  }
+}
+
+}  // namespace
+
+const char* QuantityToString(OneSided::Quantity quantity) {
+  return quantity == OneSided::Quantity::kPosition ? "position" : "velocity";
+}
+
+const char* SideToString(OneSided::Side side) {
+  if (side == OneSided::Side::kNone) return "none";
+  return side == OneSided::Side::kAbove ? "+" : "-";
+}
+
+namespace {
+
+template <int kRotation>
+std::vector<OneSided> FindOneSided(const Scene& scene) {
+  const Start<kRotation> start(scene);
+  Sides<kRotation> sides(start);
+  std::vector<char> settled(start.touching.size(), 0);
+  Group<kRotation> group(start.in);
+  std::vector<internal::EventDisc<double, kRotation>> discs = start.discs;
+  group.SetDiscs(discs);
+  const int n = static_cast<int>(start.touching.size());
+  // Only what neither parts nor meets at speed can be pressed.
+  const auto rests = [&](int q) { return start.Measure(start.touching[q]).Touching(); };
+  for (int q = 0; q < n; ++q) {
+    sides.AddOneSided(start.touching[q], OneSided::Quantity::kPosition, start.Normal(start.touching[q]));
+    if (settled[q] || !rests(q)) continue;
+    group.Clear();
+    for (bool grows = true; grows;) {
+      grows = false;
+      for (int other = q; other < n; ++other) {
+        const Candidate& c = start.touching[other];
+        const bool joins = other == q || group.HasDisc(c.a) || (!c.plane && group.HasDisc(c.b));
+        if (settled[other] || !joins || !rests(other)) continue;
+        group.Add(other);
+        settled[other] = grows = true;
+      }
+    }
+    if (group.SolveForces()) AddPressed<kRotation>(scene, start, group, &sides);
+  }
+  return sides.All();
+}
+
+}  // namespace
+
+std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
+  return scene.Spins() ? FindOneSided<kSpin>(scene) : FindOneSided<0>(scene);
+}
+
+}  // namespace saltus

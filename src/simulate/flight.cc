@@ -1,0 +1,111 @@
+#include "simulate/flight.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+
+#include "base/time_grid.h"
+
+namespace saltus {
+namespace {
+
+DiscStates After(const Flight::Piece& piece, double s) {
+  DiscStates x = piece.at_start;
+  for (size_t i = 0; i < x.p.size(); ++i) {
+    x.p[i] += s * (x.v[i] + 0.5 * s * piece.acceleration[i]);
+    x.v[i] += s * piece.acceleration[i];
+  }
+  for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
+  for (size_t i = 0; i < piece.turning.size(); ++i) {
+    x.angle[i] += 0.5 * s * s * piece.turning[i];
+    x.spin[i] += s * piece.turning[i];
+  }
+  return x;
+}
+
+std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
+  std::vector<Vec2d> acceleration;
+  for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    const int body = scene.control.bodies[c];
+    acceleration[body] += Vec2d(forces[2 * c], forces[2 * c + 1]) / scene.bodies[body].mass;
+  }
+  return acceleration;
+}
+
+// Under the rows of a control.
+std::vector<double> Turnings(const Scene& scene, const double* row) {
+  std::vector<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    const Body& body = scene.bodies[scene.control.turned[t]];
+    turning[scene.control.turned[t]] = row[scene.TurnIndex(0, t)] * body.radius / body.MomentOfInertia();
+  }
+  return turning;
+}
+
+Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
+  if (c.plane) return MakeHalfPlane(scene.planes[c.b]).normal;
+  return Separate<double>(x.p[c.a], x.p[c.b]).normal;
+}
+
+}  // namespace
+
+Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
+               std::span<const double> durations, const ExactRun& run) {
+  CHECK(run.ok);
+  const size_t width = scene.control_width();
+  CHECK_EQ(control.size(), durations.size() * width);
+  DiscStates x;
+  const size_t moves = 4 * scene.bodies.size();
+  for (size_t i = 0; i < moves; i += 4) {
+    x.p.emplace_back(initial[i], initial[i + 1]);
+    x.v.emplace_back(initial[i + 2], initial[i + 3]);
+  }
+  for (size_t i = moves; i < initial.size(); i += kSpin) {
+    x.angle.push_back(initial[i]);
+    x.spin.push_back(initial[i + 1]);
+  }
+  double start = 0;
+  size_t next = 0;
+  for (size_t k = 0; k < durations.size(); ++k) {
+    const std::vector<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
+    const std::vector<double> turning = Turnings(scene, control.data() + k * width);
+    const double h = durations[k], margin = kNodeMargin * h;
+    double now = 0;  // since the start of the interval
+    const auto fly_to = [&](double to) {
+      const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration, turning};
+      x = After(piece, to - now);
+      if (to - now > margin) pieces_.push_back(piece);
+      now = to;
+    };
+    while (next < run.places.size() && run.places[next].interval == static_cast<int>(k)) {
+      const Candidate& c = run.contacts[next];
+      const double at = std::clamp(run.places[next].time, now, h);
+      fly_to(at);
+      const ImpactConstants law = MakeImpactConstants(scene, c);
+      Hit hit{start + at, c, static_cast<int>(pieces_.size()), IsOnNode(at, h), x, {}};
+      const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
+      hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other, x.SpinsOf(c));
+      x.v[c.a] += law.inverse_mass_a * hit.impact.impulse;
+      if (!c.plane) x.v[c.b] -= law.inverse_mass_b * hit.impact.impulse;
+      if (law.Spins()) {
+        x.spin[c.a] += SpinGain(law, 0, hit.impact);
+        if (!c.plane) x.spin[c.b] += SpinGain(law, 1, hit.impact);
+      }
+      hits_.push_back(std::move(hit));
+      ++next;
+    }
+    fly_to(h);
+    start += h;
+  }
+  end_ = x;
+}
+
+DiscStates Flight::Before(double time) const {
+  const auto after =
+      std::partition_point(pieces_.begin(), pieces_.end(), [&](const Piece& piece) { return piece.start < time; });
+  const Piece& piece = after == pieces_.begin() ? *after : *(after - 1);
+  return After(piece, std::min(time - piece.start, piece.duration));
+}
+
+}  // namespace saltus

@@ -1,0 +1,69 @@
+// The exact motion of all discs under a piecewise constant control, as pieces of constant accelerations (angular ones
+// too) and the impacts between them: what an exact re-simulation has found, written out for those who need it
+// between grid nodes.
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "control/impact.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/exact_run.h"
+
+namespace saltus {
+
+struct DiscStates {
+  std::vector<Vec2d> p, v;                    // m and m/s, of every disc
+  std::vector<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
+  // Angular velocities of a and b; 0 of a plane, and where nothing spins.
+  std::array<double, 2> SpinsOf(const Candidate& c) const {
+    if (spin.empty()) return {0, 0};
+    return {spin[c.a], c.plane ? 0.0 : spin[c.b]};
+  }
+};
+
+class Flight {
+ public:
+  // All discs over a part of one control interval.
+  struct Piece {
+    int interval = 0;
+    double start = 0, duration = 0;  // s
+    DiscStates at_start;
+    std::vector<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
+    std::vector<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
+
+    double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
+  };
+  struct Hit {
+    double time = 0;
+    Candidate contact;
+    int next_piece = 0;    // the piece that starts here
+    bool on_node = false;  // at the boundary of two control intervals
+    DiscStates before;     // all discs just before
+    Impact<double> impact;
+  };
+
+  // `run` is the exact run of `initial` and `control` on intervals of `durations`. Preconditions: run.ok, and
+  // durations.size() rows in `control`.
+  Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
+         std::span<const double> durations, const ExactRun& run);
+
+  const std::vector<Piece>& pieces() const { return pieces_; }
+  const std::vector<Hit>& hits() const { return hits_; }
+  const DiscStates& end() const { return end_; }
+
+  // Just before `time`, which lies in [0, T].
+  DiscStates Before(double time) const;
+
+ private:
+  void Fly(double duration);
+
+  std::vector<Piece> pieces_;
+  std::vector<Hit> hits_;
+  DiscStates end_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,319 @@
+// The reverse sweep through a rollout: cotangents of the discs' states, pulled back contact by contact.
+//
+// A disc is pulled back through its flights only when it touches something, so a step costs nothing but what is done
+// with the forces in it.
+#pragma once
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <array>
+#include <span>
+#include <type_traits>
+#include <vector>
+
+#include "saltus/simulate/simulator.h"
+#include "simulate/free_flight.h"
+#include "simulate/island_derivative.h"
+#include "simulate/rollout_record.h"
+#include "simulate/stepper.h"
+#include "simulate/trajectory.h"
+#include "simulate/typed_scene.h"
+
+namespace saltus {
+
+template <typename S, int kRotation>
+class ModelAdjoint {
+ public:
+  using Model = ContactStep<S, kRotation>;
+  static constexpr int kSize = 4 + kRotation;
+  using State = BodyState<S, kRotation>;
+
+  // All must outlive this object.
+  ModelAdjoint(const Model& model, const TypedScene<S>& scene, const HeldControl<S>& control)
+      : model_(model), scene_(scene), control_(control) {}
+  void set_free_flight(const FreeFlightJacobian<S>& free) { free_ = free; }
+
+  // `cotangent` is that of the state in which step k begins.
+  void Begin(int k, std::span<const double> cotangent, const SensitivityView& out) {
+    out_ = out;
+    if (out.parameters != nullptr) ClearParameters(out.parameters);
+    lambda_.assign(cotangent.begin(), cotangent.end());
+    pulled_to_.assign(scene_.num_bodies(), k);
+  }
+
+  // Pulls the discs that touched in step k, by touches first..end-1 of the record, back to its beginning.
+  void PullBackStep(int k, int first, int end, const RolloutRecord<State>& record, Stepper<S, kRotation>* stepper,
+                    Trajectory<State>* trajectory) {
+    control_.SetForce(k, stepper->force(), stepper->torque());
+    const std::span<const StepTouch> touches(record.touches().data() + first, end - first);
+    stepper->FindTouchedIslands(touches, [](const StepTouch& at) -> const Touch& { return at.touch; });
+    for (int q = 0; q < stepper->islands().size(); ++q) {
+      const std::span<const int> island = stepper->islands().bodies(q);
+      for (int i : island) PullBackTo(k + 1, i, trajectory);
+      GatherStates(island, first, end, record, &stepper->local_states());
+      stepper->GatherAllButStates(q);
+      stepper->local_solved().Assign(stepper->FindSolved(record.solved(), k, q));
+      PullBackIsland(k, island, stepper);
+    }
+  }
+
+  // Pulls a disc back through its flight, to the state in which step k begins. With rotation, that needs the states on
+  // the way.
+  void PullBackTo(int k, int i, Trajectory<State>* trajectory) {
+    const int steps = pulled_to_[i] - k;
+    if (steps <= 0 || scene_.fixed[i]) return;
+    pulled_to_[i] = k;
+    S* lambda = &lambda_[i * kSize];
+    if constexpr (kRotation > 0) PullBackRotation(k, steps, i, trajectory, lambda + 4);
+    if (out_.parameters != nullptr) {
+      PullBackWithParameters(k, steps, i, lambda);
+    } else if (IsControlWanted(i)) {
+      PullBackControlled(k, steps, i, lambda);
+    } else if constexpr (kRotation > 0) {
+      // Step by step: windows may cut a flight, which must not change a bit.
+      PullBackFlight(free_, steps, lambda, [](int, S, S) {});
+    } else {
+      const FreeFlightJacobian<S> flight = free_.Power(steps);
+      for (int j = 0; j < 2; ++j) flight.PullBack(&lambda[j], &lambda[2 + j]);
+    }
+  }
+
+  // Whether flights are pulled back through the states on the way: those with a rotation whose Jacobian depends on it.
+  bool NeedsStates() const { return kRotation > 0 && !IsLinear(); }
+  bool AnyRotation() const {
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      for (int j = 4; j < kSize; ++j) {
+        if (lambda_[i * kSize + j] != S(0)) return true;
+      }
+    }
+    return false;
+  }
+
+  // After all discs have been pulled back to the first state.
+  void End() const {
+    // Gravity is a constant force on every disc.
+    for (int i = 0; out_.parameters != nullptr && i < scene_.num_bodies(); ++i) {
+      out_.parameters->gravity += double(scene_.bodies[i].mass) * out_.parameters->force[i];
+    }
+    const std::size_t moves = out_.initial.empty() ? 0 : 4 * static_cast<std::size_t>(scene_.num_bodies());
+    for (std::size_t i = 0; i < moves; ++i) {
+      out_.initial[i] = scene_.fixed[i / 4] ? 0.0 : double(lambda_[i / 4 * kSize + i % 4]);
+    }
+    for (std::size_t j = 0; moves + j < out_.initial.size(); ++j) {
+      const bool spins = scene_.bodies[j / 2].inverse_inertia > S(0);
+      out_.initial[moves + j] = spins ? double(lambda_[j / 2 * kSize + 4 + j % 2]) : 0.0;
+    }
+  }
+
+ private:
+  // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
+  // those of the published programs to the last digits.
+  bool IsLinear() const { return model_.properties().linear_rotation; }
+  static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
+  using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
+
+  void ClearParameters(ParameterGradient* parameters) const {
+    parameters->restitution = parameters->friction = parameters->stiffness = parameters->damping = 0;
+    parameters->gravity.setZero();
+    parameters->mass.assign(scene_.num_bodies(), 0.0);
+    parameters->force.assign(scene_.num_bodies(), Vec2d::Zero());
+    parameters->inertia.assign(kRotation == kSpin ? scene_.num_bodies() : 0, 0.0);
+  }
+
+  static void GatherStates(std::span<const int> island, int first, int end, const RolloutRecord<State>& record,
+                           std::vector<State>* x) {
+    x->resize(island.size());
+    const auto put = [&](int body, const State& state) {
+      const auto at = std::lower_bound(island.begin(), island.end(), body);
+      if (at != island.end() && *at == body) (*x)[at - island.begin()] = state;
+    };
+    for (int t = first; t < end; ++t) {
+      const Candidate& c = record.touches()[t].touch.candidate;
+      const std::array<State, 2>& states = record.StatesOf(t);
+      put(c.a, states[0]);
+      if (!c.plane) put(c.b, states[1]);
+    }
+  }
+
+  void PullBackIsland(int k, std::span<const int> island, Stepper<S, kRotation>* stepper) {
+    const int n = static_cast<int>(island.size());
+    const bool with_parameters = out_.parameters != nullptr;
+    after_.resize(n * kSize);
+    before_.resize(IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, with_parameters));
+    for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &after_[i * kSize]);
+    derivative_.ApplyTranspose(
+        model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
+    stepper->ReleaseScratch();
+    for (int i = 0; i < n; ++i) {
+      const int body = island[i];
+      if (scene_.fixed[body]) continue;
+      std::copy_n(&before_[i * kSize], kSize, &lambda_[body * kSize]);
+      pulled_to_[body] = k;
+      const Vec2<S> push(before_[n * kSize + 2 * i], before_[n * kSize + 2 * i + 1]);
+      if (IsControlWanted(body)) GradientOf(body, k).Put(0, push[0], push[1]);
+      if (with_parameters) AddConstantForce(body, push);
+      if (IsTorqueWanted(body)) PutTorque(body, k, before_[n * (kSize + 2) + i]);
+    }
+    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, false);
+    if (with_parameters) AddContactParameters(island, &before_[parameters]);
+  }
+
+  bool IsControlWanted(int body) const { return control_.Pushes(body) && !out_.control.empty(); }
+  bool IsTorqueWanted(int body) const { return control_.Turns(body) && !out_.control.empty(); }
+
+  // The sensitivity to the torque on a disc in step k, as one to torque / radius.
+  void PutTorque(int body, int k, S sensitivity) const {
+    const std::ptrdiff_t at = control_.TurnOffset(body, k);
+    const double by_force = scene_.bodies[body].radius * sensitivity;
+    out_.control[at] = out_.factor == 0 ? by_force : by_force + out_.factor * out_.addend[at];
+  }
+
+  // Where the sensitivity to the forces on one disc goes, from some step on.
+  struct ForceSink {
+    double* gradient;
+    const double* addend;  // null without
+    double factor;
+    std::ptrdiff_t stride;  // from one step to the next
+
+    void Put(int step, S x, S y) const {
+      const std::ptrdiff_t at = step * stride;
+      gradient[at] = addend == nullptr ? x : x + factor * addend[at];
+      gradient[at + 1] = addend == nullptr ? y : y + factor * addend[at + 1];
+    }
+
+    // Step j of n gets scale * (its cotangent).
+    void PutAll(int n, S scale, const LinearCotangents<S>& cotangents) const {
+      const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
+      const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
+      if (addend == nullptr) {
+        PutEach(n, [&](double* to, double left, std::ptrdiff_t) { Pair{to} = last + left * change; });
+      } else {
+        PutEach(n, [&](double* to, double left, std::ptrdiff_t at) {
+          Pair{to} = last + left * change + factor * ConstPair{addend + at};
+        });
+      }
+    }
+
+   private:
+    using Pair = Eigen::Map<Eigen::Array2d>;
+    using ConstPair = Eigen::Map<const Eigen::Array2d>;
+
+    // Calls put(where, number of steps after it, offset) for each step; some at a time, which need not wait for each
+    // other.
+    template <typename PutStep>
+    void PutEach(int n, const PutStep& put) const {
+      constexpr int kAtATime = 4;
+      std::ptrdiff_t at = 0;
+      double left = n;
+      for (; n >= kAtATime; n -= kAtATime, left -= kAtATime) {
+        for (int j = 1; j <= kAtATime; ++j, at += stride) put(gradient + at, left - j, at);
+      }
+      for (; n > 0; --n, at += stride) put(gradient + at, --left, at);
+    }
+  };
+  ForceSink GradientOf(int body, int k) const {
+    const std::ptrdiff_t at = control_.Offset(body, k);
+    return {
+        out_.control.data() + at, out_.factor == 0 ? nullptr : out_.addend.data() + at, out_.factor, control_.stride()};
+  }
+
+  void AddContactParameters(std::span<const int> island, const S* gradient) const {
+    ParameterGradient& parameters = *out_.parameters;
+    parameters.restitution += gradient[0];
+    parameters.friction += gradient[1];
+    parameters.stiffness += gradient[2];
+    parameters.damping += gradient[3];
+    for (std::size_t i = 0; i < island.size(); ++i) {
+      if (!scene_.fixed[island[i]]) parameters.mass[island[i]] += gradient[4 + i];
+    }
+    if constexpr (kRotation == kSpin) {
+      for (std::size_t i = 0; i < island.size(); ++i) {
+        const S inverse = scene_.bodies[island[i]].inverse_inertia;
+        parameters.inertia[island[i]] -= gradient[4 + island.size() + i] * inverse * inverse;
+      }
+    }
+  }
+
+  // A constant force acts in every step as the step's own force does.
+  void AddConstantForce(int body, const Vec2<S>& push) const {
+    out_.parameters->force[body] += push.template cast<double>();
+  }
+
+  void PullBackControlled(int k, int steps, int i, S* lambda) const {
+    const ForceSink gradient = GradientOf(i, k);
+    const S inverse_mass = scene_.bodies[i].inverse_mass;
+    if (kFlightsInOneGo && free_.IsShear()) {
+      gradient.PutAll(steps, inverse_mass, PullBackShear(free_, steps, lambda));
+      return;
+    }
+    PullBackFlight(free_, steps, lambda, [&](int j, S x, S y) { gradient.Put(j, inverse_mass * x, inverse_mass * y); });
+  }
+
+  void PullBackWithParameters(int k, int steps, int i, S* lambda) const {
+    const S inverse_mass = scene_.bodies[i].inverse_mass;
+    PullBackFlight(free_, steps, lambda, [&](int j, S x, S y) {
+      const Vec2<S> push = Scale(inverse_mass, Vec2<S>(x, y));
+      AddConstantForce(i, push);
+      if (IsControlWanted(i)) GradientOf(i, k + j).Put(0, push[0], push[1]);
+      if (const S* u = control_.On(i, k + j)) {
+        out_.parameters->mass[i] -= Dot(push, Vec2<S>(u[0], u[1])) * inverse_mass;
+      }
+    });
+  }
+
+  // That of a disc that is turned.
+  void PullBackTurn(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
+    const BodyConstants<S>& body = scene_.bodies[i];
+    Eigen::Map<Eigen::Matrix<S, 2, 1>> cotangent(lambda);
+    const bool none = cotangent.isZero(S(0));
+    Eigen::Matrix<S, 2, 3> jacobian = Eigen::Matrix<S, 2, 3>::Zero();
+    if (IsLinear()) jacobian = DifferentiateTurn(model_, scene_.h, body, model_.properties().at_rest, S(0));
+    for (int j = k + steps - 1; j >= k; --j) {
+      const S torque = control_.Torque(i, j);
+      if (!IsLinear() && !none) {
+        jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->At(j)[i], torque);
+      }
+      const Eigen::Matrix<S, 3, 1> before = jacobian.transpose() * cotangent;
+      if (IsTorqueWanted(i)) PutTorque(i, j, before[2]);
+      if (out_.parameters != nullptr) out_.parameters->inertia[i] -= before[2] * torque * body.inverse_inertia;
+      cotangent = before.template head<2>();
+    }
+  }
+
+  // The same for the rotation, which a flight changes by itself.
+  void PullBackRotation(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
+    Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
+    if constexpr (kRotation == kSpin) {
+      if (control_.Turns(i)) return PullBackTurn(k, steps, i, trajectory, lambda);
+    }
+    if (cotangent.isZero(S(0))) return;
+    RotationMatrix jacobian = RotationMatrix::Zero();
+    if (IsLinear()) {
+      jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], model_.properties().at_rest);
+      for (int j = 0; j < steps; ++j) cotangent = (jacobian.transpose() * cotangent).eval();
+      return;
+    }
+    const State* at = nullptr;  // where `jacobian` is; a disc that does not spin keeps it
+    for (int j = k + steps - 1; j >= k; --j) {
+      const State& x = trajectory->At(j)[i];
+      if (at == nullptr || !std::equal(x.rotation, x.rotation + kRotation, at->rotation)) {
+        jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], x);
+        at = &x;
+      }
+      cotangent = (jacobian.transpose() * cotangent).eval();
+    }
+  }
+
+  const Model& model_;
+  const TypedScene<S>& scene_;
+  const HeldControl<S>& control_;
+  FreeFlightJacobian<S> free_{};
+  SensitivityView out_;
+  std::vector<S> lambda_;          // B x kSize: of disc i the cotangent of its state in which step pulled_to_[i] begins
+  std::vector<int> pulled_to_;     // B
+  std::vector<S> after_, before_;  // of an island
+  IslandDerivative<S, kRotation> derivative_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,175 @@
+#include "saltus/simulate/registry.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <sstream>
+#include <utility>
+#include <variant>
+
+#include "scene/units.h"
+#include "simulate/converted_simulator.h"
+#include "simulate/registry_entry.h"
+
+namespace saltus {
+namespace {
+
+template <int... kIndex>
+std::vector<ContactEntry> CollectEntries(std::integer_sequence<int, kIndex...>) {
+  return {EntryOf<kIndex>()...};
+}
+
+const std::vector<ContactEntry>& Entries() {
+  static const std::vector<ContactEntry>& entries =
+      *new std::vector<ContactEntry>(CollectEntries(std::make_integer_sequence<int, SALTUS_NUM_MODELS>()));
+  return entries;
+}
+
+std::string_view ModelIn(std::string_view name) { return name.substr(0, name.find(':')); }
+
+const ContactEntry& Entry(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
+  CHECK(entry != nullptr) << "unknown contact model " << contact.name();
+  return *entry;
+}
+
+std::string Names(const auto& all) {
+  std::string names;
+  for (const auto& one : all) names += (names.empty() ? "" : ", ") + std::string(one.name);
+  return names;
+}
+
+std::string Number(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+
+// "option=value" of a model; or what is wrong with it.
+std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std::string_view text) {
+  const std::string_view name = text.substr(0, text.find('='));
+  const auto option = std::find_if(
+      entry.options.begin(), entry.options.end(), [&](const ListedOption& known) { return known.name == name; });
+  if (option == entry.options.end()) {
+    return "found '" + std::string(name) + "', expected " +
+           (entry.options.empty() ? "no options of " : "one of the options " + Names(entry.options) + " of ") +
+           std::string(entry.traits.name);
+  }
+  const std::string_view digits = text.substr(std::min(text.size(), name.size() + 1));
+  double value = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+  const bool number = error == std::errc() && end == digits.data() + digits.size();
+  if (!number || !(value >= option->low && value <= option->high) || (option->whole && value != std::floor(value))) {
+    return "found '" + std::string(text) + "', expected " + std::string(name) + "= and a " +
+           (option->whole ? "whole number" : "number") + " in " + Number(option->low) + ".." + Number(option->high);
+  }
+  return OptionValue{option->name, value};
+}
+
+// The options behind the name of a model; or what is wrong with them.
+std::variant<std::vector<OptionValue>, std::string> ReadOptions(const ContactEntry& entry, std::string_view name) {
+  std::vector<OptionValue> options;
+  for (size_t end = name.find(':'); end != std::string_view::npos;) {
+    const size_t start = end + 1;
+    end = name.find(':', start);
+    const auto option = ReadOption(entry, name.substr(start, end == std::string_view::npos ? end : end - start));
+    if (const auto* wrong = std::get_if<std::string>(&option)) return *wrong;
+    options.push_back(std::get<OptionValue>(option));
+  }
+  return options;
+}
+
+std::vector<OptionValue> OptionsIn(const Contact& contact) {
+  auto options = ReadOptions(Entry(contact), contact.name());
+  if (const auto* wrong = std::get_if<std::string>(&options)) LOG(FATAL) << contact.name() << ": " << *wrong;
+  return std::get<std::vector<OptionValue>>(std::move(options));
+}
+
+// The scene in the units in which the model works: SI, for the constants of its source, with the origin near; or, of an
+// event-driven model, whose thresholds are all the constants it has, natural ones.
+Scene AsSeenBy(const ContactEntry& entry, const Scene& scene) {
+  const Units natural = NaturalUnits(scene);
+  if (entry.traits.event_driven) return InUnits(scene, natural);
+  return InUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
+}
+
+bool SameNumbers(const Units& a, const Units& b) {
+  return a.length == b.length && a.time == b.time && a.mass == b.mass && a.origin == b.origin;
+}
+
+std::vector<ModelTraits> CollectTraits() {
+  std::vector<ModelTraits> traits;
+  for (const ContactEntry& entry : Entries()) traits.push_back(entry.traits);
+  return traits;
+}
+
+}  // namespace
+
+Contact Contact::With(std::string_view option) const {
+  Contact with = *this;
+  with.name_ += ":" + std::string(option);
+  return with;
+}
+
+const ContactEntry* Contact::entry() const {
+  if (own_ != nullptr) return own_.get();
+  for (const ContactEntry& entry : Entries()) {
+    if (entry.traits.name == ModelIn(name_)) return &entry;
+  }
+  return nullptr;
+}
+
+const std::vector<ModelTraits>& AllContactModels() {
+  static const std::vector<ModelTraits>& traits = *new std::vector<ModelTraits>(CollectTraits());
+  return traits;
+}
+
+const ModelTraits* FindContactModel(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
+  return entry == nullptr ? nullptr : &entry->traits;
+}
+
+const std::vector<ListedOption>& OptionsOf(const Contact& contact) { return Entry(contact).options; }
+
+std::string WhatIsWrongWith(const Contact& contact) {
+  const ContactEntry* entry = contact.entry();
+  if (entry == nullptr) {
+    return "found '" + std::string(ModelIn(contact.name())) +
+           "', expected a contact model: " + Names(AllContactModels());
+  }
+  const auto options = ReadOptions(*entry, contact.name());
+  const auto* wrong = std::get_if<std::string>(&options);
+  return wrong == nullptr ? "" : *wrong;
+}
+
+bool HasBiasedDerivative(const Contact& contact) {
+  const std::vector<ListedOption>& known = OptionsOf(contact);
+  for (const OptionValue& set : OptionsIn(contact)) {
+    const auto option =
+        std::find_if(known.begin(), known.end(), [&](const ListedOption& one) { return one.name == set.name; });
+    if (option->biases && set.value != option->initial) return true;
+  }
+  return false;
+}
+
+std::string WhyNotApplicable(const Contact& contact, const Scene& scene) {
+  if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
+  if (const std::optional<SceneError> error = ValidateStructure(scene))
+    return "the scene is wrong: " + error->ToString();
+  const ContactEntry& entry = Entry(contact);
+  return entry.why_not_applicable(AsSeenBy(entry, scene));
+}
+
+std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision) {
+  const std::string why_not = WhyNotApplicable(contact, scene);
+  CHECK(why_not.empty()) << contact.name() << ": " << why_not;
+  const ContactEntry& entry = Entry(contact);
+  const Scene seen = AsSeenBy(entry, scene);
+  const bool same = SameNumbers(seen.units, scene.units);
+  std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(contact));
+  return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));
+}
+
+}  // namespace saltus

@@ -1,0 +1,149 @@
+// A scene and the control of a rollout in the scalar of a simulator.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "saltus/contact/step_input.h"
+#include "saltus/scene/scene.h"
+#include "saltus/scene/walls.h"
+
+namespace saltus {
+
+template <typename S>
+struct TypedScene {
+  TypedScene(const Scene& scene, double step)
+      : h(S(step)),
+        gravity(scene.gravity.cast<S>()),
+        contact{S(scene.contact.restitution),
+                S(scene.contact.friction),
+                S(scene.contact.stiffness),
+                S(scene.contact.damping)} {
+    for (const Body& body : scene.bodies) {
+      const S mass = S(body.mass);
+      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
+      if (body.Spins()) bodies.back().inverse_inertia = S(1) / S(body.MomentOfInertia());
+      fixed.push_back(body.fixed);
+    }
+    turns = scene.num_turned() > 0;
+    if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);
+    for (WallPart& part : WallPartsOf(scene)) {
+      const Wall<double>& wall = part.wall;
+      planes.push_back({wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius)});
+      extents.push_back(part.extent);
+      if (part.table) table = static_cast<int>(wall_parts.size());
+      if (part.pocket && num_pockets++ == 0) first_pocket = static_cast<int>(wall_parts.size());
+      wall_parts.push_back(std::move(part));
+    }
+  }
+
+  int num_bodies() const { return static_cast<int>(bodies.size()); }
+
+  S h;              // s
+  Vec2<S> gravity;  // m/s^2
+  ContactConstants<S> contact;
+  std::vector<BodyConstants<S>> bodies;
+  std::vector<char> fixed;  // of each disc
+  std::vector<Wall<S>> planes;
+  int table = -1;                    // which of these is the table
+  int first_pocket = 0;              // where its pockets begin among them, ...
+  int num_pockets = 0;               // ... and how many there are
+  S slowing = S(0);                  // m/s^2, of discs that slide on it
+  bool turns = false;                // there are torques
+  std::vector<WallExtent> extents;   // of each of these
+  std::vector<WallPart> wall_parts;  // the same, not rounded
+};
+
+// The forces and torques of a control, each held over a step.
+template <typename S>
+class HeldControl {
+ public:
+  explicit HeldControl(const Scene& scene)
+      : bodies_(scene.control.bodies),
+        turned_(scene.control.turned),
+        stride_(scene.control_width()),
+        place_(scene.bodies.size(), -1),
+        turn_place_(scene.bodies.size(), -1) {
+    for (std::size_t c = 0; c < bodies_.size(); ++c) place_[bodies_[c]] = static_cast<int>(c);
+    for (std::size_t t = 0; t < turned_.size(); ++t) {
+      turn_place_[turned_[t]] = static_cast<int>(scene.TurnIndex(0, static_cast<int>(t)));
+    }
+    for (const Body& body : scene.bodies) radius_.push_back(S(body.radius));
+  }
+
+  void Resize(std::size_t size) { forces_.resize(size); }
+  // Takes over the forces of steps begin..end-1 from a control of the whole rollout.
+  void Copy(int begin, int end, std::span<const double> control) {
+    const std::ptrdiff_t first = begin * stride(), last = end * stride();
+    std::copy(control.begin() + first, control.begin() + last, forces_.begin() + first);
+  }
+
+  bool Pushes(int body) const { return place_[body] >= 0; }
+  // Where the forces on a disc that is pushed from step k on begin. From one step to the next it is stride() numbers.
+  std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
+  std::ptrdiff_t stride() const { return stride_; }
+  // The forces there; null if the disc is not pushed.
+  const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
+
+  bool Turns(int body) const { return turn_place_[body] >= 0; }
+  // Likewise where torque / radius of a disc that is turned stands, the numbers there, and the torque, N m; null and 0
+  // if it is not turned.
+  std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
+  const S* Turn(int body, int k) const { return Turns(body) ? forces_.data() + TurnOffset(body, k) : nullptr; }
+  S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
+
+  // Sets the forces and torques of step k; those on other discs stay.
+  void SetForce(int k, std::span<Vec2<S>> force, std::span<S> torque) const {
+    for (int body : bodies_) {
+      const S* u = On(body, k);
+      force[body] = Vec2<S>(u[0], u[1]);
+    }
+    for (int body : turned_) torque[body] = Torque(body, k);
+  }
+
+  // Adds to `push`, of every disc, the largest of its accelerations by the forces of steps begin..end-1, m/s^2.
+  void AddLargestAccelerations(int begin, int end, std::span<const BodyConstants<S>> bodies,
+                               std::span<double> push) const {
+    for (int body : bodies_) {
+      // Several maxima, so that they need not wait for each other.
+      constexpr int kLanes = 4;
+      S largest[kLanes] = {};
+      const S* u = On(body, begin);
+      int k = begin;
+      for (; k + kLanes <= end; k += kLanes, u += kLanes * stride()) {
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const S* at = u + lane * stride();
+          const S square = at[0] * at[0] + at[1] * at[1];
+          largest[lane] = square > largest[lane] ? square : largest[lane];
+        }
+      }
+      for (; k < end; ++k, u += stride()) largest[0] = std::max(largest[0], u[0] * u[0] + u[1] * u[1]);
+      const double square = *std::max_element(largest, largest + kLanes);
+      push[body] += std::sqrt(square) * double(bodies[body].inverse_mass);
+    }
+    for (int body : turned_) {
+      double largest = 0;
+      for (int k = begin; k < end; ++k) largest = std::max(largest, std::abs(double(Torque(body, k))));
+      push[body] += AccelerationByTorque(bodies[body], largest);
+    }
+  }
+
+  // By how much a torque may speed a disc up, m/s^2: what its radius of gyration gains, which friction turns into
+  // speed.
+  static double AccelerationByTorque(const BodyConstants<S>& body, double torque) {
+    return torque * std::sqrt(double(body.inverse_inertia) * double(body.inverse_mass));
+  }
+
+ private:
+  std::vector<int> bodies_, turned_;  // those that are controlled, and of these those that are turned
+  std::ptrdiff_t stride_;
+  std::vector<int> place_;       // of each disc among them; -1 if it is not
+  std::vector<int> turn_place_;  // of each disc: where in a step torque / radius stands; -1 if it is not turned
+  std::vector<S> radius_;        // m, of each disc
+  std::vector<S> forces_;
+};
+
+}  // namespace saltus

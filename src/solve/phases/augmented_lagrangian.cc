@@ -1,0 +1,183 @@
+#include "solve/phases/augmented_lagrangian.h"
+
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace saltus {
+namespace {
+
+constexpr double kGrowth = 10;  // of the weights, from solve to solve
+// A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
+// multiplier, and where that is small they need no more to dominate the costs.
+constexpr double kLargestWeight = 1e7;
+// Damping would only slow down what is nearly linear.
+constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
+// Relative change of the cost that ends a solve: the first ones only prepare the next. The last one leaves conditions
+// of first order open by its root.
+constexpr double kTolerances[] = {1e-3, 1e-6, 3e-14};
+
+ceres::Problem::Options ProblemOptions() {
+  ceres::Problem::Options options;
+  options.disable_all_safety_checks = true;  // they cost as much as the solve
+  return options;
+}
+
+class Watch final : public ceres::IterationCallback {
+ public:
+  explicit Watch(std::function<bool()> may_go_on) : may_go_on_(std::move(may_go_on)) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
+    if (summary.iteration == 0) return ceres::SOLVER_CONTINUE;  // of another solve
+    ++iterations_;
+    interrupted_ = !may_go_on_();
+    return interrupted_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+  }
+  int iterations() const { return iterations_; }
+  bool interrupted() const { return interrupted_; }
+
+ private:
+  std::function<bool()> may_go_on_;
+  int iterations_ = 0;
+  bool interrupted_ = false;
+};
+
+}  // namespace
+
+// A function whose constrained rows are weighted and shifted by their multipliers.
+class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
+ public:
+  Weighted(std::unique_ptr<ceres::CostFunction> function, const RowRoles& roles, const Weights* weights)
+      : function_(std::move(function)),
+        roles_(roles),
+        weights_(weights),
+        multipliers_(roles.equalities + roles.inequalities, 0.0) {
+    set_num_residuals(function_->num_residuals());
+    *mutable_parameter_block_sizes() = function_->parameter_block_sizes();
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    if (!function_->Evaluate(parameters, residuals, jacobians)) return false;
+    for (int row = 0; row < roles_.equalities + roles_.inequalities; ++row) {
+      const bool equality = row < roles_.equalities;
+      const double weight = equality ? weights_->equality : weights_->inequality;
+      const double shifted = residuals[row] + multipliers_[row] / weight;
+      const double scale = equality || shifted > 0 ? std::sqrt(weight) : 0.0;
+      residuals[row] = scale * shifted;
+      for (size_t block = 0; jacobians != nullptr && block < parameter_block_sizes().size(); ++block) {
+        if (jacobians[block] == nullptr) continue;
+        const int size = parameter_block_sizes()[block];
+        for (int j = row * size; j < (row + 1) * size; ++j) jacobians[block][j] *= scale;
+      }
+    }
+    return true;
+  }
+
+  double Cost(const std::vector<double*>& blocks) const {
+    if (num_residuals() == roles_.equalities + roles_.inequalities) return 0;
+    std::vector<double> rows(num_residuals());
+    if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
+    double cost = 0;
+    for (int row = roles_.equalities + roles_.inequalities; row < num_residuals(); ++row) cost += rows[row] * rows[row];
+    return cost;
+  }
+
+  double LargestMultiplier() const {
+    double largest = 0;
+    for (const double multiplier : multipliers_) largest = std::max(largest, std::abs(multiplier));
+    return largest;
+  }
+
+  // Moves the multipliers on, and adds the cost rows' squares to *cost. Returns the largest violation.
+  double Update(const std::vector<double*>& blocks, double* cost) {
+    std::vector<double> rows(num_residuals());
+    if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
+    double violation = 0;
+    for (int row = 0; row < num_residuals(); ++row) {
+      if (row < roles_.equalities) {
+        multipliers_[row] += weights_->equality * rows[row];
+        violation = std::max(violation, std::abs(rows[row]));
+      } else if (row < roles_.equalities + roles_.inequalities) {
+        multipliers_[row] = std::max(0.0, multipliers_[row] + weights_->inequality * rows[row]);
+        violation = std::max(violation, rows[row]);
+      } else {
+        *cost += rows[row] * rows[row];
+      }
+    }
+    return violation;
+  }
+
+ private:
+  std::unique_ptr<ceres::CostFunction> function_;
+  RowRoles roles_;
+  const Weights* weights_;
+  std::vector<double> multipliers_;
+};
+
+AugmentedLagrangian::AugmentedLagrangian() : problem_(ProblemOptions()) {}
+AugmentedLagrangian::~AugmentedLagrangian() = default;
+
+void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, const RowRoles& roles,
+                              const std::vector<double*>& blocks) {
+  auto weighted = std::make_unique<Weighted>(std::move(function), roles, &weights_);
+  functions_.emplace_back(weighted.get(), blocks);
+  problem_.AddResidualBlock(weighted.release(), nullptr, blocks);
+}
+
+double AugmentedLagrangian::Cost() const {
+  double cost = 0;
+  for (const auto& [function, blocks] : functions_) cost += function->Cost(blocks);
+  return cost;
+}
+
+double AugmentedLagrangian::UpdateMultipliers(double* cost) {
+  double violation = 0;
+  *cost = 0;
+  for (const auto& [function, blocks] : functions_) violation = std::max(violation, function->Update(blocks, cost));
+  return violation;
+}
+
+double AugmentedLagrangian::LargestWeight() const {
+  double multiplier = 0;
+  for (const auto& [function, blocks] : functions_) multiplier = std::max(multiplier, function->LargestMultiplier());
+  return kLargestWeight * std::clamp(multiplier, 1 / kLargestWeight, 1.0);
+}
+
+AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
+  weights_ = {options.equality_weight, options.inequality_weight};
+  Watch watch([&] { return !options.callback || options.callback(Cost()); });
+  ceres::Solver::Options ceres_options;
+  ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  ceres_options.max_trust_region_radius = 1e16;
+  ceres_options.logging_type = ceres::SILENT;
+  ceres_options.gradient_tolerance = 0;
+  ceres_options.parameter_tolerance = 1e-15;
+  ceres_options.update_state_every_iteration = options.callback != nullptr;
+  ceres_options.callbacks = {&watch};
+  Summary result;
+  for (int round = 0; round < options.rounds; ++round) {
+    ceres_options.function_tolerance = kTolerances[std::min<size_t>(round, std::size(kTolerances) - 1)];
+    ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
+    ceres_options.max_num_iterations = options.iterations - watch.iterations();
+    ceres::Solver::Summary summary;
+    ceres::Solve(ceres_options, &problem_, &summary);
+    result.jacobians += summary.num_jacobian_evaluations;
+    if (summary.termination_type == ceres::FAILURE) break;
+    result.usable = true;
+    const double before = result.cost;
+    result.violation = UpdateMultipliers(&result.cost);
+    if (options.after_round) options.after_round();
+    result.interrupted = watch.interrupted();
+    if (result.interrupted || watch.iterations() >= options.iterations) break;
+    const bool settled = round > 0 && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
+    result.converged = result.violation <= options.tolerance && settled;
+    if (result.converged) break;
+    const double most = LargestWeight();
+    weights_.equality = std::min(most, kGrowth * weights_.equality);
+    weights_.inequality = std::min(most, kGrowth * weights_.inequality);
+  }
+  result.iterations = watch.iterations();
+  return result;
+}
+
+}  // namespace saltus

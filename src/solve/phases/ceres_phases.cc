@@ -1,0 +1,159 @@
+#include "solve/phases/ceres_phases.h"
+
+#include <algorithm>
+
+#include "saltus/control/objective.h"
+#include "saltus/simulate/registry.h"
+#include "solve/phases/ceres_event.h"
+#include "solve/phases/phase_attempt.h"
+#include "solve/phases/phase_transcription.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kSameTime = 1e-6;  // of the horizon
+constexpr double kNoLoss = 1e-9;    // relative: of the loss, that the last digits may cost
+
+// Of a real motion: impacts and the instants of via terms, and how many steps lie between.
+struct Phases {
+  std::vector<PhaseCut> cuts;
+  std::vector<int> steps;
+};
+
+// Nothing if some of these come at the same time, or at the final one.
+std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
+  Phases phases;
+  for (size_t k = 0; k < trial.exact.events.size(); ++k) {
+    phases.cuts.push_back({trial.exact.contacts[k], trial.exact.events[k].time});
+  }
+  for (const ViaTerm& via : scene.objective.via) phases.cuts.push_back({std::nullopt, via.time});
+  std::stable_sort(
+      phases.cuts.begin(), phases.cuts.end(), [](const PhaseCut& a, const PhaseCut& b) { return a.time < b.time; });
+  double end = 0;
+  int steps = 0;
+  for (const double duration : trial.durations) {
+    end += duration;
+    ++steps;
+    const size_t cut = phases.steps.size();
+    if (cut == phases.cuts.size() || std::abs(phases.cuts[cut].time - end) > kSameTime * scene.duration) continue;
+    phases.steps.push_back(steps);
+    steps = 0;
+  }
+  if (phases.steps.size() < phases.cuts.size() || steps == 0) return std::nullopt;
+  phases.steps.push_back(steps);
+  return phases;
+}
+
+bool ArcsCanTake(const SolveRequest& request) {
+  const Scene& scene = request.scene;
+  return request.terms.empty() && scene.optimize == Optimize::kControl && scene.objective.effort > 0 &&
+         !scene.Spins() && BeyondTerminalCost(scene).empty();
+}
+
+// A solve along a plan by a cost for every step. Where many iterations have not led it to the optimum, or rounding
+// keeps it from the last digits, arcs in closed form go on, if the problem is one for them.
+PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, const PlanStart& start,
+                       const MayGoOn& may_go_on) {
+  bool left = false;
+  const MayGoOn watched = [&](const auto& times, const auto& speeds) {
+    left = !may_go_on(times, speeds);
+    return !left;
+  };
+  PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
+  const bool kinks = plan.HasTies() || plan.HasModes() || !plan.apart.empty();
+  if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
+    return attempt;
+  if (attempt.converged) {
+    if (CertifyTrial(run->scene(), attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
+  } else if (run->scene().contact.friction > 0) {
+    return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
+  }
+  PlanAttempt last = TryByArcs(run, plan, {start.times, attempt.trial}, may_go_on);
+  last.jacobians += attempt.jacobians;
+  const bool found = last.converged && last.realized && last.loss() <= attempt.loss() * (1 + kNoLoss);
+  return found ? last : attempt;
+}
+
+// From the optimum under exact flight along its impacts, which stay exact, to that with steps of the contact model.
+SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& options, SolveReport exact) {
+  exact.certificate = {};
+  const auto give_up = [&](const std::string& why) {
+    exact.reason = "under exact flight, from which it starts: " + why;
+    return exact;
+  };
+  if (exact.termination != Termination::kConverged) return give_up(exact.reason);
+  Trial trial{exact.control, exact.durations, {}, {}, exact.initial_state};
+  Scene scene = request.scene;
+  scene.duration = DurationOf(trial);
+  Simulate(scene, request.terms, &trial);
+  std::optional<Phases> phases = PhasesOf(scene, trial);
+  if (!phases) {
+    exact.termination = Termination::kNoProgress;
+    return give_up("impacts are at the same time, or at the final time");
+  }
+  const std::unique_ptr<Simulator> flight = MakeSimulator(request.contact, request.scene, Precision::kDouble);
+  for (int& steps : phases->steps) steps = std::max(1, steps / flight->traits().grid_steps);
+
+  PhaseRun run(exact.solver, request, options);
+  run.report().losses = exact.losses;
+  run.report().evaluations = exact.evaluations;
+  ContactSequence apart;
+  for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
+  PhaseTranscription transcription(BeginningAs(trial, scene),
+                                   request.terms,
+                                   phases->cuts,
+                                   phases->steps,
+                                   ForcesOf(scene, trial),
+                                   apart,
+                                   0,
+                                   flight.get());
+  AugmentedLagrangian::Options limits;
+  limits.iterations = std::max(1, options.iterations - exact.iterations);
+  limits.callback = [&](double cost) { return run.Record(cost); };
+  const AugmentedLagrangian::Summary summary = transcription.Minimize(limits);
+  run.report().evaluations += summary.jacobians;
+  Trial found;
+  TakeControl(transcription, scene, &found);
+  const Termination termination = summary.interrupted ? Termination::kInterrupted
+                                  : summary.converged ? Termination::kConverged
+                                                      : Termination::kIterationLimit;
+  SolveReport report =
+      run.Finish(found, summary.cost, termination, "steps of " + request.contact.name() + " between exact impacts");
+  report.final_violation = summary.violation;  // under the contact model, which no exact run shows
+  report.seconds += exact.seconds;
+  return report;
+}
+
+}  // namespace
+
+std::string WhyNotPhases(const SolveRequest& request) {
+  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (IsExact(request)) return "";
+  if (!request.scene.objective.running.empty()) {
+    return "running costs are integrated along exact flight (contact model event)";
+  }
+  const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
+  const std::optional<FlightOver> over = simulator->FreeFlightOver(simulator->step());
+  if (!over) return request.contact.name() + " has no free flight over steps of any length, with derivatives";
+  const bool turns = over->turn.pp != 0;  // linearly
+  if (request.scene.num_turned() > 0 && !turns) {
+    return request.contact.name() + " does not turn discs linearly, and some are turned by torques";
+  }
+  return "";
+}
+
+SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {
+  PhaseRun run("ceres_phases", request, options);
+  if (auto refused = run.WhyNotStart()) return *refused;
+  SolveReport exact = MendBySteps(&run, request);
+  return IsExact(request) ? exact : SolveUnderModel(request, options, std::move(exact));
+}
+
+SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request) {
+  const bool arcs_can = ArcsCanTake(request);
+  return SolveMending(run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+    return TryBySteps(run, arcs_can, plan, start, may_go_on);
+  });
+}
+
+}  // namespace saltus

@@ -1,0 +1,22 @@
+// Ceres through collisions with a cost for every step (phase_transcription.h), for problems with bounds, constraints,
+// running costs and a free final time.
+#pragma once
+
+#include "saltus/solve/solver.h"
+#include "solve/phases/phase_run.h"
+
+namespace saltus {
+
+// Along the sequence that is given, or that of the initial guess, which is mended on the way (sequence_mending.h).
+// Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and misses no
+// constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
+// and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
+SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options);
+
+// That under exact contact, of the request that `run` is of, from its motion.
+SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);
+
+// What it cannot take; empty if it can.
+std::string WhyNotPhases(const SolveRequest& request);
+
+}  // namespace saltus

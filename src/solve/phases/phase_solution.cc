@@ -1,0 +1,385 @@
+#include "solve/phases/phase_solution.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "control/control_bounds.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/simulate/registry.h"
+#include "simulate/limited_run.h"
+#include "solve/control_guess.h"
+#include "solve/hmp_roots.h"
+#include "solve/solve_run.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kSameTime = 1e-6;  // of the horizon
+
+double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
+  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
+  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - contact_distance;
+  return Separate<double>(x.p[c.a], x.p[c.b]).distance - contact_distance;
+}
+
+// For each impact of `sequence` the hit of the flight that it is, or -1: a longest common subsequence.
+std::vector<int> Align(const ContactSequence& sequence, const std::vector<Flight::Hit>& hits) {
+  const int n = static_cast<int>(sequence.size()), m = static_cast<int>(hits.size());
+  std::vector<std::vector<int>> length(n + 1, std::vector<int>(m + 1, 0));
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = m - 1; j >= 0; --j) {
+      length[i][j] =
+          sequence[i] == hits[j].contact ? 1 + length[i + 1][j + 1] : std::max(length[i + 1][j], length[i][j + 1]);
+    }
+  }
+  std::vector<int> hit(n, -1);
+  for (int i = 0, j = 0; i < n && j < m;) {
+    if (sequence[i] == hits[j].contact) {
+      hit[i++] = j++;
+    } else if (length[i + 1][j] >= length[i][j + 1]) {
+      ++i;
+    } else {
+      ++j;
+    }
+  }
+  return hit;
+}
+
+// When the pair is nearest inside (from, to).
+double NearestTime(const Scene& scene, const Flight& flight, const Candidate& c, double from, double to) {
+  constexpr int kSamples = 24;
+  double best = 0.5 * (from + to), least = std::numeric_limits<double>::infinity();
+  for (int i = 1; i < kSamples; ++i) {
+    const double t = from + (to - from) * i / kSamples;
+    const double gap = GapOf(scene, c, flight.Before(t));
+    if (gap < least) {
+      least = gap;
+      best = t;
+    }
+  }
+  return best;
+}
+
+bool IsPushed(const Scene& scene, int body) {
+  return std::find(scene.control.bodies.begin(), scene.control.bodies.end(), body) != scene.control.bodies.end();
+}
+
+// Gives a pushed disc of the pair such a velocity that the two approach.
+void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
+  Vec2d normal;
+  if (c.plane) {
+    normal = MakeHalfPlane(scene.planes[c.b]).normal;
+  } else {
+    normal = Separate<double>(x->p[c.a], x->p[c.b]).normal;
+  }
+  const double speed = Dot(normal, x->v[c.a]) - (c.plane ? 0.0 : Dot(normal, x->v[c.b]));
+  const double least =
+      (MakeImpactConstants(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
+  if (speed < -least) return;
+  if (IsPushed(scene, c.a)) {
+    x->v[c.a] -= (speed + least) * normal;
+  } else if (!c.plane && IsPushed(scene, c.b)) {
+    x->v[c.b] += (speed + least) * normal;
+  }
+}
+
+}  // namespace
+
+bool IsExact(const SolveRequest& request) {
+  // Phases have impacts of Newton's restitution.
+  const ModelTraits* model = FindContactModel(request.contact);
+  return model != nullptr && model->event_driven && model->rebound == Rebound::kRestitution;
+}
+
+std::string WhyNoPhases(const Scene& scene) {
+  if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
+  if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
+  const std::string beyond = BeyondPlanes(scene);
+  return beyond.empty() ? "" : "the scene has " + beyond + "; it knows impacts of discs and planes";
+}
+
+std::string WhyNotExactPhases(const SolveRequest& request) {
+  if (!IsExact(request)) return "it solves with exact impacts only (contact model event)";
+  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (request.scene.Spins()) return "the scene has discs that spin; its arcs in closed form know none";
+  if (request.scene.optimize == Optimize::kControl) return "";
+  return "it finds a control, and the scene optimizes something else";
+}
+
+std::string WhyNotEventPhases(const SolveRequest& request) {
+  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
+  if (request.scene.objective.effort == 0) return "without a cost of effort the best control is not unique";
+  return "";
+}
+
+std::vector<double> InitialOf(const Scene& scene, const Trial& trial) {
+  return trial.initial.empty() ? InitialState(scene) : trial.initial;
+}
+
+Scene BeginningAs(const Trial& trial, Scene scene) {
+  for (size_t i = 0; i < scene.bodies.size() && !trial.initial.empty(); ++i) {
+    Body& body = scene.bodies[i];
+    const double *x = &trial.initial[4 * i], *rotation = &trial.initial[4 * scene.bodies.size() + kSpin * i];
+    body.position = {x[0], x[1]};
+    body.velocity = {x[2], x[3]};
+    if (!body.Spins()) continue;
+    body.angle = rotation[0];
+    body.angular_velocity = rotation[1];
+  }
+  return scene;
+}
+
+void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
+  trial->exact = SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
+  trial->own = {};
+  if (terms.empty() || !trial->exact.ok) return;
+  trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
+  trial->exact.loss += trial->own.cost;
+}
+
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms, const std::optional<ControlGuess>& given) {
+  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
+  if (given) {
+    trial.control = given->control;
+    trial.durations = LengthsOf(*given, scene);
+  }
+  Simulate(scene, terms, &trial);
+  return trial;
+}
+
+Flight FlightOf(const Scene& scene, const Trial& trial) {
+  return Flight(scene, InitialOf(scene, trial), trial.control, trial.durations, trial.exact);
+}
+
+PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence) {
+  PhaseGuess guess;
+  const std::vector<int> hit = Align(sequence, flight.hits());
+  const int n = static_cast<int>(sequence.size());
+  guess.times.resize(n);
+  for (int k = 0; k < n;) {
+    if (hit[k] >= 0) {
+      guess.times[k] = flight.hits()[hit[k]].time;
+      guess.before.push_back({flight.hits()[hit[k]].before.p, flight.hits()[hit[k]].before.v});
+      ++k;
+      continue;
+    }
+    int end = k;  // of a run of new impacts, which share the time between their neighbours
+    while (end < n && hit[end] < 0) ++end;
+    const double from = k > 0 ? guess.times[k - 1] : 0.0;
+    const double to = end < n ? flight.hits()[hit[end]].time : scene.duration;
+    const double share = (to - from) / (end - k);
+    for (int i = k; i < end; ++i) {
+      const double begin = from + (i - k) * share;
+      guess.times[i] = NearestTime(scene, flight, sequence[i], begin, begin + share);
+      DiscStates x = flight.Before(guess.times[i]);
+      MakeApproach(scene, sequence[i], &x);
+      guess.before.push_back({x.p, x.v});
+    }
+    k = end;
+  }
+  guess.end = {flight.end().p, flight.end().v};
+  return guess;
+}
+
+bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
+                const std::vector<double>& times) {
+  if (!run.ok || !run.only_impacts || run.contacts != sequence) return false;
+  for (size_t k = 0; k < times.size(); ++k) {
+    if (std::abs(run.events[k].time - times[k]) > kSameTime * scene.duration) return false;
+  }
+  return true;
+}
+
+Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
+  return Certify(scene, InitialState(scene), trial.control, trial.durations);
+}
+
+std::string DescribeSaddle(const std::string& then) { return "left a saddle" + (then.empty() ? "" : "; " + then); }
+
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
+  constexpr int kLargest = 4, kLengths = 24;  // powers of two
+  // Of the control, in the mean over time; or a force that moves a disc by its radius.
+  double size = 0;
+  const size_t width = scene.control_width();
+  for (size_t i = 0; i < trial.control.size(); ++i) {
+    size += trial.durations[i / width] * trial.control[i] * trial.control[i];
+  }
+  size = std::sqrt(size);
+  for (int body : scene.control.bodies) {
+    const Body& disc = scene.bodies[body];
+    size = std::max(size, disc.mass * disc.radius * std::pow(scene.duration, -1.5));
+  }
+  std::vector<Trial> better;
+  const double least = trial.exact.loss - 1e-12 * std::abs(trial.exact.loss);
+  for (int power = kLargest; power > kLargest - kLengths; --power) {
+    for (const double sign : {1.0, -1.0}) {
+      Trial moved = trial;
+      for (size_t i = 0; i < moved.control.size(); ++i) {
+        moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
+      }
+      MoveWithinBounds(scene, moved.control);
+      Simulate(scene, {}, &moved);
+      if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
+      better.push_back(std::move(moved));
+    }
+  }
+  std::stable_sort(
+      better.begin(), better.end(), [](const Trial& a, const Trial& b) { return a.exact.loss < b.exact.loss; });
+  std::vector<Trial> best;
+  for (Trial& candidate : better) {
+    const auto same = [&](const Trial& known) { return known.exact.contacts == candidate.exact.contacts; };
+    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
+  }
+  return best;
+}
+
+std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
+  if (!run.ok) return run.reason;
+  if (!run.only_impacts) return "discs rest on or graze each other or a plane";
+  const std::string planned = ContactSequenceToString(scene, sequence);
+  const std::string met = ContactSequenceToString(scene, run.contacts);
+  if (planned == met) return "along " + planned + " impacts come at other times than planned";
+  return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
+}
+
+std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution) {
+  const std::string along = ContactSequenceToString(scene, solution.sequence);
+  if (solution.minimum.touches) {
+    return "the best motion along " + along +
+           " only touches, where the loss has a kink: no condition of optimality is checked";
+  }
+  return WhyNotRealized(scene, solution.trial.exact, solution.sequence);
+}
+
+bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum) {
+  constexpr int kMostIterations = 30;
+  constexpr double kResidual = 1e-9;  // of the largest costate
+  const HmpRoot root = FindHmpRoot(phases, minimum->z, kMostIterations);
+  Path<double> path;
+  if (!root.valid || !(root.residual <= kResidual * root.scale) || !phases.Unroll(root.z.data(), &path)) return false;
+  const double loss = phases.Loss(path);
+  if (!(std::abs(loss - minimum->loss) <= loss_change * std::abs(loss))) return false;
+  double gap = 0;
+  for (const PhaseImpact<double>& impact : path.impacts) {
+    if (!(impact.impact.speed < 0)) return false;
+    gap = std::max(gap, std::abs(impact.gap));
+  }
+  minimum->z = root.z;
+  minimum->multipliers = root.multipliers;
+  minimum->loss = loss;
+  minimum->gap = gap;
+  minimum->converged = true;
+  minimum->jacobians += root.jacobians;
+  return true;
+}
+
+namespace {
+
+// One solve on given intervals.
+PhaseMinimum SolveOnIntervals(const EventPhases& phases, std::vector<double> z, const PhaseMinimumOptions& options,
+                              double loss_change) {
+  PhaseMinimum minimum = MinimizeLoss(phases, std::move(z), options);
+  bool steered = true;
+  for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
+  if (minimum.valid && !minimum.interrupted && !minimum.touches && !(steered && minimum.converged)) {
+    minimum.converged = false;
+    Polish(phases, loss_change, &minimum);
+  }
+  return minimum;
+}
+
+}  // namespace
+
+namespace {
+
+// One solve on given intervals; all but the exact run of the trial is filled. False if there is no motion.
+bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseGuess* guess,
+             const PhaseMinimumOptions& options, double loss_change, PhaseSolution* solution) {
+  const EventPhases phases(scene, solution->sequence, intervals);
+  PhaseMinimum& minimum = solution->minimum;
+  const PhaseMinimum before = minimum;
+  std::vector<double> z = guess != nullptr ? phases.Variables(guess->times, guess->before, guess->end) : before.z;
+  minimum = SolveOnIntervals(phases, std::move(z), options, loss_change);
+  minimum.iterations += before.iterations;
+  minimum.jacobians += before.jacobians;
+  Path<double> path;
+  if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return false;
+  solution->times.clear();
+  solution->speeds.clear();
+  for (int k = 0; k < phases.num_impacts(); ++k) {
+    solution->times.push_back(path.impacts[k].time);
+    solution->speeds.push_back(path.impacts[k].impact.speed);
+  }
+  solution->times.push_back(scene.duration);
+  solution->intervals = intervals;
+  phases.Control(path, &solution->trial.control, &solution->trial.durations);
+  return true;
+}
+
+void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
+  solution->valid = true;
+  Simulate(scene, {}, &solution->trial);
+  const std::span<const double> impacts(solution->times.data(), solution->times.size() - 1);
+  solution->realized = IsRealized(scene, solution->trial.exact, solution->sequence, {impacts.begin(), impacts.end()});
+}
+
+}  // namespace
+
+PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
+                         const PhaseMinimumOptions& options, double loss_change) {
+  PhaseSolution solution;
+  solution.sequence = sequence;
+  std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
+  // Once more if the phases have become so much longer or shorter that the intervals are ill distributed.
+  for (int round = 0; round < 2; ++round) {
+    if (intervals.empty()) return solution;
+    if (!SolveOn(scene, intervals, round == 0 ? &guess : nullptr, options, loss_change, &solution)) return solution;
+    const std::span<const double> impacts(solution.times.data(), sequence.size());
+    std::vector<int> better = DistributeIntervals(scene, sequence, impacts);
+    if (!solution.minimum.converged || solution.minimum.touches || better == intervals) break;
+    intervals = std::move(better);
+  }
+  SimulateSolution(scene, &solution);
+  return solution;
+}
+
+PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
+                          double least_gain) {
+  constexpr int kMostTries = 60;
+  const int phases = static_cast<int>(best.intervals.size());
+  int tries = 0;
+  for (int moved = std::max(1, scene.steps / 16); moved > 0; moved /= 2) {
+    for (bool better = true; better && tries < kMostTries;) {
+      better = false;
+      for (int from = 0; from < phases; ++from) {
+        for (const int to : {from - 1, from + 1}) {
+          std::vector<int> intervals = best.intervals;
+          if (to < 0 || to >= phases || intervals[from] <= moved + 1 || ++tries > kMostTries) continue;
+          intervals[from] -= moved;
+          intervals[to] += moved;
+          const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, best.trial), best.sequence);
+          PhaseSolution next;
+          next.sequence = best.sequence;
+          if (!SolveOn(scene, intervals, &guess, options, 1e-2, &next)) continue;
+          SimulateSolution(scene, &next);
+          next.minimum.jacobians += best.minimum.jacobians;
+          const bool gains = next.trial.exact.ok && next.trial.exact.loss < (1 - least_gain) * best.trial.exact.loss;
+          if (!gains || (best.optimal() && !next.optimal())) {
+            best.minimum.jacobians = next.minimum.jacobians;
+            continue;
+          }
+          best = std::move(next);
+          better = true;
+        }
+      }
+    }
+  }
+  return best;
+}
+
+ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {
+  return options.sequence ? *options.sequence : guess.exact.contacts;
+}
+
+}  // namespace saltus

@@ -1,0 +1,107 @@
+// What the solvers on event phases share: where they start, one solve along a sequence, and whether its result is what
+// really happens.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "control/own_term_cost.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/solve/solver.h"
+#include "simulate/flight.h"
+#include "solve/phases/phase_minimum.h"
+
+namespace saltus {
+
+// Whether the contact model is one of exact events.
+bool IsExact(const SolveRequest& request);
+
+// Why there are no phases between impacts for a scene, why exact phases cannot take a request, and why arcs in closed
+// form between impacts cannot; empty if they can.
+std::string WhyNoPhases(const Scene& scene);
+std::string WhyNotExactPhases(const SolveRequest& request);
+std::string WhyNotEventPhases(const SolveRequest& request);
+
+// A control on intervals of any length, and what it does in exact dynamics.
+struct Trial {
+  std::vector<double> control, durations;
+  ExactRun exact;  // its loss with the costs of a user's own
+  OwnValues own;
+  std::vector<double> initial = {};  // where it is to be found; empty: the scene's
+};
+
+std::vector<double> InitialOf(const Scene& scene, const Trial& trial);
+// The scene that begins as the trial does.
+Scene BeginningAs(const Trial& trial, Scene scene);
+
+// More impacts than this are no motion to go on from: their phases would be shorter than any step, and to align two
+// such sequences takes the product of their lengths.
+inline constexpr int kMostImpactsOfMotion = 1000;
+
+// Runs trial->control, up to so many impacts.
+void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
+// The control to start from: `given`, or else the scene's.
+Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {},
+                 const std::optional<ControlGuess>& given = std::nullopt);
+// Precondition: trial.exact.ok.
+Flight FlightOf(const Scene& scene, const Trial& trial);
+
+// Where to start along a sequence.
+struct PhaseGuess {
+  std::vector<double> times;               // of the impacts, rising
+  std::vector<EventPhases::State> before;  // just before each
+  EventPhases::State end;
+};
+// From a flight along a sequence of its own: impacts that both have, in order, are kept. A new one is put where its
+// pair comes nearest between its neighbours, and a pushed disc is given a velocity towards the other.
+PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence);
+
+// The outcome of a solve along a sequence.
+struct PhaseSolution {
+  ContactSequence sequence;
+  bool valid = false;  // all else is filled
+  PhaseMinimum minimum;
+  std::vector<int> intervals;  // of each phase
+  std::vector<double> times;   // s, of the impacts as planned, and the final time
+  std::vector<double> speeds;  // normal velocities at the impacts, negative if closing
+  Trial trial;                 // the control found
+  bool realized = false;       // its impacts are those of the sequence and no others
+  bool optimal() const { return valid && minimum.converged && realized; }
+};
+// Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
+// (hmp_roots.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
+// `loss_change` of it.
+bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum);
+
+// With piecewise constant forces on Scene::steps intervals. Not valid if there are too few of them, or the guess is of
+// no use.
+PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
+                         const PhaseMinimumOptions& options, double loss_change = 1e-4);
+// The same sequence with intervals moved from phases to those beside them, as long as that lowers the loss by the part
+// `least_gain` of it. What is optimal stays so. Precondition: best is valid, and best.trial.exact.ok.
+PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
+                          double least_gain);
+
+Certificate CertifyTrial(const Scene& scene, const Trial& trial);
+
+// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature.
+// Of those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
+std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
+inline constexpr int kMostSaddles = 5;  // left one after the other
+// Remarks for a person: that it was left, and what came after.
+std::string DescribeSaddle(const std::string& then);
+
+// Whether the exact run has these impacts, at these times, and no others.
+bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
+                const std::vector<double>& times);
+// For a person: where the exact run departs from the sequence.
+std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
+// For a person: why a solution whose minimum touches, or that is not realized, is no optimum.
+std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution);
+
+// The sequence that the options ask for; that of the initial guess unless one is given.
+ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess);
+
+}  // namespace saltus

@@ -1,0 +1,455 @@
+#include "solve/search/mode_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+
+#include "base/parallel_for.h"
+#include "saltus/control/objective.h"
+#include "scene/units.h"
+#include "solve/phases/ceres_phases.h"
+#include "solve/phases/phase_run.h"
+#include "solve/search/loss_bound.h"
+#include "solve/search/phase_search.h"
+#include "solve/search/search_queue.h"
+#include "solve/search/search_solve.h"
+#include "solve/search/search_starts.h"
+#include "solve/search/task_line.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kBound = 3;          // times the best loss
+constexpr double kSameLoss = 1e-6;    // relative: the same optimum of a sequence
+constexpr double kNoLoss = 1e-12;     // in natural units: to be compared with nothing smaller
+constexpr double kProved = 1e-8;      // relative, between the best loss and a lower bound
+constexpr int kPatience = 150;        // solves after which nothing better is expected
+constexpr int kMoreStarts = 3;        // times the starts, that are tried then
+constexpr int kMostRounds = 4;        // of more starts
+constexpr int kMorePatience = 100;    // solves after those
+constexpr int kMostMended = 12;       // motions, each the best at its time, whose sequence is mended
+constexpr int kMoreMended = 2;        // others near the best, where the search has come to a stop
+constexpr double kNearBest = 1.05;    // of its loss
+constexpr double kApart = 1.001;      // the losses of these
+constexpr double kMuchBetter = 0.99;  // of the loss of the last one: mended at once, else where the search would stop
+constexpr int kAheadOfLong = 100;     // solves that go on beside one that takes as long as many
+
+class ModeSearch {
+ public:
+  ModeSearch(PhaseRun* run, const SolveRequest& request)
+      : run_(*run),
+        request_(request),
+        scene_(run->scene()),
+        options_(run->options()),
+        bound_(scene_),
+        queue_(options_.search_options.memory / 2) {
+    const SearchOptions& search = options_.search_options;
+    options_.stop = StopAfter(search.seconds, run->options().stop);
+    options_.memory_limit = std::min(options_.memory_limit, search.memory / (2 * NumThreads(options_.threads)));
+    searched_.lower_bound = bound_.lowest();
+    searched_.complete = true;
+  }
+
+  SolveReport Search(const ContactSequence& first) {
+    best_trial_ = run_.guess();
+    if (options_.search) {
+      BeginWithStarts(first);
+    } else {
+      starts_left_.push_back(AlongGuess(first));
+    }
+    WorkOff([this] { return Next(); });
+    if (!end_ && HasMore()) Leave("nothing better in " + std::to_string(kPatience) + " solves");
+    if (options_.search && !end_) {
+      ShareBest();
+      MendUnstationary();
+    }
+    return Report();
+  }
+
+ private:
+  // What a limit ends.
+  enum class End { kInterrupt, kTime, kWork, kIterations };
+
+  double BestLoss() const { return best_trial_.exact.loss; }
+  double Bound() const { return kBound * BestLoss(); }
+  bool Stopped() const { return options_.stop && options_.stop(); }
+
+  // Something is not tried.
+  void Leave(const std::string& why) {
+    searched_.complete = false;
+    if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- solves
+
+  SearchTask AlongGuess(const ContactSequence& sequence) const {
+    return {.sequence = sequence, .from = std::make_shared<const Trial>(run_.guess())};
+  }
+
+  void BeginWithStarts(const ContactSequence& first) {
+    const std::vector<Vec2d>& guess = scene_.control.initial;
+    if (run_.guess().exact.only_impacts) {
+      queue_.NoteTried(first);
+      starts_left_.push_back(AlongGuess(first));
+    }
+    starts_left_.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
+    starts_left_.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
+    if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
+    searched_.starts = 1;
+    AddStarts(0, options_.search_options.starts);
+  }
+
+  // Starts from `first` on.
+  void AddStarts(int first, int number) {
+    for (int i = first; i < first + number; ++i) {
+      starts_left_.push_back(
+          {.kind = SearchTask::Kind::kShoot, .forces = SearchStart(scene_, options_.search_options.seed, i)});
+    }
+    drawn_starts_ += number;
+    searched_.starts += number;
+  }
+
+  // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
+  // mended. False if there are none.
+  bool AddMoreStarts() {
+    const int more = kMoreStarts * options_.search_options.starts;
+    if (rounds_ == kMostRounds || more == 0) return false;
+    if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.iterations) return false;
+    ++rounds_;
+    AddStarts(drawn_starts_, more);
+    around_best_ = more;
+    searched_.starts += more;
+    int mended = 0;
+    double last = 0;
+    for (const auto& [loss, motion] : runners_up_.by_loss()) {
+      if (mended == kMoreMended || loss > kNearBest * BestLoss()) break;
+      if (loss < kApart * last || !mended_sequences_.insert(KeyOf(motion->exact.contacts)).second) continue;
+      ++mended;
+      last = loss;
+      starts_left_.push_back({.kind = SearchTask::Kind::kMend, .from = motion});
+    }
+    last_better_ = std::max(last_better_, solves_ + 2 * more + mended - (kPatience - kMorePatience));
+    return true;
+  }
+
+  // What is solved next: the moves of mending come first, then what they do not reach.
+  std::optional<SearchTask> Next() {
+    if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
+    if (auto mend = MendBest(best_is_mended_ ? 1 - kSameLoss : kMuchBetter)) return mend;
+    while (HasMore()) {
+      if (solves_ - last_better_ > kPatience) {
+        if (auto mend = MendBest(1 - kSameLoss)) return mend;
+        if (AddMoreStarts()) return TakeStart();
+        return std::nullopt;
+      }
+      SearchTask task = queue_.TakeFirst();
+      if (bound_.Along(task.sequence) <= Bound()) return task;
+    }
+    return MendBest(1 - kSameLoss);
+  }
+
+  bool HasMore() const { return !queue_.empty() && queue_.first_loss() <= Bound(); }
+
+  std::optional<SearchTask> TakeStart() {
+    if (starts_left_.empty()) {
+      if (around_best_ == 0) return std::nullopt;
+      --around_best_;
+      auto start = std::make_shared<Trial>();
+      const ControlGuess guess{best_trial_.control, best_trial_.durations};
+      start->control = ControlAround(scene_, guess, options_.search_options.seed, number_of_around_++);
+      start->durations = guess.durations;
+      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start)};
+    }
+    SearchTask task = std::move(starts_left_.front());
+    starts_left_.pop_front();
+    return task;
+  }
+
+  // The best motion, if it is no optimum and below this part of the loss of the last one: there may be a kink. One at a
+  // time.
+  std::optional<SearchTask> MendBest(double part) {
+    if (mends_ || HasBestOptimum() || mended_ >= kMostMended || !best_trial_.exact.only_impacts) return std::nullopt;
+    if (!(best_trial_.exact.loss < part * best_mended_)) return std::nullopt;
+    ++mended_;
+    mends_ = true;
+    mended_sequences_.insert(KeyOf(best_trial_.exact.contacts));
+    best_mended_ = best_trial_.exact.loss;
+    return SearchTask{.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_trial_)};
+  }
+
+  // The best motion, with the intervals that a share of them between phases by their lengths has left unused.
+  void ShareBest() {
+    const bool optimum = HasBestOptimum();
+    const Trial& best = optimum ? best_optimum_ : best_trial_;
+    const ContactSequence& sequence = optimum ? best.exact.contacts : best_along_;
+    if (sequence.empty() || !best.exact.only_impacts) return;
+    const double before = best_optimum_.exact.loss;
+    std::optional<SearchTask> share{
+        {.kind = SearchTask::Kind::kShare, .sequence = sequence, .from = std::make_shared<const Trial>(best)}};
+    WorkOff([&] { return std::exchange(share, std::nullopt); });
+    const double now = best_optimum_.exact.loss;
+    if (optimum && now < before) std::erase_if(optima_, [&](const auto& known) { return known.loss == before; });
+  }
+
+  // The best optimum, where arcs have left it off a condition of optimality.
+  void MendUnstationary() {
+    if (end_ || !HasBestOptimum()) return;
+    if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
+    if (certificate_->verdict != Certificate::Verdict::kNotStationary) return;
+    std::optional<SearchTask> mend{
+        {.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_optimum_)}};
+    WorkOff([&] { return std::exchange(mend, std::nullopt); });
+  }
+
+  // What a solve has found, and that nothing has cut it short.
+  struct Outcome {
+    SearchFinding finding;
+    bool whole = false;
+  };
+
+  void WorkOff(const std::function<std::optional<SearchTask>()>& next) {
+    TaskLine<SearchTask, Outcome> line;
+    line.draw = [&]() -> std::optional<SearchTask> {
+      if (end_) return std::nullopt;
+      std::optional<SearchTask> task = next();
+      if (!task) return std::nullopt;
+      const double most_work = options_.search_options.work;
+      if (most_work > 0 && searched_.work >= most_work) {
+        end_ = End::kWork;
+        return std::nullopt;
+      }
+      if (drawn_++ >= options_.iterations) {
+        end_ = End::kIterations;
+        return std::nullopt;
+      }
+      if (most_work > 0) task->most_work = most_work - searched_.work;
+      return task;
+    };
+    line.solve = [this](const SearchTask& task) {
+      Outcome outcome;
+      if (!Stopped()) outcome.finding = SolveTask(request_, options_, task);
+      outcome.whole = !Stopped();
+      return outcome;
+    };
+    line.look = [this](const SearchTask& task, Outcome outcome) {
+      if (task.kind == SearchTask::Kind::kMend) mends_ = false;
+      if (outcome.whole) {
+        Look(task, std::move(outcome.finding));
+        if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
+      } else {
+        if (outcome.finding.trial.exact.ok) Meet(outcome.finding.trial, "");
+        const StopRequest& interrupt = run_.options().stop;
+        end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
+      }
+    };
+    line.ahead = [](const SearchTask& task) {
+      using Kind = SearchTask::Kind;
+      return task.kind == Kind::kMend || task.kind == Kind::kDescend ? kAheadOfLong : 0;
+    };
+    line.WorkOff(NumThreads(options_.threads));
+  }
+
+  // ------------------------------------------------------------------------------------------------- what solves found
+
+  void Look(const SearchTask& task, SearchFinding finding) {
+    ++solves_;
+    jacobians_ += finding.jacobians;
+    searched_.work += finding.work;
+    if (task.kind == SearchTask::Kind::kAlong) tried_.insert(KeyOf(task.sequence));
+    Say(task);
+    const Trial& trial = finding.trial;
+    if (!trial.exact.ok) return;
+    const bool is_best = trial.exact.loss < (1 - kSameLoss) * BestLoss();
+    if (is_best) {
+      last_better_ = solves_;
+      best_is_mended_ = task.kind == SearchTask::Kind::kMend;
+      best_along_ = task.kind == SearchTask::Kind::kAlong ? task.sequence : trial.exact.contacts;
+    }
+    Meet(trial, finding.remark);
+    for (const Trial& aside : finding.aside) {
+      Meet(aside, "");
+      if (options_.search) queue_.AddMotion(aside);
+    }
+    if (!trial.exact.only_impacts) return;
+    if (finding.optimal) {
+      Keep(trial, std::move(finding.certificate));
+    } else if (task.kind != SearchTask::Kind::kMend) {
+      runners_up_.Meet(trial);
+    }
+    if (!options_.search) {
+      if (!finding.optimal) failure_ = finding.remark;
+      return;
+    }
+    if (task.kind != SearchTask::Kind::kAlong) {
+      tried_.insert(KeyOf(trial.exact.contacts));
+      if (!finding.optimal) queue_.AddMotion(trial);
+    } else if (is_best && !finding.optimal) {
+      queue_.AddMotion(trial);
+    } else if (trial.exact.contacts != task.sequence) {  // impacts have appeared or vanished: next in turn
+      queue_.AddSequence(std::make_shared<const Trial>(trial), trial.exact.contacts);
+    }
+    if (!IsNew(trial)) return;
+    expanded_.insert(ExpansionOf(trial));
+    AddNeighboursOf(trial);
+  }
+
+  void AddNeighboursOf(const Trial& trial) {
+    bool left_out = false;
+    const Motion motion = std::make_shared<const Trial>(trial);
+    std::vector<ContactSequence> neighbours = NeighboursOf(scene_, trial, &left_out);
+    const size_t sharing = neighbours.size();
+    for (ContactSequence& next : neighbours) {
+      queue_.AddSequence(motion, std::move(next), sharing);
+    }
+    if (left_out) Leave("neighbours far from a touch");
+  }
+
+  // Motions whose neighbours are queued: by sequence and loss.
+  using Expansion = std::pair<SequenceKey, double>;
+  Expansion ExpansionOf(const Trial& trial) const {
+    return {KeyOf(trial.exact.contacts), std::round(trial.exact.loss / (kSameLoss * std::max(kNoLoss, BestLoss())))};
+  }
+  bool IsNew(const Trial& trial) const {
+    return trial.exact.loss <= Bound() && !expanded_.contains(ExpansionOf(trial));
+  }
+
+  // A motion that is no optimum, or none yet, but may be better than all.
+  void Meet(const Trial& trial, const std::string& remark) {
+    if (!(trial.exact.loss < best_trial_.exact.loss)) return;
+    best_trial_ = trial;
+    best_remark_ = remark;
+  }
+
+  void Keep(const Trial& trial, std::optional<Certificate> certificate) {
+    LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};
+    for (const Event& event : trial.exact.events) found.times.push_back(event.time);
+    for (const LocalOptimum& known : optima_) {
+      const double difference = std::abs(known.loss - found.loss);
+      if (known.sequence == found.sequence && difference <= kSameLoss * std::abs(found.loss)) return;
+    }
+    if (optima_.empty() || found.loss < best_optimum_.exact.loss) {
+      best_optimum_ = trial;
+      certificate_ = std::move(certificate);
+    }
+    optima_.push_back(std::move(found));
+  }
+
+  // No motion met is better than the best optimum.
+  bool HasBestOptimum() const {
+    if (optima_.empty()) return false;
+    const double loss = best_optimum_.exact.loss;
+    return !(best_trial_.exact.loss < loss - kSameLoss * std::abs(loss));
+  }
+
+  void Say(const SearchTask& task) const {
+    if (!run_.options().status) return;
+    const bool along = task.kind == SearchTask::Kind::kAlong;
+    run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
+                          std::to_string(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
+                          (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
+  }
+
+  // -------------------------------------------------------------------------------------------------------------- end
+
+  SolveReport Report() {
+    if (queue_.has_forgotten()) Leave("the limit of memory");
+    if (end_)
+      Leave(*end_ == End::kIterations ? "the limit of iterations"
+            : *end_ == End::kWork     ? "the limit of work"
+            : *end_ == End::kTime     ? "the limit of time"
+                                      : "");
+    std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
+    const size_t found = optima_.size();
+    const bool best_is_optimum = HasBestOptimum();
+    searched_.sequences = static_cast<int>(tried_.size());
+    run_.report().optima = std::move(optima_);
+    run_.report().evaluations = jacobians_;
+    if (options_.search) run_.report().searched = searched_;
+    const Termination end = TerminationOf(best_is_optimum);
+    const std::string limits = left_.empty() ? "" : "; not complete: " + left_;
+    if (!best_is_optimum) {
+      std::string reason = best_remark_.empty() ? failure_ : best_remark_;
+      if (reason.empty()) {
+        reason = found == 0 ? "no sequence searched has an optimum" : "no optimum found is better";
+      }
+      return run_.Finish(best_trial_, best_trial_.exact.loss, end, reason + limits);
+    }
+    Certify();
+    return run_.Finish(
+        best_optimum_,
+        best_optimum_.exact.loss,
+        end,
+        BestOf(found) + ", along " + ContactSequenceToString(scene_, best_optimum_.exact.contacts) + limits);
+  }
+
+  Termination TerminationOf(bool best_is_optimum) const {
+    if (end_ == End::kInterrupt) return Termination::kInterrupted;
+    if (end_ == End::kIterations) return Termination::kIterationLimit;
+    return best_is_optimum ? Termination::kConverged : Termination::kNoProgress;
+  }
+
+  // What is known of the best optimum.
+  void Certify() {
+    if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
+    certificate_->sequences_searched = searched_.sequences;
+    if (options_.search && end_ != End::kInterrupt && !certificate_->IsSaddle()) {
+      certificate_->scope = Certificate::Scope::kBestOfSearched;
+    }
+    const double loss = best_optimum_.exact.loss;
+    if (certificate_->verdict == Certificate::Verdict::kStationary && loss - bound_.lowest() <= kProved * loss) {
+      certificate_->verdict = Certificate::Verdict::kGlobal;
+    }
+    run_.report().certificate = std::move(certificate_);
+  }
+
+  PhaseRun& run_;
+  const SolveRequest& request_;
+  const Scene& scene_;
+  SolverOptions options_;  // with its own limits
+  LossBound bound_;
+  std::deque<SearchTask> starts_left_;  // which come before the queue
+  int around_best_ = 0;                 // starts around the best motion, which come after them
+  int number_of_around_ = 0, drawn_starts_ = 0;
+  RunnersUp runners_up_;
+  SearchQueue queue_;
+  std::set<SequenceKey> tried_, mended_sequences_;
+  std::set<Expansion> expanded_;
+  std::vector<LocalOptimum> optima_;
+  Trial best_optimum_;
+  std::optional<Certificate> certificate_;  // of it
+  Trial best_trial_;                        // of all motions met, the guess included
+  ContactSequence best_along_;              // the sequence along which it was found, which it need not have
+  std::string best_remark_;                 // why it is no optimum
+  std::string failure_;
+  std::string left_;  // what limits have kept it from
+  Searched searched_;
+  double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
+  int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
+  bool mends_ = false;  // a motion is being mended
+  bool best_is_mended_ = false;
+  std::optional<End> end_;
+};
+
+}  // namespace
+
+std::string WhyNotModeSearch(const SolveRequest& request) {
+  return IsExact(request) ? WhyNotPhases(request) : WhyNotEventPhases(request);
+}
+
+SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
+  const bool arcs_can =
+      request.terms.empty() && BeyondTerminalCost(request.scene).empty() && WhyNotEventPhases(request).empty();
+  if (!arcs_can) return SearchByPhases(request, options);
+  PhaseRun run("mode_search", request, options);
+  if (auto refused = options.search ? run.WhyNoMotion() : run.WhyNotStart()) return *refused;
+  return ModeSearch(&run, request).Search(SequenceFor(options, run.guess()));
+}
+
+}  // namespace saltus

@@ -1,0 +1,159 @@
+#include "saltus/solve/hybrid_solver.h"
+
+#include <ceres/problem.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "solve/shooting/ceres_lbfgs.h"
+#include "solve/shooting/ceres_lm.h"
+#include "solve/shooting/gradient_descent.h"
+#include "solve/shooting/hybrid_run.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kNearJump = 1e-3;  // of an interval: how near to a jump of the control an event is named
+
+// The events that happen so near to a jump of the control that the solver may have stopped at the kink there.
+std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput& input) {
+  const int width = simulator.system().num_controls();
+  const double length = input.duration / input.num_intervals;
+  std::string near;
+  for (const HybridEvent& event : simulator.events()) {
+    const int k = static_cast<int>(std::round(event.time / length));
+    if (k <= 0 || k >= input.num_intervals || std::abs(event.time - k * length) > kNearJump * length) continue;
+    const double* u = input.control.data() + k * width;
+    if (std::equal(u - width, u, u)) continue;
+    char text[64];
+    std::snprintf(text, sizeof text, "' has an event at t = %.8g, ", event.time);
+    near += (near.empty() ? "" : "; ") + ("guard '" + simulator.system().GuardName(event.mode, event.guard)) + text +
+            "where the control jumps and the loss has a kink";
+  }
+  return near;
+}
+
+std::string WhyNotShot(const HybridProblem& problem) {
+  for (const HybridTerm& term : problem.terms) {
+    if (term.role != HybridTerm::Role::kCost) return term.name + " is a constraint, which takes multipliers";
+  }
+  const HybridFree& free = problem.free;
+  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
+    return "the problem leaves nothing to optimize";
+  }
+  return "";
+}
+
+bool IsBounded(const HybridFree& free) {
+  const auto given = [](const std::vector<double>& min, const std::vector<double>& max) {
+    return !min.empty() || !max.empty();
+  };
+  return (free.control && given(free.control_min, free.control_max)) || given(free.initial_min, free.initial_max) ||
+         given(free.parameters_min, free.parameters_max) ||
+         (free.duration && (free.duration_min > 0 || std::isfinite(free.duration_max)));
+}
+
+std::string WhyNotLbfgs(const HybridProblem& problem) {
+  if (IsBounded(problem.free)) return "the problem has bounds, which its steps would leave";
+  return WhyNotShot(problem);
+}
+
+std::string WhyNotLm(const HybridProblem& problem) {
+  for (const HybridTerm& term : problem.terms) {
+    if (term.at == HybridTerm::At::kEvent) {
+      return term.name + " is a cost at events, whose number changes: least squares needs a fixed number of residuals";
+    }
+  }
+  return WhyNotShot(problem);
+}
+
+SolveReport SolveByGradientDescent(const HybridProblem& problem, const SolverOptions& options) {
+  HybridRun run("gd", problem, options);
+  const HybridShooting& shooting = run.shooting();
+  const std::size_t controls = problem.free.control ? shooting.InputAt(run.initial_guess()).control.size() : 0;
+  const double length = problem.guess.duration / problem.guess.num_intervals;
+  DescentRule rule;
+  rule.move_within = [&](std::vector<double>* z) {
+    for (std::size_t i = 0; i < z->size(); ++i) {
+      (*z)[i] = std::clamp((*z)[i], shooting.lower()[i], shooting.upper()[i]);
+    }
+  };
+  rule.step = [&](const std::vector<double>& gradient, std::vector<double>* z) {
+    for (std::size_t i = 0; i < z->size(); ++i) {
+      const bool per_time = options.rate_per_time && i < controls;
+      (*z)[i] -= options.learning_rate / (per_time ? length : 1.0) * gradient[i];
+    }
+    rule.move_within(z);
+  };
+  return DescendGradient(&run, rule);
+}
+
+SolveReport SolveByLbfgs(const HybridProblem& problem, const SolverOptions& options) {
+  HybridRun run("ceres_lbfgs", problem, options);
+  return MinimizeByLbfgs(&run);
+}
+
+SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options) {
+  HybridRun run("ceres_lm", problem, options);
+  const HybridShooting& shooting = run.shooting();
+  const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
+    std::size_t at = 0;
+    for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
+      for (int i = 0; i < variables.sizes[block]; ++i, ++at) {
+        if (std::isfinite(shooting.lower()[at])) {
+          ceres->SetParameterLowerBound(variables.blocks[block], i, shooting.lower()[at]);
+        }
+        if (std::isfinite(shooting.upper()[at])) {
+          ceres->SetParameterUpperBound(variables.blocks[block], i, shooting.upper()[at]);
+        }
+      }
+    }
+  };
+  return MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds);
+}
+
+}  // namespace
+
+HybridRun::HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
+    : ShootingRun(solver, options), shooting_(problem) {
+  shooting_.set_stop([this] { return options_.stop && options_.stop(); });
+  guess_ = shooting_.initial_guess();
+}
+
+std::string HybridRun::RemarkOn(std::span<const double> z, Termination termination) {
+  double loss = 0;
+  if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
+  report_.integration_error = shooting_.simulator().IntegrationError();
+  const std::string why = shooting_.simulator().WhyNotDifferentiable();
+  const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
+  return near.empty() || why.find("control jumps") != std::string::npos ? why : why.empty() ? near : why + "; " + near;
+}
+
+const std::vector<HybridSolverEntry>& HybridSolvers() {
+  static const std::vector<HybridSolverEntry> solvers = {
+      {"gd", "gradient descent at a fixed rate", WhyNotShot, SolveByGradientDescent},
+      {"ceres_lbfgs", "L-BFGS on the adjoint gradient", WhyNotLbfgs, SolveByLbfgs},
+      {"ceres_lm", "Levenberg-Marquardt, states eliminated", WhyNotLm, SolveByLm},
+  };
+  return solvers;
+}
+
+SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options) {
+  SolveReport report;
+  report.solver = solver;
+  report.termination = Termination::kNotApplicable;
+  const auto entry = std::find_if(
+      HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == solver; });
+  if (entry == HybridSolvers().end()) {
+    report.reason = "found '" + std::string(solver) + "', expected a solver of hybrid systems:";
+    for (const HybridSolverEntry& known : HybridSolvers()) report.reason += " " + std::string(known.name);
+    return report;
+  }
+  report.reason = WhatIsWrongWith(problem);
+  if (report.reason.empty() && options.iterations < 0) report.reason = "iterations: expected 0 or more";
+  if (report.reason.empty()) report.reason = entry->why_not(problem);
+  return report.reason.empty() ? entry->solve(problem, options) : report;
+}
+
+}  // namespace saltus

@@ -1,0 +1,139 @@
+// The certificate with bounds, hard terms, running costs and a free final time: it accepts optima along with their
+// multipliers, and rejects what is near them.
+#include <gmock/gmock.h>
+
+#include <cmath>
+
+#include "constrained_reference.h"
+#include "saltus/optimality/certificate.h"
+#include "saltus/solve/solver.h"
+#include "scene/units.h"
+
+namespace saltus {
+namespace {
+
+using Verdict = Certificate::Verdict;
+
+SolveReport Optimum(const Scene& scene) {
+  SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  return report;
+}
+
+Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
+  return Certify(scene, report.initial_state, report.control, report.durations);
+}
+
+class ConstrainedCertificate : public testing::TestWithParam<Json> {};
+
+TEST_P(ConstrainedCertificate, AcceptsTheOptimum) {
+  const Scene scene = SceneOf(GetParam(), 480);
+  const Certificate certificate = CertifyReport(scene, Optimum(scene));
+  EXPECT_TRUE(certificate.IsStationary()) << certificate.reason;
+  // Its curvature, or why there is none.
+  EXPECT_NE(certificate.curvature.has_value(), certificate.reason.starts_with("its curvature is not looked at"));
+  ASSERT_EQ(certificate.impacts.size(), 1u);
+  EXPECT_NEAR(certificate.impacts[0].time, GetParam()["impact_time"].get<double>(), 2e-5);
+  EXPECT_EQ(certificate.final_time.has_value(), scene.objective.duration.has_value());
+  EXPECT_EQ(certificate.constraints.size(), scene.objective.terminal[0].hard ? 1u : 0u);
+  const bool on_the_way = scene.objective.duration || !scene.objective.running.empty();
+  EXPECT_EQ(certificate.curvature.has_value(), !on_the_way);
+  if (!certificate.curvature) return;
+  EXPECT_EQ(certificate.curvature->kind, Curvature::Kind::kMinimum);
+  EXPECT_GT(certificate.curvature->smallest, 0.3);
+  EXPECT_LE(certificate.curvature->smallest, 1);
+}
+
+TEST_P(ConstrainedCertificate, RejectsOneForceChangedByOnePercent) {
+  const Scene scene = SceneOf(GetParam(), 480);
+  SolveReport report = Optimum(scene);
+  for (int interval : {0, 100, 250}) {
+    SolveReport changed = report;
+    changed.control[2 * interval] *= 0.99;
+    const Certificate certificate = CertifyReport(scene, changed);
+    EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << interval;
+    EXPECT_FALSE(certificate.reason.empty());
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(All, ConstrainedCertificate, testing::ValuesIn(References()),
+                         [](const auto& test) { return TestName(test.param); });
+
+// The optimum under a bound is none under a wider one, where the force is not at the bound any more.
+TEST(Certificate, KnowsWhichBoundHolds) {
+  for (const char* name : {"max_3.5", "max_norm_diagonal_3.5"}) {
+    Scene scene = SceneOf(Reference(name), 480);
+    const SolveReport report = Optimum(scene);
+    for (std::vector<double>* bounds : {&scene.control.max, &scene.control.max_norm}) {
+      for (double& bound : *bounds) bound *= 1.001;
+    }
+    const Certificate certificate = CertifyReport(scene, report);
+    EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << name;
+    EXPECT_EQ(certificate.reason, "stationarity is off most");
+  }
+}
+
+// At a bound, but the loss falls inwards.
+TEST(Certificate, RejectsAForceAtTheWrongBound) {
+  const Scene scene = SceneOf(Reference("max_3.5"), 480);
+  SolveReport report = Optimum(scene);
+  ASSERT_NEAR(report.control[0], 3.5, 1e-9);
+  report.control[2 * 479] = 3.5;  // after the impact, where a force is wasted
+  EXPECT_EQ(CertifyReport(scene, report).verdict, Verdict::kNotStationary);
+}
+
+TEST(Certificate, FindsTheMultiplierOfAHardTargetWithSecondOrder) {
+  constexpr double kExact = -1.2626901100608278905;  // constrained-references: by moving the target
+  std::vector<double> errors;
+  for (int steps : {60, 240}) {
+    const Scene scene = SceneOf(Reference("hard_target"), steps);
+    const Certificate certificate = CertifyReport(scene, Optimum(scene));
+    ASSERT_EQ(certificate.constraints.size(), 1u);
+    EXPECT_EQ(certificate.constraints[0].body, "target");
+    const Vec2d& multiplier = certificate.constraints[0].multiplier;
+    EXPECT_NEAR(multiplier[0], multiplier[1], 1e-5);
+    errors.push_back(std::abs(0.5 * (multiplier[0] + multiplier[1]) - kExact));
+  }
+  EXPECT_LT(errors[1], 3e-6);
+  EXPECT_NEAR(std::log(errors[0] / errors[1]) / std::log(4.0), 2, 0.3);
+}
+
+// The multiplier says how the loss changes with the target.
+TEST(Certificate, MultiplierIsTheDerivativeByTheTarget) {
+  constexpr double kStep = 1e-3;
+  Scene scene = SceneOf(Reference("hard_target"), 240);
+  const Certificate certificate = CertifyReport(scene, Optimum(scene));
+  std::vector<double> losses;
+  for (double by : {-kStep, kStep}) {
+    scene.objective.terminal[0].target = {by, 0};
+    losses.push_back(Optimum(scene).final_loss);
+  }
+  const double slope = (losses[1] - losses[0]) / (2 * kStep);
+  EXPECT_NEAR(slope, -certificate.constraints[0].multiplier[0], 1e-4);
+}
+
+TEST(Certificate, IsTheSameInOtherUnits) {
+  for (const char* name : {"off_diagonal_max_3", "hard_target", "free_time", "running"}) {
+    const Scene scene = SceneOf(Reference(name), 240);
+    const SolveReport report = Optimum(scene);
+    const Certificate certificate = CertifyReport(scene, report);
+    const Units units{.length = 0x1p-10, .time = 0x1p5, .mass = 0x1p5, .loss = 0x1p-20};
+    const Scene rescaled = InUnits(scene, units);
+    const UnitFactors by(scene.units, units);
+    Scene plain = rescaled;
+    plain.units = {};
+    const Certificate other = Certify(plain,
+                                      ConvertStates(report.initial_state, scene.units, units),
+                                      Multiplied(report.control, by.force),
+                                      Multiplied(report.durations, by.time));
+    EXPECT_EQ(other.verdict, certificate.verdict) << name << ": " << other.reason;
+    EXPECT_EQ(other.stationarity, certificate.stationarity) << name;
+    EXPECT_EQ(other.hamiltonian, certificate.hamiltonian) << name;
+    for (size_t i = 0; i < other.constraints.size(); ++i) {
+      EXPECT_EQ(other.constraints[i].multiplier, certificate.constraints[i].multiplier * (by.loss / by.length));
+    }
+  }
+}
+
+}  // namespace
+}  // namespace saltus

@@ -1,0 +1,204 @@
+// States of solutions, in JSON and NPZ, and controls that come from elsewhere.
+#include <gmock/gmock.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "output/npz.h"
+#include "programs/run_program.h"
+#include "saltus/scene/geometry.h"
+
+namespace saltus {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+
+json Solve(const std::string& flags) {
+  const Outcome outcome = RunProgram("saltus_solve --progress=none --json " + flags);
+  EXPECT_LE(outcome.exit_code, 1) << outcome.errors;
+  return json::parse(outcome.output);
+}
+
+std::string TempFile(const std::string& name) {
+  return testing::TempDir() + "/" + std::to_string(getpid()) + "_" + name;
+}
+
+std::string Write(const std::string& name, const json& document) {
+  std::ofstream(TempFile(name)) << document;
+  return TempFile(name);
+}
+
+const std::vector<double>& Doubles(const NpyArray& array) { return std::get<std::vector<double>>(array.data); }
+
+TEST(SolutionStates, EveryRunHasItsFinalStates) {
+  const json run = Solve("--contact=direct_toi --solver=gd --iterations=3" + Scene("two_balls"))["runs"][0];
+  ASSERT_EQ(run["final_state"].size(), 2u);
+  ASSERT_EQ(run["exact_final_state"].size(), 2u);
+  // The loss is |target ball|^2 + 0.1 * integral |u|^2.
+  double effort = 0;
+  for (const json& row : run["control"]) {
+    for (int j = 0; j < 2; ++j) effort += 0.1 / 480 * row[0][j].get<double>() * row[0][j].get<double>();
+  }
+  const auto loss = [&](const json& state) {
+    return effort + std::pow(state[1][0].get<double>(), 2) + std::pow(state[1][1].get<double>(), 2);
+  };
+  EXPECT_NEAR(loss(run["final_state"]), run["final_loss"], 1e-12);
+  EXPECT_NEAR(loss(run["exact_final_state"]), run["exact_loss"], 1e-12);
+  EXPECT_FALSE(run.contains("states"));
+}
+
+TEST(SolutionStates, StatesAreThoseOfTheRollout) {
+  const json document = Solve("--contact=direct_toi,event --solver=gd --iterations=2 --states" + Scene("two_balls"));
+  EXPECT_EQ(document["bodies"][1]["name"], "target");
+  for (const json& run : document["runs"]) {
+    ASSERT_EQ(run["times"].size(), 481u);
+    ASSERT_EQ(run["states"].size(), 481u);
+    EXPECT_EQ(run["states"][480], run["final_state"]);
+    EXPECT_NEAR(run["times"][240].get<double>(), 0.5, 1e-12);
+    const size_t rows = run["exact_times"].size();
+    EXPECT_EQ(rows, run["exact_states"].size());
+    EXPECT_EQ(rows, 481 + 2 * run["events"].size());
+    for (int j = 0; j < 4; ++j) {
+      const double found = run["exact_states"][rows - 1][1][j], expected = run["exact_final_state"][1][j];
+      EXPECT_NEAR(found, expected, 1e-12);
+    }
+  }
+}
+
+// Angle and angular velocity come after position and velocity, and a solution's spin is where another run begins.
+TEST(SolutionStates, DiscsThatSpinHaveSixNumbers) {
+  const std::string spin = "--solver=ceres_lm --iterations=60" + Scene("back_spin");
+  const json document = Solve("--contact=event,compliant_brax --states " + spin);
+  for (const json& run : document["runs"]) {
+    const json &states = run["states"], &last = run["final_state"];
+    ASSERT_EQ(last[0].size(), 6u);
+    ASSERT_EQ(run["exact_final_state"][0].size(), 6u);
+    EXPECT_EQ(states.back(), last);
+    EXPECT_EQ(states[0][0][5], run["angular_velocity"][0]);
+    const json& exact = run["exact_states"];
+    for (int j = 0; j < 6; ++j) {
+      EXPECT_NEAR(exact.back()[0][j].get<double>(), run["exact_final_state"][0][j].get<double>(), 1e-9) << j;
+    }
+  }
+  const json& found = document["runs"][0];
+  const double spun = found["angular_velocity"][0], end = found["final_state"][0][5];
+  const Vec2d miss(found["final_state"][0][0], found["final_state"][0][1].get<double>() - 1);
+  const Vec2d slow(found["final_state"][0][2].get<double>() + 1.5, found["final_state"][0][3].get<double>() - 1);
+  EXPECT_NEAR(found["final_loss"], miss.squaredNorm() + 0.1 * slow.squaredNorm() + 1e-5 * end * end, 1e-12);
+  const std::string from = " --warm_start=" + Write("spin.json", found);
+  const json again = Solve("--contact=event " + spin + from)["runs"][0];
+  EXPECT_EQ(again["initial_loss"], found["final_loss"]);
+  EXPECT_EQ(again["iterations"], 0);
+  EXPECT_NEAR(again["angular_velocity"][0], spun, 1e-12);
+}
+
+TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
+  const json document = Solve("--contact=direct,event --solver=none" + Scene("two_balls"));
+  ASSERT_EQ(document["runs"].size(), 2u);
+  for (const json& run : document["runs"]) {
+    EXPECT_EQ(run["termination"], "converged");
+    EXPECT_FALSE(run.contains("losses"));
+    EXPECT_FALSE(run.contains("initial_loss"));
+    EXPECT_NEAR(run["exact_loss"].get<double>(), 2.05914350610858, 1e-12);  // in closed form
+    EXPECT_EQ(run["certificate"]["verdict"], "not_stationary");
+  }
+  EXPECT_EQ(document["runs"][1]["loss"], document["runs"][1]["exact_loss"]);
+  const json launch = Solve("--contact=event --solver=none" + Scene("ground_wall"))["runs"][0];
+  EXPECT_EQ(launch["termination"], "converged");
+  EXPECT_FALSE(launch.contains("certificate"));
+}
+
+// What one program has found, the other confirms: loss, certificate and intervals of other lengths included.
+TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
+  const std::string directory = TempFile("solutions");
+  const std::string scene = Scene("two_balls");
+  const json best = Solve("--contact=event --solver=ceres_event --output_dir=" + directory + scene)["runs"][0];
+  ASSERT_EQ(best["termination"], "converged");
+  const std::string json_file = Write("best.json", best);
+  const std::string npz_file = directory + "/two_balls_event_ceres_event.npz";
+  for (const std::string& file : {json_file, npz_file}) {
+    const json checked = Solve("--contact=event,direct_toi --solver=none --control=" + file + scene)["runs"];
+    EXPECT_EQ(checked[0]["exact_loss"], best["exact_loss"]);
+    EXPECT_EQ(checked[0]["certificate"]["verdict"], "stationary");
+    EXPECT_EQ(checked[0]["exact_final_state"], best["exact_final_state"]);
+    EXPECT_NEAR(checked[1]["loss"].get<double>(), best["exact_loss"].get<double>(), 0.05);
+  }
+  for (const std::string& flag : {"--control=" + json_file, "--warm_start=" + npz_file}) {
+    const json again = Solve("--contact=event --solver=ceres_event,hmp,gd --iterations=20 " + flag + scene)["runs"];
+    EXPECT_NEAR(again[0]["initial_loss"].get<double>(), best["exact_loss"].get<double>(), 1e-12);
+    EXPECT_LE(again[0]["iterations"], 3);
+    EXPECT_NEAR(again[1]["initial_loss"].get<double>(), best["exact_loss"].get<double>(), 1e-12);
+    EXPECT_NEAR(again[2]["initial_loss"].get<double>(), best["exact_loss"].get<double>(), 1e-4);
+  }
+  const StatusOr<NpzArrays> arrays = ReadNpz(npz_file);
+  ASSERT_TRUE(arrays.ok());
+  EXPECT_EQ(arrays->at("times").shape, (std::vector<int64_t>{481}));
+  EXPECT_EQ(arrays->at("states").shape, (std::vector<int64_t>{481, 2, 4}));
+  EXPECT_EQ(arrays->at("exact_states").shape[2], 4);
+  EXPECT_EQ(Doubles(arrays->at("states")).back(), best["final_state"][1][3].get<double>());
+  EXPECT_THAT(std::get<std::vector<std::string>>(arrays->at("scene").data)[0], HasSubstr("name: two_balls"));
+  std::filesystem::remove_all(directory);
+}
+
+TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {
+  const json scene = {{"name", "edge"},
+                      {"duration", 1.0},
+                      {"steps", 60},
+                      {"gravity", {0, -9.8}},
+                      {"bodies", {{{"name", "ball"}, {"radius", 0.1}, {"mass", 1}, {"position", {0, 1}}}}},
+                      {"segments", {{{"name", "gate"}, {"from", {-1, 0}}, {"to", {1, 0}}}}},
+                      {"objective", {{"terminal", {{{"body", "ball"}, {"quantity", "position"}, {"target", {0, 0}}}}}}},
+                      {"optimize", "none"}};
+  const std::string file = Write("edge.yaml", scene), folder = TempFile("edge");
+  const json run =
+      Solve("--solver=none --contact=event --states --scene=" + file + " --output_dir=" + folder)["runs"][0];
+  ASSERT_FALSE(run["exact_touches"].empty()) << run.dump().substr(0, 500);
+  EXPECT_EQ(run["exact_touches"][0]["b"], "gate");
+  EXPECT_NEAR(run["exact_touches"][0]["begin"].get<double>(), std::sqrt(2 * 0.9 / 9.8), 1e-9);
+  std::stringstream page;
+  page << std::ifstream(folder + "/report.html").rdbuf();
+  EXPECT_THAT(page.str(),
+              HasSubstr(R"("outlines":[{"name":"gate","solid":"neither","points":[[-1.0,0.0],[1.0,0.0]]}])"));
+}
+
+TEST(SolutionStates, AVelocityIsAWarmStartToo) {
+  const std::string scene = Scene("ground_wall");
+  const json first = Solve("--contact=direct_toi --solver=gd --iterations=20" + scene)["runs"][0];
+  const std::string file = Write("launch.json", {{"velocity", first["velocity"]}});
+  const json second = Solve("--contact=direct_toi --solver=gd --iterations=10 --warm_start=" + file + scene)["runs"][0];
+  EXPECT_EQ(second["initial_loss"], first["final_loss"]);
+  const json whole = Solve("--contact=direct_toi --solver=gd --iterations=30" + scene)["runs"][0];
+  EXPECT_EQ(second["final_loss"], whole["final_loss"]);
+}
+
+TEST(SolutionStates, WrongFilesAreRefusedByPlace) {
+  const std::string scene = Scene("two_balls");
+  const json row = json::array({json::array({1, 2})});
+  const struct {
+    std::string flags, message;
+  } cases[] = {
+      {"--control=/nonexistent.json" + scene, "nonexistent"},
+      {"--control=" + Write("text.json", "text") + scene, "expected an object"},
+      {"--control=" + Write("none.json", {{"velocity", {{0, 0}, {0, 0}}}}) + scene, "expected a control"},
+      {"--control=" + Write("short.json", {{"control", {row, {{1}}}}}) + scene, "control[1][0]"},
+      {"--control=" + Write("wide.json", {{"control", {{{1, 2}, {3, 4}}}}}) + scene, "a list of 1 times"},
+      {"--control=" + Write("long.json", {{"control", {row, row}}, {"durations", {0.5, 0.6}}}) + scene, "1.1 s"},
+      {"--control=" + Write("odd.json", {{"control", {row, row}}, {"durations", json::array({1.0})}}) + scene,
+       "durations"},
+      {"--control=" + Write("runs.json", {{"runs", {1, 2}}}) + scene, "one run, found 2"},
+      {"--warm_start=" + Write("other.json", {{"control", json::array({row})}, {"velocity", {{0, 0}, {1, 0}}}}) + scene,
+       "target"},
+      {"--states" + scene + "--json=false", "--json"},
+  };
+  for (const auto& [flags, message] : cases) {
+    const Outcome outcome = RunProgram("saltus_solve --contact=event --solver=gd --progress=none --json " + flags);
+    EXPECT_EQ(outcome.exit_code, 2) << flags;
+    EXPECT_THAT(outcome.errors, HasSubstr(message)) << flags;
+  }
+}
+
+}  // namespace
+}  // namespace saltus

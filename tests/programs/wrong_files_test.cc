@@ -1,0 +1,154 @@
+// Files that users hand to the programs beside scenes: what is wrong with them is said in words of the file, with its
+// key or line. And the table of runs, whose refusals are said once.
+#include <gmock/gmock.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "programs/given_gradient.h"
+#include "programs/program.h"
+#include "programs/replay_reader.h"
+#include "programs/saved_solution.h"
+#include "programs/simulated_run.h"
+#include "programs/solve.h"
+#include "saltus/simulate/registry.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+class WrongFiles : public testing::Test {
+ protected:
+  // What `read` says of a file with this text.
+  std::string ErrorOf(const std::string& text, const std::function<void(const std::string&)>& read) const {
+    std::ofstream(path_) << text;
+    try {
+      read(path_);
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "none";
+  }
+  std::string ErrorOfGiven(const std::string& text) const {
+    return ErrorOf(text, [&](const std::string& path) { (void)ReadGivenGradient(path, scene_); });
+  }
+  std::string ErrorOfReplay(const std::string& text) const {
+    return ErrorOf(text, [](const std::string& path) { (void)ReadReplayFile(path, std::nullopt); });
+  }
+  std::string ErrorOfControl(const std::string& text) const {
+    return ErrorOf(text, [&](const std::string& path) { (void)ReadSolution("--control", path, scene_); });
+  }
+
+  std::vector<std::function<std::string(const std::string&)>> Readers() const {
+    return {[this](const std::string& text) { return ErrorOfGiven(text); },
+            [this](const std::string& text) { return ErrorOfReplay(text); },
+            [this](const std::string& text) { return ErrorOfControl(text); }};
+  }
+
+  const Scene scene_ = ProblemScene("two_balls");
+  const std::string path_ = testing::TempDir() + "/wrong_" + std::to_string(getpid());
+};
+
+TEST_F(WrongFiles, EmptyOnesAndThoseThatAreNoJsonAreSaidToBe) {
+  for (const auto& error : Readers()) {
+    for (const char* empty : {"", " \n\t\r\n"}) {
+      EXPECT_THAT(error(empty), AllOf(HasSubstr(path_ + ": the file is empty, expected "), HasSubstr("JSON object")));
+    }
+    EXPECT_THAT(error("{\n  \"position\": [1,,2]\n}"), HasSubstr("line 2, column 18: found text that is not JSON"));
+    EXPECT_THAT(error("x"), HasSubstr("line 1, column 1: found text that is not JSON"));
+    EXPECT_THAT(error("{\"position\":\n"), HasSubstr(": found the end of the file, expected "));
+    EXPECT_THAT(error("{\"tolerance\": 1e999}"), HasSubstr("expected "));
+    EXPECT_THAT(error("[]"), HasSubstr("object"));
+    for (const char* text : {"", "x", "{", "[1", "\"\x80\"", "1e999", "nul"}) {
+      EXPECT_THAT(error(text), AllOf(Not(HasSubstr("json.exception")), testing::Ne("none"))) << text;
+    }
+  }
+}
+
+TEST_F(WrongFiles, AGradientWithoutNumbersJudgesNothing) {
+  for (const char* text : {"{}",
+                           R"({"name": "a", "tolerance": 1})",
+                           R"({"position": []})",
+                           R"({"position": [null, null], "velocity": [null]})",
+                           R"({"control": [[], [null]]})",
+                           R"({"gradient": {}})",
+                           R"({"parameters": {"stiffness": 1}})"}) {
+    EXPECT_THAT(ErrorOfGiven(text), HasSubstr("expected some in position, velocity or control")) << text;
+  }
+  EXPECT_EQ(ErrorOfGiven(R"({"position": [null, [1, 2]]})"), "none");
+  EXPECT_EQ(ErrorOfGiven(R"({"control": [[], [[1, 2]]]})"), "none");
+}
+
+TEST_F(WrongFiles, AGradientOfFixedDiscsOnlyJudgesNothing) {
+  Scene scene = scene_;
+  scene.bodies[1].fixed = true;
+  const auto read = [&](const std::string& path) { (void)ReadGivenGradient(path, scene); };
+  EXPECT_THAT(ErrorOf(R"({"position": [null, [1, 2]]})", read), HasSubstr("no number of a disc that moves"));
+  EXPECT_EQ(ErrorOf(R"({"position": [[1, 2], [1, 2]]})", read), "none");
+}
+
+TEST_F(WrongFiles, ATouchEndsAfterItBegins) {
+  const auto with = [](const std::string& touch) {
+    return R"({"bodies": [{"name": "ball", "radius": 0.1}], "planes": [{"name": "ground", "point": [0, 0],
+        "normal": [0, 1]}], "times": [0, 1], "states": [[[0, 1]], [[0, 0.1]]],
+        "touches": [{"a": "ball", "b": "ground", )" +
+           touch + "}]}";
+  };
+  EXPECT_EQ(ErrorOfReplay(with(R"("begin": 0.5)")), "none");
+  EXPECT_EQ(ErrorOfReplay(with(R"("begin": 0.5, "end": 0.5)")), "none");
+  EXPECT_THAT(ErrorOfReplay(with(R"("begin": 0.5, "end": 0.25)")),
+              HasSubstr("touches[0].end: expected a time from its begin on, 0.5, found 0.25"));
+}
+
+// Angular velocities are variables of solvers, of which there are none here.
+TEST(SimulateOnly, TakesScenesWhoseSpinIsFree) {
+  Request request;
+  request.scene = ProblemScene("ground_wall_spin");
+  ASSERT_FALSE(request.scene.free_spin.empty());
+  for (const char* contact : {"direct", "event", "compliant_warp"}) {
+    if (!WhyNotApplicable(contact, request.scene).empty()) continue;
+    const SolvedRun run = SimulateOnly(request, contact);
+    EXPECT_TRUE(run.simulated) << contact << ": " << run.report.reason;
+  }
+}
+
+// Every contact model with solvers that all refuse for one reason: two rows, not one for each of them.
+TEST(RunTable, SaysEachReasonOnce) {
+  SolvedRuns solved;
+  const auto add =
+      [&](const std::string& contact, const std::string& solver, Termination termination, const std::string& reason) {
+        SolvedRun run;
+        run.report.contact = contact;
+        run.report.solver = solver;
+        run.report.termination = termination;
+        run.report.reason = reason;
+        solved.runs.push_back(run);
+      };
+  const char* contacts[] = {"lcp", "convex", "direct", "direct_toi", "ncp", "xpbd", "qcqp", "event"};
+  for (const char* contact : contacts) {
+    for (const char* solver : {"gd", "ceres_lm"}) add(contact, solver, Termination::kNotApplicable, "no control");
+    if (contact != std::string("event")) continue;
+    add(contact, "hmp", Termination::kNotApplicable, "another");
+    add(contact, "ceres_event", Termination::kFailed, "no control");
+  }
+  const Table table = RunTable(solved);
+  std::vector<std::string> rows;
+  for (const std::vector<Cell>& row : table.rows()) {
+    rows.push_back(row[0].Exact() + "|" + row[1].Exact() + "|" + row[8].Exact() + "|" + row[9].Exact());
+  }
+  EXPECT_THAT(rows,
+              testing::ElementsAre("event|ceres_event|failed|no control",
+                                   "lcp, convex, direct, direct_toi, ncp, xpbd and 2 more|gd, ceres_lm|not_applicable|"
+                                   "no control",
+                                   "event|hmp|not_applicable|another"));
+}
+
+}  // namespace
+}  // namespace saltus

@@ -1,0 +1,233 @@
+// Solvers along a sequence of impacts that is not that of an optimum: what it is mended to, and what is said of it.
+#include <gmock/gmock.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "box_scene.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/solve/solver.h"
+#include "scene/control_problems.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+ExactRun Resimulate(const Scene& scene, const SolveReport& report) {
+  return SimulateExactly(scene, report.initial_state, report.control, report.durations);
+}
+
+Scene Unpushed(double duration, int steps, double restitution) {
+  Scene scene;
+  scene.name = "mended";
+  scene.duration = duration;
+  scene.steps = steps;
+  scene.contact.restitution = restitution;
+  scene.optimize = Optimize::kControl;
+  return scene;
+}
+
+// A bounce only mirrors what follows. Unfolded, the way is straight but for the correction, and the least loss that of
+// a free disc: k d^2 / (1 + k) with k = 3 effort / T^3 for a guess that misses by d.
+double BoxOptimum(double loss_of_guess, const Scene& scene) {
+  const double stiffness = 3 * scene.objective.effort / std::pow(scene.duration, 3);
+  return loss_of_guess * stiffness / (1 + stiffness);
+}
+
+class BySequence : public testing::TestWithParam<std::string> {};
+
+TEST_P(BySequence, ReachesTheOptimumAfterTenBounces) {
+  const Scene scene = BallInBox(1, 500);
+  const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  EXPECT_NEAR(report.final_loss, BoxOptimum(report.initial_loss, scene), 1e-9);
+  const ExactRun exact = Resimulate(scene, report);
+  EXPECT_EQ(exact.events.size(), 10u);
+  // The last two impacts of the guess come in the other order.
+  EXPECT_EQ(exact.events[8].b, "left");
+  EXPECT_EQ(exact.events[9].b, "floor");
+  EXPECT_THAT(report.reason, HasSubstr("sequences passed"));
+}
+
+TEST_P(BySequence, ReachesTheOptimumAfterThirtySevenBounces) {
+  const Scene scene = BallInBox(4, 2000);
+  const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, BoxOptimum(report.initial_loss, scene), 1e-11);
+}
+
+// The striker should be as slow as possible: it strikes when the time is over.
+TEST_P(BySequence, StrikesAtTheFinalTime) {
+  Scene scene = Unpushed(1, 200, 0.8);
+  scene.bodies = {{.name = "striker", .radius = 0.2, .mass = 1, .position = {-1.5, 0.1}},
+                  {.name = "target", .radius = 0.2, .mass = 1, .position = {0, 0}}};
+  scene.control = {{0}, {{3, 0}}};
+  scene.objective.terminal = {
+      {.body = 1, .quantity = TerminalTerm::Quantity::kVelocity, .target = {1, 0.5}, .weight = 5}};
+  scene.objective.effort = 0.02;
+  const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 0.0838);
+  const ExactRun exact = Resimulate(scene, report);
+  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  ASSERT_EQ(exact.events.size(), 1u);
+  EXPECT_NEAR(exact.events[0].time, 1, 1e-6);
+  EXPECT_THAT(report.reason, HasSubstr("striker-target (at the final time)"));
+  ASSERT_TRUE(report.certificate);
+  EXPECT_THAT(report.certificate->reason, HasSubstr("final time"));
+}
+
+// Head-on the ball is stationary at a saddle; on either side of it the best way leads past the post, which it touches.
+// The loss of that in continuous time, by minimization over time, angle and speed of the touch alone: 2.711708788.
+TEST_P(BySequence, LeavesASaddleForAGraze) {
+  Scene scene = Unpushed(1, 200, 0.9);
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {-1, 0}, .velocity = {2.5, 0}},
+                  {.name = "post", .radius = 0.2, .fixed = true, .position = {0, 0}}};
+  scene.control = {{0}, {{0, 0}}};
+  scene.objective.terminal = {{.body = 0, .target = {1, 0}}};
+  scene.objective.effort = 0.5;
+  const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 2.712);
+  EXPECT_GT(report.final_loss, 2.711708787);
+  EXPECT_THAT(report.reason, HasSubstr("left a saddle"));
+  EXPECT_THAT(report.reason, HasSubstr("none, ball-post apart"));
+  const ExactRun exact = Resimulate(scene, report);
+  EXPECT_TRUE(exact.events.empty());
+  // With a post that is larger by less than a hair, the same control meets it.
+  scene.bodies[1].radius += 1e-6;
+  EXPECT_FALSE(Resimulate(scene, report).events.empty());
+}
+
+INSTANTIATE_TEST_SUITE_P(Solvers, BySequence, testing::Values("ceres_phases", "ceres_event"));
+
+// Through a gap between two posts that the guess bounces off.
+TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
+  Scene scene = Unpushed(2, 400, 0.9);
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {0, 0.1}},
+                  {.name = "top", .radius = 0.3, .fixed = true, .position = {1, 0.45}},
+                  {.name = "bottom", .radius = 0.3, .fixed = true, .position = {1, -0.45}}};
+  scene.control = {{0}, {{1, 0.1}}};
+  scene.objective.terminal = {{.body = 0, .target = {2, 0}}};
+  scene.objective.effort = 0.01;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 0.014982);
+  EXPECT_TRUE(Resimulate(scene, report).events.empty());
+  for (const int post : {1, 2}) scene.bodies[post].radius += 1e-6;
+  EXPECT_FALSE(Resimulate(scene, report).events.empty());
+}
+
+// By Coulomb's law the ball slips at the start and sticks at the optimum: between them the loss has a kink at which a
+// solve stops, and both sides are better tried.
+TEST(CeresPhases, CrossesFromSlipToStick) {
+  Scene scene = Unpushed(1.4, 60, 0.97);
+  scene.contact.friction = 0.1675;
+  scene.bodies = {{.name = "striker", .radius = 0.117, .mass = 0.6615, .position = {0, 0}},
+                  {.name = "target", .radius = 0.1395, .mass = 0.6492, .position = {0.5443, 0.3169}}};
+  scene.control = {{0}, {{1.08, 0.466}}};
+  scene.objective.terminal = {
+      {.body = 1, .target = {1.0475, 0.2777}},
+      {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .weight = 0.068}};
+  scene.objective.effort = 0.0368;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 0.05);
+  EXPECT_THAT(report.reason, HasSubstr("striker-target sticks"));
+}
+
+// A chain whose best motion touches once more, a pair that has struck before.
+TEST(CeresPhases, KeepsApartWhatStrikesElsewhere) {
+  Scene scene = ControlProblem(54);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("striker-link0 apart"));
+  EXPECT_EQ(Resimulate(scene, report).events.size(), 3u);
+  // Arcs know nothing of that, and come down to it from above.
+  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.iterations = 2000});
+  EXPECT_LT(report.final_loss, arcs.final_loss * (1 + 1e-6));
+}
+
+// The ball goes on to a wall when all is done: the plan has no such impact, the optimum has.
+TEST(CeresPhases, TakesAnOptimumWithAnImpactThatChangesNothing) {
+  Scene scene = ControlProblem(13);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(Resimulate(scene, report).events.size(), 2u);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+}
+
+// Three impacts, after which a cost for every step ends in rounding before the conditions of optimality are met.
+TEST(CeresPhases, ConvergesToTheLastDigits) {
+  Scene scene = ControlProblem(42);
+  scene.steps = 240;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+}
+
+TEST(CeresPhases, KeepsToASequenceThatIsGiven) {
+  const Scene scene = BallInBox(1, 500);
+  SolverOptions options;
+  options.sequence = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps)).contacts;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, options);
+  EXPECT_NE(report.termination, Termination::kConverged);
+  EXPECT_THAT(report.reason, Not(HasSubstr("passed")));
+}
+
+// Pushed with all its force along the diagonal, the striker gives the target its speed; after that there is no time to
+// reach the origin.
+TEST(CeresPhases, SaysWhatIsMissedAtLeastWhereTheTargetIsOutOfReach) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.terminal[0].hard = true;
+  scene.control.max = {3};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kNoProgress);
+  EXPECT_THAT(report.reason, HasSubstr("the least violation is"));
+  const double way = std::numbers::sqrt2 - 0.4, speed = std::sqrt(2 * way * 3 * std::numbers::sqrt2);
+  const double miss = std::numbers::sqrt2 - (speed - 2 * way);
+  EXPECT_THAT(report.reason, HasSubstr(" m, by target"));
+  const ExactRun exact = Resimulate(scene, report);
+  EXPECT_NEAR(std::hypot(exact.end[4], exact.end[5]), miss, 1e-5);
+  EXPECT_THAT(report.reason, HasSubstr("0.5090")) << miss;
+  for (const double force : report.control) EXPECT_LE(std::abs(force), 3 * (1 + 1e-12));
+}
+
+// Within the bound it does not even get there, whatever the guess says.
+TEST(CeresPhases, KeepsBoundsThatTheGuessDoesNot) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.terminal[0].hard = true;
+  scene.control.max = {1.2};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kNoProgress);
+  EXPECT_THAT(report.reason, HasSubstr("1.41421 m, by target"));
+  for (const double force : report.control) EXPECT_LE(std::abs(force), 1.2 * (1 + 1e-12));
+}
+
+// Under a bound the best motion of this problem has an impact at the final time too, where the loss has a kink.
+TEST(CeresPhases, ConvergesToAKinkUnderABound) {
+  Scene scene = ControlProblem(72);
+  scene.steps = 60;
+  scene.control.max = {1.5};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("at the final time"));
+  ASSERT_TRUE(report.certificate);
+  EXPECT_THAT(report.certificate->reason, HasSubstr("final time"));
+  EXPECT_NEAR(Resimulate(scene, report).loss, report.final_loss, 1e-12);
+  double largest = 0;
+  for (const double force : report.control) largest = std::max(largest, std::abs(force));
+  EXPECT_NEAR(largest, 1.5, 1e-9);
+}
+
+}  // namespace
+}  // namespace saltus

@@ -1,0 +1,130 @@
+// The search over collision sequences where closed arcs do not apply: bounds, hard terms, running costs, free time and
+// initial states that are to be found.
+#include <gmock/gmock.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "constrained_reference.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
+#include "saltus/solve/solver.h"
+#include "scene/control_problems.h"
+#include "searched_scenes.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+ExactRun RollOut(const Scene& scene, const SolveReport& report) {
+  return SimulateExactly(scene, report.initial_state, report.control, report.durations);
+}
+
+class SearchUnderConstraints : public testing::TestWithParam<Json> {};
+
+// A guess that pushes the striker away has no impact that ceres_phases could mend.
+TEST_P(SearchUnderConstraints, ReachesTheOptimumFromAGuessThatMisses) {
+  const Json& reference = GetParam();
+  Scene scene = SceneOf(reference, 120);
+  scene.control.initial = {{-1, 0.5}};
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(30, 4));
+  ASSERT_TRUE(report.termination == Termination::kConverged || report.termination == Termination::kIterationLimit)
+      << report.reason;
+  // Where doing nothing at all is better than the reference's impact, the search finds that.
+  const double optimum = std::min(reference["loss"].get<double>(),
+                                  scene.objective.terminal[0].hard ? 1e9 : scene.bodies[1].position.squaredNorm());
+  EXPECT_GT(report.final_loss, optimum - 1e-9);
+  EXPECT_LT(report.final_loss, optimum + 16 * 3e-6);  // second order: 3e-6 with 480 steps
+  const ExactRun exact = RollOut(scene, report);
+  ASSERT_TRUE(exact.ok) << exact.reason;
+  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  for (const double u : report.control) {
+    if (!scene.control.max.empty()) {
+      EXPECT_LE(std::abs(u), scene.control.max[0] * (1 + 1e-12));
+    }
+  }
+  EXPECT_FALSE(report.optima.empty());
+}
+
+INSTANTIATE_TEST_SUITE_P(All, SearchUnderConstraints, testing::ValuesIn(References()),
+                         [](const auto& test) { return TestName(test.param); });
+
+// A chain in which another impact is worth while: ceres_phases ends at 0.0125, penalised shooting from twenty random
+// starts at 0.0146.
+TEST(PhaseSearch, FindsABetterSequenceUnderBounds) {
+  Scene scene = ControlProblem(4);
+  scene.steps = 40;
+  const SolveReport free = Solve("ceres_phases", {scene, "event"}, {});
+  double largest = 0;
+  for (const double force : free.control) largest = std::max(largest, std::abs(force));
+  scene.control.max.assign(scene.num_controlled(), 0.75 * largest);
+  const SolveReport local = Solve("ceres_phases", {scene, "event"}, {});
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(60, 4));
+  EXPECT_LT(report.final_loss, 0.5 * local.final_loss);
+  const ExactRun exact = RollOut(scene, report);
+  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  EXPECT_NE(exact.contacts, RollOut(scene, local).contacts);
+  for (const double force : report.control) EXPECT_LE(std::abs(force), 0.75 * largest * (1 + 1e-12));
+  ASSERT_TRUE(report.searched);
+  EXPECT_EQ(report.searched->starts, 1 + 1 + 4);  // the guess, the optimum without bounds, and its own
+}
+
+// Thrown away from the wall and the target, so that nothing near by leads back.
+TEST(PhaseSearch, FindsALaunch) {
+  Scene scene = ProblemScene("ground_wall");
+  scene.bodies[0].velocity = {-1, 4};
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(20, 8));
+  EXPECT_LT(report.final_loss, 1e-12) << report.reason;
+  const ExactRun exact = RollOut(scene, report);
+  ASSERT_TRUE(exact.ok) << exact.reason;
+  EXPECT_LT(exact.loss, 1e-12);
+}
+
+TEST(PhaseSearch, HasTheSameAnswerForAnyNumberOfThreads) {
+  Scene scene = SceneOf(Reference("running"), 40);
+  SolverOptions options = Counted(24, 6);
+  const SolveReport one = Solve("mode_search", {scene, "event"}, options);
+  options.threads = 3;
+  const SolveReport three = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_EQ(one.control, three.control);
+  EXPECT_EQ(one.losses, three.losses);
+  EXPECT_EQ(one.reason, three.reason);
+}
+
+// The target cannot get to the origin under this bound (sequence_mending_test has the miss in closed form).
+TEST(PhaseSearch, SaysWhatIsMissedAtLeast) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  scene.objective.terminal[0].hard = true;
+  scene.control.max = {3};
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(12, 3));
+  EXPECT_NE(report.termination, Termination::kConverged);
+  EXPECT_THAT(report.reason, HasSubstr("the least violation is"));
+}
+
+TEST(PhaseSearch, KeepsToItsLimitsAndSaysWhich) {
+  const Scene scene = SceneOf(Reference("running"), 60);
+  const SolveReport few = Solve("mode_search", {scene, "event"}, Counted(3, 8));
+  EXPECT_EQ(few.termination, Termination::kIterationLimit);
+  EXPECT_THAT(few.reason, HasSubstr("the limit of iterations"));
+  EXPECT_EQ(few.iterations, 3);
+  EXPECT_FALSE(few.searched->complete);
+
+  SolverOptions options = Counted(100, 8);
+  options.callback = [](int iteration, double) { return iteration < 2; };
+  const SolveReport interrupted = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_EQ(interrupted.termination, Termination::kInterrupted);
+  EXPECT_LT(interrupted.final_loss, interrupted.initial_loss);
+
+  options = Counted(100, 8);
+  options.search_options.seconds = 1e-9;
+  const SolveReport late = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_THAT(late.reason, HasSubstr("the limit of time"));
+  EXPECT_LE(late.final_loss, late.initial_loss);
+}
+
+}  // namespace
+}  // namespace saltus

@@ -1,0 +1,108 @@
+// Tasks worked off by several threads: what is drawn and looked at, in which order, and that no thread waits in vain.
+#include "solve/search/task_line.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <future>
+#include <new>
+#include <numeric>
+#include <string>
+
+namespace saltus {
+namespace {
+
+// Draws up to 200 numbers, each from what has been looked at, and writes down what happens.
+std::string Log(int threads) {
+  std::string log;
+  int drawn = 0, looked = 0, sum = 0;
+  TaskLine<int, int> line;
+  line.draw = [&]() -> std::optional<int> {
+    if (drawn == 200 || (looked > 50 && looked < 55)) return std::nullopt;  // a while in which there is nothing
+    const int task = 31 * drawn++ + sum % 7;
+    log += "d" + std::to_string(task) + " ";
+    return task;
+  };
+  line.solve = [](const int& task) {
+    volatile int work = 0;
+    for (int i = 0; i < task % 13 * 1000; ++i) work = work + i;
+    return task * task % 101;
+  };
+  line.look = [&](const int& task, int found) {
+    ++looked;
+    sum += found;
+    log += "l" + std::to_string(task) + "=" + std::to_string(found) + " ";
+  };
+  line.ahead = [](const int& task) { return task % 17 == 0 ? 25 : 0; };
+  line.WorkOff(threads);
+  EXPECT_EQ(drawn, 200);
+  EXPECT_EQ(looked, 200);
+  return log;
+}
+
+TEST(TaskLine, TheNumberOfThreadsChangesNothing) {
+  const std::string one = Log(1);
+  EXPECT_EQ(Log(2), one);
+  EXPECT_EQ(Log(5), one);
+}
+
+TEST(TaskLine, LooksInOrderButAtLongOnesLater) {
+  std::vector<int> looked;
+  TaskLine<int, int> line;
+  int drawn = 0;
+  line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
+  line.solve = [](const int& task) { return task; };
+  line.look = [&](const int& task, int) { looked.push_back(task); };
+  line.ahead = [](const int& task) { return task == 3 ? 20 : 0; };
+  line.WorkOff(3);
+  std::vector<int> expected(40);
+  std::iota(expected.begin(), expected.end(), 0);
+  expected.erase(expected.begin() + 3);
+  expected.insert(expected.begin() + 22, 3);  // as if it were number 23, before which it was drawn
+  EXPECT_EQ(looked, expected);
+}
+
+// A long task that ends only when twenty others have: in batches, or in order, nobody would ever begin these.
+TEST(TaskLine, OthersGoOnBesideALongOne) {
+  std::atomic<int> solved{0};
+  std::promise<void> enough;
+  int drawn = 0;
+  TaskLine<int, int> line;
+  line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
+  line.solve = [&](const int& task) {
+    if (task == 0) {
+      enough.get_future().wait();
+    } else if (++solved == 20) {
+      enough.set_value();
+    }
+    return task;
+  };
+  line.look = [](const int&, int) {};
+  line.ahead = [](const int& task) { return task == 0 ? 30 : 0; };
+  line.WorkOff(2);
+  EXPECT_EQ(solved, 39);
+}
+
+TEST(TaskLine, NothingToDo) {
+  TaskLine<int, int> line;
+  line.draw = []() -> std::optional<int> { return std::nullopt; };
+  line.solve = [](const int& task) { return task; };
+  line.look = [](const int&, int) { ADD_FAILURE(); };
+  line.WorkOff(1);
+  line.WorkOff(4);
+}
+
+TEST(TaskLine, WhatATaskThrowsComesOut) {
+  for (const int threads : {1, 3}) {
+    TaskLine<int, int> line;
+    int drawn = 0, looked = 0;
+    line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
+    line.solve = [](const int& task) { return task == 11 ? throw std::bad_alloc() : task; };
+    line.look = [&](const int&, int) { ++looked; };
+    EXPECT_THROW(line.WorkOff(threads), std::bad_alloc);
+    EXPECT_EQ(looked, 11);
+  }
+}
+
+}  // namespace
+}  // namespace saltus
