@@ -62,7 +62,7 @@ class ForceRows {
       sides_.push_back(
           {row.a, row.b, ValueOf(row.direction), ValueOf(row.push), Value(row.along), Value(row.push_along)});
     }
-    if (n > kMostDenseRows) return SolveAsSystem();
+    if (n > kMostDenseRows && kRotation != kSpin) return SolveAsSystem();
     matrix_.resize(n * n);
     for (int i = 0; i < n; ++i) {
       for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_, turn_mobility_);
