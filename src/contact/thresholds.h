@@ -10,11 +10,12 @@
 namespace saltus::internal {
 
 // Gaps, lengths.
-inline constexpr double kRoundingGap = 1e-14;    // a gap that is zero but for rounding [roots, at_once]
-inline constexpr double kContactGap = 1e-10;     // up to which a pair touches [rest]
-inline constexpr double kLargestDrift = 3e-11;   // error of a gap that a sub-step may reach [rolling, rest]
-inline constexpr double kSeam = 1e-12;           // by which an edge counts beyond its end (walls.h) [edges]
-inline constexpr double kLargestOverlap = 1e-9;  // growth of an overlap, beyond which a step fails [piles, stress]
+inline constexpr double kRoundingGap = 1e-14;      // a gap that is zero but for rounding [roots, at_once]
+inline constexpr double kRoundingOfSteps = 1e-12;  // of positions: rounding over many steps [at_once]
+inline constexpr double kContactGap = 1e-10;       // up to which a pair touches [rest]
+inline constexpr double kLargestDrift = 3e-11;     // error of a gap that a sub-step may reach [rolling, rest]
+inline constexpr double kSeam = 1e-12;             // by which an edge counts beyond its end (walls.h) [edges]
+inline constexpr double kLargestOverlap = 1e-9;    // growth of an overlap, beyond which a step fails [piles, stress]
 
 // Speeds and accelerations.
 inline constexpr double kSlowSpeed = 1e-6;         // up to which a pair that touches does not bounce [rest]

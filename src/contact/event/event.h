@@ -27,7 +27,8 @@
 // Head-on. The derivative by mu at mu = 0 is the one from above. It is zero for an impact whose sliding speed is less
 //   than kHeadOn of its closing speed: any friction makes it stick.
 // Grid nodes. An event in the last kNodeMargin of a step belongs to the next step, which starts with it: its
-//   derivative is the one-sided one with the force of that step on both sides of the event.
+//   derivative is the one-sided one with the force of that step on both sides of the event. A disc that stops on a
+//   node is at rest before anything else happens there.
 // Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; if they close, they
 //   meet at the start, and no position is changed.
 // Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is

@@ -38,6 +38,7 @@ struct EventDisc {
   bool reported = false;         // a touch of it has been reported
   bool dirty = false;            // its pairs are to be predicted again
   bool out = false;              // it lies in a pocket
+  double kick = 0;               // m/s, changes of its velocity by impacts at the time of its last event
   int event = 0;                 // number of its last event
   int impacts = 0;               // once there are kManyImpacts in the step
   double sub_step_end = kNever;  // s, until when `a` holds if it moves around what it touches

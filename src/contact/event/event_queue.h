@@ -243,7 +243,7 @@ class EventQueue {
     const double wait = pairs_[r].next - time;
     if (pairs_[r].closed() || motion_.IsTable(c) || !(wait <= kTieTime * in_.h)) return false;
     const double speed = motion_.ApproachAt(c, time).speed;
-    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingGap * (1 + motion_.SizeAt(c, time)) &&
+    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingOfSteps * (1 + motion_.SizeAt(c, time)) &&
            Value(motion_.LastTime(c)) <= time;
   }
 
