@@ -1,4 +1,4 @@
-// Discs pressed against what bends, with friction, under the event-driven model: against an integration of the angle,
+// Discs that rest on curved walls and on each other, with friction, under the event-driven model: against an integration of the angle,
 // and differences.
 #include <gtest/gtest.h>
 
