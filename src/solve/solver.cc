@@ -154,7 +154,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
       {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "as ceres_event or ceres_phases, and searches for the sequence of impacts", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
+      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
   };
   // clang-format on
   return solvers;
