@@ -92,7 +92,7 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
     if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
   }
   if (request.terms.empty() || entry.own_terms) return "";
-  return "it knows the scene's objective and no terms of a user's own, which ceres_phases takes";
+  return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
