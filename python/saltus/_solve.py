@@ -108,7 +108,9 @@ def audit(
 ) -> Audit:
     """Compares the gradients of contact models, or of a simulator of your own, with the exact gradient.
 
-    ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
+    A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
+    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -132,10 +134,6 @@ def audit(
         width_sweep: whether to compare with differences of every width too.
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
-
-    A gradient is compared with the exact one and with differences of the results of ``simulate``
-    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
-    measured precision.
 
     Raises:
         ValueError: a name is unknown, a shape is wrong, or the only model does not support the scene.
