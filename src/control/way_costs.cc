@@ -5,7 +5,6 @@
 #include <optional>
 
 #include "control/phase_costs.h"
-#include "control/running_loss.h"
 #include "optimality/costate_sweep.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
@@ -71,15 +70,7 @@ class ExactWayCosts final : public WayCosts {
     for (size_t i = 0; i < sweep_->segments().size(); ++i) {
       const Flight::Piece& piece = sweep_->segments()[i].piece;
       by_scale += found.hamiltonian[i] + piece.start * found.drift[i] + found.drift_moment[i];
-      for (int c = 0; c < scene_.num_controlled() && !control.empty(); ++c) {
-        const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-        double* g = &control[scene_.ForceIndex(piece.interval, c)];
-        for (int d = 0; d < 2; ++d) g[d] += inverse_mass * found.push[i][c][d];
-      }
-      for (int t = 0; t < scene_.num_turned() && !control.empty(); ++t) {
-        const Body& body = scene_.bodies[scene_.control.turned[t]];
-        control[scene_.TurnIndex(piece.interval, t)] += body.radius / body.MomentOfInertia() * found.turn[i][t];
-      }
+      if (!control.empty()) sweep_->AddByControl(piece.interval, found.push[i], found.turn[i], control);
     }
     Put(found.start, initial);
     if (duration != nullptr) *duration = by_scale / scene_.duration;

@@ -20,7 +20,7 @@
 #include <vector>
 
 #include "control/phase_costs.h"
-#include "optimality/impact_jump.h"
+#include "optimality/costate_sweep.h"
 #include "saltus/contact/contact_model.h"
 #include "saltus/scene/scene.h"
 

@@ -12,19 +12,13 @@ namespace {
 
 using Quantity = TerminalTerm::Quantity;
 
-struct Point {
-  Vec2d p, v;
-};
-
-Point After(const Flight::Piece& piece, int body, double s) {
-  const Vec2d &p = piece.at_start.p[body], &v = piece.at_start.v[body], &a = piece.acceleration[body];
-  return {p + s * (v + 0.5 * s * a), v + s * a};
-}
-
-const Vec2d& Read(const Point& x, Quantity quantity) { return quantity == Quantity::kPosition ? x.p : x.v; }
-
 Vec2d& Part(Costate<double>* costate, Quantity quantity) {
   return quantity == Quantity::kPosition ? costate->position : costate->velocity;
+}
+
+// By how much a disc misses the target of a running term, `s` seconds after the start of a piece.
+Vec2d MissOf(const RunningTerm& term, const Flight::Piece& piece, double s) {
+  return piece.After(term.body, s).Of(term.quantity) - TargetAt(term, piece.start + s);
 }
 
 // The rate of the target of a running term, which does not turn in the piece.
@@ -35,6 +29,56 @@ Vec2d TargetRate(const RunningTerm& term, const Flight::Piece& piece) {
 }
 
 }  // namespace
+
+double ImpactJump::MultiplierAt(const Flight::Piece& piece, double speed, double gain) const {
+  double power = gain;
+  for (int side = 0; side < 2; ++side) {
+    if (body[side] < 0) continue;
+    const Vec2d& a = piece.acceleration[body[side]];
+    power += after[side].position.dot(velocity_after[side]) + after[side].velocity.dot(a) -
+             before[side].position.dot(velocity_before[side]) - before[side].velocity.dot(a);
+    if (spin_gain[side] != 0) power += after[side].angle * spin_gain[side];
+    if (!piece.turning.empty()) {
+      power += (after[side].angular_velocity - before[side].angular_velocity) * piece.turning[body[side]];
+    }
+  }
+  return power / speed;
+}
+
+Costate<double> FinalCostate(const Scene& scene, const DiscStates& end, int body) {
+  const double angle = end.angle.empty() ? 0.0 : end.angle[body], spin = end.spin.empty() ? 0.0 : end.spin[body];
+  return TerminalCostate<double>(scene.objective, body, scene.duration, end.p[body], end.v[body], angle, spin);
+}
+
+ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after) {
+  const Candidate& c = hit.contact;
+  const ImpactConstants law = MakeImpactConstants(scene, c);
+  const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
+  ImpactJump jump;
+  jump.after = after;
+  Vec2d y(0, 0);
+  for (int side = 0; side < 2; ++side) {
+    const int body = side == 0 ? c.a : c.plane ? -1 : c.b;
+    if (inverse_mass[side] == 0) continue;
+    const double sign = side == 0 ? 1 : -1;
+    jump.body[side] = body;
+    jump.velocity_before[side] = hit.before.v[body];
+    jump.velocity_after[side] = hit.before.v[body] + sign * inverse_mass[side] * hit.impact.impulse;
+    y += sign * inverse_mass[side] * after[side].velocity;
+  }
+  const CostateGain<double> gain =
+      ImpactAdjoint(law, hit.impact, y, hit.before.SpinsOf(c), {after[0].angular_velocity, after[1].angular_velocity});
+  for (int side = 0; side < 2; ++side) {
+    const double sign = side == 0 ? 1 : -1;
+    jump.before[side] = {hit.time,
+                         after[side].position + sign * gain.position,
+                         after[side].velocity + sign * gain.velocity,
+                         after[side].angle,
+                         after[side].angular_velocity + law.radius[side] * gain.spin};
+    if (law.inverse_inertia[side] > 0) jump.spin_gain[side] = SpinGain(law, side, hit.impact);
+  }
+  return jump;
+}
 
 CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
     : scene_(scene), flight_(flight), place_(scene.bodies.size(), -1) {
@@ -55,15 +99,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
     const auto add = [&](double to) {
       part.duration = to - part.start;
       segments_.push_back({part, static_cast<int>(i)});
-      for (int b = 0; b < scene.num_bodies(); ++b) {
-        const Point x = After(whole, b, to - whole.start);
-        part.at_start.p[b] = x.p;
-        part.at_start.v[b] = x.v;
-        if (!scene.Spins()) continue;
-        const double s = to - whole.start, turning = whole.TurningOf(b);
-        part.at_start.angle[b] = whole.at_start.angle[b] + s * (whole.at_start.spin[b] + 0.5 * s * turning);
-        part.at_start.spin[b] = whole.at_start.spin[b] + s * turning;
-      }
+      part.at_start = whole.After(to - whole.start);
       part.start = to;
     };
     for (double cut : cuts) {
@@ -110,8 +146,7 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, Runnin
       if (term.body != i) continue;
       for (size_t g = 0; g < kGaussNodes.size(); ++g) {
         const double s = kGaussNodes[g] * length;
-        const Vec2d miss = Read(After(piece, i, s), term.quantity) - TargetAt(term, piece.start + s);
-        const Vec2d by = (2 * term.weight * kGaussWeights[g] * length) * miss;
+        const Vec2d by = (2 * term.weight * kGaussWeights[g] * length) * MissOf(term, piece, s);
         if (term.quantity == Quantity::kPosition) {
           costate.position += by;
           costate.velocity += s * by;
@@ -132,7 +167,7 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double
   double at_end = 0;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
-    const double kinetic = end[i].position.dot(After(piece, i, h).v);
+    const double kinetic = end[i].position.dot(piece.After(i, h).v);
     const double push = end[i].velocity.dot(piece.acceleration[i]);
     at_end += kinetic + push;
     balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
@@ -144,13 +179,12 @@ CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double
   }
   for (const RunningTerm& term : terms) {
     const Vec2d rate = TargetRate(term, piece);
-    const Vec2d miss = Read(After(piece, term.body, h), term.quantity) - TargetAt(term, piece.start + h);
+    const Vec2d miss = MissOf(term, piece, h);
     at_end += term.weight * miss.squaredNorm();
     balance.largest = std::max(balance.largest, term.weight * miss.squaredNorm());
     for (size_t g = 0; g < kGaussNodes.size(); ++g) {
       const double s = kGaussNodes[g] * h;
-      const Vec2d off = Read(After(piece, term.body, s), term.quantity) - TargetAt(term, piece.start + s);
-      const double by = -2 * term.weight * kGaussWeights[g] * h * off.dot(rate);
+      const double by = -2 * term.weight * kGaussWeights[g] * h * MissOf(term, piece, s).dot(rate);
       balance.drift += by;
       balance.drift_moment += s * by;
     }
@@ -278,6 +312,19 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
   return result;
 }
 
+void CostateSweep::AddByControl(int interval, const std::vector<Vec2d>& push, const std::vector<double>& turn,
+                                std::span<double> gradient) const {
+  for (int t = 0; t < scene_.num_turned(); ++t) {
+    const Body& body = scene_.bodies[scene_.control.turned[t]];
+    gradient[scene_.TurnIndex(interval, t)] += body.radius / body.MomentOfInertia() * turn[t];
+  }
+  for (int c = 0; c < scene_.num_controlled(); ++c) {
+    const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
+    double* g = gradient.data() + scene_.ForceIndex(interval, c);
+    for (int d = 0; d < 2; ++d) g[d] += inverse_mass * push[c][d];
+  }
+}
+
 CostateSweep::Derivatives CostateSweep::OfPoint(int segment, double offset, int body, bool of_position, int axis,
                                                 double scale, std::span<double> gradient) const {
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
@@ -300,9 +347,8 @@ CostateSweep::Derivatives CostateSweep::OfIntegral(const RunningTerm& term, int 
 
 CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, RunningTerms terms, int first,
                                                  std::vector<Costate<double>> now, std::span<double> gradient) const {
-  const int width = scene_.num_controlled();
   Derivatives result;
-  std::vector<Vec2d> push(width);
+  std::vector<Vec2d> push(scene_.num_controlled());
   std::vector<double> turn(scene_.num_turned());
   const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return Late(k, jump, gain); };
   int hit = static_cast<int>(flight_.hits().size()) - 1;
@@ -316,15 +362,7 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
     std::fill(push.begin(), push.end(), Vec2d(0, 0));
     std::fill(turn.begin(), turn.end(), 0.0);
     CrossFlight(piece, length, here, &now, &push, &turn);
-    for (int t = 0; t < scene_.num_turned(); ++t) {
-      const Body& body = scene_.bodies[scene_.control.turned[t]];
-      gradient[scene_.TurnIndex(piece.interval, t)] += body.radius / body.MomentOfInertia() * turn[t];
-    }
-    for (int c = 0; c < width; ++c) {
-      const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-      double* g = gradient.data() + scene_.ForceIndex(piece.interval, c);
-      for (int d = 0; d < 2; ++d) g[d] += inverse_mass * push[c][d];
-    }
+    AddByControl(piece.interval, push, turn, gradient);
     for (; hit >= 0 && segment_after_[hit] == i; --hit)
       CrossImpact(hit, i > first ? terms : RunningTerms(), late, &now);
   }

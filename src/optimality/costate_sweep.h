@@ -1,24 +1,87 @@
-// Costates along an exact motion, carried backwards from the end: the derivatives of the loss, of hard terms and of
-// gaps at impacts by the state at any time. With L the running terms and u held on its intervals,
+// Costates of discs in an exact motion, and how they pass impacts.
+//
+// CostateSweep carries them backwards from the end: they are the derivatives of the loss, of hard terms and of gaps at
+// impacts by the state at any time. With L the running terms and u held on its intervals,
 //
 //   lambda_q' = -dL/dq,   lambda_v' = -lambda_q - dL/dv    in flight
 //   lambda-   = lambda+ + d(term)/dx                       at the time of a via term
 //   lambda-   = Dg^T lambda+ + nu grad psi                 at an impact
 //   lambda(T) = d(terminal terms)/dx                       and the multipliers of hard ones.
 //
-// Discs that spin have such costates of angle and angular velocity too.
-//
-// All integrals are exact: pieces are cut where targets turn and at via terms, and are polynomials between.
+// Discs with rotational inertia have such costates of angle and angular velocity too. All integrals are exact: pieces
+// are cut where targets turn and at via terms, and are polynomials between.
 #pragma once
 
+#include <array>
 #include <functional>
 #include <span>
 #include <vector>
 
-#include "optimality/impact_jump.h"
+#include "control/impact.h"
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
 #include "simulate/flight.h"
 
 namespace saltus {
+
+// The derivatives of the loss by position and velocity of a disc at a time, lambda_q and lambda_v, and if it has
+// rotational inertia by angle and angular velocity.
+template <typename T>
+struct Costate {
+  T time = T(0.0);  // s
+  Vec2<T> position = Vec2<T>(T(0.0), T(0.0)), velocity = position;
+  T angle = T(0.0), angular_velocity = T(0.0);
+
+  // In flight without path costs.
+  Costate At(const T& t) const {
+    return {t, position, velocity + Scale(T(time - t), position), angle, T(angular_velocity + (time - t) * angle)};
+  }
+  // The derivative by what a term is of, if that is an angle or an angular velocity.
+  T& OfSpin(TerminalTerm::Quantity quantity) {
+    return quantity == TerminalTerm::Quantity::kAngle ? angle : angular_velocity;
+  }
+};
+
+// The derivatives of the terminal terms that are not hard by the final state of a disc.
+template <typename T>
+Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, const Vec2<T>& p, const Vec2<T>& v,
+                           const T& angle = T(0.0), const T& spin = T(0.0)) {
+  Costate<T> costate;
+  costate.time = time;
+  for (const TerminalTerm& term : objective.terminal) {
+    if (term.body != body || term.hard) continue;
+    if (term.IsOfSpin()) {
+      const T& q = term.quantity == TerminalTerm::Quantity::kAngle ? angle : spin;
+      costate.OfSpin(term.quantity) += T(2 * term.weight * (q - term.target[0]));
+      continue;
+    }
+    const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
+    Vec2<T>& out = of_position ? costate.position : costate.velocity;
+    if (term.component) {
+      out[*term.component] += T(term.weight);
+    } else {
+      out += Scale(2 * term.weight, Vec2<T>((of_position ? p : v) - term.target.template cast<T>()));
+    }
+  }
+  return costate;
+}
+
+// The costates just after and just before an impact for both sides, without the multiplier.
+struct ImpactJump {
+  std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
+  std::array<Costate<double>, 2> after, before;
+  std::array<Vec2d, 2> velocity_before, velocity_after;
+  std::array<double, 2> spin_gain = {0, 0};  // rad/s
+
+  // The multiplier that keeps the Hamiltonian if accelerations are the same before and after, those of `piece`, and
+  // what the motion costs on its way is `gain` more after the impact.
+  double MultiplierAt(const Flight::Piece& piece, double speed, double gain = 0) const;
+};
+
+// TerminalCostate() where a trajectory ends.
+Costate<double> FinalCostate(const Scene& scene, const DiscStates& end, int body);
+
+ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after);
 
 class CostateSweep {
   using RunningTerms = std::span<const RunningTerm>;
@@ -68,6 +131,11 @@ class CostateSweep {
     std::vector<std::vector<Costate<double>>> after_impact;  // of each impact: of each disc
   };
   Result Sweep(const Source& source, const MultiplierOf& multiplier) const;
+
+  // Adds to `gradient`, of the shape of a control, the derivatives by the forces and torques of an interval that follow
+  // from `push` and `turn` of one of its segments.
+  void AddByControl(int interval, const std::vector<Vec2d>& push, const std::vector<double>& turn,
+                    std::span<double> gradient) const;
 
   struct Derivatives {
     std::vector<Costate<double>> start;  // by the initial state of each disc

@@ -21,6 +21,9 @@ struct ControlledMotion {
   const ExactRun& exact;
 };
 
+// A certificate with what is known of the impacts themselves.
+Certificate WithImpactsOf(const ControlledMotion& motion);
+
 // Costates are read off the forces. Precondition: BeyondTerminalCost() is empty, effort > 0.
 Certificate FreeConditions(const ControlledMotion& motion);
 

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
+#include "scene/units.h"
 #include "solve/control_guess.h"
 #include "solve/grid_solver.h"
 #include "solve/hmp.h"
@@ -12,13 +14,9 @@
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_solution.h"
 #include "solve/search/mode_search.h"
-#include "solve/shooting/ceres_lagrangian.h"
-#include "solve/shooting/ceres_lbfgs.h"
-#include "solve/shooting/ceres_lm.h"
-#include "solve/shooting/ceres_shooting.h"
-#include "solve/shooting/gradient_descent.h"
+#include "solve/shooting/single_shooting_solvers.h"
+#include "solve/shooting/step_shooting_solvers.h"
 #include "solve/solve_run.h"
-#include "solve/solve_units.h"
 
 namespace saltus {
 namespace {
@@ -132,6 +130,76 @@ void AddToLosses(double price, SolveReport* report) {
   for (LocalOptimum& optimum : report->optima) optimum.loss += price;
 }
 
+// The border between the units of users, SI, and the natural ones in which a solver works on `scene`: the options that
+// go in, and the report that comes out. Iterates are decision variables (single_shooting.h).
+void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
+  const UnitFactors to_si(scene.units, {});
+  if (scene.optimize == Optimize::kControl && scene.objective.duration) {
+    const double duration = z->back() * to_si.time;
+    *z = Multiplied(std::move(*z), to_si.force);
+    z->back() = duration;
+    return;
+  }
+  if (scene.optimize == Optimize::kVelocity) {
+    const size_t turning = z->size() - scene.free_spin.size();
+    for (size_t i = 0; i < z->size(); ++i) (*z)[i] *= i < turning ? to_si.speed : to_si.rate;
+    return;
+  }
+  if (scene.optimize != Optimize::kPosition) {
+    *z = Multiplied(std::move(*z), to_si.force);
+    return;
+  }
+  for (size_t i = 0; i + 1 < z->size(); i += 2) {
+    const Vec2d position = ConvertPosition({(*z)[i], (*z)[i + 1]}, scene.units, {});
+    std::copy_n(position.data(), 2, &(*z)[i]);
+  }
+}
+
+// The losses that are called back are in SI units.
+SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
+  SolverOptions out = options;
+  if (options.guess) {
+    const UnitFactors from_si({}, scene.units);
+    out.guess->control = Multiplied(options.guess->control, from_si.force);
+    out.guess->durations = Multiplied(options.guess->durations, from_si.time);
+  }
+  if (options.callback) {
+    out.callback = [&options, units = scene.units](int iteration, double loss) {
+      return options.callback(iteration, ConvertLoss(loss, units, {}));
+    };
+  }
+  return out;
+}
+
+SolveReport InSiUnits(const Scene& scene, SolveReport report) {
+  const Units si;
+  const UnitFactors to_si(scene.units, si);
+  const auto convert_loss = [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); };
+  if (!report.losses.empty()) {
+    convert_loss(&report.initial_loss);
+    convert_loss(&report.final_loss);
+  }
+  for (double& loss : report.losses) convert_loss(&loss);
+  if (report.best) {
+    convert_loss(&report.best->loss);
+    report.best->initial_state =
+        ConvertInitial(std::move(report.best->initial_state), scene.num_bodies(), scene.units, si);
+    report.best->control = Multiplied(std::move(report.best->control), to_si.force);
+    report.best->durations = Multiplied(std::move(report.best->durations), to_si.time);
+  }
+  for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
+  report.initial_state = ConvertInitial(std::move(report.initial_state), scene.num_bodies(), scene.units, si);
+  report.control = Multiplied(std::move(report.control), to_si.force);
+  report.durations = Multiplied(std::move(report.durations), to_si.time);
+  if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
+  if (report.searched) convert_loss(&report.searched->lower_bound);
+  for (LocalOptimum& optimum : report.optima) {
+    convert_loss(&optimum.loss);
+    optimum.times = Multiplied(std::move(optimum.times), to_si.time);
+  }
+  return report;
+}
+
 }  // namespace
 
 std::string WhyNotValid(const SearchOptions& options) {
@@ -218,21 +286,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
 }
 
 const char* TerminationToString(Termination termination) {
-  switch (termination) {
-    case Termination::kConverged:
-      return "converged";
-    case Termination::kIterationLimit:
-      return "iteration_limit";
-    case Termination::kNoProgress:
-      return "no_progress";
-    case Termination::kFailed:
-      return "failed";
-    case Termination::kInterrupted:
-      return "interrupted";
-    case Termination::kNotApplicable:
-      return "not_applicable";
-  }
-  return "";
+  constexpr const char* kNames[] = {
+      "converged", "iteration_limit", "no_progress", "failed", "interrupted", "not_applicable"};
+  return kNames[static_cast<int>(termination)];
 }
 
 }  // namespace saltus

@@ -115,6 +115,11 @@ struct Conditioning {
   // nothing but the rounding, and from the other initial states; the largest of a few.
   double rounding = 0;
 };
+// Of the event-driven model; nothing where that one cannot take the scene or fails. Where discs meet again and again,
+// each impact magnifies what was there before: after a few dozen of them the last bits of the initial state, and the
+// rounding of every step since, may decide the leading digits of the derivative. A gradient that differs from the exact
+// one by no more than the exact one differs from itself is not wrong: nobody can tell.
+std::optional<Conditioning> MeasureConditioning(const Scene& scene);
 
 struct RefinementStudy {
   std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite

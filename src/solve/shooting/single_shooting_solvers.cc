@@ -1,22 +1,165 @@
-#include "solve/shooting/ceres_lm.h"
+#include "solve/shooting/single_shooting_solvers.h"
 
 #include <ceres/autodiff_cost_function.h>
 #include <ceres/cost_function.h>
+#include <ceres/gradient_problem.h>
+#include <ceres/gradient_problem_solver.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <span>
 
 #include "control/control_bounds.h"
-#include "control/objective_cost.h"
 #include "control/phase_costs.h"
-#include "solve/ceres_common.h"
+#include "control/smoothed_gradient.h"
+#include "control/step_shooting.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
+
+bool AllFinite(const std::vector<double>& values) {
+  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
+// Of `count` variables from number `first` on.
+template <typename S>
+void Update(double learning_rate, const std::vector<double>& gradient, size_t first, size_t count,
+            std::vector<double>* z) {
+  for (size_t i = first; i < first + count; ++i) {
+    (*z)[i] = static_cast<S>((*z)[i]) - static_cast<S>(learning_rate) * static_cast<S>(gradient[i]);
+  }
+}
+
+// The step of one iteration: along the gradient, and back to the bounds. A final time that is free takes the rate of
+// forces times the length of a step, so that its unit is that of the rate per unit of time.
+class Step {
+ public:
+  Step(const SingleShooting& shooting, const SolverOptions& options)
+      : scene_(shooting.scene()),
+        forces_(shooting.num_variables() - shooting.has_duration()),
+        rate_(options.learning_rate),
+        rate_of_time_(options.learning_rate) {
+    const double length = shooting.simulator().step();
+    if (options.rate_per_time) {
+      rate_ /= length;
+    } else {
+      rate_of_time_ *= length;
+    }
+    update_ = shooting.simulator().precision() == Precision::kFloat ? Update<float> : Update<double>;
+  }
+
+  void operator()(const std::vector<double>& gradient, std::vector<double>* z) const {
+    update_(rate_, gradient, 0, forces_, z);
+    if (forces_ < z->size()) update_(rate_of_time_, gradient, forces_, 1, z);
+    MoveWithin(z);
+  }
+
+  void MoveWithin(std::vector<double>* z) const {
+    if (scene_.optimize == Optimize::kControl) MoveWithinBounds(scene_, std::span(*z).first(forces_));
+    if (forces_ == z->size()) return;
+    z->back() = std::clamp(z->back(), scene_.objective.duration->min, scene_.objective.duration->max);
+  }
+
+ private:
+  Scene scene_;
+  size_t forces_;
+  double rate_, rate_of_time_;
+  void (*update_)(double, const std::vector<double>&, size_t, size_t, std::vector<double>*);
+};
+
+// The best iterate so far; copied only when the descent leaves it.
+class Best {
+ public:
+  // `last` is the iterate before.
+  void Meet(double loss, int iteration, const std::vector<double>& last) {
+    if (iteration == 0 || loss < best_.loss) {
+      best_.loss = loss;
+      best_.iteration = iteration;
+    } else if (best_.iteration == iteration - 1) {
+      z_ = last;
+    }
+    last_ = iteration;
+  }
+
+  SolveReport AddTo(SolveReport report, const ShootingFunction& shooting) {
+    if (last_ < 0) return report;
+    if (best_.iteration < last_) {
+      best_.initial_state = shooting.InitialStateAt(z_);
+      best_.control = shooting.ControlAt(z_);
+      best_.durations = shooting.DurationsAt(z_);
+      best_.parameters = shooting.ParametersAt(z_);
+    }
+    report.best = std::move(best_);
+    return report;
+  }
+
+ private:
+  BestIterate best_;
+  std::vector<double> z_;
+  int last_ = -1;
+};
+
+SolveReport Fail(ShootingRun* run, const char* what, int iteration, const std::vector<double>& z) {
+  return run->Finish(
+      z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
+}
+
+// What estimates the gradient in the place of the model's adjoint, if asked for.
+std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request, const SolverOptions& options) {
+  if (!options.surrogate || !options.surrogate->smooths()) return std::nullopt;
+  std::optional<SmoothedGradient> smoothed;
+  smoothed.emplace(request.contact, request.scene, request.precision, *options.surrogate, options.threads);
+  smoothed->set_memory_limit(options.memory_limit);
+  smoothed->set_stop(options.stop);
+  return smoothed;
+}
+
+SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
+  ShootingFunction& function = run->function();
+  const int iterations = run->options().iterations;
+  std::vector<double> z = run->initial_guess();
+  rule.move_within(&z);
+  std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
+  for (int k = 0;; ++k) {
+    const bool more = k < iterations;
+    double loss = 0;
+    if (!function.Evaluate(z, &loss, more && !rule.estimate ? gradient.data() : nullptr)) {
+      return Fail(run, "loss", k, last);
+    }
+    best->Meet(loss, k, last);
+    if (!run->Record(loss, z)) return run->Finish(z, Termination::kInterrupted);
+    if (!more) break;
+    if (rule.estimate) {
+      if (!rule.estimate(z, k, &gradient, &standard_error)) return Fail(run, "loss of a sample", k, z);
+      run->RecordEstimate(standard_error);
+    }
+    if (!AllFinite(gradient)) return Fail(run, "gradient", k, z);
+    last = z;
+    rule.step(gradient, &z);
+  }
+  const bool rests = iterations > 0 && z == last;
+  return run->Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
+}
+
+class Loss final : public ceres::FirstOrderFunction {
+ public:
+  explicit Loss(ShootingFunction* shooting) : shooting_(shooting) {}
+
+  bool Evaluate(const double* z, double* loss, double* gradient) const override {
+    if (!shooting_->Evaluate({z, static_cast<size_t>(NumParameters())}, loss, gradient)) return false;
+    return gradient == nullptr ||
+           std::all_of(gradient, gradient + NumParameters(), [](double g) { return std::isfinite(g); });
+  }
+  int NumParameters() const override { return shooting_->num_variables(); }
+
+ private:
+  ShootingFunction* shooting_;
+};
 
 constexpr int kBlockSize = 8;        // variables
 constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
@@ -179,16 +322,57 @@ ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num
     ceres_options.jacobi_scaling = false;
     ceres_options.eta = 1e-6;
   }
-  ceres_options.logging_type = ceres::SILENT;
-  ceres_options.max_num_iterations = options.iterations;
-  ceres_options.gradient_tolerance = kGradientTolerance;
-  ceres_options.function_tolerance = kFunctionTolerance;
-  ceres_options.parameter_tolerance = kParameterTolerance;
-  ceres_options.update_state_every_iteration = true;  // the callback reads it; dropped otherwise if Ceres fails
+  SetCommonOptions(options.iterations, &ceres_options);
   return ceres_options;
 }
 
 }  // namespace
+
+SolveReport DescendGradient(ShootingRun* run, const DescentRule& rule) {
+  Best best;
+  SolveReport report = Descend(run, rule, &best);
+  return best.AddTo(std::move(report), run->function());
+}
+
+SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("gd", request, options);
+  std::optional<SmoothedGradient> smoothed = MakeSmoothedGradient(request, options);
+  const Step step(run.shooting(), options);
+  DescentRule rule;
+  rule.step = step;
+  rule.move_within = [&](std::vector<double>* z) { step.MoveWithin(z); };
+  if (smoothed) {
+    rule.estimate =
+        [&](const std::vector<double>& z, int k, std::vector<double>* gradient, std::vector<double>* standard_error) {
+          return smoothed->Evaluate(z, k, *gradient, *standard_error);
+        };
+  }
+  return DescendGradient(&run, rule);
+}
+
+SolveReport MinimizeByLbfgs(ShootingRun* run) {
+  std::vector<double> z = run->initial_guess();
+  double guess_loss = 0;
+  if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
+    return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
+  }
+  RecordIteration record(run, LossOfCost{}, &z);
+  ceres::GradientProblemSolver::Options ceres_options;
+  ceres_options.line_search_direction_type = ceres::LBFGS;
+  ceres_options.line_search_type = ceres::WOLFE;
+  SetCommonOptions(run->options().iterations, &ceres_options);
+  ceres_options.callbacks = {&record};
+
+  const ceres::GradientProblem problem(new Loss(&run->function()));
+  ceres::GradientProblemSolver::Summary summary;
+  ceres::Solve(ceres_options, problem, z.data(), &summary);
+  return Conclude(run, &record, z, {summary.termination_type, summary.iterations, true});
+}
+
+SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& options) {
+  SolveRun run("ceres_lbfgs", request, options);
+  return MinimizeByLbfgs(&run);
+}
 
 SolveReport MinimizeLeastSquares(
     ShootingRun* run, std::vector<double> z, int num_times, double offset,
