@@ -12,6 +12,7 @@
 #include "identify/unknowns.h"
 #include "saltus/simulate/learned_contact.h"
 #include "scene/units.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 namespace {
@@ -60,14 +61,6 @@ Line FitLine(const std::vector<double>& x, const std::vector<double>& y) {
   for (std::size_t i = 0; i < x.size(); ++i) misses.push_back(std::abs(offsets[i] - line.at));
   line.miss = Median(misses);
   return line;
-}
-
-Vec2d AccelerationOf(const Scene& scene, int body) {
-  Vec2d acceleration = scene.gravity;
-  for (int c = 0; c < scene.num_controlled(); ++c) {
-    if (scene.control.bodies[c] == body) acceleration += scene.control.initial[c] / scene.bodies[body].mass;
-  }
-  return acceleration;
 }
 
 struct Track {
@@ -145,7 +138,7 @@ std::vector<double> InitialFromData(const Scene& scene, const std::vector<Sample
   for (const int body : free_bodies) {
     Track track;
     std::optional<Vec2d> measured;
-    const Vec2d acceleration = AccelerationOf(scene, body);
+    const Vec2d acceleration = InitialAcceleration(scene, body);
     for (int i = segment.first; i < segment.last && track.time.size() < kMost; ++i) {
       const Sample& sample = samples[i];
       if (sample.body != body) continue;

@@ -128,6 +128,15 @@ DiscStates Flight::Before(double time) const {
   return piece.After(std::min(time - piece.start, piece.duration));
 }
 
+Vec2d InitialAcceleration(const Scene& scene, int body) {
+  if (scene.bodies[body].fixed) return Vec2d(0, 0);
+  Vec2d acceleration = scene.gravity;
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    if (scene.control.bodies[c] == body) acceleration += scene.control.initial[c] / scene.bodies[body].mass;
+  }
+  return acceleration;
+}
+
 double RunningLoss(const Scene& scene, const Flight& flight) {
   double loss = 0;
   for (const RunningTerm& term : scene.objective.running) {

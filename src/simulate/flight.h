@@ -79,6 +79,9 @@ class Flight {
   DiscStates end_;
 };
 
+// The acceleration of a disc under gravity and the first of its forces, m/s^2; zero if it is fixed.
+Vec2d InitialAcceleration(const Scene& scene, int body);
+
 // The running terms and the soft via terms of the objective on a trajectory: integrals are exact, cut at impacts and
 // where targets turn.
 double RunningLoss(const Scene& scene, const Flight& flight);
