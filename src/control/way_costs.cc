@@ -5,10 +5,10 @@
 #include <optional>
 
 #include "control/phase_costs.h"
-#include "optimality/costate_sweep.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/events.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {

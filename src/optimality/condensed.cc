@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "base/linear_algebra.h"
-#include "optimality/costate_sweep.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 

@@ -22,8 +22,8 @@
 #include "base/linear_algebra.h"
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
-#include "optimality/costate_sweep.h"
 #include "optimality/optimality_conditions.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {

@@ -21,7 +21,7 @@
 #pragma once
 
 #include "control/event_phases.h"
-#include "optimality/costate_sweep.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 

@@ -19,10 +19,9 @@
 #include <optional>
 #include <vector>
 
-#include "control/phase_costs.h"
-#include "optimality/costate_sweep.h"
 #include "saltus/contact/contact_model.h"
 #include "saltus/scene/scene.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 

@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "base/time_grid.h"
-#include "optimality/costate_sweep.h"
 #include "optimality/optimality_conditions.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {

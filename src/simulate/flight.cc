@@ -5,7 +5,6 @@
 #include <algorithm>
 
 #include "base/time_grid.h"
-#include "control/phase_costs.h"
 
 namespace saltus {
 namespace {

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "control/impact.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/exact_run.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 
@@ -78,6 +78,22 @@ class Flight {
   std::vector<Hit> hits_;
   DiscStates end_;
 };
+
+// The target of a running term at time t.
+template <typename T>
+Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
+  size_t next = 0;
+  while (next < term.times.size() && term.times[next] <= Value(t)) ++next;
+  if (next == 0) return term.targets.front().cast<T>();
+  if (next == term.times.size()) return term.targets.back().cast<T>();
+  const double length = term.times[next] - term.times[next - 1];
+  const Vec2d& from = term.targets[next - 1];
+  return from.cast<T>() + Scale(T((t - term.times[next - 1]) / length), Vec2d(term.targets[next] - from));
+}
+
+// Nodes and weights of the quadrature of Gauss and Legendre on [0, 1], exact for the square of a quadratic.
+inline constexpr std::array<double, 3> kGaussNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
+inline constexpr std::array<double, 3> kGaussWeights = {5.0 / 18, 4.0 / 9, 5.0 / 18};
 
 // The acceleration of a disc under gravity and the first of its forces, m/s^2; zero if it is fixed.
 Vec2d InitialAcceleration(const Scene& scene, int body);

@@ -10,8 +10,8 @@
 #include <numeric>
 
 #include "base/linear_algebra.h"
-#include "optimality/costate_sweep.h"
 #include "saltus/control/objective.h"
+#include "simulate/costate_sweep.h"
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_run.h"
 #include "solve/phases/phase_solution.h"

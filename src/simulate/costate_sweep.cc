@@ -1,10 +1,9 @@
-#include "optimality/costate_sweep.h"
+#include "simulate/costate_sweep.h"
 
 #include <algorithm>
 #include <cmath>
 
 #include "base/time_grid.h"
-#include "control/phase_costs.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {

@@ -17,10 +17,10 @@
 #include <span>
 #include <vector>
 
-#include "control/impact.h"
 #include "saltus/scene/geometry.h"
 #include "saltus/scene/scene.h"
 #include "simulate/flight.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 
