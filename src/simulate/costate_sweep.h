@@ -66,15 +66,15 @@ Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, 
   return costate;
 }
 
-// The costates just after and just before an impact for both sides, without the multiplier.
+// The costates of both bodies just after and just before an impact, before without the part of the multiplier.
 struct ImpactJump {
   std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
   std::array<Costate<double>, 2> after, before;
   std::array<Vec2d, 2> velocity_before, velocity_after;
   std::array<double, 2> spin_gain = {0, 0};  // rad/s
 
-  // The multiplier that keeps the Hamiltonian if accelerations are the same before and after, those of `piece`, and
-  // what the motion costs on its way is `gain` more after the impact.
+  // The multiplier with which the Hamiltonian does not jump if accelerations before and after the impact are those of
+  // `piece`, and the rate of the path costs jumps by `gain`. `speed` is the normal velocity before the impact.
   double MultiplierAt(const Flight::Piece& piece, double speed, double gain = 0) const;
 };
 
@@ -106,12 +106,12 @@ class CostateSweep {
 
   // The multiplier of impact k; `gain` as in ImpactJump.
   using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
-  // That which keeps the Hamiltonian with the force after (before) the impact on both of its sides: impact times follow
-  // the motion, and an impact on a node is late (early).
+  // The multiplier with which the Hamiltonian does not jump if the force after (before) the impact acts on both sides
+  // of it: that of the derivative by a motion whose impact on a node is late (early).
   double Late(int k, const ImpactJump& jump, double gain) const;
   double Early(int k, const ImpactJump& jump, double gain) const;
 
-  // What costates are of.
+  // The function that the costates are derivatives of.
   struct Source {
     bool objective = true;  // terms that are not hard
     // Multipliers of hard terms: terminal ones, then those on the way; empty: none. Of spin the first entry counts.
@@ -126,7 +126,7 @@ class CostateSweep {
     // and of that times the time since the segment began.
     std::vector<double> hamiltonian, drift, drift_moment;
     std::vector<double> multipliers;  // of impacts
-    double clock = 0;                 // the derivative of via terms by their times, times these
+    double clock = 0;                 // sum of (derivative of a via term by its time) * time
     double largest_position = 0, largest_velocity = 0, largest_hamiltonian = 0;
     std::vector<std::vector<Costate<double>>> after_impact;  // of each impact: of each disc
   };
@@ -141,22 +141,24 @@ class CostateSweep {
     std::vector<Costate<double>> start;  // by the initial state of each disc
     double by_duration = 0;              // if all control intervals scale with the final time
   };
-  // Those of scale * q_axis(t) of a disc, t being `offset` after the start of a segment and scaling too. Impact times
-  // follow the motion, late. Adds those by the control to `gradient`, of its shape.
+  // The derivatives of scale * q_axis(t) of a disc, with t `offset` after the start of a segment, which scales too.
+  // Impact times follow the motion, late. Adds the derivatives by the control to `gradient`, which has the control's
+  // shape.
   Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
                       std::span<double> gradient) const;
-  // Those of `scale` times the integral of a running term over segments first..end-1.
+  // The same of `scale` times the integral of a running term over segments first..end-1.
   Derivatives OfIntegral(const RunningTerm& term, int first, int end, double scale, std::span<double> gradient) const;
 
  private:
-  // What the Hamiltonian and its derivative by time add up to over a segment.
+  // Integrals over a segment of the Hamiltonian and of its partial derivative by time (see Result).
   struct Balance {
     double hamiltonian = 0, drift = 0, drift_moment = 0;
     double largest = 0;  // magnitude of a part of the Hamiltonian
   };
 
-  // All costates from `length` after the start of a segment back to that; `push`, of pushed discs, gains the integral
-  // of lambda_v, and `turn`, of turned discs, that of the costate of their angular velocity.
+  // Carries all costates back from `length` after the start of a segment to its start. Adds the integral of lambda_v of
+  // each controlled disc to `push`, and that of the costate of the angular velocity of each disc with a torque to
+  // `turn`.
   void CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms, std::vector<Costate<double>>* now,
                    std::vector<Vec2d>* push, std::vector<double>* turn) const;
   Balance BalanceOf(const Flight::Piece& piece, double length, RunningTerms terms,
