@@ -118,20 +118,21 @@ double FixDuration(Scene* scene) {
   return price;
 }
 
-// To every loss in the report.
-void AddToLosses(double price, SolveReport* report) {
+// Calls apply(&loss) for every loss in the report.
+template <typename Apply>
+void ForEachLoss(SolveReport* report, const Apply& apply) {
   if (!report->losses.empty()) {
-    report->initial_loss += price;
-    report->final_loss += price;
+    apply(&report->initial_loss);
+    apply(&report->final_loss);
   }
-  for (double& loss : report->losses) loss += price;
-  if (report->best) report->best->loss += price;
-  if (report->searched) report->searched->lower_bound += price;
-  for (LocalOptimum& optimum : report->optima) optimum.loss += price;
+  for (double& loss : report->losses) apply(&loss);
+  if (report->best) apply(&report->best->loss);
+  if (report->searched) apply(&report->searched->lower_bound);
+  for (LocalOptimum& optimum : report->optima) apply(&optimum.loss);
 }
 
-// The border between the units of users, SI, and the natural ones in which a solver works on `scene`: the options that
-// go in, and the report that comes out. Iterates are decision variables (single_shooting.h).
+// The next three functions are the border between the units of users, SI, and those in which a solver works on `scene`.
+// First the decision variables (single_shooting.h), from the latter to SI.
 void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
   const UnitFactors to_si(scene.units, {});
   if (scene.optimize == Optimize::kControl && scene.objective.duration) {
@@ -155,7 +156,7 @@ void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
   }
 }
 
-// The losses that are called back are in SI units.
+// The options for a solver; it calls back with losses in SI units.
 SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
   SolverOptions out = options;
   if (options.guess) {
@@ -171,32 +172,21 @@ SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
   return out;
 }
 
+// The report of a solver.
 SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   const Units si;
   const UnitFactors to_si(scene.units, si);
-  const auto convert_loss = [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); };
-  if (!report.losses.empty()) {
-    convert_loss(&report.initial_loss);
-    convert_loss(&report.final_loss);
-  }
-  for (double& loss : report.losses) convert_loss(&loss);
-  if (report.best) {
-    convert_loss(&report.best->loss);
-    report.best->initial_state =
-        ConvertInitial(std::move(report.best->initial_state), scene.num_bodies(), scene.units, si);
-    report.best->control = Multiplied(std::move(report.best->control), to_si.force);
-    report.best->durations = Multiplied(std::move(report.best->durations), to_si.time);
-  }
+  const auto convert_motion = [&](auto* motion) {
+    motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
+    motion->control = Multiplied(std::move(motion->control), to_si.force);
+    motion->durations = Multiplied(std::move(motion->durations), to_si.time);
+  };
+  ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
+  convert_motion(&report);
+  if (report.best) convert_motion(&*report.best);
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
-  report.initial_state = ConvertInitial(std::move(report.initial_state), scene.num_bodies(), scene.units, si);
-  report.control = Multiplied(std::move(report.control), to_si.force);
-  report.durations = Multiplied(std::move(report.durations), to_si.time);
   if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
-  if (report.searched) convert_loss(&report.searched->lower_bound);
-  for (LocalOptimum& optimum : report.optima) {
-    convert_loss(&optimum.loss);
-    optimum.times = Multiplied(std::move(optimum.times), to_si.time);
-  }
+  for (LocalOptimum& optimum : report.optima) optimum.times = Multiplied(std::move(optimum.times), to_si.time);
   return report;
 }
 
@@ -270,7 +260,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
     report = entry->solve(converted, own);
     Confirm(converted, options.stop, &report);
     report = InSiUnits(converted.scene, std::move(report));
-    AddToLosses(price, &report);
+    ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.durations.empty() && !report.control.empty()) {
       const size_t intervals = report.control.size() / request.scene.control_width();
       report.durations.assign(intervals, request.scene.duration / static_cast<double>(intervals));
