@@ -38,7 +38,7 @@ def _number_array(value: Any) -> Any:
 
 
 def _with_torques(value: Any) -> Any:
-    """A control of which some discs are turned, (K, C, 3), with 0 for the others; anything else as it is."""
+    """Returns a control of which some discs have a torque control as (K, C, 3), with 0 for the others; anything else as it is."""
     try:
         rows = [[row + [0.0] * (3 - len(row)) for row in interval] for interval in value]
         known = all(len(row) in (2, 3) for interval in value for row in interval)

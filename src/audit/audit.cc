@@ -114,11 +114,11 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
                   surrogate.sigma,
                   static_cast<unsigned long long>(surrogate.seed));
   }
-  std::string why = surrogate.smooths() ? text : "contact modes that the loss would rather have";
+  std::string why = surrogate.smooths() ? text : "contact modes that leave a larger gradient";
   if (!audit.error || !audit.error->in_standard_errors) return why;
   // Samples of a loss that is linear in an entry are all the same.
   if (std::isinf(*audit.error->in_standard_errors)) {
-    return why + "; wrong in an entry on which all samples agree, so that no standard error says how far";
+    return why + "; wrong in an entry on which all samples agree, so that no standard error measures the distance";
   }
   std::snprintf(text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
   return why + text;

@@ -42,13 +42,14 @@ class ExactWayCosts final : public WayCosts {
                      std::span<const double> control) override {
     scene_ = simulator.scene();
     if (const std::string beyond = BeyondPlainDiscs(scene_); !beyond.empty()) {
-      return "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+      return "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     }
     ExactRun run;
     run.ok = true;
     for (const StepTouch& at : EventTouches(simulator)) {
       if (at.touch.kind != ContactKind::kImpact) {
-        return "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+        return "discs rest on or graze each other or a plane; running and waypoint costs are integrated between "
+               "impacts";
       }
       run.contacts.push_back(at.touch.candidate);
       run.places.push_back({at.step, at.touch.time});

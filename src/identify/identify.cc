@@ -215,7 +215,7 @@ class Identification {
     const std::string why = WhyNotApplicable(problem_.contact, problem_.scene);
     if (!why.empty()) return why;
     if (std::string wrong = WhatIsWrongWithTheLaw(); !wrong.empty()) return wrong;
-    if (problem_.scene.Spins()) return "the scene has discs that spin, of whose angles recordings know nothing";
+    if (problem_.scene.Spins()) return "the scene has discs that spin, and recordings have no angles";
     FindFreeBodies();
     if (problem_.unknowns.empty() && problem_.free_bodies.empty()) return "found nothing that is unknown";
     segments_ = CutIntoSegments(recordings_, options_.segment);
@@ -241,7 +241,8 @@ class Identification {
       const bool unread = kind == Kind::kStiffness || kind == Kind::kDamping;
       if (!said && !unread) continue;
       return "found '" + NameOf(problem_.unknowns[u], problem_.scene) + "' beside " + name + ", which " +
-             (options_.law ? (said ? "says it" : "does not read it") : (said ? "say it" : "do not read it"));
+             (options_.law ? (said ? "determines it" : "does not read it")
+                           : (said ? "determine it" : "do not read it"));
     }
     return "";
   }
@@ -494,7 +495,7 @@ class Identification {
       report_.reason = fit.reason;
     } else if (!AnyDetermined()) {
       report_.verdict = FitVerdict::kNotDetermined;
-      report_.reason = HasResiduals() ? "the samples say nothing of what is unknown"
+      report_.reason = HasResiduals() ? "the samples do not determine any unknown"
                                       : "the samples have no more numbers than there are unknowns";
     } else {
       report_.verdict = FitVerdict::kFits;

@@ -511,8 +511,8 @@ class ConstrainedCertifier {
     const Objective& objective = scene_.objective;
     const auto with = [](const char* what) { return std::string("its curvature is not looked at with ") + what; };
     if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
-    if (!objective.running.empty()) return with("running terms");
-    if (!objective.via.empty()) return with("via terms");
+    if (!objective.running.empty()) return with("running costs");
+    if (!objective.via.empty()) return with("waypoint costs");
     if (scene_.num_turned() > 0) return with("torques");
     if (objective.duration) return with("a free duration");
     for (int k = 0; k < num_hits(); ++k) {

@@ -118,12 +118,13 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
   if (objective.running.empty() && objective.via.empty()) return;
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
     run->ok = false;
-    run->reason = "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+    run->reason = "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     return;
   }
   if (!run->only_impacts) {
     run->ok = false;
-    run->reason = "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+    run->reason =
+        "discs rest on or graze each other or a plane; running and waypoint costs are integrated between impacts";
     return;
   }
   run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));

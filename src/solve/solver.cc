@@ -90,7 +90,7 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
     if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
   }
   if (request.terms.empty() || entry.own_terms) return "";
-  return "it knows the scene's objective and no terms of a user's own, which ceres_phases takes";
+  return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -212,7 +212,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
       {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "as ceres_event or ceres_phases, and searches for the sequence of impacts", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
+      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
   };
   // clang-format on
   return solvers;

@@ -23,10 +23,11 @@
 
 DEFINE_string(
     sweep, "",
-    "'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & damping=3,4' two that move "
-    "together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are explicit points");
-DEFINE_double(point_seconds, 0, "time limit of every point, s; what takes longer fails (default: none)");
-DEFINE_string(shard, "", "only the I-th of N parts, I = 1..N; --merge puts them together");
+    "points of the sweep: 'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & "
+    "damping=3,4' changes two options together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are "
+    "explicit points");
+DEFINE_double(point_seconds, 0, "time limit of each point, s; a point that takes longer fails (default: no limit)");
+DEFINE_string(shard, "", "compute only the I-th of N parts, I = 1..N; --merge joins the parts");
 DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
 DEFINE_bool(retry_failed, false, "compute the failed points of --output_dir again");
 
