@@ -1,18 +1,18 @@
-// A step of a crowd in the event-driven model (event.h): many discs that touch and still move, whose impacts set off
-// each other without end, are taken from one grid node to the next at once.
+// The time-stepping fallback of the event-driven model (event.h): a step with Zeno behaviour, of many discs that touch
+// and whose impacts cause each other without end, is taken from one grid node to the next as a whole.
 //
 // With v the velocities at the start and a the accelerations under given forces, contacts have impulses within the cone
 // of friction, f_+ (n + mu t) + f_- (n - mu t), with their directions and gaps g at the start, under which the
-// velocities at the end and the step h satisfy
+// velocities at the end and the step h satisfy (Anitescu 2006)
 //
 //   v' = v + h a + sum P / m        p' = p + h v'
-//   0 <= f_+-  _|_  (n +- mu t).w' + g / h >= 0
+//   0 <= f_+-  _|_  (n +- mu t).w' + g / h >= 0,
 //
-// (Anitescu 2006; w' is the relative velocity): plastic impacts and Coulomb's friction, but that what slides at a speed
-// keeps a gap of mu times its way in a step. Solutions exist always, and their velocities are unique. Discs and
-// half-planes are convex, so no gap becomes negative; and no energy is gained: contacts do the work P.w' <= 0, and the
-// forces that of p' - p, less half the square of the change of velocity. The derivatives are those of the equations of
-// what presses (implicit function theorem). A disc on which nothing presses flies on its exact arc.
+// w' the relative velocity: plastic impacts and Coulomb's friction, but a contact that slides keeps a gap of mu times
+// the distance that it slides in a step. Solutions always exist, and their velocities are unique. Discs and half-planes
+// are convex, so no gap becomes negative. No energy is gained: contacts do the work P.w' <= 0, and forces that of p' -
+// p, less half the square of the change of velocity. The derivatives are those of the equations of the active contacts
+// (implicit function theorem). A disc without active contacts flies exactly.
 #pragma once
 
 #include <algorithm>
@@ -25,18 +25,17 @@
 #include <type_traits>
 #include <vector>
 
-#include "contact/event/event_disc.h"
 #include "contact/event/event_rows.h"
-#include "contact/solvers/crowd_impulses.h"
+#include "contact/solvers/impulse_qp.h"
 
 namespace saltus::internal {
 
 template <typename T>
-class CrowdStep {
+class TimeSteppingStep {
  public:
   using State = BodyState<T, 0>;
 
-  CrowdStep(const StepInput<T>& in, std::span<const State> x)
+  TimeSteppingStep(const StepInput<T>& in, std::span<const State> x)
       : in_(in),
         start_(x),
         discs_(x.size(), in.scratch),
@@ -57,7 +56,7 @@ class CrowdStep {
     return in.solved != nullptr && !in.solved->AtEnd() && in.solved->numbers()[0] == 0;
   }
 
-  // Reports the contacts that press. Why there is no result; empty if there is one.
+  // Takes the step, and reports the active contacts. Returns why there is no result; empty if there is one.
   std::string_view Run() {
     in_.Solved([] { return std::array<double, 0>(); });
     const std::span<const double> found = in_.Solved([&] { return FindImpulses(); });
@@ -75,20 +74,17 @@ class CrowdStep {
     return std::is_same_v<T, double> ? WhatIsWrong() : std::string_view();
   }
 
-  // Whether disc i is in the crowd, and if so its state at the end of the step.
-  bool Moved(int i) const { return discs_[i].in_crowd; }
+  // Whether disc i takes part, and if so its state at the end of the step.
+  bool Moved(int i) const { return discs_[i].takes_part; }
   State End(int i) const { return {start_[i].p + Scale(in_.h, discs_[i].velocity), discs_[i].velocity}; }
 
  private:
-  static constexpr int kMostRounds = 100;    // of discs that join the crowd
-  static constexpr double kPresses = 1e-12;  // of the largest impulse
-
   struct Disc {
     Motion start;
     Vec2<T> velocity;                // at the end of the step
     Vec2d given{0, 0}, after{0, 0};  // the same, as values, without and with impulses
-    bool in_crowd = false;
-    bool meets = false;  // it stays in, even if nothing presses on it
+    bool takes_part = false;
+    bool meets = false;  // it takes part even without active contacts
   };
   struct Contact {
     int pair = 0;
@@ -97,7 +93,6 @@ class CrowdStep {
     double left = 0, right = 0;  // N s, along n - mu t and n + mu t
   };
 
-  static Vec2d ValueOf(const Vec2<T>& a) { return {Value(a[0]), Value(a[1])}; }
   bool Moves(int i) const { return !in_.bodies[i].fixed; }
   double Friction() const { return Value(in_.contact.friction); }
 
@@ -106,7 +101,7 @@ class CrowdStep {
     Separation<double> at =
         c.plane ? Separate<double>(position(c.a), in_.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
     at.distance -= in_.ContactDistance(c);
-    // Edges are what counts at the start of the step.
+    // Edges are those that count at the start of the step.
     const bool edge = c.plane && !in_.extents.empty() && !in_.extents[c.b].endless;
     if (edge && !in_.extents[c.b].Covers(discs_[c.a].start.p, kSeam)) at.distance = kNever;
     return at;
@@ -118,20 +113,20 @@ class CrowdStep {
     return ApartAt(c,
                    [&](int i) {
                      const Disc& disc = discs_[i];
-                     return disc.in_crowd ? Vec2d(disc.start.p + in_.h * disc.after) : disc.start.After(in_.h).p;
+                     return disc.takes_part ? Vec2d(disc.start.p + in_.h * disc.after) : disc.start.After(in_.h).p;
                    })
         .distance;
   }
   Contact MeasureContact(int pair) const {
     const Separation<double> at = ApartAt(in_.candidates[pair], [&](int i) { return discs_[i].start.p; });
-    // What is left of an overlap by rounding is undone.
+    // An overlap by rounding is undone.
     return {pair, at.normal, (at.distance > -kLargestOverlap ? at.distance : 0.0) / in_.h};
   }
 
-  // Of each pair two impulses, and whether its discs are in the crowd.
+  // Two impulses of each pair, and whether its discs take part.
   std::vector<double> FindImpulses() {
     Gather();
-    for (int round = 0; round < kMostRounds; ++round) {
+    for (int round = 0; round < kMostFallbackRounds; ++round) {
       if (!Solve()) break;
       LeaveOut();
       if (!Join()) return Found();
@@ -140,7 +135,7 @@ class CrowdStep {
     return {};
   }
 
-  // All that may meet, even if what comes towards it is stopped, or pushed by what presses on it.
+  // Finds the pairs that may meet, whether or not the discs are stopped or pushed by others.
   void Gather() {
     double pushed = 0;  // m/s
     for (std::size_t i = 0; i < discs_.size(); ++i) {
@@ -157,10 +152,10 @@ class CrowdStep {
     }
   }
   void Include(const Candidate& c) {
-    for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].in_crowd = Moves(i);
+    for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].takes_part = Moves(i);
   }
   bool Takes(const Candidate& c) const {
-    const auto takes = [&](int i) { return discs_[i].in_crowd || !Moves(i); };
+    const auto takes = [&](int i) { return discs_[i].takes_part || !Moves(i); };
     return takes(c.a) && (c.plane || takes(c.b));
   }
 
@@ -168,7 +163,7 @@ class CrowdStep {
 
   bool Solve() {
     contacts_.clear();
-    std::vector<CrowdRow> rows;
+    std::vector<ImpulseRow> rows;
     const bool slips = Friction() > 0;
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
@@ -185,9 +180,9 @@ class CrowdStep {
       velocity.push_back(discs_[i].given);
       inverse_mass.push_back(Value(in_.bodies[i].inverse_mass));
     }
-    if (!SolveCrowdImpulses(inverse_mass, velocity, rows)) return false;
+    if (!SolveImpulseQp(inverse_mass, velocity, rows)) return false;
     largest_ = 0;
-    for (const CrowdRow& row : rows) largest_ = std::max(largest_, row.impulse);
+    for (const ImpulseRow& row : rows) largest_ = std::max(largest_, row.impulse);
     for (std::size_t k = 0; k < contacts_.size(); ++k) {
       contacts_[k].left = rows[slips ? 2 * k : k].impulse;
       contacts_[k].right = slips ? rows[2 * k + 1].impulse : 0;
@@ -196,22 +191,22 @@ class CrowdStep {
     return true;
   }
 
-  bool Presses(double impulse) const { return impulse > kPresses * largest_; }
-  bool Presses(const Contact& contact) const { return Presses(contact.left) || Presses(contact.right); }
-  // What nothing presses on flies, unless it has met something so.
+  bool IsActive(double impulse) const { return impulse > kActiveImpulse * largest_; }
+  bool IsActive(const Contact& contact) const { return IsActive(contact.left) || IsActive(contact.right); }
+  // Discs without active contacts fly, unless they would meet another so.
   void LeaveOut() {
-    std::pmr::vector<char> pressed(discs_.size(), in_.scratch);
+    std::pmr::vector<char> has_active(discs_.size(), in_.scratch);
     for (const Contact& contact : contacts_) {
-      if (!Presses(contact)) continue;
+      if (!IsActive(contact)) continue;
       const Candidate& c = in_.candidates[contact.pair];
-      pressed[c.a] = 1;
-      if (!c.plane) pressed[c.b] = 1;
+      has_active[c.a] = 1;
+      if (!c.plane) has_active[c.b] = 1;
     }
     for (std::size_t i = 0; i < discs_.size(); ++i) {
-      if (!pressed[i] && !discs_[i].meets) discs_[i].in_crowd = false;
+      if (!has_active[i] && !discs_[i].meets) discs_[i].takes_part = false;
     }
   }
-  // True if a pair that was not among the contacts would meet.
+  // Adds the pairs that were not among the contacts and would overlap. Returns whether there are any.
   bool Join() {
     joining_.clear();
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
@@ -222,7 +217,7 @@ class CrowdStep {
     for (int pair : joining_) {
       const Candidate& c = in_.candidates[pair];
       bounds_[pair] = 1;
-      for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].meets = discs_[i].meets || !discs_[i].in_crowd;
+      for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].meets = discs_[i].meets || !discs_[i].takes_part;
       Include(c);
     }
     return !joining_.empty();
@@ -232,13 +227,13 @@ class CrowdStep {
     std::vector<double> found(3 * in_.candidates.size(), 0.0);
     for (std::size_t pair = 0; pair < in_.candidates.size(); ++pair) found[3 * pair + 2] = Takes(in_.candidates[pair]);
     for (const Contact& contact : contacts_) {
-      if (Presses(contact.left)) found[3 * contact.pair] = contact.left;
-      if (Presses(contact.right)) found[3 * contact.pair + 1] = contact.right;
+      if (IsActive(contact.left)) found[3 * contact.pair] = contact.left;
+      if (IsActive(contact.right)) found[3 * contact.pair + 1] = contact.right;
     }
     return found;
   }
 
-  // Without a time, so as no event; pairs that do not press too: the derivatives are of the crowd as a whole.
+  // Without a time, so as no event; inactive pairs too, as the derivatives are those of all discs together.
   void Report(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const bool left = contact.left > 0, right = contact.right > 0, rough = Friction() > 0 && (left || right);
@@ -248,8 +243,8 @@ class CrowdStep {
     in_.Report(c, mode, -1, ContactKind::kSustained);
   }
 
-  // The impulses found, then what is missing: derivatives. Values are those found with the impulses, to the last bit
-  // that the gaps need.
+  // Applies the impulses, then corrections that have derivatives only. Values are those found with the impulses, to the
+  // last bit that the gaps need.
   void ApplyImpulses() {
     if constexpr (std::is_same_v<T, double>) {
       for (Disc& disc : discs_) disc.velocity = disc.after;
@@ -281,11 +276,11 @@ class CrowdStep {
     add(at.normal + slope, contact.right);
   }
 
-  // What no motion of rigid discs does; empty if nothing.
+  // The reason why the motion is not that of rigid discs; empty if it is.
   std::string_view WhatIsWrong() const {
     double gain = 0, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {
-      if (!discs_[i].in_crowd) continue;
+      if (!discs_[i].takes_part) continue;
       const Motion& start = discs_[i].start;
       const Vec2d after = ValueOf(discs_[i].velocity);
       const double mass = Value(in_.bodies[i].mass);

@@ -91,7 +91,7 @@ void ExpectTapeAsJets(const Scene& scene, double tolerance) {
   for (int i = 0; i < n; ++i) EXPECT_NEAR(gradient.parameters.mass[i], parameters[4 + i], tolerance * size) << i;
 }
 
-TEST(EventCrowd, AStackStays) {
+TEST(EventPiles, AStackStays) {
   for (const double friction : {0.0, 0.5}) {
     EventRun run(Stack(80, friction, 0.5, 50));
     const std::vector<double> start = run.State(0), end = run.End();
@@ -101,7 +101,7 @@ TEST(EventCrowd, AStackStays) {
 }
 
 // Its contacts depend on each other: which of them press is not unique, how the discs move is.
-TEST(EventCrowd, APileStays) {
+TEST(EventPiles, APileStays) {
   for (const double friction : {0.0, 0.5}) {
     EventRun run(Pile(8, friction, 0.2, 20));
     const std::vector<double> start = run.State(0), end = run.End();
@@ -110,7 +110,7 @@ TEST(EventCrowd, APileStays) {
 }
 
 // A frictionless stack, pushed sideways at its top, buckles: all its contacts last, and turn.
-TEST(EventCrowd, TheGradientOfAStackEqualsDifferences) {
+TEST(EventPiles, TheGradientOfAStackEqualsDifferences) {
   Scene scene = Stack(30, 0, 0.1, 10);
   scene.control = {{29}, {Vec2d(0.5, -1)}};
   EventRun run(scene);
@@ -137,7 +137,7 @@ TEST(EventCrowd, TheGradientOfAStackEqualsDifferences) {
   }
 }
 
-TEST(EventCrowd, ATapeGivesWhatJetsGive) {
+TEST(EventPiles, ATapeGivesWhatJetsGive) {
   ExpectTapeAsJets(Stack(6, 0, 0.01, 1), 1e-11);
   ExpectTapeAsJets(Stack(40, 0, 0.01, 1), 1e-9);
   ExpectTapeAsJets(Stack(40, 0.5, 0.01, 1), 1e-9);
@@ -195,24 +195,24 @@ double ExpectNoOverlapAndNoGain(const EventRun& run) {
   return kinetic;
 }
 
-TEST(EventCrowd, ABagSettles) { EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(Bag(40, 0.3, 0.3, 3, 300))), 1e-20); }
+TEST(EventPiles, ABagSettles) { EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(Bag(40, 0.3, 0.3, 3, 300))), 1e-20); }
 
 // Without friction each bounce within the pile sets off others; these must end, at every length of the steps. Nothing
 // ends a last slow slide.
-TEST(EventCrowd, ABagWithoutFrictionSettles) {
+TEST(EventPiles, ABagWithoutFrictionSettles) {
   for (const int steps : {30, 300}) {
     EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(Bag(14, 0, 0.5, 4, steps))), 1e-6) << steps;
   }
 }
 
-TEST(EventCrowd, AValleyWithoutFrictionFills) {
+TEST(EventPiles, AValleyWithoutFrictionFills) {
   Scene scene = Bag(16, 0, 0.5, 5, 250);
   scene.planes = {{"left", {0.5, -0.5}, {1, 1}}, {"right", {0.5, -0.5}, {-1, 1}}};
   EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(scene)), 1e-6);
 }
 
 // At their first impact on the ground, with all above them still falling.
-TEST(EventCrowd, ManyDiscsBecomeAPile) { ExpectNoOverlapAndNoGain(EventRun(Bag(50, 0, 0.5, 0.36, 36))); }
+TEST(EventPiles, ManyDiscsBecomeAPile) { ExpectNoOverlapAndNoGain(EventRun(Bag(50, 0, 0.5, 0.36, 36))); }
 
 // As above, but every other row falls into the gaps of the one below.
 Scene StaggeredBag(int n, double friction, double duration, int steps) {
@@ -230,7 +230,7 @@ int NumStepsAtOnce(const EventRun& run) {
   return static_cast<int>(std::ranges::count(at_once, 1));
 }
 
-TEST(EventCrowd, AJammedBagSettles) {
+TEST(EventPiles, AJammedBagSettles) {
   for (const double friction : {0.0, 0.3}) {
     const EventRun run(StaggeredBag(50, friction, 2, 400));
     EXPECT_LT(ExpectNoOverlapAndNoGain(run), friction > 0 ? 1e-15 : 1) << friction;
@@ -239,12 +239,12 @@ TEST(EventCrowd, AJammedBagSettles) {
 }
 
 // Hundreds of contacts that depend on each other, at once while the discs come down and as they rest.
-TEST(EventCrowd, APileOfManySettles) {
+TEST(EventPiles, APileOfManySettles) {
   EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(FallingPile({.discs = 150, .duration = 2, .steps = 400}, 1))), 1e-15);
 }
 
 // What rests is not moved, and needs no such step.
-TEST(EventCrowd, ABagThatRestsStays) {
+TEST(EventPiles, ABagThatRestsStays) {
   Scene scene = StaggeredBag(50, 0.3, 2, 400);
   const EventRun run(scene);
   const std::vector<double> end = run.End(), before = run.State(390);
@@ -252,7 +252,7 @@ TEST(EventCrowd, ABagThatRestsStays) {
 }
 
 // By velocities, forces and friction, wherever the difference to one side is that to the other.
-TEST(EventCrowd, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
+TEST(EventPiles, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
   for (const double friction : {0.0, 0.3}) {
     const int n = 50;
     const Scene scene = StaggeredBag(n, friction, 2, 400);
@@ -302,7 +302,7 @@ TEST(EventCrowd, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
 }
 
 // By forces on all discs, on the way to rest: wherever the difference to one side is that to the other.
-TEST(EventCrowd, TheGradientOfASettlingBagEqualsDifferences) {
+TEST(EventPiles, TheGradientOfASettlingBagEqualsDifferences) {
   const Scene scene = Bag(14, 0, 0.5, 2, 200);
   const EventRun whole(scene);
   const std::vector<double> cotangent = Cotangent(4 * 14), direction = Cotangent(2 * 14);
@@ -334,7 +334,7 @@ TEST(EventCrowd, TheGradientOfASettlingBagEqualsDifferences) {
 }
 
 // What is right to first order judges nothing: there is no exact motion, and no exact gradient.
-TEST(EventCrowd, StepsTakenAtOnceAreNoReference) {
+TEST(EventPiles, StepsTakenAtOnceAreNoReference) {
   Scene scene = StaggeredBag(50, 0.3, 0.5, 100);
   scene.objective.terminal = {{.body = 0, .target = {0, 0}, .weight = 1}};
   scene.optimize = Optimize::kVelocity;
@@ -354,7 +354,7 @@ TEST(EventCrowd, StepsTakenAtOnceAreNoReference) {
 }
 
 // A row of discs that touch, struck at one end: the last leaves, at its speed, and all others stay.
-TEST(EventCrowd, ACradleOfFifty) {
+TEST(EventPiles, ACradleOfFifty) {
   const int n = 50;
   Scene scene = Empty(0, 1, 20);
   scene.gravity = {0, 0};

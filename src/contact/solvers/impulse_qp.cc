@@ -1,38 +1,28 @@
-#include "contact/solvers/crowd_impulses.h"
+#include "contact/solvers/impulse_qp.h"
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "base/sparse_factors.h"
+#include "contact/solvers/complementarity.h"
+#include "contact/thresholds.h"
 
 namespace saltus {
 namespace {
 
-constexpr double kConverged = 1e-13;  // of the largest velocity given
-constexpr int kSweeps = 50;
-constexpr int kMostCentral = 100;          // steps along the central path
-constexpr double kCentralEnd = 1e-12;      // of the largest velocity given
-constexpr double kArrived = 1e-6;          // likewise: where rounding may end that, if nothing betters it
-constexpr double kLeastPart = 1e-2;        // of a step that is taken, or it ends there
-constexpr double kTowardsTheEdge = 0.995;  // of the way to where a push or a gap is 0
-constexpr double kCompliance = 2e-6;       // of a row, relative to its own inverse mass
-constexpr int kMostMultipliers = 20;       // updates of the augmented Lagrangian
-constexpr int kMostNewton = 15;            // steps in all of these
-constexpr int kMostHalvings = 50;
-
 using Vector = Eigen::VectorXd;
 
-double SpeedOf(const CrowdRow& row, std::span<const Vec2d> velocity) {
+double SpeedOf(const ImpulseRow& row, std::span<const Vec2d> velocity) {
   const double at_a = Dot(row.direction, velocity[row.a]);
   return row.b >= 0 ? at_a - Dot(row.direction, velocity[row.b]) : at_a;
 }
 
-// The masses of the discs that move and, of each row, a weight (kg) times the square of its direction: symmetric,
-// positive definite, and 0 at the same places whatever the weights.
+// The sum of the masses of the discs that move and, for each row, a weight (kg) times the square of its direction. It
+// is symmetric and positive definite; its sparsity pattern does not depend on the weights.
 class WeightedMasses {
  public:
-  WeightedMasses(std::span<const double> inverse_mass, std::span<const CrowdRow> rows)
+  WeightedMasses(std::span<const double> inverse_mass, std::span<const ImpulseRow> rows)
       : inverse_mass_(inverse_mass), rows_(rows), number_(inverse_mass.size(), -1) {
     for (std::size_t i = 0; i < number_.size(); ++i) {
       if (inverse_mass[i] > 0) number_[i] = count_++;
@@ -47,7 +37,7 @@ class WeightedMasses {
     cholesky_.Analyze(matrix_);
   }
 
-  // False if it has no factors.
+  // Returns false if the factorization fails.
   bool Factor(std::span<const double> weights) {
     double* values = matrix_.valuePtr();
     std::fill_n(values, matrix_.nonZeros(), 0.0);
@@ -97,7 +87,7 @@ class WeightedMasses {
   }
 
   std::span<const double> inverse_mass_;
-  std::span<const CrowdRow> rows_;
+  std::span<const ImpulseRow> rows_;
   std::vector<int> number_;  // of the discs that move, else -1
   int count_ = 0;            // of these
   SparseMatrix matrix_;
@@ -105,10 +95,9 @@ class WeightedMasses {
   SparseLdlt cholesky_;
 };
 
-// What the rows of a crowd do to it. Sweeps suffice where few rows depend on each other.
-class Solver {
+class ImpulseSolver {
  public:
-  Solver(std::span<const double> inverse_mass, std::span<const Vec2d> given, std::span<CrowdRow> rows)
+  ImpulseSolver(std::span<const double> inverse_mass, std::span<const Vec2d> given, std::span<ImpulseRow> rows)
       : inverse_mass_(inverse_mass),
         given_(given),
         velocity_(given.begin(), given.end()),
@@ -116,7 +105,7 @@ class Solver {
         mass_(rows.size()),
         weights_(rows.size()) {
     for (std::size_t k = 0; k < rows.size(); ++k) {
-      CrowdRow& row = rows_[k];
+      ImpulseRow& row = rows_[k];
       const double mobility = inverse_mass[row.a] + (row.b >= 0 ? inverse_mass[row.b] : 0.0);
       mass_[k] = 1 / (mobility * row.direction.squaredNorm());
       row.impulse = 0;
@@ -127,43 +116,42 @@ class Solver {
 
   bool Run() {
     if (!std::isfinite(scale_)) return false;
-    for (int sweep = 0; sweep < kSweeps; ++sweep) {
-      if (Sweep(sweep % 2 == 1) <= kConverged * scale_) return true;
+    for (int sweep = 0; sweep < internal::kQpSweeps; ++sweep) {
+      if (Sweep(sweep % 2 == 1) <= internal::kQpConverged * scale_) return true;
     }
     WeightedMasses masses(inverse_mass_, rows_);
     const double left = FollowCentralPath(masses);
-    return Polish(masses, left) || left <= kArrived * scale_;
+    return Polish(masses, left) || left <= internal::kQpNearly * scale_;
   }
   std::span<const Vec2d> velocity() const { return velocity_; }
 
  private:
-  // Each row in turn with all others held. Returns the largest change of velocity.
-  double Sweep(bool back) {
-    double change = 0;
-    const std::size_t n = rows_.size();
-    for (std::size_t j = 0; j < n; ++j) {
-      const std::size_t k = back ? n - 1 - j : j;
-      CrowdRow& row = rows_[k];
-      const double impulse = std::max(0.0, row.impulse - mass_[k] * GapOf(k, velocity_));
-      const double more = impulse - row.impulse;
-      if (more == 0) continue;
-      row.impulse = impulse;
-      velocity_[row.a] += inverse_mass_[row.a] * more * row.direction;
-      if (row.b >= 0) velocity_[row.b] -= inverse_mass_[row.b] * more * row.direction;
-      change = std::max(change, std::abs(more) / mass_[k]);
-    }
-    return change;
+  // Returns the largest change of velocity.
+  double Sweep(bool backwards) {
+    return GaussSeidelSweep(
+        std::ssize(rows_),
+        [&](std::ptrdiff_t k) {
+          ImpulseRow& row = rows_[k];
+          const double impulse = std::max(0.0, row.impulse - mass_[k] * GapOf(k, velocity_));
+          const double more = impulse - row.impulse;
+          if (more == 0) return 0.0;
+          row.impulse = impulse;
+          velocity_[row.a] += inverse_mass_[row.a] * more * row.direction;
+          if (row.b >= 0) velocity_[row.b] -= inverse_mass_[row.b] * more * row.direction;
+          return std::abs(more) / mass_[k];
+        },
+        backwards);
   }
 
-  // m/s; not negative in the end.
+  // The rate of the gap of a row, m/s; not negative in the solution.
   double GapOf(std::size_t k, std::span<const Vec2d> velocity) const {
     return SpeedOf(rows_[k], velocity) + rows_[k].apart;
   }
-  static void AddMomentum(const CrowdRow& row, double impulse, std::span<Vec2d> momenta) {
+  static void AddMomentum(const ImpulseRow& row, double impulse, std::span<Vec2d> momenta) {
     momenta[row.a] += impulse * row.direction;
     if (row.b >= 0) momenta[row.b] -= impulse * row.direction;
   }
-  // What is missing to the given momenta.
+  // The difference of the given momenta to those of the velocities.
   std::vector<Vec2d> MissingMomenta() const {
     std::vector<Vec2d> momenta(given_.size(), Vec2d(0, 0));
     for (std::size_t i = 0; i < momenta.size(); ++i) {
@@ -172,16 +160,16 @@ class Solver {
     return momenta;
   }
 
-  // Of a row: its gap and its push, m/s: the impulse by the effective mass. Both stay positive.
+  // A row on the way along the central path. Gap and push stay positive.
   struct Central {
-    double gap, push;
+    double gap, push;  // m/s; the push is the impulse divided by the effective mass
     double gap_step = 0, push_step = 0;
-    double missing = 0;  // to the gap under the velocities
+    double missing = 0;  // difference of the gap under the velocities to `gap`
     double excess = 0;   // of the product of gap and push
   };
 
-  // Mehrotra's predictor and corrector (1992): gaps times pushes go to 0 together, so none of them stops at 0 too
-  // early. Ends where rounding ends it, with the nearest that was met. Returns what is left there, m/s.
+  // Mehrotra's predictor and corrector (1992), along the central path, on which all products of gap and push are the
+  // same. Ends where rounding does not let it go on, with the best iterate. Returns the residual of that, m/s.
   double FollowCentralPath(WeightedMasses& masses) {
     std::vector<Central> rows(rows_.size());
     velocity_.assign(given_.begin(), given_.end());
@@ -191,7 +179,7 @@ class Solver {
     }
     std::vector<Vec2d> nearest;
     double least = HUGE_VAL, part = 1;
-    for (int count = 0; count < kMostCentral; ++count) {
+    for (int count = 0; count < internal::kQpMostCentral; ++count) {
       double mean = 0, left = 0;
       for (std::size_t k = 0; k < rows.size(); ++k) {
         Central& row = rows[k];
@@ -208,7 +196,7 @@ class Solver {
           rows_[k].impulse = rows[k].push > rows[k].gap ? mass_[k] * rows[k].push : 0.0;
         }
       }
-      if (least <= kCentralEnd * scale_ || part < kLeastPart || !masses.Factor(weights_)) break;
+      if (least <= internal::kQpCentralEnd * scale_ || part < internal::kQpLeastPart || !masses.Factor(weights_)) break;
       FindStep(masses, rows);
       const double predicted = MeanAfter(rows, PartOf(rows));
       const double centre = std::pow(predicted / mean, 3) * mean;
@@ -224,7 +212,7 @@ class Solver {
     velocity_ = nearest;
     return least;
   }
-  // Newton's, of the velocities, gaps and pushes, to where nothing is missing and there is no excess.
+  // The Newton step of velocities, gaps and pushes to where `missing` and `excess` are zero.
   std::vector<Vec2d> FindStep(const WeightedMasses& masses, std::span<Central> rows) const {
     std::vector<Vec2d> step = MissingMomenta();
     for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -239,14 +227,14 @@ class Solver {
     }
     return step;
   }
-  // How much of the step may be taken.
+  // The part of the step that may be taken.
   static double PartOf(std::span<const Central> rows) {
-    double part = 1 / kTowardsTheEdge;
+    double part = 1 / internal::kQpToBoundary;
     for (const Central& row : rows) {
       if (row.gap_step < 0) part = std::min(part, -row.gap / row.gap_step);
       if (row.push_step < 0) part = std::min(part, -row.push / row.push_step);
     }
-    return kTowardsTheEdge * part;
+    return internal::kQpToBoundary * part;
   }
   static double MeanAfter(std::span<const Central> rows, double part) {
     double sum = 0;
@@ -254,15 +242,15 @@ class Solver {
     return sum / static_cast<double>(rows.size());
   }
 
-  // The impulses and velocities to the last bit, by an augmented Lagrangian, the rows that press by Newton's method.
-  // False, and nothing changed, if that does not lead to better than what was found but for `left`, m/s.
+  // Refines impulses and velocities to rounding by an augmented Lagrangian, with its active rows by Newton's method.
+  // Returns false, and changes nothing, if the residual is not smaller than `left`, m/s.
   bool Polish(WeightedMasses& masses, double left) {
-    const std::vector<CrowdRow> rows(rows_.begin(), rows_.end());
+    const std::vector<ImpulseRow> rows(rows_.begin(), rows_.end());
     const std::vector<Vec2d> velocity = velocity_;
     newton_ = 0;
-    presses_.assign(rows.size(), -1);
+    active_.assign(rows.size(), -1);
     double missing = HUGE_VAL;
-    for (int step = 0; step < kMostMultipliers && missing > kConverged * scale_; ++step) {
+    for (int step = 0; step < internal::kQpMostMultipliers && missing > internal::kQpConverged * scale_; ++step) {
       if (!Minimize(masses)) break;
       missing = UpdateImpulses();
     }
@@ -272,26 +260,27 @@ class Solver {
     return false;
   }
 
-  double Stiffness(std::size_t k) const { return mass_[k] / kCompliance; }
-  // The impulse of a row under velocities and its compliance; negative where it would have to pull.
+  double Stiffness(std::size_t k) const { return mass_[k] / internal::kQpCompliance; }
+  // The impulse of a row under given velocities and its compliance; negative if it would pull.
   double TrialOf(std::size_t k, std::span<const Vec2d> velocity) const {
     return rows_[k].impulse - Stiffness(k) * GapOf(k, velocity);
   }
 
-  // The velocities under the impulses of compliant rows: the least of a convex function. False if that is not found.
+  // Finds the velocities under the impulses of compliant rows, which minimise a convex function. Returns false if they
+  // are not found.
   bool Minimize(WeightedMasses& masses) {
-    for (bool first = true; first || ++newton_ < kMostNewton; first = false) {
+    for (bool first = true; first || ++newton_ < internal::kQpMostNewton; first = false) {
       bool same = true;
       for (std::size_t k = 0; k < rows_.size(); ++k) {
-        const char presses = TrialOf(k, velocity_) > 0;
-        same = same && presses == presses_[k];
-        presses_[k] = presses;
-        weights_[k] = presses ? Stiffness(k) : 0;
+        const char active = TrialOf(k, velocity_) > 0;
+        same = same && active == active_[k];
+        active_[k] = active;
+        weights_[k] = active ? Stiffness(k) : 0;
       }
       if (!same && !masses.Factor(weights_)) return false;
       std::vector<Vec2d> step = MissingMomenta();
       for (std::size_t k = 0; k < rows_.size(); ++k) {
-        if (presses_[k]) AddMomentum(rows_[k], TrialOf(k, velocity_), step);
+        if (active_[k]) AddMomentum(rows_[k], TrialOf(k, velocity_), step);
       }
       masses.Solve(step);
       const double part = LowestOn(step);
@@ -301,7 +290,7 @@ class Solver {
     return false;
   }
 
-  // The part of a step at which the function is least; 1 if all the same rows press there. Its slope grows with the
+  // The part of a step at which the function is smallest; 1 if the same rows are active there. Its slope grows with the
   // part.
   double LowestOn(std::span<const Vec2d> step) const {
     std::vector<double> trial(rows_.size()), change(rows_.size());
@@ -309,7 +298,7 @@ class Solver {
     for (std::size_t k = 0; k < rows_.size(); ++k) {
       trial[k] = TrialOf(k, velocity_);
       change[k] = -Stiffness(k) * SpeedOf(rows_[k], step);
-      agrees = agrees && (trial[k] + change[k] > 0) == (presses_[k] != 0);
+      agrees = agrees && (trial[k] + change[k] > 0) == (active_[k] != 0);
     }
     if (agrees) return 1;
     const std::vector<Vec2d> missing = MissingMomenta();
@@ -327,14 +316,14 @@ class Solver {
       return sum;
     };
     double low = 0, high = 1;
-    for (int halving = 0; halving < kMostHalvings; ++halving) {
+    for (int halving = 0; halving < internal::kQpMostHalvings; ++halving) {
       const double middle = 0.5 * (low + high);
       (slope(middle) < 0 ? low : high) = middle;
     }
     return low;
   }
 
-  // Returns the largest velocity that was missing.
+  // Returns the largest violation before, m/s.
   double UpdateImpulses() {
     double missing = 0;
     for (std::size_t k = 0; k < rows_.size(); ++k) {
@@ -348,19 +337,19 @@ class Solver {
   std::span<const double> inverse_mass_;
   std::span<const Vec2d> given_;
   std::vector<Vec2d> velocity_;
-  std::span<CrowdRow> rows_;
+  std::span<ImpulseRow> rows_;
   std::vector<double> mass_;     // effective masses of the rows, kg
   std::vector<double> weights_;  // of the rows, kg
-  std::vector<char> presses_;    // of each row: it does
+  std::vector<char> active_;     // of each row
   double scale_ = 0;             // m/s
-  int newton_ = 0;               // steps in Polish
+  int newton_ = 0;               // Newton steps in Polish
 };
 
 }  // namespace
 
-bool SolveCrowdImpulses(std::span<const double> inverse_mass, std::span<Vec2d> velocity, std::span<CrowdRow> rows) {
+bool SolveImpulseQp(std::span<const double> inverse_mass, std::span<Vec2d> velocity, std::span<ImpulseRow> rows) {
   const std::vector<Vec2d> given(velocity.begin(), velocity.end());
-  Solver solver(inverse_mass, given, rows);
+  ImpulseSolver solver(inverse_mass, given, rows);
   if (!solver.Run()) return false;
   std::ranges::copy(solver.velocity(), velocity.begin());
   return true;
