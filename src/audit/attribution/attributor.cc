@@ -176,7 +176,7 @@ ContactError Attributor::Compare(const Interval& interval, const Eigen::VectorXd
     lambda.segment(size_ * i, size_) = costate.segment(bodies[i] * model().body_size(), size_);
   }
   error.exact_impacts = static_cast<int>(exact_touches.size());
-  if (IsCrowd() && n > kCrowd) {
+  if (IsCrowd() && n > kMostDiscsByMatrices) {
     CompareCrowd(interval, bodies, lambda, exact_touches, &error);
     return error;
   }

@@ -24,7 +24,7 @@ namespace saltus::internal {
 inline constexpr int kLongest = 1024;  // steps of one interval; a contact that lasts longer is cut
 inline constexpr double kSmallError = 1e-3;
 // Of a scene with more discs costates are pulled back, instead of matrices multiplied.
-inline constexpr int kCrowd = 16;
+inline constexpr int kMostDiscsByMatrices = 16;
 inline constexpr std::size_t kKeptNumbers = std::size_t{1} << 23;  // of states
 
 // A pair, and the first and last step in which the model lets it touch.
@@ -130,7 +130,7 @@ class Attributor {
   StepMap OwnMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const;
   StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const;
   void FindCostates(const std::vector<Interval>& intervals);
-  bool IsCrowd() const { return scene_.num_bodies() > kCrowd && model_->body_size() == size_; }
+  bool IsCrowd() const { return scene_.num_bodies() > kMostDiscsByMatrices && model_->body_size() == size_; }
   Eigen::VectorXd PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const;
   PulledCostate PullBackOver(const Contact& contact, const Interval& interval, int finer,
                              const std::vector<int>& bodies, const Eigen::VectorXd& lambda) const;
