@@ -40,16 +40,16 @@ Scene Jitter(Scene scene, std::mt19937* random) {
 
 }  // namespace
 
-std::optional<Conditioning> MeasureConditioning(const Scene& scene) {
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop) {
   const auto exact = std::find_if(AllContactModels().begin(), AllContactModels().end(), [](const ModelTraits& traits) {
     return traits.event_driven;
   });
   if (exact == AllContactModels().end()) return std::nullopt;
-  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble);
+  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble, stop);
   if (!gradient.ok()) return std::nullopt;
   Conditioning found;
   const auto compare = [&](const Scene& other) {
-    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble);
+    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble, stop);
     return changed.ok() ? RelativeChange(changed.gradient.initial, gradient.gradient.initial) : 1.0;
   };
   std::mt19937 random(1);
@@ -59,6 +59,7 @@ std::optional<Conditioning> MeasureConditioning(const Scene& scene) {
     Scene resampled = scene;
     resampled.steps += sample;
     found.rounding = std::max({found.rounding, change, compare(resampled)});
+    if (stop && stop()) return std::nullopt;
   }
   return found;
 }

@@ -12,7 +12,7 @@
 
 namespace saltus {
 
-// Of the event-driven model; nothing where that one cannot take the scene or fails.
-std::optional<Conditioning> MeasureConditioning(const Scene& scene);
+// Of the event-driven model; nothing where that one cannot take the scene or fails, or if it was stopped.
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus
