@@ -119,7 +119,7 @@ struct Conditioning {
 // each impact magnifies what was there before: after a few dozen of them the last bits of the initial state, and the
 // rounding of every step since, may decide the leading digits of the derivative. A gradient that differs from the exact
 // one by no more than the exact one differs from itself is not wrong: nobody can tell.
-std::optional<Conditioning> MeasureConditioning(const Scene& scene);
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop = nullptr);
 
 struct RefinementStudy {
   std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite

@@ -41,7 +41,7 @@ constexpr int kMostFineSteps = 8192;
 constexpr int kLongest = 1024;  // steps of one interval; a contact that lasts longer is cut
 constexpr double kSmallError = 1e-3;
 // Of a scene with more discs costates are pulled back, instead of matrices multiplied.
-constexpr int kCrowd = 16;
+constexpr int kMostDiscsByMatrices = 16;
 constexpr std::size_t kKeptNumbers = std::size_t{1} << 23;  // of states
 
 // A pair, and the first and last step in which the model lets it touch.
@@ -364,7 +364,7 @@ class Attributor {
     }
   }
 
-  bool IsCrowd() const { return scene_.num_bodies() > kCrowd && model_->body_size() == size_; }
+  bool IsCrowd() const { return scene_.num_bodies() > kMostDiscsByMatrices && model_->body_size() == size_; }
 
   Eigen::VectorXd PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const {
     std::vector<int> all(model_->num_bodies());
@@ -442,7 +442,7 @@ class Attributor {
       lambda.segment(size_ * i, size_) = costate.segment(bodies[i] * model().body_size(), size_);
     }
     error.exact_impacts = static_cast<int>(exact_touches.size());
-    if (IsCrowd() && n > kCrowd) {
+    if (IsCrowd() && n > kMostDiscsByMatrices) {
       CompareCrowd(interval, bodies, lambda, exact_touches, &error);
       return error;
     }

@@ -72,7 +72,7 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   std::array<double, 2> change_before = {kNan, kNan};
   int jumps = 0;  // widths on end at which the loss jumps on both sides
   double width = widest;
-  for (int i = 0; i < kWidths && jumps < kMostJumps; ++i, width *= kNarrower) {
+  for (int i = 0; i < kWidths && jumps < kMostJumps && !loss->shooting().stopped(); ++i, width *= kNarrower) {
     bool jumps_here = true;
     for (int side = 0; side < 2; ++side) {
       const double signed_width = side == 0 ? width : -width;

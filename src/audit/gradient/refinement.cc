@@ -174,10 +174,10 @@ Verdict Overall(const RefinementStudy& study) {
 }
 
 // Errors that are no larger than what rounding does to the exact gradient are nobody's.
-void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
+void ExcuseRounding(const Scene& scene, const StopRequest& stop, RefinementStudy* study) {
   for (QuantityStudy& quantity : study->quantities) {
     if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
-    if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
+    if (!study->conditioning) study->conditioning = MeasureConditioning(scene, stop);
     if (!study->conditioning) return;
     if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
       quantity.verdict = Verdict::kIllConditioned;
@@ -236,19 +236,22 @@ class Study {
     std::vector<ModelGradient> gradients(options_.samples);
     const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
     ParallelFor(threads, options_.samples, [&](int, int sample) {
+      // Of many steps the arrays alone take long.
+      if (gradients[sample].reason = stop_ && stop_() ? kStopped : ""; !gradients[sample].ok()) return;
       Scene refined = scene_;
       refined.steps = steps_of(sample);
       gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
     });
+    for (int sample = 0; sample < options_.samples; ++sample) {
+      if (gradients[sample].ok()) continue;
+      out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradients[sample].reason;
+      return false;
+    }
     std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
     double log_steps = 0;
     for (int sample = 0; sample < options_.samples; ++sample) {
       log_steps += std::log(steps_of(sample)) / options_.samples;
       const ModelGradient& gradient = gradients[sample];
-      if (!gradient.ok()) {
-        out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradient.reason;
-        return false;
-      }
       if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
       for (size_t q = 0; q < entries.size(); ++q) {
         entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
@@ -300,14 +303,14 @@ class Study {
 
 }  // namespace
 
-std::optional<Conditioning> MeasureConditioning(const Scene& scene) {
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop) {
   const ModelTraits* exact = ExactModel();
   if (exact == nullptr) return std::nullopt;
-  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble);
+  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble, stop);
   if (!gradient.ok()) return std::nullopt;
   Conditioning found;
   const auto compare = [&](const Scene& other) {
-    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble);
+    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble, stop);
     return changed.ok() ? RelativeChange(changed.gradient.initial, gradient.gradient.initial) : 1.0;
   };
   std::mt19937 random(1);
@@ -317,6 +320,7 @@ std::optional<Conditioning> MeasureConditioning(const Scene& scene) {
     Scene resampled = scene;
     resampled.steps += sample;
     found.rounding = std::max({found.rounding, change, compare(resampled)});
+    if (stop && stop()) return std::nullopt;
   }
   return found;
 }
@@ -370,7 +374,7 @@ RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, cons
   for (QuantityStudy& quantity : study.quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
-  ExcuseRounding(scene, &study);
+  ExcuseRounding(scene, stop, &study);
   study.verdict = Overall(study);
   return study;
 }

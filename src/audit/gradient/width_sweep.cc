@@ -236,7 +236,6 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
   Line line(MakeSimulator(contact, refined, Precision::kDouble), stop);
   const double speed = std::max(line.LargestSpeed(), 1e-9);
   for (const Direction& direction : DirectionsOf(scene, speed, line.simulator().step())) {
-    if (line.simulator().stopped()) return study;
     WidthSweep& sweep = study.sweeps.emplace_back();
     sweep.quantity = direction.quantity;
     sweep.entry = direction.entry;
@@ -246,6 +245,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     for (int i = 0; i < count; ++i) {
       const double width = direction.grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade);
       if (width > direction.most) break;
+      if (line.simulator().stopped()) return study;
       sweep.widths.push_back(width);
       sweep.slopes.push_back((line.LossAt(direction, width) - line.LossAt(direction, -width)) / (2 * width));
     }
