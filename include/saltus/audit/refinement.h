@@ -12,7 +12,7 @@
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
 //   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
-//   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
+//   (Conditioning)   not applicable    model and exact gradient are of different worlds; there is no study of it
 //   ambiguous    there is no gradient: the order of impacts at the same time decides (simulate/events.h, Tie)
 //   one-sided    every derivative by the initial state exists from one side only, or from none, and none is judged
 //
