@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <iostream>
 #include <regex>
+#include <string_view>
 
 #include "base/interrupt.h"
 #include "output/text_layout.h"
@@ -226,8 +227,15 @@ void AddSimulators(const std::vector<std::string>& arguments, Request* request) 
 
 // Whether each point is to have a scene of its own, which is asked before there is any.
 bool SweepsSeeds(const std::string& text) {
-  static const std::regex seeds(std::string("(^|[;&(,\\s])") + kSeedOption + "\\s*[=,)]");
-  return std::regex_search(text, seeds);
+  // By hand: std::regex needs stack for every character.
+  constexpr std::string_view kSpace = " \t\n\v\f\r", kBefore = ";&(, \t\n\v\f\r", kAfter = "=,)";
+  const std::string_view seed = kSeedOption;
+  for (size_t at = text.find(seed); at != std::string::npos; at = text.find(seed, at + 1)) {
+    const size_t next = text.find_first_not_of(kSpace, at + seed.size());
+    const bool begins = at == 0 || kBefore.find(text[at - 1]) != std::string_view::npos;
+    if (begins && next != std::string::npos && kAfter.find(text[next]) != std::string_view::npos) return true;
+  }
+  return false;
 }
 
 int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
