@@ -382,8 +382,7 @@ def scene_keys(programs):
 def flag_tables(programs):
     parts = []
     for group, flags in programs.flags().items():
-        rows = [[f"`--{flag}`", explanation,
-                 "all" if len(takes) == len(PROGRAMS) else code("problems" if p == "two_balls" else p for p in takes)]
+        rows = [[f"`--{flag}`", explanation, code("problems" if p == "two_balls" else p for p in sorted(takes, key=PROGRAMS.index))]
                 for flag, (explanation, takes) in flags.items()]
         parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows).replace("`problems`", "the problems"))
     return "\n\n".join(parts)
