@@ -18,6 +18,8 @@ Many of them    Simulation (one scene, evaluated again and again), Batch (many p
 Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
+Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
+                loss_and_gradient, solve, hybrid_solvers, audit
 Of your own     audit(scene, simulate=...), and ContactModel for a contact model in Python
 Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient as it is, with jac=True
@@ -33,6 +35,21 @@ ValueError (SceneError in scenes) or TypeError that names the argument and what 
 RuntimeError that says where. The interpreter is free while C++ computes, and Ctrl-C ends it.
 """
 
+from ._expression import where
+from ._hybrid import (
+    HybridAudit,
+    HybridGradient,
+    HybridProblem,
+    HybridRollout,
+    HybridRun,
+    HybridSystem,
+    effort,
+    final_derivatives,
+    final_time,
+    hybrid_solvers,
+    residuals,
+    terminal,
+)
 from ._identify import identify
 from ._own import ContactModel
 from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient, load_result
@@ -48,6 +65,12 @@ __all__ = [
     "EndState",
     "Fit",
     "Gradient",
+    "HybridAudit",
+    "HybridGradient",
+    "HybridProblem",
+    "HybridRollout",
+    "HybridRun",
+    "HybridSystem",
     "Result",
     "Rollout",
     "Run",
@@ -58,12 +81,19 @@ __all__ = [
     "__version__",
     "audit",
     "contact_models",
+    "effort",
+    "final_derivatives",
+    "final_time",
+    "hybrid_solvers",
     "identify",
     "linearize",
     "load_result",
     "load_scene",
     "loss_and_gradient",
+    "residuals",
     "rollout",
     "solve",
     "solvers",
+    "terminal",
+    "where",
 ]

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
+from . import _hybrid
+from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
@@ -102,7 +104,7 @@ def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool)
 
 
 def rollout(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -112,16 +114,19 @@ def rollout(
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
     memory_limit: float = 1024,
-) -> Rollout:
-    """Simulates a scene.
+) -> Any:
+    """Simulates a scene, or a HybridProblem, for which there are no other arguments.
 
     control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's. In
     scenes with torques (K, C, 3), with the torque in N m behind.
     position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's. angle, angular_velocity:
     (B,), rad and rad/s, of discs that spin; 0 for the others.
 
-    Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
+    Returns a Rollout, or a HybridRollout. Raises ValueError if the model cannot take the scene or an argument is wrong,
+    RuntimeError if the rollout fails; that of a HybridProblem whose events accumulate has the time as `accumulation`.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.rollout(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
@@ -130,7 +135,7 @@ def rollout(
 
 
 def loss_and_gradient(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -139,15 +144,21 @@ def loss_and_gradient(
     angle: ArrayLike | None = None,
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
-) -> Gradient:
+) -> Any:
     """The loss of a motion and its gradient by all that determines it: position, velocity, control and parameters; with
     discs that spin angle and angular velocity too.
 
     Arguments as those of `rollout`. To evaluate a scene many times by what it optimizes, use Simulation, which spares
     the set-up. Scenes with hard, running or via terms or a free final time are refused: Simulation takes them.
 
-    Raises as rollout.
+    Of a HybridProblem: its loss and the gradient by initial state, control, parameters and duration; there are no other
+    arguments. The number of steps of the integration is chosen in the first call, and kept as long as mode, intervals and
+    duration are the same.
+
+    Returns a Gradient, or a HybridGradient. Raises as rollout.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.loss_and_gradient(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Mapping, Sequence
 
-from . import _saltus
+from . import _hybrid, _saltus
+from ._hybrid import HybridProblem
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene
@@ -22,10 +23,12 @@ def solvers() -> dict[str, str]:
 
 
 def solve(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     solver: str = "gd",
     *,
+    optimize: Sequence[str] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     precision: str = "double",
     iterations: int = 1000,
     learning_rate: float | None = None,
@@ -37,8 +40,12 @@ def solve(
     keep_iterates: bool = False,
     callback: Callable[[int, float], bool | None] | None = None,
     status: Callable[[str], None] | None = None,
-) -> Run:
-    """Optimises what the scene says, under a contact model, with a solver.
+) -> Any:
+    """Optimises what the scene says, under a contact model, with a solver; or a HybridProblem with one of hybrid_solvers().
+
+    optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
+    and parameters. bounds: a pair (least, greatest) by these names, or by the name of a control. It takes iterations,
+    learning_rate (default 0.01) and callback beside these.
 
     iterations: at most. learning_rate, rate_per_time: of gradient descent; the default rate is that of the published
     experiments. sequence: of solvers along a collision sequence: "auto", "fixed", "none" or pairs such as
@@ -48,7 +55,7 @@ def solve(
     callback(iteration, loss): called after each iteration; False ends the run as "interrupted". status(text): called by
     solvers that take long with what they are at.
 
-    Returns the run, whose solution is re-simulated exactly and certified. Raises ValueError if solver or model cannot
+    Returns the Run, or the HybridRun, whose solution is re-simulated exactly and certified. Raises ValueError if solver or model cannot
     take the scene, or an option is wrong; what a callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and
     what a callback has raised, has the run so far as its attribute ``run``.
     """
@@ -57,6 +64,12 @@ def solve(
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
     expect("a callable", callback=callback, status=status)
+    if isinstance(scene, HybridProblem):
+        rate = 0.01 if learning_rate is None else float(learning_rate)
+        free = ["control"] if optimize is None else optimize
+        return _hybrid.solve(scene, solver, free, bounds or {}, iterations, rate, callback)
+    if optimize is not None or bounds is not None:
+        raise ValueError("optimize and bounds are of a HybridProblem: a scene says itself what is free")
     found, stopped_by = _saltus.solve(
         as_scene(scene),
         as_contact(contact),
@@ -81,20 +94,21 @@ def solve(
 
 
 def audit(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = None,
     *,
-    simulate: Callable[..., Any] | None = None,
+    simulate: Callable[..., Any] | str | None = None,
     gradient: Callable[..., Any] | None = None,
     vjp: Callable[..., Any] | None = None,
     jacobian: Callable[..., Any] | None = None,
     step: Callable[..., Any] | None = None,
+    steps: int = 100,
     name: str = "simulate",
     precision: str = "double",
     width_sweep: bool = False,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
-) -> Audit:
+) -> Any:
     """Gradients of contact models, or of a simulator of yours, beside the exact one, with verdicts and their reasons.
 
     contact: a model, a list of them, or "all", which is the default without `simulate`; a ContactModel is audited by
@@ -118,9 +132,21 @@ def audit(
         The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong. Not beside
         `gradient`.
 
+    Of a HybridProblem with costs it audits a time-stepping scheme of yours, and takes these alone: step(mode, x, u, p, h),
+    or (mode, t, x, u, p, h), which returns the mode's name and the state after a step of length h; or simulate, a command
+    that speaks the line protocol; jacobian, of the arguments of step, the derivatives by [x u p] (differences without);
+    steps, the number of steps at which the refinement begins; width_sweep, name.
+
+    Returns an Audit, or a HybridAudit.
+
     ``report.raise_if_wrong()`` makes a test of it. Raises ValueError for unknown names and wrong shapes, and if the only
     model asked for cannot take the scene; what a callable raises. Ctrl-C raises KeyboardInterrupt.
     """
+    if isinstance(scene, HybridProblem):
+        expect("text", name=name)
+        return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name)
+    if isinstance(simulate, str):
+        raise TypeError("simulate: found text, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
         contact = "all" if simulate is None else []
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact
