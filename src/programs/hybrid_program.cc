@@ -55,6 +55,7 @@ struct HybridRequest {
   std::vector<std::string> solvers = {};
   std::vector<std::shared_ptr<HybridScheme>> schemes = {};
   SolverOptions options = {};
+  ProgressMode progress = ProgressMode::kAuto;
 };
 
 double ReadNumber(const std::string& item, const std::string& text) {
@@ -184,6 +185,8 @@ bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
                                      .seed = FLAGS_search_seed};
   if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError("--" + why);
   request->options.stop = InterruptGuard::Interrupted;
+  request->options.threads = ThreadsFromFlags();
+  request->progress = ProgressFromFlags();
   const std::vector<SimulatorCommand> commands = ReadSimulators(arguments);
   if (FLAGS_audit && commands.empty() && request->extras.scheme == nullptr) {
     throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
@@ -245,15 +248,22 @@ HybridResults Compute(const HybridRequest& request) {
               {"motion", std::move(motion)}};
   document.update(loss);
   document["runs"] = Json::array();
+  const std::size_t tasks = request.solvers.size() + request.schemes.size();
+  Progress progress(request.progress, stderr, request.name, static_cast<std::int64_t>(tasks));
+  progress.UnitsDiffer();
   for (const std::string& solver : request.solvers) {
+    progress.Advance(0, solver);
     results.reports.push_back(Solve(solver, problem, request.options));
+    progress.Advance();
     results.reports.back().contact = request.name;
     document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), FLAGS_states));
   }
   HybridAuditOptions options{.width_sweep = FLAGS_width_sweep, .stop = InterruptGuard::Interrupted};
   if (FLAGS_steps > 0) options.steps = FLAGS_steps;
   for (const std::shared_ptr<HybridScheme>& scheme : request.schemes) {
+    progress.Advance(0, "audit of " + scheme->name());
     results.audits.push_back(AuditScheme(problem, scheme.get(), options));
+    progress.Advance();
     document["audits"].push_back(HybridAuditToJson(problem, results.audits.back()));
   }
   return results;

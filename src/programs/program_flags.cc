@@ -95,7 +95,7 @@ std::vector<Program> MakePrograms() {
           "search_starts=N",
           "search_seed=N"}},
         {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
-        {"Output", {"json", "states", "output_dir=DIR"}}},
+        {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}},
        "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
        "ceres_lm, or where it does not apply ceres_lbfgs or gd."},
       {"saltus_audit",

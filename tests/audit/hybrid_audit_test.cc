@@ -210,7 +210,7 @@ struct Corner {
   template <typename T>
   int Reset(int, int guard, const T&, const T* x, const T*, T* x_plus) const {
     x_plus[0] = x[0] + (guard == 0 ? 1.0 : 2.0) + 3.0 * guard * x[0];
-    x_plus[1] = x[1] + (guard == 0 ? 2.0 * x[0] + 1.0 : 1.0);
+    x_plus[1] = x[1] + (guard == 0 ? T(2.0 * x[0] + 1.0) : T(1.0));
     return 0;
   }
   template <typename T>
