@@ -156,7 +156,7 @@ class Cost:
                  guard: str | None, before: bool, size: int | None):
         self.name, self.function, self.at, self.role = name, function, at, role
         self.mode, self.guard, self.before = mode, guard, before
-        self.size = size  # of the state, if the function says it
+        self.size = size  # of the state, where the function implies it
 
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system

@@ -84,7 +84,7 @@ def solve(
         free = ["control"] if optimize is None else optimize
         return _hybrid.solve(scene, solver, free, bounds or {}, iterations, rate, callback)
     if optimize is not None or bounds is not None:
-        raise ValueError("optimize and bounds are of a HybridProblem: a scene says itself what is free")
+        raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
     found, stopped_by = _saltus.solve(
         as_scene(scene),
         as_contact(contact),
