@@ -23,7 +23,9 @@ import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = ["saltus_audit", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene", "saltus_simulate",
-            "saltus_replay", "saltus_reproduce", "two_balls"]
+            "saltus_replay", "saltus_reproduce", "two_balls", "bouncing_ball"]
+# What stands for many programs.
+KINDS = {"two_balls": "the problems", "bouncing_ball": "the hybrid systems"}
 TASKS = {"bounce_once": "one bounce", "ground_wall": "ground and wall", "two_balls": "two balls"}
 MARK = re.compile(r"(<!-- table: ([a-z ]+) -->\n).*?(<!-- end -->)", re.S)
 
@@ -382,9 +384,10 @@ def scene_keys(programs):
 def flag_tables(programs):
     parts = []
     for group, flags in programs.flags().items():
-        rows = [[f"`--{flag}`", explanation, code("problems" if p == "two_balls" else p for p in sorted(takes, key=PROGRAMS.index))]
+        rows = [[f"`--{flag}`", explanation,
+                 ", ".join(KINDS.get(p) or code([p]) for p in sorted(takes, key=PROGRAMS.index))]
                 for flag, (explanation, takes) in flags.items()]
-        parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows).replace("`problems`", "the problems"))
+        parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows))
     return "\n\n".join(parts)
 
 
