@@ -82,8 +82,8 @@ def keep_lines(app, what, name, obj, options, lines):  # pylint: disable=too-man
     """Shows the module's docstring, which is laid out for help(saltus), as plain text."""
     if what == "module":
         lines[:] = ["::", ""] + ["   " + line for line in inspect.getdoc(obj).split("\n")] + [""]
-    else:  # a * outside of ``code`` is one
-        lines[:] = ["``".join(part if k % 2 else re.sub(r"\*", r"\\*", part) for k, part in enumerate(line.split("``")))
+    else:  # a * or | outside of ``code`` is one
+        lines[:] = ["``".join(part if k % 2 else re.sub(r"[*|]", r"\\\g<0>", part) for k, part in enumerate(line.split("``")))
                     for line in lines]
 
 
