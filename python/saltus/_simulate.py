@@ -40,6 +40,11 @@ class Simulation(_saltus.Simulation):
         num_steps: number of steps, K.
         initial_guess: the initial guess, of shape ``shape``.
 
+    Raises:
+        ValueError: an argument is wrong, or the model does not support the scene.
+        TypeError: an argument has a wrong type.
+        RuntimeError: a rollout fails.
+
     Methods:
         loss(z=None): the loss at z.
         loss_and_gradient(z=None, out=None): the loss and its gradient, in a new array of the shape of z, or in ``out``.
@@ -51,11 +56,6 @@ class Simulation(_saltus.Simulation):
             scene.
         linearize(state, force=None): the derivatives of that step with respect to the state, (S, S) with S the size of
             a state, and with respect to the forces, (S, C, 2).
-
-    Raises:
-        ValueError: an argument is wrong, or the model does not support the scene.
-        TypeError: an argument has a wrong type.
-        RuntimeError: a rollout fails.
     """
 
     def __init__(

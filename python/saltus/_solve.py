@@ -126,7 +126,9 @@ def audit(
 ) -> Any:
     """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
 
-    ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
+    A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
+    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -150,10 +152,6 @@ def audit(
         width_sweep: whether to compare with differences of every width too.
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
-
-    A gradient is compared with the exact one and with differences of the results of ``simulate``
-    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
-    measured precision.
 
     Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step(mode, x, u, p, h), or
     step(mode, t, x, u, p, h), which returns the mode's name and the state after a step of length h; or as simulate a
