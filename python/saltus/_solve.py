@@ -12,12 +12,12 @@ from ._types import expect
 
 
 def contact_models() -> dict[str, str]:
-    """The contact models, each with one line about it."""
+    """Returns the names of the contact models, each with a description in one line."""
     return _saltus.contact_models()
 
 
 def solvers() -> dict[str, str]:
-    """The solvers, each with one line about it."""
+    """Returns the names of the solvers, each with a description in one line."""
     return _saltus.solvers()
 
 
@@ -38,19 +38,30 @@ def solve(
     callback: Callable[[int, float], bool | None] | None = None,
     status: Callable[[str], None] | None = None,
 ) -> Run:
-    """Optimises what the scene says, under a contact model, with a solver.
+    """Optimises a scene under a contact model with a solver.
 
-    iterations: at most. learning_rate, rate_per_time: of gradient descent; the default rate is that of the published
-    experiments. sequence: of solvers along a collision sequence: "auto", "fixed", "none" or pairs such as
-    "striker-target,target-ceiling". surrogate: "smoothed_zeroth" or a dict of kind, sigma, samples, seed, segments.
-    threads: for samples of surrogates; 0 is one per core. memory_limit: MiB, of the states of a rollout.
-    keep_iterates: adds ``iterates``, the decision variables after each iteration.
-    callback(iteration, loss): called after each iteration; False ends the run as "interrupted". status(text): called by
-    solvers that take long with what they are at.
+    The solution is simulated again with exact dynamics and certified. Ctrl-C raises KeyboardInterrupt at once. This
+    exception, and one that a callback raises, has the run computed until then as its attribute ``run``.
 
-    Returns the run, whose solution is re-simulated exactly and certified. Raises ValueError if solver or model cannot
-    take the scene, or an option is wrong; what a callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and
-    what a callback has raised, has the run so far as its attribute ``run``.
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        contact: name of a contact model, or a class derived from ContactModel.
+        solver: name of a solver.
+        precision: arithmetic of the contact model, "double" or "float".
+        iterations: largest number of iterations.
+        learning_rate: step size of gradient descent; default: that of the published experiments.
+        rate_per_time: whether the learning rate is per unit of time.
+        sequence: collision sequence of ceres_event, ceres_phases, hmp and mode_search: "auto", "fixed", "none" or pairs
+            such as "striker-target,target-ceiling".
+        surrogate: "smoothed_zeroth" or another surrogate gradient, or a dict of kind, sigma, samples, seed, segments.
+        threads: number of threads for samples of surrogates; 0 is one per core.
+        memory_limit: MiB, for the states of a rollout.
+        keep_iterates: whether the run has ``iterates``, the decision variables after each iteration.
+        callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
+        status: called as status(text) with the progress of solvers that take long.
+
+    Raises:
+        ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
     expect("text", solver=solver, precision=precision, sequence=sequence)
     expect("a whole number", iterations=iterations, threads=threads)
@@ -95,31 +106,39 @@ def audit(
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
 ) -> Audit:
-    """Gradients of contact models, or of a simulator of yours, beside the exact one, with verdicts and their reasons.
+    """Compares the gradients of contact models, or of a simulator of your own, with the exact gradient.
 
-    contact: a model, a list of them, or "all", which is the default without `simulate`; a ContactModel is audited by
-    what it answers, as a simulator is. width_sweep: also compares with differences of every width. surrogate: as in
-    `solve`; its error is judged then. threads: 0 is one per core.
+    ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
 
-    simulate(scene, initial, control, dt)
-        The final state (B, 4) of the discs of `scene`, each [p_x p_y v_x v_y], from `initial` (B, 4) under `control`
-        (K, C, 2) on those of scene.controlled, one row a step of dt seconds. It starts afresh each time. It is asked of
-        this scene with other starts, steps and forces, and of a head-on impact of its first pair alone: what it needs
-        of the discs (scene.to_dict()) it should read there.
-    gradient(scene, initial, control, dt)
-        Its own gradient, of the loss of `scene` with its effort, by initial (B, 4) and by control (K, C, 2). Or
-    vjp(scene, initial, control, dt, cotangent)
-        likewise, of sum(cotangent * final state). Or
-    jacobian(scene, initial, control, dt)
-        the derivatives of the final state by them, of shapes (4 B, 4 B) and (4 B, 2 K C). A gradient is compared with
-        the exact one and with differences of what `simulate` gives (``agrees_with_differences``). Without one, these
-        differences are judged, of a width that their precision allows, which is found.
-    step(scene, state, force, h)
-        The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong. Not beside
-        `gradient`.
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        contact: a contact model, a list of them, or "all", the default without ``simulate``. A class derived from
+            ContactModel is audited by its answers, as a simulator is.
+        simulate: called as simulate(scene, initial, control, dt). Returns the final states (B, 4), [p_x p_y v_x v_y] of
+            each disc of ``scene``, from ``initial`` (B, 4) under ``control`` (K, C, 2), forces in N on the discs
+            scene.controlled, one row for each step of dt seconds. Each call starts from its own initial state. The audit
+            also calls it with other initial states, steps and forces, and with a head-on impact of the first pair alone:
+            read parameters of the discs from ``scene`` (scene.to_dict()).
+        gradient: called as gradient(scene, initial, control, dt). Returns the simulator's own gradient of the loss of
+            ``scene``, the effort included, with respect to initial (B, 4) and control (K, C, 2).
+        vjp: in place of gradient, called as vjp(scene, initial, control, dt, cotangent). Returns the same derivatives of
+            sum(cotangent * final state).
+        jacobian: in place of gradient, called as jacobian(scene, initial, control, dt). Returns the derivatives of the
+            final state, of shapes (4 B, 4 B) and (4 B, 2 K C).
+        step: called as step(scene, state, force, h). Returns the state after one step from any state (B, 4) under forces
+            (B, 2); with it the audit names the wrong contact. Not together with gradient.
+        name: name of the simulator in the result.
+        precision: arithmetic of the contact models, "double" or "float".
+        width_sweep: whether to compare with differences of every width too.
+        surrogate: as that of `solve`; its error is judged then.
+        threads: number of threads; 0 is one per core.
 
-    ``report.raise_if_wrong()`` makes a test of it. Raises ValueError for unknown names and wrong shapes, and if the only
-    model asked for cannot take the scene; what a callable raises. Ctrl-C raises KeyboardInterrupt.
+    A gradient is compared with the exact one and with differences of the results of ``simulate``
+    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
+    measured precision.
+
+    Raises:
+        ValueError: a name is unknown, a shape is wrong, or the only model does not support the scene.
     """
     if contact is None:
         contact = "all" if simulate is None else []

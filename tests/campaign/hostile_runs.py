@@ -608,6 +608,7 @@ NO_NUMBER = re.compile(r"(?<![A-Za-z0-9_./'-])[-+]?(?:nan|inf|infinity)(?![A-Za-
 
 
 def no_number(text):
+    text = re.sub(r"'\{[^']*'", "''", text)  # the line of a simulator, quoted
     found = NO_NUMBER.search(text)
     return text[max(0, found.start() - 40):found.end() + 40].replace("\n", "\\n") if found else None
 
@@ -646,7 +647,8 @@ def judge(run, outcome, hang):
     starved = run.limits.get(resource.RLIMIT_NOFILE, 1000) < 6 and outcome.code == 127  # no libraries
     if outcome.code not in (0, 1, 2) and not starved:
         yield f"exit code {outcome.code}"
-    if outcome.code != 0 and not outcome.errors.strip() and 2 not in run.closed:
+    mute = 2 in run.closed or run.limits.get(resource.RLIMIT_FSIZE) == 0  # standard error is a file
+    if outcome.code != 0 and not outcome.errors.strip() and not mute:
         yield f"exit code {outcome.code}, and not a word on standard error"
     if outcome.code == 0 and not run.stdout and 1 not in run.closed:
         asked = any(line.strip() for line in run.stdin.splitlines()) if "saltus_simulate" in run.command[0] else True

@@ -4,12 +4,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <random>
 #include <utility>
 
-#include "audit/gradient/conditioning.h"
 #include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/audit/audit.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
@@ -31,12 +33,6 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   return quantities;
 }
 
-double Norm(const std::vector<double>& entries) {
-  double sum = 0;
-  for (double entry : entries) sum += entry * entry;
-  return std::sqrt(sum);
-}
-
 double Largest(const std::vector<double>& entries) {
   double largest = 0;
   for (double entry : entries) largest = std::max(largest, std::abs(entry));
@@ -47,6 +43,25 @@ double Distance(const std::vector<double>& a, const std::vector<double>& b) {
   std::vector<double> difference(a.size());
   std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());
   return Norm(difference);
+}
+
+constexpr int kSamples = 4;
+constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+
+double RelativeChange(std::vector<double> gradient, const std::vector<double>& from) {
+  for (std::size_t i = 0; i < gradient.size(); ++i) gradient[i] -= from[i];
+  const double scale = Norm(from);
+  return scale > 0 ? Norm(gradient) / scale : 0.0;
+}
+
+// With every number of the initial state off by a last bit, up or down.
+Scene Jitter(Scene scene, std::mt19937* random) {
+  for (Body& body : scene.bodies) {
+    for (Vec2d* vector : {&body.position, &body.velocity}) {
+      for (int j = 0; j < 2; ++j) (*vector)[j] *= (*random)() % 2 == 0 ? 1 + kEpsilon : 1 - kEpsilon;
+    }
+  }
+  return scene;
 }
 
 // The entries, but 0 for those whose names are in `left_out`.
@@ -136,27 +151,8 @@ bool EntersTheVerdict(Quantity quantity) {
 
 // From good to bad; what is wrong outweighs what is unknown.
 int Badness(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-      return 0;
-    case Verdict::kConsistent:
-      return 1;
-    case Verdict::kUnknown:
-    case Verdict::kOneSided:
-      return 2;
-    case Verdict::kIllConditioned:
-    case Verdict::kNotApplicable:
-      return 3;
-    case Verdict::kBiased:
-      return 4;
-    case Verdict::kWrong:
-      return 5;
-    case Verdict::kWrongSign:
-      return 6;
-    case Verdict::kAmbiguous:
-      return 7;
-  }
-  LOG(FATAL) << "no such verdict";
+  constexpr int kBadness[] = {0, 1, 5, 6, 2, 4, 3, 3, 7, 2};  // in the order of the enum
+  return kBadness[static_cast<int>(verdict)];
 }
 
 Verdict Overall(const RefinementStudy& study) {
@@ -178,10 +174,10 @@ Verdict Overall(const RefinementStudy& study) {
 }
 
 // Errors that are no larger than what rounding does to the exact gradient are nobody's.
-void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
+void ExcuseRounding(const Scene& scene, const StopRequest& stop, RefinementStudy* study) {
   for (QuantityStudy& quantity : study->quantities) {
     if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
-    if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
+    if (!study->conditioning) study->conditioning = MeasureConditioning(scene, stop);
     if (!study->conditioning) return;
     if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
       quantity.verdict = Verdict::kIllConditioned;
@@ -240,19 +236,22 @@ class Study {
     std::vector<ModelGradient> gradients(options_.samples);
     const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
     ParallelFor(threads, options_.samples, [&](int, int sample) {
+      // Of many steps the arrays alone take long.
+      if (gradients[sample].reason = stop_ && stop_() ? kStopped : ""; !gradients[sample].ok()) return;
       Scene refined = scene_;
       refined.steps = steps_of(sample);
       gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
     });
+    for (int sample = 0; sample < options_.samples; ++sample) {
+      if (gradients[sample].ok()) continue;
+      out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradients[sample].reason;
+      return false;
+    }
     std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
     double log_steps = 0;
     for (int sample = 0; sample < options_.samples; ++sample) {
       log_steps += std::log(steps_of(sample)) / options_.samples;
       const ModelGradient& gradient = gradients[sample];
-      if (!gradient.ok()) {
-        out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradient.reason;
-        return false;
-      }
       if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
       for (size_t q = 0; q < entries.size(); ++q) {
         entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
@@ -304,30 +303,40 @@ class Study {
 
 }  // namespace
 
-const char* VerdictToString(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-      return "right";
-    case Verdict::kConsistent:
-      return "consistent";
-    case Verdict::kWrong:
-      return "wrong";
-    case Verdict::kWrongSign:
-      return "wrong sign";
-    case Verdict::kUnknown:
-      return "unknown";
-    case Verdict::kBiased:
-      return "biased";
-    case Verdict::kIllConditioned:
-      return "ill-conditioned";
-    case Verdict::kNotApplicable:
-      return "not applicable";
-    case Verdict::kAmbiguous:
-      return "ambiguous";
-    case Verdict::kOneSided:
-      return "one-sided";
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop) {
+  const ModelTraits* exact = ExactModel();
+  if (exact == nullptr) return std::nullopt;
+  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble, stop);
+  if (!gradient.ok()) return std::nullopt;
+  Conditioning found;
+  const auto compare = [&](const Scene& other) {
+    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble, stop);
+    return changed.ok() ? RelativeChange(changed.gradient.initial, gradient.gradient.initial) : 1.0;
+  };
+  std::mt19937 random(1);
+  for (int sample = 1; sample <= kSamples; ++sample) {
+    const double change = compare(Jitter(scene, &random));
+    found.condition = std::max(found.condition, change / kEpsilon);
+    Scene resampled = scene;
+    resampled.steps += sample;
+    found.rounding = std::max({found.rounding, change, compare(resampled)});
+    if (stop && stop()) return std::nullopt;
   }
-  LOG(FATAL) << "no such verdict";
+  return found;
+}
+
+const char* VerdictToString(Verdict verdict) {
+  constexpr const char* kNames[] = {"right",
+                                    "consistent",
+                                    "wrong",
+                                    "wrong sign",
+                                    "unknown",
+                                    "biased",
+                                    "ill-conditioned",
+                                    "not applicable",
+                                    "ambiguous",
+                                    "one-sided"};
+  return kNames[static_cast<int>(verdict)];
 }
 
 bool IsWrong(Verdict verdict) { return verdict == Verdict::kWrong || verdict == Verdict::kWrongSign; }
@@ -365,7 +374,7 @@ RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, cons
   for (QuantityStudy& quantity : study.quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
-  ExcuseRounding(scene, &study);
+  ExcuseRounding(scene, stop, &study);
   study.verdict = Overall(study);
   return study;
 }

@@ -63,20 +63,8 @@ class Line {
            EffortLoss(objective, control, simulator_->step());
   }
 
-  // The largest speed of a disc during the rollout from the scene's own start, m/s.
-  double LargestSpeed() {
-    double largest = 0;
-    if (!simulator_->Rollout(initial_, control_)) return largest;
-    std::vector<double> x(simulator_->state_size());
-    for (int k = 0; k <= simulator_->num_steps(); ++k) {
-      simulator_->GetState(k, x);
-      for (int i = 0; i < simulator_->num_bodies(); ++i) {
-        const double* v = &x[i * simulator_->body_size() + 2];
-        largest = std::max(largest, std::hypot(v[0], v[1]));
-      }
-    }
-    return largest;
-  }
+  // Of the rollout from the scene's own start; 0 if it fails.
+  double LargestSpeed() { return simulator_->Rollout(initial_, control_) ? saltus::LargestSpeed(*simulator_) : 0.0; }
 
  private:
   std::unique_ptr<Simulator> simulator_;
@@ -184,17 +172,9 @@ void Convert(const Units& from, const Units& to, WidthSweep* sweep) {
 }  // namespace
 
 const char* WidthFindingToString(WidthFinding finding) {
-  switch (finding) {
-    case WidthFinding::kNothing:
-      return "nothing found";
-    case WidthFinding::kOnlyOfItsSteps:
-      return "agrees with narrow differences, not with wide ones";
-    case WidthFinding::kOfNeither:
-      return "agrees with no differences";
-    case WidthFinding::kUndecided:
-      return "undecided";
-  }
-  LOG(FATAL) << "no such finding";
+  constexpr const char* kNames[] = {
+      "nothing found", "agrees with narrow differences, not with wide ones", "agrees with no differences", "undecided"};
+  return kNames[static_cast<int>(finding)];
 }
 
 const WidthSweep* WidthSweepStudy::Worst() const {
@@ -256,7 +236,6 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
   Line line(MakeSimulator(contact, refined, Precision::kDouble), stop);
   const double speed = std::max(line.LargestSpeed(), 1e-9);
   for (const Direction& direction : DirectionsOf(scene, speed, line.simulator().step())) {
-    if (line.simulator().stopped()) return study;
     WidthSweep& sweep = study.sweeps.emplace_back();
     sweep.quantity = direction.quantity;
     sweep.entry = direction.entry;
@@ -266,6 +245,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     for (int i = 0; i < count; ++i) {
       const double width = direction.grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade);
       if (width > direction.most) break;
+      if (line.simulator().stopped()) return study;
       sweep.widths.push_back(width);
       sweep.slopes.push_back((line.LossAt(direction, width) - line.LossAt(direction, -width)) / (2 * width));
     }

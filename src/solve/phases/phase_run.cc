@@ -8,7 +8,7 @@
 
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
-#include "control/impact.h"
+#include "simulate/impact.h"
 #include "saltus/control/objective.h"
 
 namespace saltus {
