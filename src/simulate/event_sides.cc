@@ -5,14 +5,14 @@
 #include <memory_resource>
 #include <numeric>
 
-#include "contact/event/event_press.h"
+#include "contact/event/event_group.h"
 
 namespace saltus {
 namespace {
 
 using internal::Approach;
 template <int kRotation>
-using Group = internal::PressedGroup<double, kRotation>;
+using Group = internal::EventGroup<double, kRotation>;
 template <int kRotation>
 using ContactOf = typename Group<kRotation>::Contact;
 
@@ -239,7 +239,7 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
     // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
     const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;
     sides->AddOneSided(c, Quantity::kVelocity, slides);
-    const PressingContact& force = contact.force;
+    const RestingContact& force = contact.force;
     const double give = force.tangential_mass > 0 ? force.mass / force.tangential_mass : 1;  // as discs that spin turn
     const double stopped = friction * (1 + restitution) * give;  // along the tangent, of the speed of an impact
     sides->AddOneSided(c, Quantity::kVelocity, slides + stopped * normal);

@@ -14,7 +14,7 @@
 // Neither do changes along a contact that presses have a derivative if its force reaches one that touches only, through
 //   the discs that they share: what bounces on the former strikes the latter.
 //
-// The derivatives that the event-driven model gives are those of that side (event_press.h).
+// The derivatives that the event-driven model gives are those of that side (event_group.h).
 #pragma once
 
 #include <vector>

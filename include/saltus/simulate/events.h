@@ -34,7 +34,7 @@ std::vector<Event> EventsOf(const Simulator& simulator);
 std::vector<Tie> TiesOf(const Simulator& simulator);
 
 // Steps of its last rollout that an event-driven model did not resolve into events: it took them at once, as crowds
-// (src/contact/event/event_crowd.h), right to first order only. 0 for models that resolve no impact times.
+// (src/contact/event/event_fallback.h), right to first order only. 0 for models that resolve no impact times.
 int NumUnresolvedSteps(const Simulator& simulator);
 
 // "12 of 400 steps, in which a crowd of discs stirs without end, are taken at once"; empty if there are none.

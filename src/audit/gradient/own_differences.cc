@@ -10,6 +10,7 @@
 #include <random>
 #include <vector>
 
+#include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
@@ -56,20 +57,6 @@ class Loss {
   std::vector<double> gradient_;
   bool ok_ = false;
 };
-
-// The speed that a disc has at most in the last rollout, m/s.
-double LargestSpeed(const Simulator& simulator) {
-  double largest = 0;
-  std::vector<double> x(simulator.state_size());
-  for (int k = 0; k <= simulator.num_steps(); ++k) {
-    simulator.GetState(k, x);
-    for (int i = 0; i < simulator.num_bodies(); ++i) {
-      const double* v = &x[i * simulator.body_size() + 2];
-      largest = std::max(largest, std::hypot(v[0], v[1]));
-    }
-  }
-  return largest;
-}
 
 // What a direction shows. `widest` is in its units.
 OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double widest) {

@@ -1,4 +1,4 @@
-// Event-driven simulation: free flight in exact arcs between impacts, which are found to machine precision.
+// Event-driven simulation of discs: exact flight between impacts, whose times are found to machine precision.
 //
 // The acceleration a = u/m + g of a disc is constant within a step. The gap of a pair is then a polynomial in time, of
 // degree 4 for two discs, and an impact is its first zero (event_roots.h), however many lie in one step. With n the
@@ -7,74 +7,77 @@
 //   P = p_n n + p_t t       p_n = -(1 + e) m n.w                         (Newton's restitution)
 //                           p_t = -mu p_n sign(t.w), but at most -m t.w  (Coulomb: slip, stick)
 //
-// Discs turn only in scenes with discs that spin (EventSpinning; impact.h has what that changes of the impulse).
-// Derivatives: the time of each event gets one Newton correction in T. Carried through the impulse, that is the
+// Discs turn only in scenes with discs that spin (EventSpinning; law/impact.h has their impulse). Derivatives: the
+// time of each event gets one Newton correction in T (event_motion.h). Carried through the impulse, that is the
 // saltation matrix (e.g. Kong, Payne, Zhu, Johnson, arXiv 2306.06862).
 //
-// Rules, with the thresholds of event_disc.h and kNodeMargin of time_grid.h:
+// The README of this folder has the states of a pair and their transitions; event_step.h the parts of which a step is
+// composed; thresholds.h all thresholds. The rules:
 //
-// Order. Events are resolved one by one: the earliest first, of impacts at the same time, but for rounding, the first
-//   candidate (discs by index pairs, then planes), and all that it made happen at that time is considered again, until
-//   no pair closes. A row of equal discs thus passes an impact on, a disc in a right-angled corner bounces off both
-//   walls. Derivatives are those of this order, even where another order of impacts at the same time leads to the same
-//   velocities: there the loss may have a kink. After kMaxEvents in one step impacts have no restitution; a step with
-//   twice as many, or in which the forces of contacts at rest are not found, fails. So does one by whose end energy has
-//   grown, or discs overlap, by more than kLargestGain and kLargestOverlap: where many contacts last, the thresholds
+// Order. Events are resolved one by one, the earliest first; of impacts at the same time, but for rounding, that of
+//   the first candidate (discs by index pairs, then walls). The pairs whose motion has changed are predicted again,
+//   until no event is left. A row of equal discs thus passes an impact on, and a disc in a right-angled corner bounces
+//   off both walls. Derivatives are those of this order, even where another order of impacts at the same time leads to
+//   the same velocities: there the loss may have a kink. After kMaxEvents in one step impacts are plastic. A step
+//   fails if it has twice as many, if the forces of contacts at rest are not found, or if at its end energy has grown,
+//   or discs overlap, by more than kLargestGain and kLargestOverlap: where many contacts are sustained, the thresholds
 //   may not suffice.
 // Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
-//   (event_ties.h says within which tolerances).
-// Head-on. By mu = 0 there is a derivative from above. An impact whose slip is less than kHeadOn of its speed has none
-//   of it: any friction makes it stick.
-// Grid nodes. An impact in the last kNodeMargin of a step belongs to the next step, which starts with it: its
-//   derivative is the one-sided one with that step's force on both sides of the impact.
-// Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; closing, they meet
-//   at the start, and no position is changed.
+//   (event_ties.h).
+// Head-on. The derivative by mu at mu = 0 is the one from above. It is zero for an impact whose sliding speed is less
+//   than kHeadOn of its closing speed: any friction makes it stick.
+// Grid nodes. An event in the last kNodeMargin of a step belongs to the next step, which starts with it: its
+//   derivative is the one-sided one with the force of that step on both sides of the event. A disc that stops on a
+//   node is at rest before anything else happens there.
+// Overlap. Discs that overlap by more than kContactGap (in given states only) have no impact time; if they close, they
+//   meet at the start, and no position is changed.
 // Rest. A pair that touches (gap up to kContactGap, |n.w| up to kSlowSpeed) and is accelerated into each other is
-//   closed: its normal velocity becomes zero, and the forces of event_forces.h keep it closed until other forces or an
-//   impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself end
-//   with a plastic impact, whose impulse is that of all that would follow. It sticks or slides by Coulomb's law with
-//   the same mu; sliding ends at the exact time, or at once where friction wedges the discs in. Derivatives are those
-//   of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h says where they are
-//   one-sided. Reported as kSustained, again in every step.
-// Piles. Without friction each bounce within a pile sets off others, ever smaller and in ever shorter times. After
-//   kManyImpacts in a step, a pair that touches others and has met kCrowdedImpacts times more, its discs others as
-//   often, does not bounce below a speed that doubles with every further time, up to kLargestSlowSpeed: that ends.
-// Crowds. A step of five or more discs that would fail, and one in which a pile of kCrowd or more stirs without end
-//   (event_disc.h), is taken at once instead, to first order in its length, without restitution (event_crowd.h). Not of
-//   discs that spin, on tables, among pockets, or by a learned law. Contacts that press in it are reported as
-//   sustained, from its start; all other pairs of the discs without a time.
-// Two discs that slide along each other turn their normal: they move in arcs short enough for a gap within about
-//   kLargestDrift, at the end of which they are exactly in contact and no work was done. With friction arcs are a
-//   tenth as long, below 1e-3 rad, and end where a contact opens or begins to slide: such motion is of second order in
-//   its arcs, its derivatives, where it begins and ends, of first. Everything else is exact.
-// Spin. What sticks rolls: it is the points of contact that do not move along each other, and a disc begins and ceases
-//   to roll as any contact begins and ceases to stick. Discs that roll around each other, or on what bends, do so in
-//   arcs, at the end of which they have neither parted nor slid, and no work was done.
+//   closed: its normal velocity becomes zero, and contact forces (solvers/resting_forces.h) keep the gap at zero until
+//   other forces or an impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself
+//   end with a plastic impact, whose impulse is the sum of all that would follow. The contact sticks or slides by
+//   Coulomb's law with the same mu; sliding ends at the exact time, or at once where friction jams the discs.
+//   Derivatives are those of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h
+//   says where they are one-sided. Reported as kSustained, again in every step.
+// Piles. Without friction each bounce within a pile causes others, ever smaller and in ever shorter times (Zeno
+//   behaviour). After kManyImpacts in a step, a pair that touches others and has met kRepeatedImpacts times more, and
+//   its discs others as often, does not bounce below a speed that doubles with every further time, up to
+//   kLargestSlowSpeed.
+// Fallback. A step of kFewestFallbackDiscs or more that would fail, and one with Zeno behaviour of kManyDiscs or more,
+//   is taken by one implicit time-stepping step instead (event_fallback.h): to first order in its length, without
+//   restitution. Not of discs that spin, on tables, among pockets, or by a learned law. Its active contacts are
+//   reported as sustained, all pairs of its discs without a time.
+// Sub-steps. Two discs that slide along each other turn their normal: they move in sub-steps (event_sub_steps.h), at
+//   the end of which they are exactly in contact and no work was done. With friction such motion is of second order in
+//   its sub-steps, its derivatives, where it begins and ends, of first. Everything else is exact.
+// Spin. Discs that stick roll: their points of contact do not move along each other, and a disc begins and ceases to
+//   roll as any contact begins and ceases to stick. Discs that roll around each other, or on a curved wall, do so in
+//   sub-steps, at the end of which they have neither separated nor slid, and no work was done.
 // Edges. The sides and ends of segments, polygons and arcs (walls.h) are met where they count, to kSeam. A disc that
 //   slides off the end of one leaves it there: onto the next, around the end, or freely.
 // Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as
-//   sustained, of the disc and the table. There is no force on it then, and no contact that lasts.
-// Pockets. A disc whose centre comes to the rim of a pocket, to kSeam, is out of play: what it pressed against is let
-//   go, and it lies there at rest and touches nothing, whatever forces there are. As it came there with velocity v, at
-//   a normal n, its place varies by (1 - v n^T / (n.v)) dp, and its velocity not at all. Reported as sustained, in the
-//   mode kPocketed, again in every step.
+//   sustained, of the disc and the table. There are no forces then, and no sustained contact of other pairs.
+// Pockets. A disc whose centre reaches the rim of a pocket, to kSeam, is out of play: its contacts end, and it rests
+//   there and touches nothing, whatever forces there are. If it comes with velocity v, at a normal n, its position
+//   varies by (1 - v n^T / (n.v)) dp, and its velocity not at all. Reported as sustained, in the mode kPocketed, again
+//   in every step.
 // Grazing. A pair that meets with |n.w| up to kSlowSpeed and is not accelerated into each other loses that speed (with
-//   all that they touch), or passes if it parts before the gap is -kContactGap. kGrazing if alone; the derivative is of
-//   the side on which the two do not touch, without their shift in time if they meet slower than kSharpSpeed.
+//   all that they touch), or passes if it separates before the gap is -kContactGap. kGrazing if alone; the derivative
+//   is that of the side on which the two do not touch, without their shift in time if they meet slower than
+//   kSharpSpeed.
 #pragma once
 
 #include <type_traits>
 
-#include "contact/event/event_crowd.h"
+#include "contact/event/event_fallback.h"
 #include "contact/event/event_step.h"
 
 namespace saltus {
 namespace internal {
 
-// A step of `model` in a crowd (event_crowd.h).
+// A step of `model` by the time-stepping fallback.
 template <typename M, typename T, typename State>
-void TakeCrowdStep(const M& model, const StepInput<T>& in, std::span<const State> x, std::span<State> next) {
-  CrowdStep<T> step(in, x);
+void TakeTimeSteppingStep(const M& model, const StepInput<T>& in, std::span<const State> x, std::span<State> next) {
+  TimeSteppingStep<T> step(in, x);
   const std::string_view why = step.Run();
   if (!why.empty()) in.Fail(why);
   const T none(std::numeric_limits<double>::quiet_NaN());
@@ -84,22 +87,22 @@ void TakeCrowdStep(const M& model, const StepInput<T>& in, std::span<const State
   }
 }
 
-// A step of `model` with candidates, whose impacts obey `law` (event_step.h). A function by itself even where what
-// calls it is flattened, as its own parts are: the whole would compile for minutes and be no faster.
+// A step of `model` with candidates, whose impacts obey `law` (event_step.h). It is not inlined even where its caller
+// is flattened, as its own parts are: the whole would compile for minutes and be no faster.
 template <typename M, typename T, typename Law, typename State>
 [[gnu::noinline]] void TakeEventStep(const M& model, const StepInput<T>& in, const Law& law, std::span<const State> x,
                                      std::span<State> next) {
   if constexpr (M::kRotation == 0) {
-    if (CrowdStep<T>::IsRecorded(in)) return TakeCrowdStep(model, in, x, next);
+    if (TimeSteppingStep<T>::IsRecorded(in)) return TakeTimeSteppingStep(model, in, x, next);
   }
   EventStep<T, M::kRotation, Law> step(in, law, x);
-  // Derivatives are asked for only where something does.
+  // Derivatives are asked for only of steps in which something happens.
   if constexpr (std::is_same_v<T, double>) {
     if (!step.AnythingMayHappen()) return FreeFlight(model, in, x, next);
   }
   step.Run();
-  if constexpr (step.kMayCrowd) {
-    if (step.Crowded()) return TakeCrowdStep(model, in, x, next);
+  if constexpr (step.kMayFallBack) {
+    if (step.FallsBack()) return TakeTimeSteppingStep(model, in, x, next);
   }
   for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
 }

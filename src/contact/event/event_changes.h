@@ -1,9 +1,10 @@
-// What an event of the event-driven model (event.h) does to its discs: they are moved to its instant, let go, stopped,
-// or given an impulse.
+// What an event of the event-driven model (event.h) does to its discs: they are moved to its time, released from their
+// contacts, stopped, taken out of play, or given an impulse.
 #pragma once
 
-#include <span>
+#include <algorithm>
 #include <string_view>
+#include <type_traits>
 
 #include "contact/event/event_queue.h"
 #include "contact/law/impact.h"
@@ -15,7 +16,7 @@ struct ImpactNumbers {
   T restitution, friction;
 };
 
-// Those of the scene, whatever the relative velocity w and the normal of the impact.
+// The numbers of the scene, whatever the relative velocity w and the normal of the impact.
 template <typename T>
 struct SceneLaw {
   const StepInput<T>& in;
@@ -24,78 +25,108 @@ struct SceneLaw {
   }
 };
 
-// `Law` says which restitution and friction an impact has.
+// Law::At(normal, w) returns restitution and friction of an impact.
 template <typename T, int kRotation, typename Law>
-class EventChanges : protected EventQueue<T, kRotation> {
- protected:
-  using Discs = EventQueue<T, kRotation>;
-  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::ForEachPairOf, Discs::Moves, Discs::CandidateOf,
-      Discs::LastRelativeVelocity, Discs::LastSeparation, Discs::Report, Discs::Slide, Discs::SlideOn, Discs::impacts_,
-      Discs::pocketed_energy_, Discs::TouchesAlone;
-  using typename Discs::State, typename Discs::Disc;
+class EventChanges {
+ public:
+  using Disc = EventDisc<T, kRotation>;
 
-  EventChanges(const StepInput<T>& in, const Law& law, std::span<const State> x) : Discs(in, x), law_(law) {}
+  // All but the law must outlive this object.
+  EventChanges(const StepInput<T>& in, const Law& law, EventMotion<T, kRotation>& motion,
+               EventQueue<T, kRotation>& queue)
+      : in_(in), law_(law), motion_(motion), queue_(queue) {}
 
-  // A step of many discs that fails is taken at once instead, if contacts are the scene's own.
-  static constexpr bool kMayCrowd = kRotation == 0 && std::is_same_v<Law, SceneLaw<T>>;
-  bool MayCrowd() const { return kMayCrowd && discs_.size() >= kFewestCrowd && in_.table < 0 && in_.num_pockets == 0; }
-
+  // Whether a step of many discs that fails is taken by time-stepping instead (event_fallback.h); so if its contacts
+  // are the scene's own.
+  static constexpr bool kMayFallBack = kRotation == 0 && std::is_same_v<Law, SceneLaw<T>>;
+  bool MayFallBack() const {
+    return kMayFallBack && motion_.num_discs() >= kFewestFallbackDiscs && in_.table < 0 && in_.num_pockets == 0;
+  }
+  // The step has no result, for this reason; or it is to be taken by time-stepping.
   void Fail(std::string_view why) {
     failed_ = true;
-    if (MayCrowd()) {
-      crowded_ = true;
+    if (MayFallBack()) {
+      falls_back_ = true;
     } else {
       in_.Fail(why);
     }
   }
+  bool failed() const { return failed_; }
+  bool falls_back() const { return falls_back_; }
+  // Energy that discs had when they fell into pockets, J.
+  double pocketed_energy() const { return pocketed_energy_; }
 
-  SALTUS_FLATTEN void MoveTo(int i, const T& time) {
-    if (!Moves(i)) return;
-    Disc& disc = discs_[i];
-    const Vec2<T> p = disc.PositionAt(time), v = disc.VelocityAt(time);
+  void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
+    in_.Report(c, mode, std::clamp(Value(time), 0.0, in_.h), kind);
+    motion_.disc(c.a).reported = true;
+    if (!c.plane) motion_.disc(c.b).reported = true;
+  }
+
+  SALTUS_FLATTEN void MoveTo(int i, const Instant<T>& at) {
+    if (!motion_.Moves(i)) return;
+    Disc& disc = motion_.disc(i);
+    const Vec2<T> p = disc.PositionAt(at.time), v = disc.VelocityAt(at.time);
     if constexpr (kRotation == kSpin) {
-      const T s = time - disc.t;
+      const T s = at.time - disc.t;
       disc.turn = {disc.turn.AngleAfter(s), disc.turn.SpeedAfter(s), disc.turn.acceleration};
     }
+    if (Value(at.time) - Value(disc.t) > kNodeMargin * in_.h) disc.kick = 0;
     disc.p = p;
     disc.v = v;
-    disc.t = time;
+    disc.t = at.time;
     disc.moved = disc.dirty = true;
-    disc.order = order_;
-    disc.arc_end = kNever;
+    disc.event = at.event;
+    disc.sub_step_end = kNever;
   }
 
-  // Moves disc i to `time`, with all discs that it presses against, and lets them fly.
-  void Release(int i, const T& time) {
-    if (!Moves(i)) return;
-    MoveTo(i, time);
-    discs_[i].a = in_.Acceleration(i);
-    if constexpr (kRotation == kSpin) discs_[i].turn.acceleration = in_.AngularAcceleration(i);
+  // Moves disc i to an instant, with all discs that it is in closed contact with, and ends these contacts.
+  void Release(int i, const Instant<T>& at) {
+    if (!motion_.Moves(i)) return;
+    MoveTo(i, at);
+    motion_.disc(i).a = in_.Acceleration(i);
+    if constexpr (kRotation == kSpin) motion_.disc(i).turn.acceleration = in_.AngularAcceleration(i);
     Slide(i);
-    ForEachPairOf(i, [&](int q) {
-      const Candidate& c = CandidateOf(q);
-      if (!pairs_[q].held) return;
-      pairs_[q].held = false;
-      pairs_[q].released = order_;
-      Release(c.a, time);
-      if (!c.plane) Release(c.b, time);
+    motion_.ForEachPairOf(i, [&](int q) {
+      EventPair& pair = queue_.pair(q);
+      if (!pair.closed()) return;
+      pair.Change(PairChange::kReleased, PairState::kFree);
+      pair.released = at.event;
+      ReleaseBoth(motion_.CandidateOf(q), at);
     });
   }
+  void ReleaseBoth(const Candidate& c, const Instant<T>& at) {
+    Release(c.a, at);
+    if (!c.plane) Release(c.b, at);
+  }
 
-  void Stop(int i) {
-    const T time = discs_[i].t + Divide(Length(discs_[i].v), in_.slowing);
-    MoveTo(i, time);
-    discs_[i].v = Vec2<T>(T(0.0), T(0.0));
+  // On a table disc i slows against its velocity as it is now, or rests: at once if it would stop within kNodeMargin.
+  // If it stops on a grid node, rounding may have reversed its velocity there, and its acceleration would be wrong.
+  void Slide(int i) {
+    if (in_.table < 0 || !motion_.Moves(i) || motion_.disc(i).out) return;
+    Disc& disc = motion_.disc(i);
+    const T speed = Length(disc.v);
+    const bool slides = Value(speed) > 2 * kNodeMargin * in_.h * in_.slowing;
+    // From a small velocity it would stop after a distance of second order.
+    if (!slides) disc.v = Vec2<T>(T(0.0), T(0.0));
+    disc.a = slides ? Scale(-in_.slowing, Quotient(disc.v, speed)) : Vec2<T>(T(0.0), T(0.0));
+    disc.moved = true;
+    ReportOnTable(i, slides ? ContactMode::kSlip : ContactMode::kStick);
+  }
+  // Disc i comes to rest on the table.
+  void Stop(int i, int event) {
+    const T time = motion_.disc(i).t + Divide(Length(motion_.disc(i).v), in_.slowing);
+    MoveTo(i, {time, event});
+    motion_.disc(i).v = Vec2<T>(T(0.0), T(0.0));
     Slide(i);
   }
 
-  // The disc of pair q falls into its pocket: what it pressed against is let go, and it rests where it is.
-  void TakeOut(int q, const T& time) {
-    const Candidate& c = CandidateOf(q);
+  // The disc of pair q falls into its pocket: its contacts end, and it rests where it is.
+  void TakeOut(int q, const Instant<T>& at) {
+    const Candidate& c = motion_.CandidateOf(q);
     const T none(0.0);
-    Disc& disc = discs_[c.a];
+    Disc& disc = motion_.disc(c.a);
     disc.out = true;
-    Release(c.a, time);
+    Release(c.a, at);
     const BodyConstants<T>& body = in_.bodies[c.a];
     pocketed_energy_ += 0.5 * Value(body.mass) * Value(T(Dot(disc.v, disc.v)));
     disc.v = disc.a = Vec2<T>(none, none);
@@ -104,57 +135,111 @@ class EventChanges : protected EventQueue<T, kRotation> {
       if (inverse > 0) pocketed_energy_ += 0.5 * speed * speed / inverse;
       disc.turn.speed = disc.turn.acceleration = none;
     }
-    Report(c, ContactMode::kPocketed, time, ContactKind::kSustained);
+    Report(c, ContactMode::kPocketed, at.time, ContactKind::kSustained);
   }
 
-  void Impact(int q, const T& time, bool pressed) {
-    const Candidate& c = CandidateOf(q);
-    Release(c.a, time);
-    if (!c.plane) Release(c.b, time);
-    const ContactMode mode = ApplyImpact(c, pressed);
-    SlideOn(c);
+  // `pressed`: the two are accelerated into each other and touch nothing else. `plastic`: the impact has no
+  // restitution.
+  void Impact(int q, const Instant<T>& at, bool pressed, bool plastic) {
+    const Candidate& c = motion_.CandidateOf(q);
+    ReleaseBoth(c, at);
+    const bool again = motion_.disc(c.a).kick > 0 || (!c.plane && motion_.disc(c.b).kick > 0);
+    const ContactMode mode = ApplyImpact(c, pressed, plastic);
+    if (again) RemoveRounding(c, Value(at.time));
+    SlideBoth(c);
     CountImpact(q);
-    Report(c, mode, time, ContactKind::kImpact);
+    Report(c, mode, at.time, ContactKind::kImpact);
   }
 
-  int order_ = 0;           // number of the event
-  bool inelastic_ = false;  // impacts have no restitution
-  bool failed_ = false;
-  bool crowded_ = false;
+  // A pair that touches slowly, and is not pushed together, loses the speed at which it closes.
+  void StopClosing(int q, const Instant<T>& at) {
+    const Candidate& c = motion_.CandidateOf(q);
+    ReleaseBoth(c, at);
+    const Vec2<T> normal = motion_.LastSeparation(c).normal;
+    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, motion_.LastRelativeVelocity(c))), normal);
+    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { motion_.disc(i).v += dv; });
+    SlideBoth(c);
+    queue_.pair(q).passed = at.event;
+  }
+
+  // Of this step.
+  struct Counts {
+    int events = 0, impacts = 0;
+  };
+  const Counts& counts() const { return counts_; }
+  void set_counts(const Counts& counts) { counts_ = counts; }
+  // The number of a new event.
+  int NewEvent() { return ++counts_.events; }
 
  private:
-  // Where the two are pressed together and would part slowly, all further bounces at once: their impulses beyond those
-  // of a contact at rest, friction included, sum up to that of a plastic impact.
-  SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
-    const Separation<T> at = LastSeparation(c);
-    const Vec2<T> w = LastRelativeVelocity(c);
+  void SlideBoth(const Candidate& c) {
+    Slide(c.a);
+    if (!c.plane) Slide(c.b);
+  }
+  void ReportOnTable(int i, ContactMode mode) {
+    for (int q = 0; q < motion_.num_pairs(); ++q) {
+      const Candidate& c = motion_.CandidateOf(q);
+      int& reported = queue_.pair(q).reported_mode;
+      if (c.a != i || !motion_.IsTable(c) || reported == static_cast<int>(mode)) continue;
+      reported = static_cast<int>(mode);
+      Report(c, mode, motion_.disc(i).t, ContactKind::kSustained);
+    }
+  }
+
+  // A pressed pair that would separate slowly has all further bounces at once: their impulses beyond those of a contact
+  // at rest, friction included, sum up to that of a plastic impact.
+  SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed, bool plastic) {
+    const Separation<T> at = motion_.LastSeparation(c);
+    const Vec2<T> w = motion_.LastRelativeVelocity(c);
     const ImpactNumbers<T> law = law_.At(at.normal, w);
     const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
-    const T bounce = inelastic_ || last ? T(1.0) : T(law.restitution + 1.0);
+    const T bounce = plastic || last ? T(1.0) : T(law.restitution + 1.0);
     const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
-    ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
+    ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) {
+      motion_.disc(i).v += dv;
+      motion_.disc(i).kick += ValueOf(dv).norm();
+    });
     if constexpr (kRotation == kSpin) {
-      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { discs_[i].turn.speed += change; });
+      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { motion_.disc(i).turn.speed += change; });
     }
     return impact.mode;
   }
+  // After impacts at the same time, which share a disc of c: the rounding of positions has turned the normals of pairs
+  // that touch. A closing speed that comes from this alone would cause another impact, whose derivatives are those of
+  // no order of the impacts. It is taken away, from values only.
+  void RemoveRounding(const Candidate& c, double time) {
+    motion_.ForEachPairBeside(c, [&](int q) {
+      const Candidate& d = motion_.CandidateOf(q);
+      const double turning = std::abs(Value(TurningDistance(in_, d, T(in_.ContactDistance(d)))));
+      const double kick = motion_.disc(d.a).kick + (d.plane ? 0.0 : motion_.disc(d.b).kick);
+      const Approach approach = motion_.ApproachAt(d, time);
+      const double rounding = kRoundingOfSteps * (1 + motion_.SizeAt(d, time)) / turning * kick;
+      if (turning == 0 || !approach.Touching() || approach.speed >= -kStillSpeed || approach.speed < -rounding) return;
+      const Vec2d impulse =
+          -Value(in_.EffectiveMass(d)) * approach.speed * ValueOf(motion_.SeparationAtTime(d, T(time)).normal);
+      ApplyImpulse(in_, d, Vec2<T>(T(impulse[0]), T(impulse[1])), [&](int i, const Vec2<T>& dv) {
+        motion_.disc(i).v += Vec2<T>(T(Value(dv[0])), T(Value(dv[1])));
+      });
+    });
+  }
   void CountImpact(int q) {
-    if (++pairs_[q].meetings > kCrowdedImpacts && MayCrowd()) {
-      const bool many = discs_.size() >= kCrowd || (impacts_ > kManyImpacts && Value(in_.contact.friction) > 0);
-      if (many && !TouchesAlone(q, Value(discs_[CandidateOf(q).a].t))) return Fail("a crowd");
+    const Candidate& c = motion_.CandidateOf(q);
+    if (++queue_.pair(q).meetings > kRepeatedImpacts && MayFallBack()) {
+      const bool many =
+          motion_.num_discs() >= kManyDiscs || (counts_.impacts > kManyImpacts && Value(in_.contact.friction) > 0);
+      if (many && !motion_.TouchesAlone(q, Value(motion_.disc(c.a).t))) return Fail("impacts without end");
     }
-    if (++impacts_ <= kManyImpacts) return;
-    const Candidate& c = CandidateOf(q);
-    ++pairs_[q].impacts;
-    ++discs_[c.a].impacts;
-    if (!c.plane) ++discs_[c.b].impacts;
+    if (++counts_.impacts <= kManyImpacts) return;
+    ++queue_.pair(q).impacts;
+    ++motion_.disc(c.a).impacts;
+    if (!c.plane) ++motion_.disc(c.b).impacts;
   }
 
   auto MakeImpactOf(const Candidate& c, const Vec2<T>& normal, const Vec2<T>& w, const T& bounce,
                     const T& friction) const {
     if constexpr (kRotation == kSpin) {
       const T sliding = AlongSurface<kRotation>(
-          in_, c, T(Dot(Perpendicular(normal), w)), [&](auto i) { return discs_[i].turn.speed; });
+          in_, c, T(Dot(Perpendicular(normal), w)), [&](auto i) { return motion_.disc(i).turn.speed; });
       return MakeImpact<T>(
           normal, T(Dot(normal, w)), sliding, in_.EffectiveMass(c), in_.TangentialMass(c), bounce, friction, kHeadOn);
     } else {
@@ -162,7 +247,14 @@ class EventChanges : protected EventQueue<T, kRotation> {
     }
   }
 
+  const StepInput<T>& in_;
   const Law law_;
+  EventMotion<T, kRotation>& motion_;
+  EventQueue<T, kRotation>& queue_;
+  Counts counts_;
+  bool failed_ = false;
+  bool falls_back_ = false;
+  double pocketed_energy_ = 0;
 };
 
 }  // namespace saltus::internal

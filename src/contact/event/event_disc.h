@@ -1,44 +1,23 @@
-// What the event-driven model (event.h) keeps of a disc and of a pair of things within a step.
+// The motion of one disc between events of the event-driven model (event.h), and how two things approach each other.
+//
+// A disc has a constant acceleration from its last event on: p(s) = p + v s + a s^2 / 2, and where discs spin, its
+// angle likewise. The gap of a pair is a polynomial in time, of degree 2 with a line and 4 with a disc or a circle.
 #pragma once
 
-#include "base/time_grid.h"
 #include "contact/event/event_roots.h"
+#include "contact/thresholds.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus::internal {
 
-// The thresholds that event.h states, besides kNodeMargin (time_grid.h): multiples of the scene's natural length, speed
-// and acceleration (scene/units.h).
-inline constexpr double kRoundingGap = 1e-14;
-inline constexpr double kContactGap = 1e-10;
-inline constexpr double kSlowSpeed = 1e-6;
-inline constexpr double kSharpSpeed = 1e-9;  // slower impacts have a time without derivative
-inline constexpr double kStillSpeed = 1e-14;
-inline constexpr double kStickSpeed = 1e-9;
-inline constexpr double kHeadOn = 1e-9;    // of the closing speed
-inline constexpr double kPushing = 1e-11;  // acceleration
-inline constexpr double kLargestDrift = 3e-11;
-inline constexpr double kArcEnd = 1e-6;          // of the length of an arc
-inline constexpr int kMostCuts = 8;              // of arcs on end, where a contact opens or begins to slide
-inline constexpr double kLargestGain = 1e-9;     // of the energy in a step, ...
-inline constexpr double kLargestOverlap = 1e-9;  // ... beyond which it fails
-// How far beyond its end an edge still counts (walls.h), and a disc that slides along it leaves it: lengths.
-inline constexpr double kSeam = 1e-12;
-inline constexpr int kMaxEvents = 100000;
-// After so many impacts in a step, of a pair within a pile without friction that meets more than kCrowdedImpacts times
-// again, the largest speed at which it does not bounce doubles with each time, up to kLargestSlowSpeed.
-inline constexpr int kManyImpacts = 2000;
-inline constexpr int kCrowdedImpacts = 32;
-inline constexpr double kLargestSlowSpeed = 1e-2;
-// A step is taken at once (event_crowd.h) if it would fail, with at least kFewestCrowd discs; or if a pair within a
-// pile meets more than kCrowdedImpacts times, from kCrowd discs on, of fewer with friction after kManyImpacts; or, of
-// so many, if kCrowd contacts or more that last are settled together more than kMostSettled times. These bounds are of
-// numbers that are no larger if pairs that do not touch are left out, as they are where derivatives are taken.
-inline constexpr std::size_t kFewestCrowd = 5;
-inline constexpr std::size_t kCrowd = 32;
-inline constexpr int kMostSettled = 2;
+// An event of a step: when it happens, s since the start of the step, and its number in the order of the events.
+template <typename T>
+struct Instant {
+  T time;
+  int event = 0;
+};
 
-// How a disc turns; nothing where discs do not spin.
+// The rotation of a disc; empty where discs do not spin.
 template <typename T, int kRotation>
 struct DiscTurn {};
 template <typename T>
@@ -53,14 +32,16 @@ struct DiscTurn<T, kSpin> {
 // A disc since the last event that concerned it.
 template <typename T, int kRotation = 0>
 struct EventDisc {
-  T t;              // s, since the start of the step
-  Vec2<T> p, v, a;  // at t; a holds from t on
-  bool moved = false, reported = false;
-  bool dirty = false;
-  bool out = false;  // in a pocket
-  int order = 0;     // number of its last event
-  int impacts = 0;
-  double arc_end = kNever;  // s, until when `a` is to hold, for discs that move around each other
+  T t;                           // s since the start of the step, of its last event
+  Vec2<T> p, v, a;               // at t; a holds from t on
+  bool moved = false;            // an event has changed its motion
+  bool reported = false;         // a touch of it has been reported
+  bool dirty = false;            // its pairs are to be predicted again
+  bool out = false;              // it lies in a pocket
+  double kick = 0;               // m/s, changes of its velocity by impacts at the time of its last event
+  int event = 0;                 // number of its last event
+  int impacts = 0;               // once there are kManyImpacts in the step
+  double sub_step_end = kNever;  // s, until when `a` holds if it moves around what it touches
   [[no_unique_address]] DiscTurn<T, kRotation> turn = {};
 
   Vec2<T> PositionAt(const T& time) const {
@@ -70,8 +51,8 @@ struct EventDisc {
   Vec2<T> VelocityAt(const T& time) const { return v + Scale(T(time - t), a); }
 };
 
-// What a's point of contact does along the tangent relative to b's, given what the centres do, `along`, and how disc i
-// turns, turning(i): the same of velocities and of accelerations.
+// Velocity or acceleration of a's point of contact along the tangent, relative to b's. `along` is that of the centres,
+// turning(i) the angular velocity or acceleration of disc i.
 template <int kRotation, typename T, typename S, typename TurningOf>
 T AlongSurface(const StepInput<S>& in, const Candidate& c, const T& along, const TurningOf& turning) {
   if constexpr (kRotation == kSpin) {
@@ -82,22 +63,27 @@ T AlongSurface(const StepInput<S>& in, const Candidate& c, const T& along, const
   }
 }
 
+template <typename T>
+Vec2d ValueOf(const Vec2<T>& a) {
+  return {Value(a[0]), Value(a[1])};
+}
+
 // Position, velocity and constant acceleration, as values.
 struct Motion {
   Vec2d p, v, a;
   Motion After(double s) const { return {p + s * (v + (0.5 * s) * a), v + s * a, a}; }
 };
 
-// How the two sides of a pair move relative to each other.
+// The relative motion of a pair along its normal.
 struct Approach {
   double gap;           // m
-  double speed;         // m/s, of the gap; negative if closing
-  double acceleration;  // m/s^2, of the gap, the turning of the normal included
+  double speed;         // m/s, rate of the gap; negative if it closes
+  double acceleration;  // m/s^2, of the gap, including the turning of the normal
   GapPolynomial polynomial;
 
   bool Touching(double slow = kSlowSpeed) const { return gap <= kContactGap && speed <= slow && speed >= -slow; }
-  bool Pushing() const { return acceleration < -kPushing; }
-  // So slow and so curved that it parts again before the gap could become negative by more than kContactGap.
+  bool PushedTogether() const { return acceleration < -kPushing; }
+  // So slow and so curved that the pair separates before the gap falls below -kContactGap.
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
 };
 

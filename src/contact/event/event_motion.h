@@ -1,5 +1,14 @@
-// The discs of one step of the event-driven model (event.h) on their way: where they and pairs of them are at any time,
-// and when two meet, with the derivatives of that time.
+// The motion of all discs of a step of the event-driven model (event.h) between events: positions, gaps and relative
+// velocities at any time, and the times of events with their derivatives.
+//
+// A predicted time s is a zero of a function g(s; x), found on values. One Newton step in T, s - (g - value(g)) / g',
+// keeps the value and gives the derivative -dg/dx / g' (implicit function theorem):
+//
+//   impact                                g = gap                      g' = n.w
+//   begin of a contact without impact     g = n.w                      g' = acceleration of the gap
+//   end of sliding                        g = t.w at the contact       g' = its rate of change
+//   end of an edge                        g = distance along the edge  g' = its rate of change
+//   rim of a pocket                       g = distance from the rim    g' = n.v
 #pragma once
 
 #include <algorithm>
@@ -10,22 +19,9 @@
 #include <type_traits>
 #include <vector>
 
-#include "contact/event/event_press.h"
+#include "contact/event/event_disc.h"
 
 namespace saltus::internal {
-
-// For how long discs that move around each other at a distance, sliding at a speed, may keep a constant acceleration,
-// s: it does not follow a normal that turns with rate w and its change b, and within s the gap is off by about R w b
-// s^3 / 4 + R b^2 s^4 / 16 + R w^4 s^4 / 8.
-inline double LongestArc(double distance, double speed, double acceleration) {
-  const double drift = kLargestDrift / distance;
-  const double turn = std::abs(speed) / distance, change = std::abs(acceleration) / distance;
-  double longest = kNever;
-  if (turn * change > 0) longest = std::min(longest, std::cbrt(4 * drift / (turn * change)));
-  if (change > 0) longest = std::min(longest, std::sqrt(4 * std::sqrt(drift) / change));
-  if (turn > 0) longest = std::min(longest, std::sqrt(std::sqrt(8 * drift)) / turn);
-  return longest;
-}
 
 template <typename T, int kRotation>
 class EventMotion {
@@ -34,30 +30,8 @@ class EventMotion {
   using Disc = EventDisc<T, kRotation>;
   static_assert(std::is_same_v<Base<T>, double>, "the event-driven model computes in double");
 
- protected:
-  struct Pair {
-    double next = kNever;  // s, its next event
-    int passed = -1;       // number of the event since which it is ignored while it touches
-    int released = -1;     // number of the event that last ended held
-    int impacts = 0;
-    int meetings = 0;        // impacts in this step
-    bool waits = false;      // touches slowly, and impacts at the same time come first
-    bool held = false;       // closed, and kept closed by the accelerations of its discs
-    bool curved = false;     // its discs move around each other while held, or did
-    bool rolls = false;      // they roll around each other
-    bool stopping = false;   // held, and its next event is that sliding ends
-    bool leaving = false;    // held, and its next event is that the disc has slid off the edge
-    int reported_mode = -1;  // of the last report as a sustained contact
-    double tied = -kNever;   // s, when it was last looked at as a part of a tie
-  };
-
   EventMotion(const StepInput<T>& in, std::span<const State> x)
-      : in_(in),
-        start_(x),
-        discs_(in.scratch),
-        pairs_(in.candidates.size(), in.scratch),
-        pairs_of_(in.scratch),
-        first_pair_of_(in.scratch) {
+      : in_(in), start_(x), discs_(in.scratch), pairs_of_(in.scratch), first_pair_of_(in.scratch) {
     discs_.reserve(x.size());
     for (int i = 0; i < static_cast<int>(x.size()); ++i) {
       discs_.push_back({T(0.0), x[i].p, x[i].v, in.Acceleration(i)});
@@ -68,28 +42,37 @@ class EventMotion {
     if (num_pairs() > kFewPairs) ListPairs();
   }
 
-  bool Moves(int i) const { return !in_.bodies[i].fixed; }
+  std::pmr::vector<Disc>& discs() { return discs_; }
+  const std::pmr::vector<Disc>& discs() const { return discs_; }
+  Disc& disc(int i) { return discs_[i]; }
+  const Disc& disc(int i) const { return discs_[i]; }
+  int num_discs() const { return static_cast<int>(discs_.size()); }
+  int num_pairs() const { return static_cast<int>(in_.candidates.size()); }
   const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
+
+  bool Moves(int i) const { return !in_.bodies[i].fixed; }
   bool IsTable(const Candidate& c) const { return c.plane && c.b == in_.table; }
   bool IsPocket(const Candidate& c) const { return in_.num_pockets > 0 && in_.IsPocket(c); }
-  // Whether a disc of the pair is out of play.
+  bool IsEdge(const Candidate& c) const { return c.plane && !in_.extents.empty() && !in_.extents[c.b].endless; }
+  // Whether a disc of the pair lies in a pocket.
   bool IsOut(const Candidate& c) const {
     return in_.num_pockets > 0 && (discs_[c.a].out || (!c.plane && discs_[c.b].out));
   }
-  // Whether the disc of a pair with a pocket is in it at the start of the step: it has come to the rim, or was taken.
+  // Whether the disc of a pair with a pocket is in it at the start of the step.
   bool LiesIn(const Candidate& c) const {
-    return IsPocket(c) && Separate<double>(ValueOf(start_[c.a].p, start_[c.a].v).p, in_.planes[c.b]).distance <= kSeam;
+    return IsPocket(c) && Separate<double>(ValueOf(start_[c.a].p), in_.planes[c.b]).distance <= kSeam;
   }
-  int num_pairs() const { return static_cast<int>(pairs_.size()); }
+  // Whether some pair may touch within the step.
+  bool AnythingMayHappen() const {
+    return std::ranges::any_of(in_.candidates, [&](const Candidate& c) {
+      return IsTable(c) || LiesIn(c) || !StaysApart(ApproachAt(c, 0).polynomial, in_.h);
+    });
+  }
   bool IsDirty(int q) const {
     const Candidate& c = CandidateOf(q);
     return discs_[c.a].dirty || (!c.plane && discs_[c.b].dirty);
   }
-  // Whether two pairs have a disc that moves in common.
-  bool ShareDisc(const Candidate& c, const Candidate& d) const {
-    const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
-    return has(c.a) || (!c.plane && has(c.b));
-  }
+
   // Calls visit(q) for the pairs of disc i, in ascending order.
   template <typename Visit>
   void ForEachPairOf(int i, const Visit& visit) const {
@@ -102,7 +85,7 @@ class EventMotion {
     }
     for (int k = first_pair_of_[i]; k < first_pair_of_[i + 1]; ++k) visit(pairs_of_[k]);
   }
-  // Likewise for those that share a disc that moves with c.
+  // Likewise for the pairs that share a disc that moves with c.
   template <typename Visit>
   void ForEachPairBeside(const Candidate& c, const Visit& visit) const {
     if (num_pairs() <= kFewPairs) {
@@ -143,23 +126,150 @@ class EventMotion {
   Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
     return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
   }
-  // The same at the last events of both discs. Precondition: that is the same instant, or a disc is fixed.
+  // The same at the last events of both discs. Precondition: these are at the same instant, or a disc is fixed.
   Vec2<T> LastRelativeVelocity(const Candidate& c) const {
     return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
   }
   Separation<T> LastSeparation(const Candidate& c) const {
     return SeparationAt(in_, c, [&](int i) -> const Vec2<T>& { return discs_[i].p; });
   }
-  static Motion ValueOf(const Vec2<T>& p, const Vec2<T>& v, const Vec2<T>& a = Vec2<T>(T(0.0), T(0.0))) {
-    const auto value = [](const Vec2<T>& x) { return Vec2d(Value(x[0]), Value(x[1])); };
-    return {value(p), value(v), value(a)};
-  }
   Motion MotionAt(int i, double time) const {
     const Disc& disc = discs_[i];
-    return ValueOf(disc.p, disc.v, disc.a).After(time - Value(disc.t));
+    return Motion{ValueOf(disc.p), ValueOf(disc.v), ValueOf(disc.a)}.After(time - Value(disc.t));
   }
-  // The gap is infinite where a part of an edge does not count, of a pocket, which nothing touches, and of what is out
-  // of play; its polynomial still is the part's.
+  Approach ApproachAt(const Candidate& c, double time) const {
+    return Measure(c, [&](int i) { return MotionAt(i, time); });
+  }
+  // The size of the coordinates of a pair, to which rounding is relative, m.
+  double SizeAt(const Candidate& c, double time) const {
+    return in_.ContactDistance(c) + MotionAt(c.a, time).p.template lpNorm<1>();
+  }
+
+  // How long after `now` the gap of a pair reaches zero, given its approach then, s. The line of an edge continues
+  // beyond its ends, where a disc crosses it freely.
+  double FirstClosingOf(const Candidate& c, double now, GapPolynomial g, double horizon, bool ignore_start) const {
+    double after = FirstClosing(g, horizon, ignore_start);
+    if (!IsEdge(c)) return after;
+    for (int closing = 0; closing < kMostClosings; ++closing) {
+      if (after > horizon || CountsAt(c, MotionAt(c.a, now + after).p)) return after;
+      GapPolynomial rest = ShiftedTo(g, after);
+      rest.c[0] = std::min(rest.c[0], 0.0);  // the gap has just reached zero
+      after += FirstClosing(rest, horizon - after, /*ignore_start=*/true);
+    }
+    return kNever;
+  }
+
+  // How long a closed pair stays on its part of an edge if its disc keeps the motion it has at `now`, s.
+  double TimeOnEdge(const Candidate& c, double now) const {
+    double first = kNever;
+    if (!IsEdge(c)) return first;
+    const Motion motion = MotionAt(c.a, now);
+    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
+      const double speed = Dot(bound.normal, motion.v), change = Dot(bound.normal, motion.a);
+      const GapPolynomial left{{bound.Inside(motion.p) + 2 * kSeam, speed, 0.5 * change, 0, 0}};
+      const double after = FirstClosing(left, in_.h - now);
+      if (after < first && !in_.extents[c.b].Covers(motion.After(after).p, kSeam)) first = after;
+    }
+    return first;
+  }
+
+  // The time and the number of the last event of a pair's discs.
+  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
+  const Disc& LastDisc(const Candidate& c) const {
+    return c.plane || discs_[c.a].event >= discs_[c.b].event ? discs_[c.a] : discs_[c.b];
+  }
+
+  // The time of an impact. A pair that overlapped at the start of the step has none; it meets at its last event.
+  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
+    if (predicted <= Value(LastTime(c)) && OverlapsAtStart(c)) return LastTime(c);
+    const T time(predicted);
+    const Separation<T> at = SeparationAtTime(c, time);
+    const T gap = at.distance - in_.ContactDistance(c);
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    return time - Divide(T(gap - Value(gap)), speed);
+  }
+  // The time at which a pair touches too slowly for an impact.
+  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
+    const T time(predicted);
+    if (predicted <= Value(LastTime(c))) return LastTime(c);
+    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
+    if (!approach.PushedTogether()) return time;
+    // The gap has never been more than rounding: this is when it begins to close.
+    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
+    return time - Divide(T(speed - Value(speed)), approach.acceleration);
+  }
+  // The time at which sliding ends.
+  T StopTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
+    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
+    const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, RelativeVelocityAt(c, time))), [&](auto i) {
+      return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
+    });
+    const T change =
+        AlongSurface<kRotation>(in_, c, T(Dot(tangent, a)), [&](auto i) { return discs_[i].turn.acceleration; });
+    return time - Divide(T(sliding - Value(sliding)), Value(change));
+  }
+  // The time at which a disc reaches the rim of a pocket.
+  T PocketTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Separation<T> at = SeparationAtTime(c, time);
+    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
+    if (speed >= -kSharpSpeed) return time;
+    return time - Divide(T(at.distance - Value(at.distance)), speed);
+  }
+  // The time at which a disc reaches the end of an edge.
+  T LeavingTime(const Candidate& c, double predicted) const {
+    const T time(predicted);
+    const Vec2<T> p = discs_[c.a].PositionAt(time), v = discs_[c.a].VelocityAt(time);
+    const WallExtent::Bound* passed = nullptr;
+    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
+      const double off = std::abs(bound.Inside(ValueOf(p)) + 2 * kSeam);
+      if (passed == nullptr || off < std::abs(passed->Inside(ValueOf(p)) + 2 * kSeam)) passed = &bound;
+    }
+    const T inside = Dot(passed->normal, p);
+    return time - Divide(T(inside - Value(inside)), Value(Dot(passed->normal, v)));
+  }
+
+  // The reason why the motion of the step is not that of rigid discs, empty if it is: gaps that overlap, or energy
+  // gained beyond the work of the forces. `removed` is the energy that discs had when they fell into pockets, J.
+  std::string_view WhatIsWrong(double removed) const {
+    double gain = removed, energy = 0;
+    for (std::size_t i = 0; i < discs_.size(); ++i) {
+      if (!discs_[i].moved || !Moves(static_cast<int>(i))) continue;
+      const Motion before = AtStart(static_cast<int>(i)), after = MotionAt(static_cast<int>(i), in_.h);
+      const Vec2d force = Value(in_.bodies[i].mass) * ValueOf(in_.Acceleration(static_cast<int>(i)));
+      const double m = 0.5 * Value(in_.bodies[i].mass);
+      gain += m * (after.v.squaredNorm() - before.v.squaredNorm()) - Dot(force, Vec2d(after.p - before.p));
+      energy += m * std::max(after.v.squaredNorm(), before.v.squaredNorm()) + force.norm();
+      if constexpr (kRotation == kSpin) AddSpinTo(static_cast<int>(i), &gain, &energy);
+    }
+    // A gain is allowed where the scene asks for it, and where discs overlap at the start.
+    bool may_gain = Value(in_.contact.restitution) > 1;
+    for (int q = 0; q < num_pairs(); ++q) {
+      const Candidate& c = CandidateOf(q);
+      const Approach end = ApproachAt(c, in_.h);
+      const double gap = StartGap(c);
+      may_gain = may_gain || gap < -kContactGap;
+      // Impacts within the last kNodeMargin are left to the next step.
+      const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);
+      if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap, what happens here is not resolved";
+    }
+    const bool gains = !may_gain && gain > kLargestGain * energy;
+    return gains ? "contacts that last would gain energy, what happens here is not resolved" : std::string_view();
+  }
+
+ private:
+  // Up to so many pairs it is cheaper to visit all than to keep lists.
+  static constexpr int kFewPairs = 16;
+
+  // Whether two pairs have a disc that moves in common.
+  bool ShareDisc(const Candidate& c, const Candidate& d) const {
+    const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+    return has(c.a) || (!c.plane && has(c.b));
+  }
+  // The gap is infinite where a part of an edge does not count, of a pocket, which nothing touches, and of a disc that
+  // lies in one; the polynomial is always that of the whole line or circle.
   template <typename MotionOf>
   Approach Measure(const Candidate& c, const MotionOf& motion) const {
     Approach approach;
@@ -173,150 +283,21 @@ class EventMotion {
     if (IsPocket(c) || IsOut(c)) approach.gap = kNever;
     return approach;
   }
-  bool IsEdge(const Candidate& c) const { return c.plane && !in_.extents.empty() && !in_.extents[c.b].endless; }
   // Whether a part of an edge counts (walls.h) for a disc at p. Precondition: IsEdge(c).
   bool CountsAt(const Candidate& c, const Vec2d& p) const {
     return Separate<double>(p, in_.planes[c.b]).distance > 0 && in_.extents[c.b].Covers(p, kSeam);
   }
 
-  // How long after `now` a pair closes, given its approach then, s. The line of an edge goes on beyond its ends, where
-  // a disc crosses it freely.
-  double FirstClosingOf(const Candidate& c, double now, GapPolynomial g, double horizon, bool ignore_start) const {
-    double after = FirstClosing(g, horizon, ignore_start);
-    if (!IsEdge(c)) return after;
-    constexpr int kMostClosings = 4;  // of a quartic, where it has a maximum below zero included
-    for (int closing = 0; closing < kMostClosings; ++closing) {
-      if (after > horizon || CountsAt(c, MotionAt(c.a, now + after).p)) return after;
-      GapPolynomial rest = ShiftedTo(g, after);
-      rest.c[0] = std::min(rest.c[0], 0.0);  // it has just closed
-      after += FirstClosing(rest, horizon - after, /*ignore_start=*/true);
-    }
-    return kNever;
+  Motion AtStart(int i) const { return {ValueOf(start_[i].p), ValueOf(start_[i].v), Vec2d(0, 0)}; }
+  Approach ApproachAtStart(const Candidate& c) const {
+    return Measure(c, [&](int i) { return AtStart(i); });
   }
-
-  // How long a held pair stays on its part of an edge, while its disc moves as it does from `now` on, s.
-  double TimeOnEdge(const Candidate& c, double now) const {
-    double first = kNever;
-    if (!IsEdge(c)) return first;
-    const Motion motion = MotionAt(c.a, now);
-    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
-      const double speed = Dot(bound.normal, motion.v), change = Dot(bound.normal, motion.a);
-      const GapPolynomial left{{bound.Inside(motion.p) + 2 * kSeam, speed, 0.5 * change, 0, 0}};
-      const double after = FirstClosing(left, in_.h - now);
-      if (after < first && !in_.extents[c.b].Covers(motion.After(after).p, kSeam)) first = after;
-    }
-    return first;
-  }
-  Approach ApproachAt(const Candidate& c, double time) const {
-    return Measure(c, [&](int i) { return MotionAt(i, time); });
-  }
-
-  // The time and the number of the last event of a pair's discs.
-  const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
-  const Disc& LastDisc(const Candidate& c) const {
-    return c.plane || discs_[c.a].order >= discs_[c.b].order ? discs_[c.a] : discs_[c.b];
-  }
-
-  double TimeInStep(const T& time) const { return std::clamp(Value(time), 0.0, in_.h); }
-  void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
-    in_.Report(c, mode, TimeInStep(time), kind);
-    discs_[c.a].reported = true;
-    if (!c.plane) discs_[c.b].reported = true;
-  }
-
-  // The predicted time with the derivatives of one Newton step in T, which are those of the impact time. A pair that
-  // overlapped at the start of the step has no impact time of its own where it closes; it meets at its last event.
-  SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
-    if (predicted <= Value(LastTime(c)) && OverlapsAtStart(c)) return LastTime(c);
-    const T time(predicted);
-    const Separation<T> at = SeparationAtTime(c, time);
-    const T gap = at.distance - in_.ContactDistance(c);
-    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
-    return time - Divide(T(gap - Value(gap)), speed);
-  }
-  // Beyond what the impacts in the last kNodeMargin of the step before leave, of which there may be several.
+  // By more than what impacts in the last kNodeMargin of the step before leave, of which there may be several.
   bool OverlapsAtStart(const Candidate& c) const {
     const Approach start = ApproachAtStart(c);
     return start.gap < -(kContactGap + 2 * kNodeMargin * in_.h * std::abs(start.speed));
   }
-  // Likewise when they touch slowly.
-  T SlowTime(const Candidate& c, double predicted, const Approach& approach) const {
-    const T time(predicted);
-    if (predicted <= Value(LastTime(c))) return LastTime(c);
-    if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
-    if (!approach.Pushing()) return time;
-    // They never parted by more than rounding: this is when they begin to close.
-    const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
-    return time - Divide(T(speed - Value(speed)), approach.acceleration);
-  }
-  // Likewise for the time at which sliding ends.
-  T StopTime(const Candidate& c, double predicted) const {
-    const T time(predicted);
-    const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
-    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
-    const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, RelativeVelocityAt(c, time))), [&](auto i) {
-      return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
-    });
-    const T change =
-        AlongSurface<kRotation>(in_, c, T(Dot(tangent, a)), [&](auto i) { return discs_[i].turn.acceleration; });
-    return time - Divide(T(sliding - Value(sliding)), Value(change));
-  }
-
-  // Likewise for the time at which a disc comes to a pocket.
-  T PocketTime(const Candidate& c, double predicted) const {
-    const T time(predicted);
-    const Separation<T> at = SeparationAtTime(c, time);
-    const double speed = Value(Dot(at.normal, RelativeVelocityAt(c, time)));
-    if (speed >= -kSharpSpeed) return time;
-    return time - Divide(T(at.distance - Value(at.distance)), speed);
-  }
-
-  // Likewise for the time at which a disc has slid off an edge.
-  T LeavingTime(const Candidate& c, double predicted) const {
-    const T time(predicted);
-    const Vec2<T> p = discs_[c.a].PositionAt(time), v = discs_[c.a].VelocityAt(time);
-    const WallExtent::Bound* passed = nullptr;
-    for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
-      const double off = std::abs(bound.Inside(ValueOf(p, v).p) + 2 * kSeam);
-      if (passed == nullptr || off < std::abs(passed->Inside(ValueOf(p, v).p) + 2 * kSeam)) passed = &bound;
-    }
-    const T inside = Dot(passed->normal, p);
-    return time - Divide(T(inside - Value(inside)), Value(Dot(passed->normal, v)));
-  }
-
-  // On a table disc i slows against its velocity as it is now, or rests.
-  void Slide(int i) {
-    if (in_.table < 0 || !Moves(i) || discs_[i].out) return;
-    Disc& disc = discs_[i];
-    const T speed = Length(disc.v);
-    const bool slides = Value(speed) > 0;
-    // A small velocity would stop after a way that is smaller still.
-    if (!slides) disc.v = Vec2<T>(T(0.0), T(0.0));
-    disc.a = slides ? Scale(-in_.slowing, Quotient(disc.v, speed)) : Vec2<T>(T(0.0), T(0.0));
-    disc.moved = true;
-    ReportOnTable(i, slides ? ContactMode::kSlip : ContactMode::kStick);
-  }
-  void SlideOn(const Candidate& c) {
-    Slide(c.a);
-    if (!c.plane) Slide(c.b);
-  }
-  void ReportOnTable(int i, ContactMode mode) {
-    for (int q = 0; q < num_pairs(); ++q) {
-      const Candidate& c = CandidateOf(q);
-      if (c.a != i || !IsTable(c) || pairs_[q].reported_mode == static_cast<int>(mode)) continue;
-      pairs_[q].reported_mode = static_cast<int>(mode);
-      Report(c, mode, discs_[i].t, ContactKind::kSustained);
-    }
-  }
-
-  // Takes away the speed at which a touching pair closes. Precondition: its discs are at the same instant.
-  void StopClosing(const Candidate& c) {
-    const Vec2<T> normal = LastSeparation(c).normal;
-    const Vec2<T> impulse = Scale(T(-in_.EffectiveMass(c) * Dot(normal, LastRelativeVelocity(c))), normal);
-    ApplyImpulse(in_, c, impulse, [&](int i, const Vec2<T>& dv) { discs_[i].v += dv; });
-  }
-
-  // The gap at the start of the step; along edges the least of all that the disc meets, whichever it was nearest to.
+  // The gap at the start of the step; of an edge the smallest of all edges that the disc may meet.
   double StartGap(const Candidate& c) const {
     double gap = ApproachAtStart(c).gap;
     if (!IsEdge(c)) return gap;
@@ -325,50 +306,8 @@ class EventMotion {
     }
     return gap;
   }
-  Approach ApproachAtStart(const Candidate& c) const {
-    return Measure(c, [&](int i) { return ValueOf(start_[i].p, start_[i].v); });
-  }
 
-  // What no motion of rigid discs does, and this one has done by the end of the step; empty if nothing. Contacts that
-  // last are followed to thresholds, and now and then in a crowd these are not enough.
-  std::string_view WhatIsWrong() const {
-    double gain = pocketed_energy_, energy = 0;
-    for (std::size_t i = 0; i < discs_.size(); ++i) {
-      if (!discs_[i].moved || !Moves(static_cast<int>(i))) continue;
-      const Motion before = ValueOf(start_[i].p, start_[i].v), after = MotionAt(static_cast<int>(i), in_.h);
-      const Vec2<T> a = in_.Acceleration(static_cast<int>(i));
-      const Vec2d force = Value(in_.bodies[i].mass) * Vec2d(Value(a[0]), Value(a[1]));
-      const double m = 0.5 * Value(in_.bodies[i].mass);
-      gain += m * (after.v.squaredNorm() - before.v.squaredNorm()) - Dot(force, Vec2d(after.p - before.p));
-      energy += m * std::max(after.v.squaredNorm(), before.v.squaredNorm()) + force.norm();
-      if constexpr (kRotation == kSpin) AddSpinTo(static_cast<int>(i), &gain, &energy);
-    }
-    // Unless it is asked for, or forces have worked before the start.
-    bool may_gain = Value(in_.contact.restitution) > 1;
-    for (int q = 0; q < num_pairs(); ++q) {
-      const Candidate& c = CandidateOf(q);
-      const Approach end = ApproachAt(c, in_.h);
-      const double gap = StartGap(c);
-      may_gain = may_gain || gap < -kContactGap;
-      // What meets within the last kNodeMargin is left to the next step.
-      const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);
-      if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap, what happens here is not resolved";
-    }
-    const bool gains = !may_gain && gain > kLargestGain * energy;
-    return gains ? "contacts that last would gain energy, what happens here is not resolved" : std::string_view();
-  }
-
-  const StepInput<T>& in_;
-  std::span<const State> start_;
-  std::pmr::vector<Disc> discs_;
-  std::pmr::vector<Pair> pairs_;
-  double pocketed_energy_ = 0;  // J, that discs had as they fell into pockets
-
- private:
-  // Lists of so few would cost more than looking at them all.
-  static constexpr int kFewPairs = 16;
-
-  // What the spin of a disc has gained in the step beyond the work of its torque, and how much there is of it.
+  // Adds the gain of energy of a disc's spin in the step beyond the work of its torque, and the energy of the spin.
   void AddSpinTo(int i, double* gain, double* energy) const {
     const double inverse_inertia = Value(in_.bodies[i].inverse_inertia);
     if (inverse_inertia == 0) return;
@@ -396,6 +335,9 @@ class EventMotion {
     for_each_side([&](int i, int q) { pairs_of_[next[i]++] = q; });
   }
 
+  const StepInput<T>& in_;
+  std::span<const State> start_;
+  std::pmr::vector<Disc> discs_;
   std::pmr::vector<int> pairs_of_, first_pair_of_;  // by disc, where there are many
 };
 

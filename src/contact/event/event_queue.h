@@ -1,32 +1,118 @@
-// Which event of a step of the event-driven model (event.h) comes next, and when.
+// The states of the pairs of a step of the event-driven model (event.h), and their next events in order of time.
+//
+// A pair is free (flight, impacts), or closed: a contact force keeps its gap at zero. The README of this folder draws
+// the states and the transitions of kPairTransitions with the equation of each.
 #pragma once
+
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory_resource>
 #include <span>
+#include <vector>
 
 #include "contact/event/event_motion.h"
 
 namespace saltus::internal {
 
+// The state of a pair, by which its next event is known.
+enum class PairState : char {
+  kFree,      // no contact force; the next event is an impact or a slow touch, if there is one
+  kWaiting,   // touches slowly within a pile; its contact group is formed after the impacts at the same time
+  kClosed,    // a contact force keeps the gap at zero; the next event is the end of its sub-step, if it has one
+  kStopping,  // closed and sliding; the next event is the end of sliding
+  kLeaving,   // closed; the next event is that the disc reaches the end of its edge
+};
+inline constexpr int kNumPairStates = 5;
+inline const char* PairStateToString(PairState state) {
+  constexpr const char* kNames[kNumPairStates] = {"free", "waiting", "closed", "stopping", "leaving"};
+  return kNames[static_cast<int>(state)];
+}
+inline constexpr bool IsClosed(PairState state) { return state >= PairState::kClosed; }
+
+// What changes the state of a pair.
+enum class PairChange : char {
+  kPredicted,  // its next event has been found again, after the motion of one of its discs has changed
+  kSettled,    // the forces of its contact group have been found
+  kReleased,   // an event of one of its discs has ended the contact
+};
+
+struct PairTransition {
+  PairState from;
+  PairChange change;
+  PairState to;
+};
+// All transitions. Contact forces are found for pairs in any state; a closed pair is predicted only after its release.
+inline constexpr auto kPairTransitions = [] {
+  using enum PairState;
+  using enum PairChange;
+  return std::array{
+      PairTransition{kFree, kPredicted, kFree},
+      PairTransition{kFree, kPredicted, kWaiting},
+      PairTransition{kWaiting, kPredicted, kFree},
+      PairTransition{kWaiting, kPredicted, kWaiting},
+      PairTransition{kFree, kSettled, kFree},
+      PairTransition{kFree, kSettled, kClosed},
+      PairTransition{kFree, kSettled, kStopping},
+      PairTransition{kFree, kSettled, kLeaving},
+      PairTransition{kWaiting, kSettled, kFree},
+      PairTransition{kWaiting, kSettled, kClosed},
+      PairTransition{kWaiting, kSettled, kStopping},
+      PairTransition{kWaiting, kSettled, kLeaving},
+      PairTransition{kClosed, kReleased, kFree},
+      PairTransition{kStopping, kReleased, kFree},
+      PairTransition{kLeaving, kReleased, kFree},
+  };
+}();
+inline constexpr bool IsTransition(PairState from, PairChange change, PairState to) {
+  return std::ranges::any_of(
+      kPairTransitions, [&](const PairTransition& t) { return t.from == from && t.change == change && t.to == to; });
+}
+
+// How the discs of a pair have moved around each other since it was last closed exactly.
+enum class PairTurning : char { kNone, kSliding, kRolling };
+
+struct EventPair {
+  double next = kNever;  // s, its next event
+  PairState state = PairState::kFree;
+  PairTurning turning = PairTurning::kNone;
+  int passed = -1;         // number of the event since which its touching needs nothing
+  int released = -1;       // number of the event that last ended its contact
+  int impacts = 0;         // in this step, once there are kManyImpacts
+  int meetings = 0;        // impacts in this step
+  int reported_mode = -1;  // of the last report as a sustained contact
+  double tied = -kNever;   // s, when it was last found in a tie
+
+  bool closed() const { return IsClosed(state); }
+  bool turns() const { return turning != PairTurning::kNone; }
+  void Change(PairChange change, PairState to) {
+    DCHECK(IsTransition(state, change, to)) << PairStateToString(state) << " to " << PairStateToString(to);
+    state = to;
+  }
+};
+
 template <typename T, int kRotation>
-class EventQueue : protected EventMotion<T, kRotation> {
- protected:
-  using Discs = EventMotion<T, kRotation>;
-  using Discs::in_, Discs::discs_, Discs::pairs_, Discs::num_pairs, Discs::CandidateOf, Discs::IsTable, Discs::IsPocket,
-      Discs::IsOut, Discs::PocketTime, Discs::LastTime, Discs::LastDisc, Discs::ApproachAt, Discs::FirstClosingOf,
-      Discs::TouchesAlone, Discs::LeavingTime, Discs::StopTime, Discs::ImpactTime, Discs::SlowTime, Discs::Moves;
-  using typename Discs::State, typename Discs::Pair;
+class EventQueue {
+ public:
+  // Both must outlive this object.
+  EventQueue(const StepInput<T>& in, const EventMotion<T, kRotation>& motion)
+      : in_(in),
+        motion_(motion),
+        pairs_(in.candidates.size(), in.scratch),
+        at_once_(in.scratch),
+        limit_(in.h * (1 - kNodeMargin)) {}
 
-  EventQueue(const StepInput<T>& in, std::span<const State> x)
-      : EventMotion<T, kRotation>(in, x), limit_(in.h * (1 - kNodeMargin)) {}
+  std::pmr::vector<EventPair>& pairs() { return pairs_; }
+  EventPair& pair(int q) { return pairs_[q]; }
+  const EventPair& pair(int q) const { return pairs_[q]; }
 
-  // The pair whose event comes first, -1 if there is none in this step.
+  // Returns the pair whose event comes first, -1 if there is none in this step.
   int NextPair() const {
     int next = -1;
     double time = limit_;
-    for (int q = 0; q < num_pairs(); ++q) {
+    for (int q = 0; q < motion_.num_pairs(); ++q) {
       if (pairs_[q].next < time || (pairs_[q].next == time && next >= 0 && Precedes(q, next))) {
         time = pairs_[q].next;
         next = q;
@@ -35,26 +121,88 @@ class EventQueue : protected EventMotion<T, kRotation> {
     return next;
   }
 
+  // Of the impacts at the time of pair q's event that are connected with it through discs that move, returns the first
+  // candidate's. Rounding finds one of them earlier, and what else happens at that time in between: the derivatives
+  // would be those of an order that depends on where steps begin, and that may be no order of any disturbed motion.
+  int FirstAtOnce(int q) {
+    const double time = pairs_[q].next;
+    if (!MayPrecede(q, time)) return q;
+    at_once_.assign(1, q);
+    for (std::size_t k = 0; k < at_once_.size(); ++k) {
+      motion_.ForEachPairBeside(motion_.CandidateOf(at_once_[k]), [&](int r) {
+        if (std::ranges::find(at_once_, r) == at_once_.end() && MayPrecede(r, time)) at_once_.push_back(r);
+      });
+    }
+    const int first = *std::ranges::min_element(at_once_);
+    pairs_[first].next = time;
+    return first;
+  }
+
+  // Finds the next events of all pairs, or of those whose discs have changed their motion.
+  void PredictAll() {
+    for (int q = 0; q < motion_.num_pairs(); ++q) Predict(q);
+  }
+  void PredictDirty() {
+    for (int q = 0; q < motion_.num_pairs(); ++q) {
+      if (motion_.IsDirty(q)) Predict(q);
+    }
+  }
+
+  // Pair q touches slowly and separates by itself: its next event is the impact after that, if there is one.
+  void Pass(int q, const Approach& approach) {
+    const double time = pairs_[q].next;
+    const Candidate& c = motion_.CandidateOf(q);
+    pairs_[q].passed = motion_.LastDisc(c).event;
+    pairs_[q].next = time + motion_.FirstClosingOf(c, time, approach.polynomial, LeftAfter(time), true);
+  }
+
+  // The predicted time of the next event of pair q, with derivatives.
+  T EventTime(int q) const {
+    const Candidate& c = motion_.CandidateOf(q);
+    const double time = pairs_[q].next;
+    if (motion_.IsPocket(c)) return motion_.PocketTime(c, time);
+    switch (pairs_[q].state) {
+      case PairState::kLeaving:
+        return motion_.LeavingTime(c, time);
+      case PairState::kStopping:
+        return motion_.StopTime(c, time);
+      case PairState::kClosed:
+        return T(time);
+      default:
+        break;
+    }
+    const Approach approach = motion_.ApproachAt(c, time);
+    return approach.speed < -SlowSpeed(q, time) ? motion_.ImpactTime(c, time) : motion_.SlowTime(c, time, approach);
+  }
+
+  // The largest speed at which pair q does not bounce, m/s. Within a pile, where each bounce causes others (Zeno
+  // behaviour), it grows with their number.
+  double SlowSpeed(int q, double time) const {
+    const int beyond = Repetitions(q) - kRepeatedImpacts;
+    if (beyond <= 0 || motion_.TouchesAlone(q, time)) return kSlowSpeed;
+    return std::min(std::ldexp(kSlowSpeed, beyond), kLargestSlowSpeed);
+  }
+
+ private:
   double LeftAfter(double time) const { return std::max(limit_ - time, 0.0); }
 
-  // Finds the next event of pair q.
   void Predict(int q) {
-    Pair& pair = pairs_[q];
-    if (pair.held) return;
-    pair.waits = false;
-    const Candidate& c = CandidateOf(q);
-    if (IsOut(c)) {
+    EventPair& pair = pairs_[q];
+    if (pair.closed()) return;
+    pair.Change(PairChange::kPredicted, PairState::kFree);
+    const Candidate& c = motion_.CandidateOf(q);
+    if (motion_.IsOut(c)) {
       pair.next = kNever;
       return;
     }
-    if (IsTable(c)) {
-      const double speed = Value(Length(discs_[c.a].v));
-      pair.next = speed > 0 && in_.slowing > 0 ? Value(discs_[c.a].t) + speed / in_.slowing : kNever;
+    if (motion_.IsTable(c)) {
+      const double speed = Value(Length(motion_.disc(c.a).v));
+      pair.next = speed > 0 && in_.slowing > 0 ? Value(motion_.disc(c.a).t) + speed / in_.slowing : kNever;
       return;
     }
-    const double now = Value(LastTime(c));
-    Approach approach = ApproachAt(c, now);
-    if (IsPocket(c)) {
+    const double now = Value(motion_.LastTime(c));
+    Approach approach = motion_.ApproachAt(c, now);
+    if (motion_.IsPocket(c)) {
       const std::span<const double> wait =
           in_.Solved([&] { return std::array{FirstClosing(approach.polynomial, LeftAfter(now))}; });
       pair.next = now + wait[0];
@@ -62,10 +210,10 @@ class EventQueue : protected EventMotion<T, kRotation> {
     }
     bool ignore_start = false;
     if (approach.Touching(SlowSpeed(q, now)) && !Bounces(q, approach, now)) {
-      const bool matters = approach.Pushing() || approach.speed < -kStillSpeed;
-      if (matters && pair.passed != LastDisc(c).order) {
+      const bool matters = approach.PushedTogether() || approach.speed < -kStillSpeed;
+      if (matters && pair.passed != motion_.LastDisc(c).event) {
         pair.next = now;
-        pair.waits = IsCrowded(q);
+        if (Repetitions(q) > kRepeatedImpacts) pair.Change(PairChange::kPredicted, PairState::kWaiting);
         return;
       }
       ignore_start = true;
@@ -73,55 +221,47 @@ class EventQueue : protected EventMotion<T, kRotation> {
       if (std::abs(approach.gap) <= kRoundingGap) approach.polynomial.c[0] = 0;
     }
     const std::span<const double> wait = in_.Solved(
-        [&] { return std::array{FirstClosingOf(c, now, approach.polynomial, LeftAfter(now), ignore_start)}; });
+        [&] { return std::array{motion_.FirstClosingOf(c, now, approach.polynomial, LeftAfter(now), ignore_start)}; });
     pair.next = now + wait[0];
   }
 
-  // The predicted time of the next event of pair q, with derivatives.
-  T EventTime(int q) const {
-    const Candidate& c = CandidateOf(q);
-    const double time = pairs_[q].next;
-    if (IsPocket(c)) return PocketTime(c, time);
-    if (pairs_[q].held && pairs_[q].leaving) return LeavingTime(c, time);
-    if (pairs_[q].held) return pairs_[q].stopping ? StopTime(c, time) : T(time);
-    const Approach approach = ApproachAt(c, time);
-    return approach.speed < -SlowSpeed(q, time) ? ImpactTime(c, time) : SlowTime(c, time, approach);
-  }
-
-  // Up to which speed pair q touches slowly: it does not bounce. Within a pile, where each bounce sets off others, that
-  // grows with their number.
-  double SlowSpeed(int q, double time) const {
-    const int beyond = Crowding(q) - kCrowdedImpacts;
-    if (beyond <= 0 || TouchesAlone(q, time)) return kSlowSpeed;
-    return std::min(std::ldexp(kSlowSpeed, beyond), kLargestSlowSpeed);
-  }
-
-  double limit_;     // s, events after it are left to the next step
-  int impacts_ = 0;  // in this step
-
- private:
-  // Whether a pair that touches is amid the last of its bounces, in which a step began. It meets once more: stopped
-  // here, it would lose its speed without the friction of that impact, and at a time without derivative.
+  // Whether a pair that touches is amid the last of its bounces, in which the step begins. It meets once more: if it
+  // were stopped here, it would lose its speed without the friction of that impact, and at a time without derivative.
   bool Bounces(int q, const Approach& approach, double now) const {
-    return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.Pushing() &&
-           TouchesAlone(q, now);
+    return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.PushedTogether() &&
+           motion_.TouchesAlone(q, now);
   }
 
-  // Of two events at the same time. What ends an arc that was cut there comes before the arc's end.
+  // Of two events at the same time. The end of sliding comes before the end of the sub-step that was cut there.
   bool Precedes(int q, int other) const {
-    return pairs_[q].stopping || (pairs_[other].waits && !pairs_[q].waits && !pairs_[q].held);
+    const PairState state = pairs_[q].state;
+    return state == PairState::kStopping || (pairs_[other].state == PairState::kWaiting && state == PairState::kFree);
+  }
+  // Whether the next event of pair r is an impact, or that its disc reaches a pocket, at `time` but for rounding.
+  bool MayPrecede(int r, double time) const {
+    const Candidate& c = motion_.CandidateOf(r);
+    const double wait = pairs_[r].next - time;
+    if (pairs_[r].closed() || motion_.IsTable(c) || !(wait <= kTieTime * in_.h)) return false;
+    const double speed = motion_.ApproachAt(c, time).speed;
+    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingOfSteps * (1 + motion_.SizeAt(c, time)) &&
+           Value(motion_.LastTime(c)) <= time;
   }
 
-  // How often pair q has met since there are many impacts, and its discs have met others. With friction piles come to
-  // rest by themselves.
-  int Crowding(int q) const {
+  // How often pair q has met since there are kManyImpacts in the step, at most as often as its discs have met others.
+  // With friction piles come to rest by themselves.
+  int Repetitions(int q) const {
     if (Value(in_.contact.friction) > 0) return 0;
-    const Candidate& c = CandidateOf(q);
+    const Candidate& c = motion_.CandidateOf(q);
     const int own = pairs_[q].impacts;
-    const auto others = [&](int i) { return Moves(i) ? discs_[i].impacts - own : 0; };
+    const auto others = [&](int i) { return motion_.Moves(i) ? motion_.disc(i).impacts - own : 0; };
     return std::min(own, others(c.a) + (c.plane ? 0 : others(c.b)));
   }
-  bool IsCrowded(int q) const { return Crowding(q) > kCrowdedImpacts; }
+
+  const StepInput<T>& in_;
+  const EventMotion<T, kRotation>& motion_;
+  std::pmr::vector<EventPair> pairs_;
+  std::pmr::vector<int> at_once_;  // pairs, of FirstAtOnce
+  const double limit_;             // s; later events are left to the next step
 };
 
 }  // namespace saltus::internal

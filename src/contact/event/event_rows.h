@@ -1,4 +1,5 @@
-// Scalar conditions across contacts, and the forces that keep them, with derivatives (event_press.h).
+// Scalar conditions across contacts and the forces that satisfy them, with derivatives, in the event-driven model
+// (event.h).
 #pragma once
 
 #include <algorithm>
@@ -7,6 +8,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "contact/event/event_disc.h"
 #include "contact/solvers/contact_system.h"
 #include "saltus/contact/step_input.h"
 #include "saltus/internal/taped.h"
@@ -17,24 +19,32 @@ template <typename T, int kRotation = 0>
 class ForceRows {
  public:
   struct Row {
-    int a, b;           // b = -1: a plane
-    Vec2<T> direction;  // what is measured
+    int a, b;           // b = -1: a wall
+    Vec2<T> direction;  // along which the condition is measured
     Vec2<T> push;       // along which the force acts
     T violation;
     T force;
-    // How much of these two is along the tangent, where discs that spin turn with it.
+    // The parts of these two along the tangent, where discs that spin turn with it.
     T along = T(0.0), push_along = T(0.0);
     Vec2<T> turning = Vec2<T>(T(0.0), T(0.0));  // rate of change of the direction of the whole force, 1/s
   };
 
   explicit ForceRows(const StepInput<T>& in)
-      : in_(in), rows_(in.scratch), inverse_mass_(in.scratch), sides_(in.scratch), matrix_(in.scratch) {}
+      : in_(in),
+        rows_(in.scratch),
+        inverse_mass_(in.scratch),
+        turn_mobility_(in.scratch),
+        sides_(in.scratch),
+        matrix_(in.scratch) {}
 
   void Clear() {
     rows_.clear();
     if (!inverse_mass_.empty()) return;
     inverse_mass_.reserve(in_.bodies.size());
-    for (const BodyConstants<T>& body : in_.bodies) inverse_mass_.push_back(Value(body.inverse_mass));
+    for (const BodyConstants<T>& body : in_.bodies) {
+      inverse_mass_.push_back(Value(body.inverse_mass));
+      if (kRotation == kSpin) turn_mobility_.push_back(body.radius * body.radius * Value(body.inverse_inertia));
+    }
   }
   void Add(const Row& row) { rows_.push_back(row); }
   auto begin() { return rows_.begin(); }
@@ -43,19 +53,19 @@ class ForceRows {
   // Per disc, values.
   std::span<const double> inverse_mass() const { return inverse_mass_; }
 
-  // Sets the forces that undo the violations. The matrix has values only: violations are small, or without a value.
+  // Sets the forces that undo the violations. The matrix has values only: violations are small, or have no value.
   void Solve() {
     const int n = static_cast<int>(rows_.size());
     if (n == 0) return;
     sides_.clear();
-    for (const Row& row : rows_) sides_.push_back({row.a, row.b, ValueOf(row.direction), ValueOf(row.push)});
-    if (n > kMostDenseRows) return SolveAsSystem();
+    for (const Row& row : rows_) {
+      sides_.push_back(
+          {row.a, row.b, ValueOf(row.direction), ValueOf(row.push), Value(row.along), Value(row.push_along)});
+    }
+    if (n > kMostDenseRows && kRotation != kSpin) return SolveAsSystem();
     matrix_.resize(n * n);
     for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) {
-        matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_);
-        if constexpr (kRotation == kSpin) matrix_[i * n + j] += TurnCoupling(rows_[i], rows_[j]);
-      }
+      for (int j = 0; j < n; ++j) matrix_[i * n + j] = Coupling(sides_[i], sides_[j], inverse_mass_, turn_mobility_);
     }
     PseudoInvert(n, matrix_);
     if constexpr (std::is_same_v<T, Taped>) {
@@ -68,7 +78,7 @@ class ForceRows {
     }
   }
 
-  // Calls apply(disc, change) for what the forces do to the turning of the discs.
+  // Calls apply(disc, change) with the change of the rotation of each disc by the forces.
   template <typename Apply>
   void ForEachTurn(const Apply& apply) const {
     for (const Row& row : rows_) {
@@ -80,7 +90,7 @@ class ForceRows {
     }
   }
 
-  // Calls apply(disc, change) for what the forces do to the discs.
+  // Calls apply(disc, change) with the change of the position, velocity or acceleration of each disc by the forces.
   template <typename Apply>
   void ForEachPush(const Apply& apply) const {
     for (const Row& row : rows_) {
@@ -90,7 +100,7 @@ class ForceRows {
   }
 
  private:
-  // A small system, as ContactSystem is a large one.
+  // The inverse of a small system, with the interface of ContactSystem.
   struct Inverse {
     std::vector<double> matrix;
     void Solve(std::span<double> x) const { Multiply(x, x.size(), 1); }
@@ -103,22 +113,6 @@ class ForceRows {
       }
     }
   };
-
-  // How much the torque of the force of row j changes what row i measures.
-  double TurnCoupling(const Row& i, const Row& j) const {
-    double mobility = 0;
-    const auto meet = [&](int p, int q) {
-      const auto& disc = in_.bodies[std::max(p, 0)];
-      if (p >= 0 && p == q) mobility += disc.radius * disc.radius * Value(disc.inverse_inertia);
-    };
-    meet(i.a, j.a);
-    meet(i.b, j.b);
-    meet(i.a, j.b);
-    meet(i.b, j.a);
-    return mobility * Value(i.along) * Value(j.push_along);
-  }
-
-  static Vec2d ValueOf(const Vec2<T>& a) { return Vec2d(Value(a[0]), Value(a[1])); }
 
   void SolveAsSystem() {
     system_ = std::make_shared<const ContactSystem>(sides_, inverse_mass_, system_.get());
@@ -165,10 +159,10 @@ class ForceRows {
 
   const StepInput<T>& in_;
   std::pmr::vector<Row> rows_;
-  std::pmr::vector<double> inverse_mass_;
+  std::pmr::vector<double> inverse_mass_, turn_mobility_;  // per disc; the latter empty if none spins
   std::pmr::vector<ContactRow> sides_;
   std::pmr::vector<double> matrix_;
-  std::shared_ptr<const ContactSystem> system_;  // the last large one
+  std::shared_ptr<const ContactSystem> system_;  // the last large system
 };
 
 }  // namespace saltus::internal

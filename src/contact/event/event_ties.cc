@@ -7,8 +7,6 @@
 namespace saltus {
 namespace {
 
-constexpr int kAllOrders = 4;  // of up to so many contacts
-
 int Factorial(int n) { return n < 2 ? 1 : n * Factorial(n - 1); }
 
 // SplitMix64 (Steele, Lea, Flood 2014).
@@ -21,7 +19,7 @@ std::uint64_t Next(std::uint64_t* state) {
 
 }  // namespace
 
-int NumTieOrders(int num_contacts) { return Factorial(std::min(num_contacts, kAllOrders)); }
+int NumTieOrders(int num_contacts) { return Factorial(std::min(num_contacts, internal::kAllTieOrders)); }
 
 void ArrangeTie(int order, std::span<int> contacts) {
   const int n = static_cast<int>(contacts.size());
@@ -30,7 +28,7 @@ void ArrangeTie(int order, std::span<int> contacts) {
   for (int i = 0; i + 1 < n; ++i) {
     const int left = n - i;
     int chosen;
-    if (n <= kAllOrders) {
+    if (n <= internal::kAllTieOrders) {
       chosen = number / Factorial(left - 1);
       number %= Factorial(left - 1);
     } else {

@@ -1,6 +1,7 @@
-// Impacts with planes by event functions and updates that have parameters (saltus/contact/event_functions.h); between
-// discs as in event.h. Free flight is exact. Within a step an event function is looked at kLooks times, and where it
-// has fallen below zero its zero is found to rounding: one that falls and rises again in between is not seen.
+// Impacts with planes by event functions and updates that have parameters (saltus/contact/event_functions.h); impacts
+// between discs as in event.h. Free flight is exact. An event function is evaluated kLooks times within a step, and
+// where it has fallen below zero its zero is found to rounding: a function that falls and rises again in between is
+// missed.
 //
 // Derivatives by the functions' parameters: as in neural_event.h, restitution, stiffness and damping stand for the
 // parameters `first`, first + 1 and first + 2. There is none by the restitution of impacts between discs.
@@ -79,7 +80,7 @@ struct LearnedEvents {
     void Into(std::span<State<T>> next) {
       int count = 0;
       while (count <= kMostEvents && TakeNext()) ++count;
-      if (count > kMostEvents) in_.Fail("impacts without end: learned events know no contacts that last");
+      if (count > kMostEvents) in_.Fail("impacts accumulate: learned events do not support sustained contacts");
       const T end(count > kMostEvents ? std::numeric_limits<double>::quiet_NaN() : in_.h);
       for (int i = 0; i < static_cast<int>(x_.size()); ++i) {
         const auto& disc = discs_[i];
@@ -93,7 +94,7 @@ struct LearnedEvents {
       double value = 0, slope = 0;  // of an event function along the motion: by the time
     };
 
-    // False if there is no event any more.
+    // Resolves the next event. Returns false if there is none.
     bool TakeNext() {
       const Candidate* next = nullptr;
       double earliest = kNever;

@@ -1,9 +1,9 @@
-// Event-driven simulation whose law of impact is a function with parameters, such as a network: restitution, and
-// friction if the law says so, by the speeds at each impact (impact_law.h). All else is that of event.h. The parameters
-// are learned from recordings by Ceres (Identify()), through the exact event times.
+// Event-driven simulation with an impact law that is a function with parameters, such as a network: it gives
+// restitution, and friction if the law has it, by the speeds at each impact (impact_law.h). All else is as in event.h.
+// The parameters are learned from recordings by Ceres (Identify()), through the exact event times.
 //
-// Contacts that last, and what an impact that comes to rest is taken for, have the restitution and the friction of the
-// law at the speeds 0. A constant law is `event`, bit by bit but for what its evaluation rounds.
+// Sustained contacts, and the last of the bounces that come to rest, have the restitution and the friction of the law
+// at the speeds 0. With a constant law the model is `event`, bit by bit but for the rounding of its evaluation.
 //
 // Derivatives by parameters of the law: a contact model is differentiated by restitution, stiffness and damping of the
 // scene, which this one does not read. They stand for the law's parameters `first`, first + 1 and first + 2.

@@ -6,16 +6,10 @@
 
 #include "base/linear_algebra.h"
 #include "base/sparse_factors.h"
+#include "contact/thresholds.h"
 
 namespace saltus {
 namespace {
-
-constexpr double kShift = 1e-9;       // of the largest diagonal entry
-constexpr double kAlike = 1e-6;       // directions of rows that share a factorization
-constexpr double kRemainder = 1e-15;  // of what is to be undone: nothing is left
-constexpr double kArrived = 1e-10;    // likewise: this is rounding
-constexpr int kMostCorrections = 30;
-constexpr std::size_t kKeptFactors = 4;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
@@ -28,16 +22,23 @@ double Largest(std::span<const double> x) {
 
 }  // namespace
 
-double Coupling(const ContactRow& i, const ContactRow& j, std::span<const double> inverse_mass) {
-  double mobility = 0;
-  const auto meet = [&](int p, int q, double sign) {
-    if (p >= 0 && p == q) mobility += sign * inverse_mass[p];
+double Coupling(const ContactRow& i, const ContactRow& j, std::span<const double> inverse_mass,
+                std::span<const double> turn_mobility) {
+  const auto at_shared = [&](std::span<const double> mobility, double opposite) {
+    double sum = 0;
+    const auto add = [&](int p, int q, double sign) {
+      if (p >= 0 && p == q) sum += sign * mobility[p];
+    };
+    add(i.a, j.a, 1);
+    add(i.b, j.b, 1);
+    add(i.a, j.b, opposite);
+    add(i.b, j.a, opposite);
+    return sum;
   };
-  meet(i.a, j.a, 1);
-  meet(i.b, j.b, 1);
-  meet(i.a, j.b, -1);
-  meet(i.b, j.a, -1);
-  return mobility * Dot(i.measured, j.push);
+  const double coupling = at_shared(inverse_mass, -1) * Dot(i.measured, j.push);
+  if (turn_mobility.empty()) return coupling;
+  // A force turns both discs the same way, whichever it pushes.
+  return coupling + at_shared(turn_mobility, 1) * i.measured_along * j.push_along;
 }
 
 void PseudoInvert(int n, std::span<double> matrix) {
@@ -45,7 +46,7 @@ void PseudoInvert(int n, std::span<double> matrix) {
     if (matrix[0] != 0) matrix[0] = 1 / matrix[0];
     return;
   }
-  PseudoInvertRows(n, matrix, kDependentRows);
+  PseudoInvertRows(n, matrix, internal::kDependentRows);
 }
 
 struct ContactSystem::Factors {
@@ -76,7 +77,7 @@ ContactSystem::ContactSystem(std::span<const ContactRow> rows, std::span<const d
 }
 
 bool ContactSystem::IsLike(const ContactSystem& other) const {
-  const auto near = [](const Vec2d& a, const Vec2d& b) { return (a - b).lpNorm<1>() <= kAlike; };
+  const auto near = [](const Vec2d& a, const Vec2d& b) { return (a - b).lpNorm<1>() <= internal::kSystemAlike; };
   const auto alike = [&](const ContactRow& r, const ContactRow& s) {
     return r.a == s.a && r.b == s.b && near(r.measured, s.measured) && near(r.push, s.push);
   };
@@ -102,31 +103,6 @@ void ContactSystem::Subtract(bool transposed, std::span<const double> x, std::sp
   }
 }
 
-// What rests is the same system in every step: the thread's last ones are kept, for those that are the same to the bit,
-// so that nothing depends on what was solved before.
-void ContactSystem::FindFactors() const {
-  struct Known {
-    std::vector<ContactRow> rows;
-    std::vector<double> inverse_mass;
-    std::shared_ptr<Factors> factors;
-  };
-  static thread_local std::vector<Known> kept;  // the latest first
-  const auto same = [](const ContactRow& r, const ContactRow& s) {
-    return r.a == s.a && r.b == s.b && r.measured == s.measured && r.push == s.push;
-  };
-  const auto known = std::ranges::find_if(kept, [&](const Known& system) {
-    return std::ranges::equal(system.rows, rows_, same) && std::ranges::equal(system.inverse_mass, inverse_mass_);
-  });
-  if (known == kept.end()) {
-    Factor();
-    if (kept.size() == kKeptFactors) kept.pop_back();
-    kept.insert(kept.begin(), {rows_, inverse_mass_, factors_});
-  } else {
-    factors_ = known->factors;
-    std::rotate(kept.begin(), known, known + 1);
-  }
-}
-
 void ContactSystem::Factor() const {
   const int n = static_cast<int>(rows_.size());
   std::vector<std::vector<int>> rows_of(inverse_mass_.size());
@@ -147,7 +123,7 @@ void ContactSystem::Factor() const {
       }
     }
   }
-  for (int i = 0; i < n; ++i) entries.emplace_back(i, i, kShift * largest);
+  for (int i = 0; i < n; ++i) entries.emplace_back(i, i, internal::kSystemShift * largest);
   const SparseMatrix matrix = SparseFromEntries(n, entries);
   factors_ = std::make_shared<Factors>();
   if (symmetric_) {
@@ -159,13 +135,14 @@ void ContactSystem::Factor() const {
 
 bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
   if (Largest(x) == 0) return true;
-  if (factors_ == nullptr) FindFactors();
+  if (factors_ == nullptr) Factor();
   if (!factors_->regular) return false;
   const auto n = static_cast<Eigen::Index>(x.size());
   const double given = Largest(x);
   Vector left = Eigen::Map<const Vector>(x.data(), n), found = Vector::Zero(n), change(n);
   double undone = given;  // by the last correction
-  for (int correction = 0; correction < kMostCorrections && undone > kRemainder * given; ++correction) {
+  for (int correction = 0; correction < internal::kSystemMostCorrections && undone > internal::kSystemRemainder * given;
+       ++correction) {
     if (symmetric_) {
       change = factors_->symmetric.Solve(left);
     } else {
@@ -179,9 +156,9 @@ bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
     undone = now;
     if (!shrinks) break;
   }
-  // What a symmetric matrix leaves is what no force can undo.
+  // What a symmetric matrix leaves, no force can undo.
   const double missed = symmetric_ ? undone : left.lpNorm<Eigen::Infinity>();
-  if (!(missed <= kArrived * given)) return false;
+  if (!(missed <= internal::kSystemConverged * given)) return false;
   std::copy(found.begin(), found.end(), x.begin());
   return true;
 }

@@ -1,8 +1,8 @@
-// Linear systems of contact: the forces across contacts that undo what is measured across them.
+// Linear systems of contact forces that undo what is measured across the contacts.
 //
-// Row i measures `measured` . (x_a - x_b) of some vectors x of the discs, such as velocities; its force f moves them by
-// f push / m_a and -f push / m_b. The matrix of the system, how much force j changes what row i measures, is as sparse
-// as the contacts are. It is symmetric where both directions are one, and singular where contacts depend on each other.
+// Row i measures `measured` . (x_a - x_b) of some vectors x of the discs, such as velocities; its force f changes them
+// by f push / m_a and -f push / m_b. The matrix of the system is as sparse as the contacts are. It is symmetric where
+// both directions are the same, and singular where contacts are redundant.
 #pragma once
 
 #include <memory>
@@ -15,36 +15,34 @@ namespace saltus {
 
 struct ContactRow {
   int a = 0;
-  int b = -1;  // -1: a plane
+  int b = -1;  // -1: a wall
   Vec2d measured{0, 0}, push{0, 0};
+  // The parts of these two along the tangent of the contact, where discs that spin turn with it.
+  double measured_along = 0, push_along = 0;
 };
 
-// Systems of up to so many rows are inverted as dense matrices.
-inline constexpr int kMostDenseRows = 16;
-// Of a dense matrix: the pivots of rows that depend on others, relative to the largest.
-inline constexpr double kDependentRows = 1e-10;
+// The entry (i, j) of the matrix (Delassus operator): how much a unit force of row j changes what row i measures.
+// inverse_mass: per disc, 1/kg, 0 if it does not move; turn_mobility: r^2 / I per disc, 1/kg, empty if none spins.
+double Coupling(const ContactRow& i, const ContactRow& j, std::span<const double> inverse_mass,
+                std::span<const double> turn_mobility = {});
 
-// How much the force of row j changes what row i measures.
-double Coupling(const ContactRow& i, const ContactRow& j, std::span<const double> inverse_mass);
-
-// Pseudo-inverse of a small square matrix, for equations of which some may follow from others. `matrix`: n x n, row by
-// row; overwritten.
+// Overwrites a small n x n matrix, which lies row by row, with its pseudo-inverse: of equations some may follow from
+// others.
 void PseudoInvert(int n, std::span<double> matrix);
 
-// A large system. Solutions are those of least norm, by a sparse factorization of the matrix with a small multiple of
-// the identity added, corrected until nothing is left (proximal point iteration, Rockafellar 1976); where that does not
-// arrive, by the dense pseudo-inverse.
+// A large system of discs that do not spin. The solution is that of least norm, by a sparse factorization of the matrix
+// with a small multiple of the identity added, iterated to convergence (proximal point iteration, Rockafellar 1976);
+// where that does not converge, by the dense pseudo-inverse.
 class ContactSystem {
  public:
-  // `like`, if given, lends its factorization if its rows are nearly the same. inverse_mass: per disc, 1/kg; 0 if it
-  // does not move.
+  // `like`, if given, shares its factorization if its rows are nearly the same. inverse_mass as of Coupling().
   ContactSystem(std::span<const ContactRow> rows, std::span<const double> inverse_mass,
                 const ContactSystem* like = nullptr);
 
-  // Overwrites x, one number a row, with A^+ x, or with A^+^T x. True if the sparse factorization has arrived there.
+  // Overwrites x, one number for each row, with A^+ x, or with A^+^T x. Returns whether the sparse iteration converged.
   bool Solve(std::span<double> x) const { return SolveAs(false, x); }
   bool SolveTransposed(std::span<double> x) const { return SolveAs(true, x); }
-  // As Solve, but false, and nothing changed, where only the dense pseudo-inverse would do.
+  // As Solve, but returns false, and changes nothing, where only the dense pseudo-inverse would do.
   bool SolveOnlySparse(std::span<double> x) const { return SolveSparse(false, x); }
 
  private:
@@ -56,13 +54,12 @@ class ContactSystem {
   void SolveDense(bool transposed, std::span<double> x) const;
   // y -= A x, or A^T x.
   void Subtract(bool transposed, std::span<const double> x, std::span<double> y) const;
-  void FindFactors() const;
   void Factor() const;
 
-  std::vector<ContactRow> rows_;      // with the discs' numbers in the system, -1 if there is none that moves
+  std::vector<ContactRow> rows_;      // with numbers of discs in the system, -1 if it does not move
   std::vector<double> inverse_mass_;  // by these numbers
   bool symmetric_ = true;
-  mutable std::shared_ptr<Factors> factors_;  // when first needed
+  mutable std::shared_ptr<Factors> factors_;  // found when first needed
   mutable std::vector<double> dense_;         // likewise
 };
 

@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "base/linear_algebra.h"
+#include "contact/solvers/complementarity.h"
 
 namespace saltus {
 namespace {
@@ -18,7 +20,6 @@ constexpr double kRegularization = 1e-4;  // on the diagonal, where there is no 
 // contacts make the matrix singular, and this tells their classes apart. Small ones change less, large ones round less.
 constexpr double kPivotRegularizations[] = {1e-8, 1e-7, 1e-6};
 
-constexpr int kPatience = 3;  // block steps without progress before single ones
 constexpr int kMaxSweeps = 2000;
 
 template <int kMaxRows>
@@ -101,8 +102,8 @@ void FollowNormals(const BoxedLcpUpTo<kMaxRows>& problem, LcpList<LcpClass, kMax
   }
 }
 
-// Principal pivoting: all rows that violate their class change it, or, when that makes no progress, only the last one
-// (Judice and Pires 1994; finite without friction). Returns x, whether it has converged or not.
+// Principal pivoting in blocks, or of the last row that violates its class (finite without friction). Returns x,
+// whether it has converged or not.
 template <int kMaxRows>
 LcpVector<kMaxRows> Pivot(BoxedLcpUpTo<kMaxRows> problem, double regularization) {
   problem.matrix.diagonal().array() += regularization * problem.matrix.diagonal().maxCoeff();
@@ -114,8 +115,7 @@ LcpVector<kMaxRows> Pivot(BoxedLcpUpTo<kMaxRows> problem, double regularization)
   FollowNormals(problem, &classes);
 
   LcpVector<kMaxRows> x;
-  int fewest = std::numeric_limits<int>::max();
-  int patience = kPatience;
+  BlockPivoting blocks;
   for (int iteration = 0; iteration < 50 + 10 * problem.size(); ++iteration) {
     const LcpList<int, kMaxRows> clamping = ClampingRows<kMaxRows>(classes);
     x = SolveInClasses(problem, classes, clamping, InverseInClasses(problem, classes, clamping, 1e-14));
@@ -127,13 +127,7 @@ LcpVector<kMaxRows> Pivot(BoxedLcpUpTo<kMaxRows> problem, double regularization)
       if (better[i] != classes[i]) wrong.push_back(i);
     }
     if (wrong.empty()) break;
-    if (static_cast<int>(wrong.size()) < fewest) {
-      fewest = static_cast<int>(wrong.size());
-      patience = kPatience;
-    } else {
-      --patience;
-    }
-    if (patience >= 0) {
+    if (blocks.ChangesAll(wrong.size())) {
       classes = better;
     } else {
       classes[wrong.back()] = better[wrong.back()];
@@ -147,14 +141,13 @@ template <int kMaxRows>
 LcpVector<kMaxRows> ProjectedGaussSeidel(const BoxedLcpUpTo<kMaxRows>& problem) {
   LcpVector<kMaxRows> x = LcpVector<kMaxRows>::Zero(problem.size());
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
-    double change = 0;
-    for (int i = 0; i < problem.size(); ++i) {
+    const double change = GaussSeidelSweep(problem.size(), [&](std::ptrdiff_t row) {
+      const int i = static_cast<int>(row);
       const double step = (problem.rhs[i] - problem.matrix.row(i).dot(x)) / problem.matrix(i, i);
       const double bound = problem.friction * x[problem.normal[i]];
       const double to = problem.IsNormal(i) ? std::max(0.0, x[i] + step) : std::clamp(x[i] + step, -bound, bound);
-      change = std::max(change, std::abs(to - x[i]));
-      x[i] = to;
-    }
+      return std::abs(to - std::exchange(x[i], to));
+    });
     if (change < 1e-14) break;
   }
   return x;

@@ -137,7 +137,7 @@ std::string WhyNotPhases(const SolveRequest& request) {
   if (!over) return request.contact.name() + " has no free flight over steps of any length, with derivatives";
   const bool turns = over->turn.pp != 0;  // linearly
   if (request.scene.num_turned() > 0 && !turns) {
-    return request.contact.name() + " does not turn discs linearly, and some are turned by torques";
+    return request.contact.name() + " does not change rotations linearly, and some discs have a torque control";
   }
   return "";
 }

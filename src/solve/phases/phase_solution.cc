@@ -7,9 +7,9 @@
 #include "control/control_bounds.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/simulate/registry.h"
-#include "simulate/limited_run.h"
+#include "simulate/flight.h"
 #include "solve/control_guess.h"
-#include "solve/hmp_roots.h"
+#include "solve/hmp.h"
 #include "solve/solve_run.h"
 
 namespace saltus {

@@ -71,7 +71,7 @@ struct PhaseSolution {
   bool optimal() const { return valid && minimum.converged && realized; }
 };
 // Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
-// (hmp_roots.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
+// (hmp.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
 // `loss_change` of it.
 bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum);
 

@@ -5,7 +5,7 @@
 #include <limits>
 
 #include "control/control_bounds.h"
-#include "control/impact.h"
+#include "simulate/impact.h"
 #include "solve/phases/motion_merit.h"
 
 namespace saltus {

@@ -17,7 +17,7 @@
 #include "solve/search/search_solve.h"
 #include "solve/search/search_starts.h"
 #include "solve/search/task_line.h"
-#include "solve/shooting/ceres_lm.h"
+#include "solve/shooting/single_shooting_solvers.h"
 
 namespace saltus {
 namespace {

@@ -6,10 +6,9 @@
 #include <cmath>
 #include <cstdio>
 
-#include "solve/shooting/ceres_lbfgs.h"
-#include "solve/shooting/ceres_lm.h"
-#include "solve/shooting/gradient_descent.h"
-#include "solve/shooting/hybrid_run.h"
+#include "control/hybrid_shooting.h"
+#include "solve/shooting/single_shooting_solvers.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
@@ -33,6 +32,33 @@ std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput&
   }
   return near;
 }
+
+// A run of a solver by single shooting on a problem of a hybrid system.
+class HybridRun final : public ShootingRun {
+ public:
+  HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
+      : ShootingRun(solver, options), shooting_(problem) {
+    shooting_.set_stop([this] { return options_.stop && options_.stop(); });
+    guess_ = shooting_.initial_guess();
+  }
+
+  HybridShooting& shooting() { return shooting_; }
+  ShootingFunction& function() override { return shooting_; }
+
+ private:
+  // What is not smooth there. Also records the error of the integration.
+  std::string RemarkOn(std::span<const double> z, Termination termination) override {
+    double loss = 0;
+    if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
+    report_.integration_error = shooting_.simulator().IntegrationError();
+    const std::string why = shooting_.simulator().WhyNotDifferentiable();
+    const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
+    if (near.empty() || why.find("control jumps") != std::string::npos) return why;
+    return why.empty() ? near : why + "; " + near;
+  }
+
+  HybridShooting shooting_;
+};
 
 std::string WhyNotShot(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
@@ -114,21 +140,6 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
 }
 
 }  // namespace
-
-HybridRun::HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
-    : ShootingRun(solver, options), shooting_(problem) {
-  shooting_.set_stop([this] { return options_.stop && options_.stop(); });
-  guess_ = shooting_.initial_guess();
-}
-
-std::string HybridRun::RemarkOn(std::span<const double> z, Termination termination) {
-  double loss = 0;
-  if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
-  report_.integration_error = shooting_.simulator().IntegrationError();
-  const std::string why = shooting_.simulator().WhyNotDifferentiable();
-  const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
-  return near.empty() || why.find("control jumps") != std::string::npos ? why : why.empty() ? near : why + "; " + near;
-}
 
 const std::vector<HybridSolverEntry>& HybridSolvers() {
   static const std::vector<HybridSolverEntry> solvers = {

@@ -447,6 +447,35 @@ Totals TotalsOf(const Scene& scene, const std::vector<double>& x) {
   return totals;
 }
 
+// A row of rollers that touch: more conditions than kMostDenseRows, across which torques act too.
+TEST(EventSpinDifferences, ALongRowOfRollersIsPushed) {
+  for (const int rollers : {3, 6, 9}) {
+    Scene scene;
+    scene.duration = 0.1;
+    scene.steps = 10;
+    scene.gravity = {0, -9.8};
+    scene.contact = {.restitution = 0.5, .friction = 0.5};
+    scene.planes = {{"ground", {0, 0}, {0, 1}}};
+    for (int i = 0; i < rollers; ++i) {
+      scene.bodies.push_back(
+          Spinning(("d" + std::to_string(i)).c_str(), 0.1, 1 + 0.1 * (i % 3), {0.2 * i, 0.1}, {0, 0}, 0));
+    }
+    const auto end = [&](double push) {
+      scene.control = {{0}, {Vec2d(push, 0)}};
+      return EventRun(scene).End();
+    };
+    const double push = 4, by = 1e-4;
+    const std::vector<double> above = end(push + by), below = end(push - by), at = end(push);
+    EventRun pushed(scene);
+    for (int entry = 0; entry < static_cast<int>(at.size()); ++entry) {
+      const Sensitivity gradient = pushed.GradientOf(entry);
+      double derivative = 0;
+      for (std::size_t k = 0; k < gradient.control.size(); k += 2) derivative += gradient.control[k];
+      EXPECT_NEAR(derivative, (above[entry] - below[entry]) / (2 * by), 1e-6) << rollers << " " << entry;
+    }
+  }
+}
+
 // Impacts of many discs with each other keep momentum and angular momentum, and energy does not grow.
 TEST(EventSpinConformance, CrowdKeepsMomentumAndAngularMomentum) {
   std::mt19937 random(7);

@@ -4,10 +4,7 @@
 
 #include <Eigen/QR>
 #include <cmath>
-#include <optional>
 #include <random>
-
-#include "contact/solvers/lemke.h"
 
 namespace saltus {
 namespace {
@@ -137,32 +134,6 @@ TEST(LcpSolver, ManyRedundantContacts) {
     EXPECT_EQ(solution.regularization, 0);
     EXPECT_LT(LcpViolation(problem, solution.x, 1e-5), 1e-5);
   }
-}
-
-// Positive semidefinite but for a skew part, so every one has a solution.
-TEST(Lemke, SolvesRandomProblems) {
-  std::mt19937 random(1);
-  std::uniform_real_distribution<double> uniform(-1, 1);
-  for (const int n : {1, 2, 7, 40}) {
-    for (int trial = 0; trial < 20; ++trial) {
-      const Eigen::MatrixXd A = Eigen::MatrixXd::NullaryExpr(n, n, [&] { return uniform(random); });
-      const Eigen::MatrixXd B = Eigen::MatrixXd::NullaryExpr(n, n, [&] { return uniform(random); });
-      const Eigen::MatrixXd M = A * A.transpose() + B - B.transpose();
-      const Eigen::VectorXd q = Eigen::VectorXd::NullaryExpr(n, [&] { return uniform(random); });
-      const std::optional<Eigen::VectorXd> z = SolveByLemke(M, q, 50 * n);
-      ASSERT_TRUE(z) << n;
-      const Eigen::VectorXd w = M * *z + q;
-      const double rounding = 1e-9 * (1 + z->maxCoeff());
-      EXPECT_GE(z->minCoeff(), -rounding);
-      EXPECT_GE(w.minCoeff(), -rounding);
-      EXPECT_NEAR(z->dot(w), 0, n * rounding);
-    }
-  }
-}
-
-TEST(Lemke, SaysWhereItFindsNothing) {
-  EXPECT_FALSE(SolveByLemke(-Eigen::MatrixXd::Identity(2, 2), Eigen::Vector2d(-1, 1), 100));
-  EXPECT_FALSE(SolveByLemke(Eigen::MatrixXd::Identity(2, 2), Eigen::Vector2d(-1, -2), 1));
 }
 
 }  // namespace
