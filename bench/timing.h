@@ -2,25 +2,17 @@
 // things in turns, so that their ratio is of the same minute.
 #pragma once
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <array>
-#include <ctime>
+#include <cmath>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "paper/thread_time.h"
 #include "saltus/scene/scene_file.h"
 
 namespace saltus {
-
-// CPU time of this thread, s.
-inline double ThreadTime() {
-  timespec time;
-  CHECK_EQ(clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time), 0);
-  return time.tv_sec + 1e-9 * time.tv_nsec;
-}
 
 // The time of one call of each function, s: the least of several blocks of calls, the functions' blocks in turns.
 template <typename... Functions>

@@ -84,7 +84,7 @@ inline void RefuseUnknown(const Json& object, const std::string& where, const st
     const bool nothing = value.is_null() || value == false || value == 0 || value == "" ||
                          ((value.is_array() || value.is_object()) && value.empty());
     if (!nothing && std::find(known.begin(), known.end(), key) == known.end()) {
-      throw NotApplicable(where + ": this driver does not know \"" + key + "\"");
+      throw NotApplicable(where + ": this driver does not support \"" + key + "\"");
     }
   }
 }

@@ -14,7 +14,7 @@ const isNothing = (value) =>
 // What is not among `known` must be empty, 0 or false: else it may act on the motion.
 function refuseUnknown(object, where, known) {
   for (const [key, value] of Object.entries(object)) {
-    if (!known.includes(key) && !isNothing(value)) throw new NotApplicable(`${where}: this driver does not know "${key}"`);
+    if (!known.includes(key) && !isNothing(value)) throw new NotApplicable(`${where}: this driver does not support "${key}"`);
   }
 }
 

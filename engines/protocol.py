@@ -50,7 +50,7 @@ class Scene:
 def refuse_unknown(thing, where, known):
     for key, value in thing.items():
         if key not in known and value:
-            raise NotApplicable(f'{where}: this driver does not know "{key}"')
+            raise NotApplicable(f'{where}: this driver does not support "{key}"')
 
 
 # All states of the world; raises if one is not finite.

@@ -14,6 +14,7 @@ packages=(
   python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch and mypy are skipped without
   python3-nbclient python3-ipykernel # the example notebook
   python3-jsonschema codespell # the tests of schemas/ and docs/
+  universal-ctags # the test of names that are defined twice
   dpkg-dev python3-pip python3-setuptools python3-wheel # the test of packages
   "$@"
 )

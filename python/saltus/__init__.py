@@ -13,26 +13,45 @@
     ('1.3965', 'stationary')
 
 Scenes          load_scene, Scene, SceneError
-Motions         rollout, loss_and_gradient, linearize: each on a scene, a dict or the path of a file
-Many of them    Simulation (one scene, evaluated again and again), Batch (many points, on all cores)
+Motions         rollout, loss_and_gradient, linearize: each takes a Scene, a dict or the path of a scene file
+Repeated use    Simulation (one scene, evaluated many times), Batch (many points, on all cores)
 Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
-Of your own     audit(scene, simulate=...), and ContactModel for a contact model in Python
-Elsewhere       EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
-                Simulation.loss_and_gradient as it is, with jac=True
+Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
+                loss_and_gradient, solve, hybrid_solvers, audit
+Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
+Other packages  EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
+                Simulation.loss_and_gradient with jac=True
 Results         Result: the keys of the programs' JSON; save, load_result
 
-Units are SI and radians; the world is planar, every vector is [x, y]. A scene has B discs, C of them pushed; a contact
-model takes K steps. A state is (B, 4): [p_x p_y v_x v_y] of each disc; in scenes with discs that spin (B, 6), with angle and
-angular velocity behind. A control is (K, C, 2), forces in N held over each step; in scenes with torques (K, C, 3), with the
-torque in N m behind, 0 for discs that are not turned.
+Units are SI units and radians. The world is planar: every vector is [x, y]. A scene has B discs, of which C are
+controlled, and a contact model takes K steps. A state is (B, 4): [p_x p_y v_x v_y] of each disc. In scenes with discs
+that have rotational inertia it is (B, 6), with angle and angular velocity at the end. A control is (K, C, 2): forces in
+N, constant over each step. In scenes with torques it is (K, C, 3), with the torque in N m at the end, and 0 for discs
+without a torque control.
 
-Numbers are those of the programs saltus_solve, saltus_audit and saltus_identify, bit by bit. What is wrong raises a
-ValueError (SceneError in scenes) or TypeError that names the argument and what was expected; a rollout that fails, a
-RuntimeError that says where. The interpreter is free while C++ computes, and Ctrl-C ends it.
+Results are those of the programs saltus_solve, saltus_audit and saltus_identify, bit by bit. A wrong argument raises
+ValueError (SceneError in scenes) or TypeError, which names the argument and what was expected. A rollout that fails
+raises RuntimeError, which names the step. The interpreter lock is released while C++ computes, and Ctrl-C ends the
+computation.
 """
 
+from ._expression import where
+from ._hybrid import (
+    HybridAudit,
+    HybridGradient,
+    HybridProblem,
+    HybridRollout,
+    HybridRun,
+    HybridSystem,
+    effort,
+    final_derivatives,
+    final_time,
+    hybrid_solvers,
+    residuals,
+    terminal,
+)
 from ._identify import identify
 from ._own import ContactModel
 from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient, load_result
@@ -48,6 +67,12 @@ __all__ = [
     "EndState",
     "Fit",
     "Gradient",
+    "HybridAudit",
+    "HybridGradient",
+    "HybridProblem",
+    "HybridRollout",
+    "HybridRun",
+    "HybridSystem",
     "Result",
     "Rollout",
     "Run",
@@ -58,12 +83,19 @@ __all__ = [
     "__version__",
     "audit",
     "contact_models",
+    "effort",
+    "final_derivatives",
+    "final_time",
+    "hybrid_solvers",
     "identify",
     "linearize",
     "load_result",
     "load_scene",
     "loss_and_gradient",
+    "residuals",
     "rollout",
     "solve",
     "solvers",
+    "terminal",
+    "where",
 ]

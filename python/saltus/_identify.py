@@ -39,23 +39,37 @@ def identify(
     threads: int = 0,
     status: Callable[[str], None] | None = None,
 ) -> Fit:
-    """Fits parameters of a scene to where discs were seen, by least squares through impacts.
+    """Fits parameters of a scene to recorded positions of its discs, by least squares through impacts.
 
-    recordings: one, or several that share the parameters, each with its own start. The path of a CSV or NPZ file, or a
-    dict of arrays: ``time`` (n,) in s, ``body`` (n,), names or indices, ``position`` (n, 2) in m, and if they are known
-    ``velocity`` (n, 2) in m/s and the standard deviations ``sigma`` and ``sigma_v`` (n,), or one number for all.
-    unknown: some of restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY, of vectors one component
-    as gravity.y: a list, or a text with commas; restitution if not given, or nothing beside a law or events.
-    contact: the built-in contact model that is fitted. law: learns the law of impact: "network" (restitution by the speed
-    of approach) or "impulse" (friction too), perhaps with ":N" hidden units. events: learns where and how discs bounce off
-    planes: "affine" or "profile", which maybe has ":N" units. loss: of a sample's residual, "none" (squares), "huber" or
-    "cauchy", with loss_scale in sigmas. segment: s, cuts recordings into pieces with a start each, as long ones need.
-    known_start: starts are the scene's. starts: fits at most. threads: 0 is one per core. status(text): called with what
-    is at work.
+    Ctrl-C raises KeyboardInterrupt at once. This exception, and one that the callback raises, has the fit computed until
+    then as its attribute ``fit``.
 
-    Returns the fit, whatever its verdict. Raises ValueError, with the place, for wrong recordings, names and options, and
-    if the model cannot take the scene; what the callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and what
-    the callback has raised, has the fit so far as its attribute ``fit``.
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        recordings: one recording, or several that share the parameters, each with its own initial state: the path of a CSV
+            or NPZ file, or a dict of arrays: ``time`` (n,) in s, ``body`` (n,), names or indices, ``position`` (n, 2) in
+            m, and if they are known ``velocity`` (n, 2) in m/s and the standard deviations ``sigma`` and ``sigma_v`` (n,)
+            or one number for all.
+        unknown: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY, or one component of a vector
+            such as gravity.y, in a list or a text with commas. Default: restitution, or nothing beside a law or events.
+        contact: name of a built-in contact model.
+        law: impact law to fit: "network" (restitution as a function of the approach speed) or "impulse" (friction too),
+            with ":N" hidden units.
+        events: event functions to fit: "affine" or "profile", with ":N" units.
+        loss: robust loss of the residual of a sample: "none" (squares), "huber" or "cauchy".
+        loss_scale: residual, in standard deviations, beyond which the robust loss reduces the weight.
+        segment: length, s, of the segments into which recordings are divided, each with its own initial state; 0: not
+            divided.
+        known_start: whether the initial state is that of the scene.
+        starts: largest number of starts of the fit.
+        threads: number of threads; 0 is one per core.
+        status: called as status(text) with the progress.
+
+    Returns:
+        The fit, whatever its verdict.
+
+    Raises:
+        ValueError: a recording, a name or an option is wrong, or the model does not support the scene.
     """
     expect("text", law=law, events=events, loss=loss)
     expect("a whole number", starts=starts, threads=threads)

@@ -15,12 +15,12 @@ _Answerer = Callable[[str, Scene, float, Floats, Floats, Any], "dict[str, Any]"]
 
 
 def _difference_width(x: Floats, scale: float) -> Floats:
-    """Of central differences: the cube root of the rounding, relative."""
+    """Returns the widths of central differences: the cube root of the rounding, relative."""
     return np.asarray(np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(x), scale))
 
 
 def _by_differences(step: Callable[..., Any], state: Floats, force: Floats, h: float) -> tuple[Any, Any]:
-    """The derivatives of one step, (4B, 4B) and (4B, 2B), by central differences."""
+    """Returns the derivatives of one step, (4 B, 4 B) and (4 B, 2 B), by central differences."""
     blocks = []
     for index, given in enumerate((state, force)):
         columns = []
@@ -36,22 +36,15 @@ def _by_differences(step: Callable[..., Any], state: Floats, force: Floats, h: f
 
 
 class ContactModel:
-    """A contact model in Python: takes part wherever a contact model is named.
+    """Base class of contact models in Python, which are accepted wherever a contact model is named.
 
-    Derive from it, and pass the class: ``saltus.rollout(scene, MyModel)``. It is made once for each scene.
+    Derive a class from it, implement ``step``, and pass the class: ``saltus.rollout(scene, MyModel)``. One object is made
+    for each scene. A step in Python takes about a thousand times as long as one in C++. Solvers that work on phases
+    between impacts, and derivatives with respect to parameters, support built-in models only.
 
-    name
-        Of the model in results: text without colons, commas and blanks.
-    scene
-        The scene that it is made for.
-    step(x, u, h)
-        The states (B, 4) of all discs, [p_x p_y v_x v_y], after a step of h seconds from x (B, 4) under the forces u
-        (B, 2). It must depend on nothing else.
-    jacobian(x, u, h)
-        Its derivatives by x, (4 B, 4 B), and by u, (4 B, 2 B). Central differences unless overridden.
-
-    For prototypes: a step in Python costs a thousand times one in C++. Solvers that work on phases between impacts, and
-    derivatives by parameters, are for built-in models.
+    Attributes:
+        name: name of the model in results: text without colons, commas and blanks.
+        scene: the scene that the object is made for.
     """
 
     name = "own"
@@ -60,14 +53,27 @@ class ContactModel:
         self.scene = scene
 
     def step(self, x: Floats, u: Floats, h: float) -> Floats:
+        """Returns the states (B, 4) of all discs, [p_x p_y v_x v_y], after a step.
+
+        The result must depend on the arguments only.
+
+        Args:
+            x: states before the step, (B, 4).
+            u: forces on all discs, (B, 2), N.
+            h: length of the step, s.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs a method step(x, u, h)")
 
     def jacobian(self, x: Floats, u: Floats, h: float) -> tuple[Floats, Floats]:
+        """Returns the derivatives of `step` with respect to x, (4 B, 4 B), and u, (4 B, 2 B).
+
+        These are central differences unless a derived class overrides the method.
+        """
         return _by_differences(self.step, x, u, h)
 
 
 class Stepper:
-    """Answers what a black box is asked by the steps of a contact model."""
+    """Answers the requests to a black box by the steps of a contact model."""
 
     def __init__(self, model: type[ContactModel]):
         self._make = model
@@ -110,7 +116,7 @@ def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> Floats:
 
 
 class Simulator:
-    """Answers what a black box is asked by a user's callables."""
+    """Answers the requests to a black box by callables of a user."""
 
     def __init__(self, simulate: Any, gradient: Any, vjp: Any, jacobian: Any, step: Any):
         gradients = {"gradient": gradient, "vjp": vjp, "jacobian": jacobian}
@@ -163,17 +169,17 @@ def _matrix(name: str, value: Any, by: Floats, rows: int | None = None) -> Float
 
 
 def is_own(contact: Any) -> bool:
-    """Whether it is a contact model in Python."""
+    """Returns whether this is a class of a contact model in Python."""
     return isinstance(contact, type) and issubclass(contact, ContactModel)
 
 
 def has_jacobian(model: type[ContactModel]) -> bool:
-    """Whether its derivatives are its own, and not differences."""
+    """Returns whether the model implements its derivatives itself."""
     return model.jacobian is not ContactModel.jacobian
 
 
 def as_contact(contact: Any) -> Any:
-    """What the extension module takes: a name, or the contact model that a class makes."""
+    """Returns the argument of the extension module: a name, or the contact model of a class."""
     if is_own(contact):
         if "_contact" not in contact.__dict__:
             contact._contact = _saltus.Contact(contact.name, Stepper(contact))

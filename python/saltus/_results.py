@@ -21,7 +21,7 @@ def _plain(value: Any) -> Any:
 
 
 def _number_array(value: Any) -> Any:
-    """Lists of numbers as an array, null as NaN; all else as it is."""
+    """Returns lists of numbers as an array, with null as NaN, and everything else unchanged."""
     if not isinstance(value, list) or not value:
         return value
     first = value
@@ -38,7 +38,7 @@ def _number_array(value: Any) -> Any:
 
 
 def _with_torques(value: Any) -> Any:
-    """A control of which some discs are turned, (K, C, 3), with 0 for the others; anything else as it is."""
+    """Returns a control of which some discs have a torque as (K, C, 3), with 0 for the others, and anything else unchanged."""
     try:
         rows = [[row + [0.0] * (3 - len(row)) for row in interval] for interval in value]
         known = all(len(row) in (2, 3) for interval in value for row in interval)
@@ -48,11 +48,11 @@ def _with_torques(value: Any) -> Any:
 
 
 class Result(Mapping[str, Any]):
-    """A result under the keys of the programs' JSON.
+    """A mapping with the keys of the programs' JSON.
 
-    ``result["control"]`` is what the JSON holds (lists, numbers, text); ``result.control`` the same with lists of
-    numbers as arrays and objects as results. ``to_dict()`` gives plain Python, ``save(path)`` writes JSON from which
-    ``load_result(path)`` reads the same bits.
+    ``result["control"]`` is the value in the JSON document (lists, numbers, text). ``result.control`` is the same, with
+    lists of numbers as arrays and objects as results. ``save(path)`` writes JSON from which ``load_result(path)`` reads
+    the same bits.
     """
 
     _kind = "result"
@@ -82,18 +82,18 @@ class Result(Mapping[str, Any]):
         return (type(self), (self._data,))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dicts, lists, numbers and text, as in the programs' JSON."""
+        """Returns plain dicts, lists, numbers and text, as in the programs' JSON."""
         plain: dict[str, Any] = json.loads(json.dumps(self._data, default=_plain))
         return plain
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes JSON with all digits."""
+        """Writes JSON with all digits to a file."""
         with open(path, "w", encoding="utf-8") as file:
             json.dump({"saltus": self._kind, **self.to_dict()}, file, indent=1)
             file.write("\n")
 
     def _rows(self) -> list[tuple[str, str]]:
-        """What `repr` shows."""
+        """Returns the rows that `repr` shows."""
         return [(key, _brief(value)) for key, value in self._data.items()]
 
     def __repr__(self) -> str:
@@ -111,7 +111,7 @@ class Result(Mapping[str, Any]):
 
 
 def _brief(value: Any) -> str:
-    """One line of a value, whatever its size."""
+    """Returns one line for a value of any size."""
     value = _number_array(value)
     if isinstance(value, np.ndarray):
         return f"array {value.shape}" if value.size > 6 else np.array2string(value, precision=10, separator=", ").replace("\n", "")
@@ -126,8 +126,8 @@ def _brief(value: Any) -> str:
 
 class Rollout(Result):
     """A motion: ``states`` (K + 1, B, 4) with [p_x p_y v_x v_y] of each disc, ``times`` (K + 1) in s, ``loss``,
-    ``events``, ``steps_with_contact``. In scenes with discs that spin states are (K + 1, B, 6), with the angle in rad and
-    the angular velocity in rad/s behind; models that turn discs by themselves add numbers of their own."""
+    ``events``, ``steps_with_contact``. In scenes with rotational inertia states are (K + 1, B, 6), with the angle in rad
+    and the angular velocity in rad/s at the end; models that rotate discs in other scenes add their own numbers."""
 
     _kind = "rollout"
 
@@ -137,23 +137,23 @@ class Rollout(Result):
 
     @property
     def positions(self) -> Floats:
-        """(K + 1, B, 2), m."""
+        """The positions, (K + 1, B, 2), m."""
         return self._states[..., :2]
 
     @property
     def velocities(self) -> Floats:
-        """(K + 1, B, 2), m/s."""
+        """The velocities, (K + 1, B, 2), m/s."""
         return self._states[..., 2:4]
 
     @property
     def final_state(self) -> Floats:
-        """(B, 4 or more), as one of ``states``."""
+        """The last of ``states``, (B, 4 or more)."""
         return np.asarray(self._states[-1])
 
 
 class Gradient(Result):
-    """A loss and its gradient by everything: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2),
-    ``.parameters``; in scenes with discs that spin ``.angle`` and ``.angular_velocity`` (B,) too."""
+    """A loss and its gradient: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2), ``.parameters``, and in
+    scenes with rotational inertia ``.angle`` and ``.angular_velocity`` (B,)."""
 
     _kind = "gradient"
 
@@ -176,7 +176,7 @@ class Audit(Result):
     _kind = "audit"
 
     def of(self, contact: str) -> Result:
-        """The audit of one model. Raises KeyError."""
+        """Returns the audit of one model. Raises KeyError if it was not audited."""
         for item in self._data["audits"]:
             if item["contact"] == contact:
                 return Result(item)
@@ -213,9 +213,9 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
 
 
 class Fit(Result):
-    """Parameters found in recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
+    """Parameters fitted to recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
     ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
-    and ``events`` if they were learned, ..."""
+    and ``events`` if they were fitted, ..."""
 
     _kind = "fit"
 
@@ -246,14 +246,14 @@ class Fit(Result):
 
 
 class WrongGradient(AssertionError):
-    """A gradient that is not right, with the audit's reasons."""
+    """Raised for a gradient that is not right, with the reasons of the audit."""
 
 
 _KINDS = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit, Fit)}
 
 
 def load_result(path: str | os.PathLike[str]) -> Result:
-    """What ``Result.save`` has written. Raises ValueError if the file is something else."""
+    """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
     with open(path, encoding="utf-8") as file:
         data = json.load(file)
     if not isinstance(data, dict) or "saltus" not in data:

@@ -12,7 +12,7 @@ from . import _saltus
 
 
 class SceneError(ValueError):
-    """What is wrong in a scene, and where.
+    """An error in a scene, with its place.
 
     Attributes: ``file`` (a path, or "scene" for a dict), ``line`` (from 1; 0 for a dict), ``key`` (a path such as
     "bodies[1].radius") and ``message`` (what was found and what was expected).
@@ -25,7 +25,7 @@ class SceneError(ValueError):
 
 
 def _plain(value: Any) -> Any:
-    """What json cannot write of numpy's."""
+    """Returns values of numpy as values that json can write."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (tuple, set)):
@@ -34,17 +34,28 @@ def _plain(value: Any) -> Any:
 
 
 class Scene(_saltus.Scene):
-    """A planar scene of discs: what moves, what acts on it and what is to be minimised. It cannot be changed.
+    """A planar scene of discs, with its control and its objective. A scene cannot be changed.
 
-    ``Scene(data)`` with a dict, or ``Scene(name=..., duration=..., steps=..., bodies=[...], ...)``: the keys of a scene
-    file (SI units, radians, vectors ``[x, y]``), validated with the same messages.
+    ``Scene(data)`` takes a dict, and ``Scene(name=..., duration=..., steps=..., bodies=[...], ...)`` the keys of a scene
+    file (SI units, radians, vectors ``[x, y]``). Both are validated with the same messages as a file.
 
-    Attributes: ``name``, ``duration`` (s), ``steps``, ``dt`` (s), ``optimize``, ``bodies``, ``controlled`` and
-    ``turned`` (names),
-    ``position`` (B, 2) in m and ``velocity`` (B, 2) in m/s at the start; ``spins``, whether there are discs that spin (a
-    body has an ``inertia``), and their ``angle`` (B,) in rad and ``angular_velocity`` (B,) in rad/s.
+    Attributes:
+        name: name of the scene.
+        duration: length of the motion, s.
+        steps: number of time steps.
+        dt: length of a time step, s.
+        optimize: what a solver changes.
+        bodies: names of the discs.
+        controlled: names of the controlled discs.
+        turned: names of the discs with a torque control.
+        position: initial positions, (B, 2), m.
+        velocity: initial velocities, (B, 2), m/s.
+        spins: whether a disc has rotational inertia.
+        angle: initial angles, (B,), rad.
+        angular_velocity: initial angular velocities, (B,), rad/s.
 
-    Raises SceneError.
+    Raises:
+        SceneError: the scene is wrong.
     """
 
     def __init__(self, data: Mapping[str, Any] | None = None, /, **keys: Any):
@@ -60,14 +71,14 @@ class Scene(_saltus.Scene):
         return scene
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of the scene file, defaults written out. ``Scene(scene.to_dict()) == scene``."""
+        """Returns the keys of the scene file with every default. ``Scene(scene.to_dict()) == scene``."""
         if not hasattr(self, "_json"):
             self._json = json.dumps(self._to_dict())
         plain: dict[str, Any] = json.loads(self._json)
         return plain
 
     def to_yaml(self) -> str:
-        """The text of a scene file."""
+        """Returns the text of a scene file."""
         return self._text()
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -76,8 +87,8 @@ class Scene(_saltus.Scene):
             file.write(self.to_yaml())
 
     def replace(self, changes: Mapping[str, Any] | None = None, /, **keys: Any) -> "Scene":
-        """Another scene with some keys changed: ``scene.replace(steps=960)``. Of a key with keys of its own only those
-        given change: ``scene.replace(contact={"friction": 0.1})``."""
+        """Returns a scene with some keys changed: ``scene.replace(steps=960)``. If the value of a key is a map, only the
+        given keys of the map change: ``scene.replace(contact={"friction": 0.1})``."""
         data = self.to_dict()
         for key, value in {**(changes or {}), **keys}.items():
             both = isinstance(value, Mapping) and isinstance(data.get(key), Mapping)
@@ -99,7 +110,7 @@ SceneLike = Union[Scene, Mapping[str, Any], str, "os.PathLike[str]"]
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene in a YAML file.
+    """Reads a scene from a YAML file.
 
     Raises SceneError, which names file, line, key and what was expected, and OSError.
     """
@@ -108,7 +119,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def as_scene(scene: SceneLike) -> Scene:
-    """A scene, or what makes one: a dict, or the path of a file."""
+    """Returns a scene from a Scene, a dict or the path of a file."""
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, Mapping):

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
+from . import _hybrid
+from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
@@ -17,29 +19,43 @@ from ._types import Floats, expect
 class Simulation(_saltus.Simulation):
     """A scene under a contact model, to be evaluated many times.
 
-    ``Simulation(scene, contact="event", *, precision="double", memory_limit=1024)``; memory_limit is in MiB, for the
-    states of a rollout. The decision variables z are what the scene optimizes, in the shape ``shape``: a control
-    (K, C, 2) in N ((K, C, 3) with torques in N m), or velocities or positions (F, 2) of the discs that are free; flat with the final time or the angular
-    velocities behind where these are free. A flat array of as many numbers will do, None is the initial guess.
+    The decision variables z are what the scene optimizes, in the shape ``shape``: a control (K, C, 2) in N ((K, C, 3)
+    with torques in N m), or velocities or positions (F, 2) of the F free discs. If the final time or angular velocities
+    are free too, z is flat, with these at the end. A flat array with as many numbers is accepted. None stands for the
+    initial guess.
 
-    Attributes: ``scene``, ``contact``, ``shape``, ``num_variables``, ``num_steps`` (K), ``initial_guess``.
+    Several threads may use one simulation, one after the other.
 
-    ``loss(z=None)``
-        The loss at z.
-    ``loss_and_gradient(z=None, out=None)``
-        The loss and its gradient: a new array in the shape of z as given, or `out`.
-    ``residuals(z=None)``
-        What is squared and summed up in the loss but for the effort, (R,), and its Jacobian (R, num_variables).
-    ``rollout(z=None, out=None)``
-        A dict with states (K + 1, B, 4 or 6; in `out` if given), times (K + 1), loss, events.
-    ``step(state, force=None)``
-        The state (B, 4 or 6) after one step, under forces (C, 2); None is the scene's.
-    ``linearize(state, force=None)``
-        The derivatives of that step by state, (S, S) with S the size of a state, and by force, (S, C, 2).
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        contact: name of a contact model, or a class derived from ContactModel.
+        precision: arithmetic of the contact model, "double" or "float".
+        memory_limit: MiB, for the states of a rollout. States that do not fit are computed again.
 
-    Several threads may use one simulation, one after the other; the interpreter is free meanwhile. Ctrl-C ends what
-    takes long. Raises ValueError and TypeError, which name the argument and what was expected, and RuntimeError for a
-    rollout that fails.
+    Attributes:
+        scene: the scene.
+        contact: name of the contact model.
+        shape: shape of the decision variables.
+        num_variables: number of decision variables.
+        num_steps: number of steps, K.
+        initial_guess: the initial guess, of shape ``shape``.
+
+    Raises:
+        ValueError: an argument is wrong, or the model does not support the scene.
+        TypeError: an argument has a wrong type.
+        RuntimeError: a rollout fails.
+
+    Methods:
+        loss(z=None): the loss at z.
+        loss_and_gradient(z=None, out=None): the loss and its gradient, in a new array of the shape of z, or in ``out``.
+        residuals(z=None): the residuals (R,) whose squares are the loss without the effort, and their Jacobian (R,
+            num_variables).
+        rollout(z=None, out=None): a dict with ``states`` (K + 1, B, 4 or 6; in ``out`` if it is given), ``times``
+            (K + 1), ``loss`` and ``events``.
+        step(state, force=None): the state (B, 4 or 6) after one step under forces (C, 2); None stands for those of the
+            scene.
+        linearize(state, force=None): the derivatives of that step with respect to the state, (S, S) with S the size of
+            a state, and with respect to the forces, (S, C, 2).
     """
 
     def __init__(
@@ -51,16 +67,17 @@ class Simulation(_saltus.Simulation):
 
 
 class Batch(_saltus.Batch):
-    """Losses and gradients at many points at once, on all cores, with the same bits for any number of threads.
+    """Losses and gradients at many points, on all cores, with the same bits for any number of threads.
 
-    ``Batch(scene, contact="event", *, precision="double", threads=0)``; 0 is one per core.
+    Results are new arrays, or the given ones. If a rollout fails, its loss and gradient are NaN.
 
-    ``loss(points, losses=None)``
-        The losses (P,) at points (P, num_variables), or (P, *shape of z); see Simulation.
-    ``loss_and_gradient(points, losses=None, gradients=None)``
-        These and the gradients (P, num_variables).
+    Args:
+        scene, contact, precision: as those of Simulation.
+        threads: number of threads; 0 is one per core.
 
-    Results are new arrays, or those given. Where a rollout fails, the loss and its gradient are NaN.
+    Methods:
+        loss(points, losses=None): the losses (P,) at points (P, num_variables), or (P, ...) in the shape of z.
+        loss_and_gradient(points, losses=None, gradients=None): the losses and the gradients (P, num_variables).
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
@@ -73,19 +90,22 @@ class Batch(_saltus.Batch):
 
 
 class EndState(_saltus.EndState):
-    """The final state as a function of the initial state and the control, for automatic differentiation elsewhere.
+    """The final state as a function of the initial state and the control, for automatic differentiation by other packages.
 
-    ``EndState(scene, contact="event", *, precision="double")``; ``initial`` (B, 4; 6 with discs that spin) and
-    ``control`` (K, C, 2) are the scene's own.
+    ``end(initial, control)`` returns the final state in the shape of ``initial``. saltus.torch makes a function of torch
+    from it. Errors are those of Simulation.
 
-    ``end(initial, control)``
-        The final state, as `initial`: [p_x p_y v_x v_y] of each disc, and [angle angular_velocity] in scenes with discs
-        that spin.
-    ``end.vjp(initial, control, cotangent)``
-        The gradients of sum(cotangent * end(initial, control)) by initial state and control, by one adjoint; the motion
-        is not simulated again if it is that of the last call. 0 for fixed discs.
+    Args:
+        scene, contact, precision: as those of Simulation.
 
-    Raises as Simulation. saltus.torch makes a function of torch of it.
+    Attributes:
+        initial: initial state of the scene, (B, 4), or (B, 6) with discs that have rotational inertia.
+        control: initial control of the scene, (K, C, 2).
+
+    Methods:
+        vjp(initial, control, cotangent): the gradients of sum(cotangent * end(initial, control)) with respect to initial
+            state and control, by one adjoint. The motion of the last call is not simulated again. The gradient is 0 for
+            fixed discs.
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
@@ -94,7 +114,7 @@ class EndState(_saltus.EndState):
 
 
 def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool) -> _saltus.Scene:
-    """The scene from another start; with `by_control` as if its control were what it optimizes."""
+    """Returns the scene with another initial state; with `by_control` as if it optimized its control."""
     read = as_scene(scene)
     if not by_control and all(given is None for given in start):
         return read
@@ -102,7 +122,7 @@ def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool)
 
 
 def rollout(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -112,16 +132,29 @@ def rollout(
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
     memory_limit: float = 1024,
-) -> Rollout:
-    """Simulates a scene.
+) -> Any:
+    """Simulates a scene, or a HybridProblem, for which there are no other arguments.
 
-    control: forces (K, C, 2) in N on the C pushed discs, one row a step of the contact model; default: the scene's. In
-    scenes with torques (K, C, 3), with the torque in N m behind.
-    position, velocity: of all discs at the start, (B, 2), m and m/s; default: the scene's. angle, angular_velocity:
-    (B,), rad and rad/s, of discs that spin; 0 for the others.
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        contact: name of a contact model, or a class derived from ContactModel.
+        control: forces (K, C, 2) in N on the C controlled discs, one row for each step of the contact model, or (K, C, 3)
+            with torques in N m; default: those of the scene.
+        position, velocity: initial positions and velocities of all discs, (B, 2), m and m/s; default: those of the scene.
+        angle, angular_velocity: initial angles and angular velocities, (B,), rad and rad/s; 0 for discs without
+            rotational inertia.
+        precision: arithmetic of the contact model, "double" or "float".
+        memory_limit: MiB, for the states.
 
-    Raises ValueError if the model cannot take the scene or an argument is wrong, RuntimeError if the rollout fails.
+    Returns:
+        The motion: a Rollout, or a HybridRollout.
+
+    Raises:
+        ValueError: the model does not support the scene, or an argument is wrong.
+        RuntimeError: the rollout fails; that of a HybridProblem whose events accumulate has the time as ``accumulation``.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.rollout(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
@@ -130,7 +163,7 @@ def rollout(
 
 
 def loss_and_gradient(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -139,15 +172,22 @@ def loss_and_gradient(
     angle: ArrayLike | None = None,
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
-) -> Gradient:
-    """The loss of a motion and its gradient by all that determines it: position, velocity, control and parameters; with
-    discs that spin angle and angular velocity too.
+) -> Any:
+    """Computes the loss of a motion and its gradient with respect to positions, velocities, control and parameters, and in
+    scenes with rotational inertia angles and angular velocities.
 
-    Arguments as those of `rollout`. To evaluate a scene many times by what it optimizes, use Simulation, which spares
-    the set-up. Scenes with hard, running or via terms or a free final time are refused: Simulation takes them.
+    Arguments and errors are those of `rollout`. Simulation evaluates a scene many times without repeating the set-up. It
+    also supports path costs, constraints and a free final time, which this function refuses.
 
-    Raises as rollout.
+    Of a HybridProblem it computes the loss and its gradient with respect to the initial state, the control, the parameters
+    and the duration; there are no other arguments. The number of integration steps is chosen in the first call, and stays
+    the same as long as mode, intervals and duration do.
+
+    Returns:
+        A Gradient, or a HybridGradient.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.loss_and_gradient(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))
@@ -164,10 +204,13 @@ def linearize(
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
 ) -> tuple[Floats, Floats]:
-    """The linearization of every step along a motion: x_{k+1} = f(x_k, u_k) to first order.
+    """Linearizes every step x_{k+1} = f(x_k, u_k) along a motion.
 
-    Returns A (K, S, S), by the state, flattened to S numbers, and B (K, S, C, 2), by the control, in its shape. Arguments and errors
-    as those of `rollout`.
+    Arguments and errors are those of `rollout`.
+
+    Returns:
+        A of shape (K, S, S), the derivatives with respect to the state, flattened to S numbers, and B of shape
+        (K, S, C, 2), the derivatives with respect to the control.
     """
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)

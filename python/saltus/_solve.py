@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Mapping, Sequence
 
-from . import _saltus
+from . import _hybrid, _saltus
+from ._hybrid import HybridProblem
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene
@@ -12,20 +13,22 @@ from ._types import expect
 
 
 def contact_models() -> dict[str, str]:
-    """The contact models, each with one line about it."""
+    """Returns the names of the contact models, each with a description in one line."""
     return _saltus.contact_models()
 
 
 def solvers() -> dict[str, str]:
-    """The solvers, each with one line about it."""
+    """Returns the names of the solvers, each with a description in one line."""
     return _saltus.solvers()
 
 
 def solve(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     solver: str = "gd",
     *,
+    optimize: Sequence[str] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     precision: str = "double",
     iterations: int = 1000,
     learning_rate: float | None = None,
@@ -37,26 +40,51 @@ def solve(
     keep_iterates: bool = False,
     callback: Callable[[int, float], bool | None] | None = None,
     status: Callable[[str], None] | None = None,
-) -> Run:
-    """Optimises what the scene says, under a contact model, with a solver.
+) -> Any:
+    """Optimises a scene under a contact model, or a HybridProblem, with a solver.
 
-    iterations: at most. learning_rate, rate_per_time: of gradient descent; the default rate is that of the published
-    experiments. sequence: of solvers along a collision sequence: "auto", "fixed", "none" or pairs such as
-    "striker-target,target-ceiling". surrogate: "smoothed_zeroth" or a dict of kind, sigma, samples, seed, segments.
-    threads: for samples of surrogates; 0 is one per core. memory_limit: MiB, of the states of a rollout.
-    keep_iterates: adds ``iterates``, the decision variables after each iteration.
-    callback(iteration, loss): called after each iteration; False ends the run as "interrupted". status(text): called by
-    solvers that take long with what they are at.
+    The solution is simulated again with exact dynamics and certified. Ctrl-C raises KeyboardInterrupt at once. This
+    exception, and one that a callback raises, has the run computed until then as its attribute ``run``.
 
-    Returns the run, whose solution is re-simulated exactly and certified. Raises ValueError if solver or model cannot
-    take the scene, or an option is wrong; what a callback raises. Ctrl-C raises KeyboardInterrupt, at once; it, and
-    what a callback has raised, has the run so far as its attribute ``run``.
+    Args:
+        scene: a Scene, a dict or the path of a scene file, or a HybridProblem.
+        contact: name of a contact model, or a class derived from ContactModel.
+        solver: name of a solver; those of a HybridProblem are hybrid_solvers().
+        optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
+            and parameters; default: the control.
+        bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control.
+        precision: arithmetic of the contact model, "double" or "float".
+        iterations: largest number of iterations.
+        learning_rate: step size of gradient descent; default: that of the published experiments, 0.01 for a HybridProblem.
+        rate_per_time: whether the learning rate is per unit of time.
+        sequence: collision sequence of ceres_event, ceres_phases, hmp and mode_search: "auto", "fixed", "none" or pairs
+            such as "striker-target,target-ceiling".
+        surrogate: "smoothed_zeroth" or another surrogate gradient, or a dict of kind, sigma, samples, seed, segments.
+        threads: number of threads for samples of surrogates; 0 is one per core.
+        memory_limit: MiB, for the states of a rollout.
+        keep_iterates: whether the run has ``iterates``, the decision variables after each iteration.
+        callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
+        status: called as status(text) with the progress of solvers that take long.
+
+    A HybridProblem takes optimize, bounds, iterations, learning_rate and callback.
+
+    Returns:
+        A Run, or a HybridRun.
+
+    Raises:
+        ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
     expect("text", solver=solver, precision=precision, sequence=sequence)
     expect("a whole number", iterations=iterations, threads=threads)
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
     expect("a callable", callback=callback, status=status)
+    if isinstance(scene, HybridProblem):
+        rate = 0.01 if learning_rate is None else float(learning_rate)
+        free = ["control"] if optimize is None else optimize
+        return _hybrid.solve(scene, solver, free, bounds or {}, iterations, rate, callback)
+    if optimize is not None or bounds is not None:
+        raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
     found, stopped_by = _saltus.solve(
         as_scene(scene),
         as_contact(contact),
@@ -81,46 +109,66 @@ def solve(
 
 
 def audit(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = None,
     *,
-    simulate: Callable[..., Any] | None = None,
+    simulate: Callable[..., Any] | str | None = None,
     gradient: Callable[..., Any] | None = None,
     vjp: Callable[..., Any] | None = None,
     jacobian: Callable[..., Any] | None = None,
     step: Callable[..., Any] | None = None,
+    steps: int = 100,
     name: str = "simulate",
     precision: str = "double",
     width_sweep: bool = False,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
-) -> Audit:
-    """Gradients of contact models, or of a simulator of yours, beside the exact one, with verdicts and their reasons.
+) -> Any:
+    """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
 
-    contact: a model, a list of them, or "all", which is the default without `simulate`; a ContactModel is audited by
-    what it answers, as a simulator is. width_sweep: also compares with differences of every width. surrogate: as in
-    `solve`; its error is judged then. threads: 0 is one per core.
+    A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
+    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
 
-    simulate(scene, initial, control, dt)
-        The final state (B, 4) of the discs of `scene`, each [p_x p_y v_x v_y], from `initial` (B, 4) under `control`
-        (K, C, 2) on those of scene.controlled, one row a step of dt seconds. It starts afresh each time. It is asked of
-        this scene with other starts, steps and forces, and of a head-on impact of its first pair alone: what it needs
-        of the discs (scene.to_dict()) it should read there.
-    gradient(scene, initial, control, dt)
-        Its own gradient, of the loss of `scene` with its effort, by initial (B, 4) and by control (K, C, 2). Or
-    vjp(scene, initial, control, dt, cotangent)
-        likewise, of sum(cotangent * final state). Or
-    jacobian(scene, initial, control, dt)
-        the derivatives of the final state by them, of shapes (4 B, 4 B) and (4 B, 2 K C). A gradient is compared with
-        the exact one and with differences of what `simulate` gives (``agrees_with_differences``). Without one, these
-        differences are judged, of a width that their precision allows, which is found.
-    step(scene, state, force, h)
-        The state after one step from any state (B, 4) under forces (B, 2): names the contact that is wrong. Not beside
-        `gradient`.
+    Args:
+        scene: a Scene, a dict or the path of a scene file.
+        contact: a contact model, a list of them, or "all", the default without ``simulate``. A class derived from
+            ContactModel is audited by its answers, as a simulator is.
+        simulate: called as simulate(scene, initial, control, dt). Returns the final states (B, 4), [p_x p_y v_x v_y] of
+            each disc of ``scene``, from ``initial`` (B, 4) under ``control`` (K, C, 2), forces in N on the discs
+            scene.controlled, one row for each step of dt seconds. Each call starts from its own initial state. The audit
+            also calls it with other initial states, steps and forces, and with a head-on impact of the first pair alone:
+            read parameters of the discs from ``scene`` (scene.to_dict()).
+        gradient: called as gradient(scene, initial, control, dt). Returns the simulator's own gradient of the loss of
+            ``scene``, the effort included, with respect to initial (B, 4) and control (K, C, 2).
+        vjp: in place of gradient, called as vjp(scene, initial, control, dt, cotangent). Returns the same derivatives of
+            sum(cotangent * final state).
+        jacobian: in place of gradient, called as jacobian(scene, initial, control, dt). Returns the derivatives of the
+            final state, of shapes (4 B, 4 B) and (4 B, 2 K C).
+        step: called as step(scene, state, force, h). Returns the state after one step from any state (B, 4) under forces
+            (B, 2); with it the audit names the wrong contact. Not together with gradient.
+        name: name of the simulator in the result.
+        precision: arithmetic of the contact models, "double" or "float".
+        width_sweep: whether to compare with differences of every width too.
+        surrogate: as that of `solve`; its error is judged then.
+        threads: number of threads; 0 is one per core.
 
-    ``report.raise_if_wrong()`` makes a test of it. Raises ValueError for unknown names and wrong shapes, and if the only
-    model asked for cannot take the scene; what a callable raises. Ctrl-C raises KeyboardInterrupt.
+    Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step(mode, x, u, p, h), or
+    step(mode, t, x, u, p, h), which returns the mode's name and the state after a step of length h; or as simulate a
+    command that speaks the line protocol; jacobian, with the arguments of step, which returns the derivatives by [x u p]
+    (differences without it); steps, the number of steps at which the refinement begins; width_sweep and name.
+
+    Returns:
+        An Audit, or a HybridAudit.
+
+    Raises:
+        ValueError: a name is unknown, a shape is wrong, or the only model does not support the scene.
     """
+    if isinstance(scene, HybridProblem):
+        expect("text", name=name)
+        return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name)
+    if isinstance(simulate, str):
+        raise TypeError("simulate: found text, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
         contact = "all" if simulate is None else []
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact

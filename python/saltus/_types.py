@@ -24,7 +24,7 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
 
 
 def expect(kind: str, **options: Any) -> None:
-    """Raises TypeError for an option that is not of this kind, by its name."""
+    """Raises TypeError, with its name, for an option that is not of this kind."""
     for name, value in options.items():
         if not _KINDS[kind](value):
             raise TypeError(f"{name}: found {type(value).__name__}, expected {kind}")

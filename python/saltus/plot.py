@@ -14,7 +14,7 @@ from ._scene import SceneLike, as_scene
 
 
 def style(contact: str) -> dict[str, Any]:
-    """Colour, line and marker of a contact model, as keywords of matplotlib."""
+    """Returns colour, line and marker of a contact model, as keyword arguments of matplotlib."""
     return _saltus.style(contact)
 
 
@@ -38,8 +38,8 @@ def _draw_planes(ax: Any, planes: Sequence[Mapping[str, Any]]) -> None:
 
 
 def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
-    """The paths of all discs, with the discs at start and end (a spoke shows the angle of those that spin), and the
-    planes."""
+    """Draws the paths of all discs, the discs at the start and the end (a spoke shows the angle of discs with rotational
+    inertia), and the planes."""
     data = as_scene(scene).to_dict()
     ax = _axes(ax, "x (m)", "y (m)")
     for body, path in zip(data["bodies"], np.moveaxis(np.asarray(motion["states"]), 1, 0)):
@@ -57,7 +57,7 @@ def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
 
 
 def controls(scene: SceneLike, run: Run, ax: Any = None) -> Any:
-    """The forces, and torques, of a solution over time, held over each interval."""
+    """Draws the forces and torques of a solution over time, which are constant over each interval."""
     read = as_scene(scene)
     control = run.control
     lengths = run.durations if "durations" in run else np.full(len(control), read.duration / len(control))
@@ -74,7 +74,7 @@ def controls(scene: SceneLike, run: Run, ax: Any = None) -> Any:
 
 
 def losses(runs: Run | Sequence[Run], ax: Any = None) -> Any:
-    """Learning curves: the loss at each iterate, in the style of the contact model."""
+    """Draws learning curves: the loss of each iterate, in the style of the contact model."""
     ax = _axes(ax, "iteration", "loss")
     for run in [runs] if isinstance(runs, Run) else runs:
         look = {**style(run["contact"]), "markevery": max(1, len(run["losses"]) // 8)}
@@ -88,7 +88,7 @@ _VERDICTS = {"right": "#116329", "consistent": "#116329", "wrong": "#a40e26", "w
 
 
 def audit(report: Audit, ax: Any = None) -> Any:
-    """The relative error of every model's gradient, with the verdict."""
+    """Draws the relative error of the gradient of every model, with the verdict."""
     judged = [item for item in report["audits"] if item.get("relative_error") is not None]
     ax = _axes(ax, "relative error of the gradient", "")
     smallest = 1e-16  # a right gradient may have no error at all
@@ -106,7 +106,7 @@ def audit(report: Audit, ax: Any = None) -> Any:
 
 
 def refinement(item: Result, ax: Any = None) -> Any:
-    """How the error of one model's gradient goes with the number of steps, for each quantity: `report.of(contact)`."""
+    """Draws the error of the gradient of one model, `report.of(contact)`, as a function of the number of steps."""
     ax = _axes(ax, "steps", "error of the gradient")
     for quantity, line in zip(item["refinement"]["quantities"], ("solid", "dashed", "dotted", "dashdot")):
         look = {**style(item["contact"]), "linestyle": line}

@@ -52,9 +52,11 @@ class _EndState(torch.autograd.Function):
 class EndState:
     """The final state of a scene under a contact model, as a function of torch.
 
-    ``EndState(scene, contact="event", *, precision="double")``; ``end(initial, control)`` takes tensors (B, 4) and
-    (K, C, 2) and returns one (B, 4); with discs that spin they are (B, 6). ``initial`` and ``control`` are the scene's
-    own, as new tensors.
+    ``end(initial, control)`` takes tensors of shapes (B, 4) and (K, C, 2) and returns one of shape (B, 4). In scenes with
+    rotational inertia the states are (B, 6).
+
+    Args:
+        scene, contact, precision: as those of saltus.Simulation.
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
@@ -62,10 +64,12 @@ class EndState:
 
     @property
     def initial(self) -> torch.Tensor:
+        """The initial state of the scene, as a new tensor."""
         return torch.from_numpy(self._end.initial)
 
     @property
     def control(self) -> torch.Tensor:
+        """The initial control of the scene, as a new tensor."""
         return torch.from_numpy(self._end.control)
 
     def __call__(self, initial: torch.Tensor, control: torch.Tensor) -> torch.Tensor:
@@ -90,6 +94,6 @@ class _Loss(torch.autograd.Function):
 
 
 def loss(simulation: _simulate.Simulation, z: torch.Tensor) -> torch.Tensor:
-    """The scene's loss at the decision variables z, in the shape of `simulation.shape` or flat."""
+    """Returns the loss of the scene at the decision variables z, of shape ``simulation.shape`` or flat."""
     found: torch.Tensor = _Loss.apply(z, simulation)
     return found

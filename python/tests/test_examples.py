@@ -1,16 +1,14 @@
-"""The examples of the notebook and of docstrings run, and say what they should."""
+"""The notebooks among the pages and the examples in docstrings run, and print what they show."""
 
 import doctest
 import importlib.util
 import os
 import pathlib
-import re
 
 import pytest
 
 import saltus
 
-EXAMPLES = pathlib.Path(__file__).parents[1] / "examples"
 ROOT = pathlib.Path(__file__).parents[2]
 
 
@@ -22,7 +20,8 @@ def printed_in(notebook):
     ]
 
 
-def test_own_simulator(tmp_path, monkeypatch):
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebook(path, tmp_path, monkeypatch):
     nbclient = pytest.importorskip("nbclient", reason="python3-nbclient is not installed")
     nbformat = pytest.importorskip("nbformat", reason="python3-nbformat is not installed")
     for package in ("ipykernel", "matplotlib"):
@@ -32,17 +31,14 @@ def test_own_simulator(tmp_path, monkeypatch):
     # Debian's kernel is its own Python, whatever runs this.
     here = str(pathlib.Path(saltus.__file__).parents[1])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
-    notebook = nbformat.read(EXAMPLES / "own_simulator.ipynb", as_version=4)
+    notebook = nbformat.read(path, as_version=4)
     stored = printed_in(notebook)
-    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
+    assert any(stored)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
     assert printed_in(notebook) == stored
-    printed = "\n".join(stored)
-    # The published table, but for a solver's error in one of its losses.
-    assert float(re.search(r"largest difference: (\S+)", printed)[1]) < 5e-4
-    assert re.search(r"^direct +wrong +2\.0014 +2\.0014$", printed, re.M)
-    assert "WrongGradient: mine: the gradient is wrong" in printed
-    optimised, optimum = map(float, re.search(r"-> (\S+); the optimum is (\S+)", printed).groups())
-    assert optimum < optimised < optimum + 0.05
+    assert [len(cell.get("outputs", [])) > 0 for cell in notebook.cells] == [
+        len(cell.get("outputs", [])) > 0 for cell in nbformat.read(path, as_version=4).cells
+    ]
 
 
 def test_examples_in_docstrings(monkeypatch):

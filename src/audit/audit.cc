@@ -11,6 +11,7 @@
 #include "audit/gradient/events_at_once.h"
 #include "audit/gradient/own_differences.h"
 #include "exact/closed_forms.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
@@ -113,11 +114,11 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
                   surrogate.sigma,
                   static_cast<unsigned long long>(surrogate.seed));
   }
-  std::string why = surrogate.smooths() ? text : "contact modes that the loss would rather have";
+  std::string why = surrogate.smooths() ? text : "contact modes that leave a larger gradient";
   if (!audit.error || !audit.error->in_standard_errors) return why;
   // Samples of a loss that is linear in an entry are all the same.
   if (std::isinf(*audit.error->in_standard_errors)) {
-    return why + "; wrong in an entry on which all samples agree, so that no standard error says how far";
+    return why + "; wrong in an entry on which all samples agree, so that no standard error measures the distance";
   }
   std::snprintf(text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
   return why + text;
@@ -198,9 +199,8 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
 }
 
 std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop) {
-  for (const ModelTraits& traits : AllContactModels()) {
-    if (!traits.event_driven) continue;
-    ModelGradient exact = ComputeGradient(traits.name, scene, Precision::kDouble, stop);
+  if (const ModelTraits* model = ExactModel()) {
+    ModelGradient exact = ComputeGradient(model->name, scene, Precision::kDouble, stop);
     if (exact.ok() && exact.unresolved_steps == 0) {
       if (!exact.ambiguous.empty()) {
         const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps), {}, stop);
@@ -210,7 +210,7 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
       }
       if (exact.ambiguous.empty()) {
         const Scene natural = InNaturalUnits(scene);
-        for (const OneSided& entry : OneSidedAtOnce(traits.name, natural, exact.one_sided, stop)) {
+        for (const OneSided& entry : OneSidedAtOnce(model->name, natural, exact.one_sided, stop)) {
           exact.one_sided.push_back(entry);
         }
       }

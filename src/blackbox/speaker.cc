@@ -93,7 +93,7 @@ ProtocolJson Speaker::Greet(const ProtocolJson& scene) {
   Scene asked = *scene_;
   asked.steps = grid_steps_;  // each question has its own
   if (const std::string why = WhyNotApplicable(contact_, asked); !why.empty()) greeting["not_applicable"] = why;
-  if (asked.Spins()) greeting["not_applicable"] = "discs that spin: the protocol knows no angles";
+  if (asked.Spins()) greeting["not_applicable"] = "discs that spin: the protocol has no angles";
   return greeting;
 }
 
@@ -103,7 +103,7 @@ Simulator& Speaker::SimulatorOf(int steps, double duration) {
   scene.steps = steps;
   scene.duration = duration;
   if (const std::string why = WhyNotApplicable(contact_, scene); !why.empty()) throw ProtocolError(why);
-  if (scene.Spins()) throw ProtocolError("discs that spin: the protocol knows no angles");
+  if (scene.Spins()) throw ProtocolError("discs that spin: the protocol has no angles");
   simulator_ = MakeSimulator(contact_, scene, precision_);
   simulated_ = {steps, duration};
   return *simulator_;

@@ -23,8 +23,8 @@
 #include <span>
 #include <vector>
 
-#include "control/impact.h"
 #include "saltus/scene/scene.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 

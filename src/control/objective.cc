@@ -25,10 +25,10 @@ int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
 
 std::string BeyondTerminalCost(const Scene& scene) {
   const Objective& objective = scene.objective;
-  if (!objective.running.empty()) return "running terms";
-  if (!objective.via.empty()) return "via terms";
+  if (!objective.running.empty()) return "running costs";
+  if (!objective.via.empty()) return "waypoint costs";
   if (objective.duration) return "a free duration";
-  if (objective.HasConstraints()) return "hard terms";
+  if (objective.HasConstraints()) return "terminal equality constraints";
   if (scene.control.IsBounded()) return "bounds on the control";
   if (!scene.no_contact.empty()) return "pairs that must not touch";
   return "";

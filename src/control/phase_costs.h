@@ -14,8 +14,9 @@
 #include <limits>
 #include <optional>
 
-#include "control/impact.h"
 #include "saltus/scene/scene.h"
+#include "simulate/flight.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 
@@ -189,22 +190,6 @@ struct ImpactCut {
     return true;
   }
 };
-
-// r(t) of a running term.
-template <typename T>
-Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
-  size_t next = 0;
-  while (next < term.times.size() && term.times[next] <= Value(t)) ++next;
-  if (next == 0) return term.targets.front().cast<T>();
-  if (next == term.times.size()) return term.targets.back().cast<T>();
-  const double length = term.times[next] - term.times[next - 1];
-  const Vec2d& from = term.targets[next - 1];
-  return from.cast<T>() + Scale(T((t - term.times[next - 1]) / length), Vec2d(term.targets[next] - from));
-}
-
-// Nodes and weights of the quadrature of Gauss and Legendre on [0, 1], exact for the square of a quadratic.
-inline constexpr std::array<double, 3> kGaussNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
-inline constexpr std::array<double, 3> kGaussWeights = {5.0 / 18, 4.0 / 9, 5.0 / 18};
 
 // A running term over a step: costs whose squares sum up to the integral, exact but where the target turns. Blocks:
 // node, force if the disc is pushed, begin, end. Rows: 6.

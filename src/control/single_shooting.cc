@@ -110,7 +110,7 @@ bool SingleShooting::Rollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
   way_failure_.clear();
   if (has_duration() && !SetDuration(z.back())) {
-    way_failure_ = "the final time is not after all via terms";
+    way_failure_ = "the final time is not after the times of all waypoint costs";
     return false;
   }
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];

@@ -4,22 +4,48 @@
 //   defects     c_k = x_{k+1} - f(x_k, u_k), to be closed: zero of all of them is one rollout
 //   residuals   those of the terminal terms at x_K, and sqrt(effort dt) u_k
 //
-// Ceres knows no equality constraints. How the defects are closed is for solvers to decide; they add the costs for it
-// (see step_cost.h).
+// The objective is a set of cost functions: sums of squares whose halves Ceres minimizes, so that the loss is twice the
+// cost. Ceres has no equality constraints: solvers decide how the defects are closed, and add the costs for it (StepCost,
+// step_cost.h).
 #pragma once
 
+#include <ceres/cost_function.h>
 #include <ceres/problem.h>
 
+#include <Eigen/Core>
 #include <functional>
 #include <memory>
 #include <span>
 #include <vector>
 
-#include "control/objective_cost.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/control/step_cost.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
+
+// The terminal terms. Parameter block: the final state, B * body_size numbers.
+class TerminalCost final : public ceres::CostFunction {
+ public:
+  // Precondition: objective.IsSumOfSquares() and there is at least one term.
+  TerminalCost(const Objective& objective, int num_bodies, int body_size);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  Objective objective_;
+  int body_size_;
+  Eigen::MatrixXd jacobian_;
+};
+
+// scale * u, for the effort. Parameter block: u, `size` numbers.
+class EffortCost final : public ceres::CostFunction {
+ public:
+  EffortCost(double scale, int size);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  double scale_;
+};
 
 class StepShooting {
  public:

@@ -23,9 +23,11 @@ const std::vector<SurrogateEntry>& AllSurrogates() {
   static const std::vector<SurrogateEntry>& surrogates = *new std::vector<SurrogateEntry>{
       {SurrogateKind::kComplementarityAware,
        "complementarity_aware",
-       "contact modes that the loss would rather have, where they leave a larger gradient"},
-      {SurrogateKind::kSmoothedZeroth, "smoothed_zeroth", "of the randomly smoothed loss, from losses alone"},
-      {SurrogateKind::kSmoothedFirst, "smoothed_first", "of the randomly smoothed loss, from the model's gradients"},
+       "adjoint with the contact modes that leave a larger gradient"},
+      {SurrogateKind::kSmoothedZeroth, "smoothed_zeroth", "gradient of the randomly smoothed loss, from losses alone"},
+      {SurrogateKind::kSmoothedFirst,
+       "smoothed_first",
+       "gradient of the randomly smoothed loss, from gradients of the model"},
   };
   return surrogates;
 }

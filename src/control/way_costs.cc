@@ -5,11 +5,10 @@
 #include <optional>
 
 #include "control/phase_costs.h"
-#include "control/running_loss.h"
-#include "optimality/costate_sweep.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/events.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {
@@ -43,13 +42,14 @@ class ExactWayCosts final : public WayCosts {
                      std::span<const double> control) override {
     scene_ = simulator.scene();
     if (const std::string beyond = BeyondPlainDiscs(scene_); !beyond.empty()) {
-      return "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+      return "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     }
     ExactRun run;
     run.ok = true;
     for (const StepTouch& at : EventTouches(simulator)) {
       if (at.touch.kind != ContactKind::kImpact) {
-        return "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+        return "discs rest on or graze each other or a plane; running and waypoint costs are integrated between "
+               "impacts";
       }
       run.contacts.push_back(at.touch.candidate);
       run.places.push_back({at.step, at.touch.time});
@@ -71,15 +71,7 @@ class ExactWayCosts final : public WayCosts {
     for (size_t i = 0; i < sweep_->segments().size(); ++i) {
       const Flight::Piece& piece = sweep_->segments()[i].piece;
       by_scale += found.hamiltonian[i] + piece.start * found.drift[i] + found.drift_moment[i];
-      for (int c = 0; c < scene_.num_controlled() && !control.empty(); ++c) {
-        const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
-        double* g = &control[scene_.ForceIndex(piece.interval, c)];
-        for (int d = 0; d < 2; ++d) g[d] += inverse_mass * found.push[i][c][d];
-      }
-      for (int t = 0; t < scene_.num_turned() && !control.empty(); ++t) {
-        const Body& body = scene_.bodies[scene_.control.turned[t]];
-        control[scene_.TurnIndex(piece.interval, t)] += body.radius / body.MomentOfInertia() * found.turn[i][t];
-      }
+      if (!control.empty()) sweep_->AddByControl(piece.interval, found.push[i], found.turn[i], control);
     }
     Put(found.start, initial);
     if (duration != nullptr) *duration = by_scale / scene_.duration;
@@ -286,8 +278,9 @@ class SteppedWayCosts final : public WayCosts {
   }
 
  private:
-  // scale (q - target) with q between two states.
+  // scale (q - target) with q an entry of a disc's state, between two states.
   struct NodeRow {
+    int body = 0, entry = 0;
     int step = 0;
     double part = 0;  // of the next state
     double target = 0, scale = 0;
@@ -295,14 +288,12 @@ class SteppedWayCosts final : public WayCosts {
 
   template <typename Term>
   void AddRows(int step, double part, const Term& term, const Vec2d& target, double scale) {
-    for (int d = 0; d < 2; ++d) rows_.push_back({step, part, target[d], scale});
-    places_.push_back({term.body, OffsetOf(term.quantity)});
+    for (int d = 0; d < 2; ++d) {
+      rows_.push_back({term.body, OffsetOf(term.quantity) + d, step, part, target[d], scale});
+    }
   }
 
-  int IndexOf(size_t row) const {
-    const auto& [body, offset] = places_[row / 2];
-    return body * simulator_->body_size() + offset + static_cast<int>(row % 2);
-  }
+  int IndexOf(const NodeRow& row) const { return row.body * simulator_->body_size() + row.entry; }
 
   std::span<double> State(int k) {
     return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
@@ -310,15 +301,14 @@ class SteppedWayCosts final : public WayCosts {
   std::span<const double> StateAt(int k) const {
     return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
   }
-  size_t RowNumber(const NodeRow& row) const { return static_cast<size_t>(&row - rows_.data()); }
   double Value(const NodeRow& row) const {
-    const int i = IndexOf(RowNumber(row));
+    const int i = IndexOf(row);
     double q = StateAt(row.step)[i];
     if (row.part > 0) q += row.part * (StateAt(row.step + 1)[i] - q);
     return row.scale * (q - row.target);
   }
   void AddDerivative(const NodeRow& row, double weight, std::span<double> cotangents) const {
-    const int i = IndexOf(RowNumber(row));
+    const int i = IndexOf(row);
     const size_t size = simulator_->state_size();
     cotangents[row.step * size + i] += weight * row.scale * (1 - row.part);
     if (row.part > 0) cotangents[(row.step + 1) * size + i] += weight * row.scale * row.part;
@@ -357,7 +347,6 @@ class SteppedWayCosts final : public WayCosts {
   int num_steps_ = 0;
   const Simulator* simulator_ = nullptr;
   std::vector<NodeRow> rows_;
-  std::vector<std::pair<int, int>> places_;  // of each two rows: body, and offset in its state
   int num_terminal_ = 0;
   std::vector<double> states_, control_;
 };

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "exact/flow.h"
-#include "exact/polynomial.h"
 #include "scene/units.h"
 
 namespace saltus {

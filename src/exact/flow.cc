@@ -1,9 +1,36 @@
 #include "exact/flow.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace saltus::exact_internal {
 namespace {
+
+// The root of p in [low, high], where p is monotone and changes sign: Newton, and bisection where Newton leaves.
+double RootOfMonotone(const Polynomial& p, const Polynomial& slope, double low, double high) {
+  const bool rising = Evaluate(p, high) > 0;
+  double t = 0.5 * (low + high);
+  for (int i = 0; i < 200; ++i) {
+    const double value = Evaluate(p, t);
+    if (value == 0) return t;
+    ((value > 0) == rising ? high : low) = t;
+    double next = t - value / Evaluate(slope, t);
+    if (!(next > low && next < high)) next = 0.5 * (low + high);
+    if (std::abs(next - t) <= 1e-16 * std::abs(t) || next == low || next == high) return next;
+    t = next;
+  }
+  return t;
+}
+
+std::vector<double> BreakPoints(const Polynomial& p, double low, double high) {
+  std::vector<double> points = {low};
+  if (p.size() > 1) {
+    const std::vector<double> inner = RootsBetween(Derivative(p), low, high);
+    points.insert(points.end(), inner.begin(), inner.end());
+  }
+  points.push_back(high);
+  return points;
+}
 
 constexpr double kSameTime = 1e-12;
 
@@ -36,6 +63,57 @@ bool FindNextHit(const Scene& scene, const Motion<double>& disc, double remainin
 }
 
 }  // namespace
+
+double Evaluate(const Polynomial& p, double t) {
+  double value = 0;
+  for (auto c = p.rbegin(); c != p.rend(); ++c) value = value * t + *c;
+  return value;
+}
+
+Polynomial Derivative(const Polynomial& p) {
+  Polynomial slope;
+  for (size_t i = 1; i < p.size(); ++i) slope.push_back(static_cast<double>(i) * p[i]);
+  return slope;
+}
+
+Polynomial Multiply(const Polynomial& a, const Polynomial& b) {
+  if (a.empty() || b.empty()) return {};
+  Polynomial product(a.size() + b.size() - 1, 0.0);
+  for (size_t i = 0; i < a.size(); ++i) {
+    for (size_t j = 0; j < b.size(); ++j) product[i + j] += a[i] * b[j];
+  }
+  return product;
+}
+
+Polynomial Add(const Polynomial& a, const Polynomial& b) {
+  Polynomial sum = a.size() > b.size() ? a : b;
+  const Polynomial& shorter = a.size() > b.size() ? b : a;
+  for (size_t i = 0; i < shorter.size(); ++i) sum[i] += shorter[i];
+  return sum;
+}
+
+std::vector<double> RootsBetween(const Polynomial& p, double low, double high) {
+  std::vector<double> roots;
+  if (p.empty() || !(low <= high)) return roots;
+  const Polynomial slope = Derivative(p);
+  const std::vector<double> points = BreakPoints(p, low, high);
+  if (Evaluate(p, low) == 0) roots.push_back(low);
+  for (size_t i = 0; i + 1 < points.size(); ++i) {
+    const double left = Evaluate(p, points[i]);
+    const double right = Evaluate(p, points[i + 1]);
+    if ((left < 0 && right > 0) || (left > 0 && right < 0)) {
+      roots.push_back(RootOfMonotone(p, slope, points[i], points[i + 1]));
+    }
+  }
+  if (high > low && Evaluate(p, high) == 0) roots.push_back(high);
+  return roots;
+}
+
+double MinimumBetween(const Polynomial& p, double low, double high) {
+  double minimum = Evaluate(p, high);
+  for (const double t : BreakPoints(p, low, high)) minimum = std::min(minimum, Evaluate(p, t));
+  return minimum;
+}
 
 std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not) {
   const Vec2d acceleration = InitialAcceleration(scene, 0);

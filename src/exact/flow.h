@@ -1,5 +1,6 @@
-// What the closed forms are made of: parabolas, the impulse of a collision, and the time of a collision with its
-// derivatives. Everything is templated on the scalar T (double, or a ceres::Jet of any width).
+// What the closed forms are made of: real roots and minima of polynomials, parabolas, the impulse of a collision, and the
+// time of a collision with its derivatives. What has derivatives is templated on the scalar T (double, or a ceres::Jet of
+// any width).
 #pragma once
 
 #include <cmath>
@@ -13,6 +14,20 @@
 #include "saltus/scene/scene.h"
 
 namespace saltus::exact_internal {
+
+// p(t) = sum_i p[i] t^i
+using Polynomial = std::vector<double>;
+
+double Evaluate(const Polynomial& p, double t);
+Polynomial Derivative(const Polynomial& p);
+Polynomial Multiply(const Polynomial& a, const Polynomial& b);
+Polynomial Add(const Polynomial& a, const Polynomial& b);
+
+// Where p changes sign in [low, high], in increasing order, and `low` and `high` if p is zero there. A root of even
+// multiplicity inside the interval is not reported. Finds the roots of p' first: between them p is monotone.
+std::vector<double> RootsBetween(const Polynomial& p, double low, double high);
+
+double MinimumBetween(const Polynomial& p, double low, double high);
 
 // In natural units, as all that closed forms work on (scene/units.h).
 inline constexpr double kTouching = 1e-12;  // the overlap that a valid scene may start with

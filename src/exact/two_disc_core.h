@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "exact/flow.h"
-#include "exact/polynomial.h"
 #include "exact/two_disc_optimum.h"
 
 namespace saltus::exact_internal {

@@ -9,6 +9,7 @@
 #include "base/linear_algebra.h"
 #include "identify/unknowns.h"
 #include "saltus/simulate/learned_contact.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 namespace {
@@ -123,10 +124,7 @@ class Sweep {
     const double* x = &x_[i * size()];
     const Vec2d p(x[0], x[1]), v(x[2], x[3]);
     if (scene_.bodies[i].fixed) return {p, v};
-    Vec2d acceleration = scene_.gravity;
-    for (int c = 0; c < scene_.num_controlled(); ++c) {
-      if (scene_.control.bodies[c] == i) acceleration += scene_.control.initial[c] / scene_.bodies[i].mass;
-    }
+    const Vec2d acceleration = InitialAcceleration(scene_, i);
     return {p + time * v + 0.5 * time * time * acceleration, v + time * acceleration};
   }
 

@@ -1,4 +1,5 @@
-// What a fit is worth: which parameters the data determine, how well, and which samples stand out.
+// Statistics of a fit: which parameters the data determine and how well, which samples are outliers, and what was learned
+// of the law of impact or of event functions.
 #pragma once
 
 #include "identify/fit.h"
@@ -22,5 +23,11 @@ Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, doubl
 
 // By how much the loss and the true noise change (J^T J)^-1: Huber's factor for M-estimators.
 double CovarianceFactor(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+// Precondition: a law is learned, and the fit has its motion.
+LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+// Precondition: event functions are learned, and the fit has its motion.
+LearnedEventFunctions LearnedEventsOf(const FitProblem& problem, const FitResult& fit);
 
 }  // namespace saltus

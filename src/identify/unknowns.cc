@@ -79,9 +79,36 @@ bool Add(const std::string& name, const Scene& scene, std::vector<Unknown>* all)
   return body && AddComponents({Kind::kForce, *body}, rest.substr(dot + 1), all);
 }
 
+// The index of a disc among the controlled ones; their number if it is not controlled.
 int PlaceInControl(const Scene& scene, int body) {
   const auto& bodies = scene.control.bodies;
   return static_cast<int>(std::find(bodies.begin(), bodies.end(), body) - bodies.begin());
+}
+
+// Where an unknown stands in a scene, which may be const; null for parameters of a law, and for the force on a disc
+// that is not controlled.
+template <typename SomeScene>
+auto EntryOf(const Unknown& unknown, SomeScene* scene) -> decltype(&scene->contact.friction) {
+  switch (unknown.kind) {
+    case Kind::kRestitution:
+      return &scene->contact.restitution;
+    case Kind::kFriction:
+      return &scene->contact.friction;
+    case Kind::kStiffness:
+      return &scene->contact.stiffness;
+    case Kind::kDamping:
+      return &scene->contact.damping;
+    case Kind::kMass:
+      return &scene->bodies[unknown.body].mass;
+    case Kind::kGravity:
+      return &scene->gravity[unknown.component];
+    case Kind::kLaw:
+      return nullptr;
+    case Kind::kForce:
+      break;
+  }
+  const int place = PlaceInControl(*scene, unknown.body);
+  return place < scene->num_controlled() ? &scene->control.initial[place][unknown.component] : nullptr;
 }
 
 }  // namespace
@@ -115,59 +142,16 @@ std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view n
 }
 
 double ValueOf(const Unknown& unknown, const Scene& scene) {
-  switch (unknown.kind) {
-    case Kind::kRestitution:
-      return scene.contact.restitution;
-    case Kind::kFriction:
-      return scene.contact.friction;
-    case Kind::kStiffness:
-      return scene.contact.stiffness;
-    case Kind::kDamping:
-      return scene.contact.damping;
-    case Kind::kMass:
-      return scene.bodies[unknown.body].mass;
-    case Kind::kGravity:
-      return scene.gravity[unknown.component];
-    case Kind::kLaw:
-      return 0;
-    case Kind::kForce:
-      break;
-  }
-  const int place = PlaceInControl(scene, unknown.body);
-  return place < scene.num_controlled() ? scene.control.initial[place][unknown.component] : 0;
+  const double* entry = EntryOf(unknown, &scene);
+  return entry == nullptr ? 0 : *entry;
 }
 
 void SetValue(const Unknown& unknown, double value, Scene* scene) {
-  switch (unknown.kind) {
-    case Kind::kRestitution:
-      scene->contact.restitution = value;
-      return;
-    case Kind::kFriction:
-      scene->contact.friction = value;
-      return;
-    case Kind::kStiffness:
-      scene->contact.stiffness = value;
-      return;
-    case Kind::kDamping:
-      scene->contact.damping = value;
-      return;
-    case Kind::kMass:
-      scene->bodies[unknown.body].mass = value;
-      return;
-    case Kind::kGravity:
-      scene->gravity[unknown.component] = value;
-      return;
-    case Kind::kLaw:
-      return;
-    case Kind::kForce:
-      break;
-  }
-  const int place = PlaceInControl(*scene, unknown.body);
-  if (place == scene->num_controlled()) {
+  if (unknown.kind == Kind::kForce && PlaceInControl(*scene, unknown.body) == scene->num_controlled()) {
     scene->control.bodies.push_back(unknown.body);
     scene->control.initial.push_back({0, 0});
   }
-  scene->control.initial[place][unknown.component] = value;
+  if (double* entry = EntryOf(unknown, scene)) *entry = value;
 }
 
 bool HasBounds(const Unknown& unknown) { return unknown.kind == Kind::kRestitution || IsPositive(unknown.kind); }

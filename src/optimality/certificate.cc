@@ -1,7 +1,10 @@
 #include "saltus/optimality/certificate.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
+#include <string>
 
 #include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
@@ -101,6 +104,82 @@ std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<doubl
   const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   const Flight flight(scene, initial, control, lengths, exact);
   return FindCurvature(CondensedLoss(scene, flight, control, lengths));
+}
+
+Certificate WithImpactsOf(const ControlledMotion& motion) {
+  Certificate certificate;
+  for (size_t k = 0; k < motion.flight.hits().size(); ++k) {
+    const Flight::Hit& hit = motion.flight.hits()[k];
+    ImpactCertificate& impact = certificate.impacts.emplace_back();
+    impact.time = hit.time;
+    impact.a = motion.exact.events[k].a;
+    impact.b = motion.exact.events[k].b;
+    impact.speed = -hit.impact.speed;
+    impact.on_node = hit.on_node;
+  }
+  return certificate;
+}
+
+void Judge(Certificate* certificate) {
+  const std::array<std::pair<double, const char*>, 4> residuals = {{{certificate->stationarity, "stationarity"},
+                                                                    {certificate->costate_jump, "the costate jump"},
+                                                                    {certificate->transversality, "transversality"},
+                                                                    {certificate->hamiltonian, "the Hamiltonian"}}};
+  using enum Certificate::Verdict;
+  certificate->verdict = kStationary;
+  certificate->reason.clear();
+  double worst = kCertificateTolerance;
+  for (const auto& [residual, name] : residuals) {
+    if (residual <= worst) continue;
+    certificate->verdict = kNotStationary;
+    certificate->reason = std::string(name) + " is off most";
+    worst = residual;
+  }
+  if (certificate->verdict == kNotStationary && certificate->gradient &&
+      *certificate->gradient <= kCertificateTolerance) {
+    const auto between = [](const ImpactCertificate& impact) {  // the two one-sided gradients
+      return !impact.theta || (*impact.theta >= 0 && *impact.theta <= 1);
+    };
+    if (std::all_of(certificate->impacts.begin(), certificate->impacts.end(), between)) {
+      certificate->verdict = kStationaryOnGrid;
+      certificate->reason.clear();
+    }
+  }
+  if (!certificate->IsStationary() || !certificate->curvature) return;
+  if (certificate->IsSaddle()) {
+    certificate->reason = "a saddle: the loss falls along the direction of the smallest curvature, both ways";
+  } else if (certificate->curvature->kind == Curvature::Kind::kFlat) {
+    certificate->reason = "the curvature is nearly zero along one direction: perhaps no minimum";
+  }
+}
+
+void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate) {
+  if (ambiguous.empty()) return;
+  certificate->verdict = Certificate::Verdict::kAmbiguous;
+  certificate->reason = TiesToString(ambiguous);
+  certificate->ambiguous = ambiguous;
+}
+
+const char* VerdictToString(Certificate::Verdict verdict) {
+  constexpr const char* kNames[] = {
+      "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable", "global"};
+  return kNames[static_cast<int>(verdict)];
+}
+
+const char* CurvatureToString(Curvature::Kind kind) {
+  constexpr const char* kNames[] = {"minimum", "saddle", "flat"};
+  return kNames[static_cast<int>(kind)];
+}
+
+std::string VerdictInWords(const Certificate& certificate) {
+  const bool decided = certificate.curvature && certificate.curvature->kind != Curvature::Kind::kFlat;
+  const std::string what = decided ? CurvatureToString(certificate.curvature->kind) : "stationary";
+  const std::string words[] = {what, what + " on the grid", "not stationary", "ambiguous", "", "global minimum"};
+  return words[static_cast<int>(certificate.verdict)];
+}
+
+const char* ScopeToString(Certificate::Scope scope) {
+  return scope == Certificate::Scope::kBestOfSearched ? "best_of_searched" : "local";
 }
 
 }  // namespace saltus

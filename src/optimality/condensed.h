@@ -1,27 +1,27 @@
-// The loss as a function of the control alone, along the impacts that a flight has: states and impact times are
-// eliminated, the times by the implicit function theorem. Along these impacts it is smooth.
+// The loss as a function of the control alone, along a fixed sequence of impacts: states and impact times are
+// eliminated, the times by the implicit function theorem. Along the sequence this function is smooth.
 //
-// The motion knows the control by few numbers s = F u, linear in it. Of each pushed disc on each of its arcs, from one
-// of its impacts to the next, over which it flies for a fixed time S with pieces of lengths l_i, middles t_i from the
-// start:
+// The motion depends on the control only through a few linear functionals s = F u. For each controlled disc on each of
+// its arcs, that is between two of its impacts, which last a fixed time S and consist of pieces of lengths l_i with
+// middles t_i from the start, these are the changes of velocity and of position by the forces,
 //
-//   the velocity and the way that it gains,   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m,
+//   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m.
 //
-// and the force at each impact whose time varies: the time shifts by dt, and with it the force just before acts for dt
-// longer and that just after for dt less (together, of an impact inside an interval, nothing). So with interval lengths
-// M the loss is
+// At each impact whose time varies there is also the force: if the time shifts by dt, the force just before acts for dt
+// longer and that just after for dt less (for an impact inside an interval the two cancel). With interval lengths M,
 //
-//   L(u) = effort u^T M u + G(F u),   second derivative   2 effort M + F^T G'' F:
+//   L(u) = effort u^T M u + G(F u),   with second derivative   2 effort M + F^T G'' F.
 //
-// that of the effort and a part whose rank is a few times the impacts, whatever the number of intervals. G' comes from
+// The rank of the second part is a few times the number of impacts, whatever the number of intervals. G' comes from
 // costates carried backwards through the impacts (impact.h), G'' from the same sweep in Jets.
 //
-// An impact on a node, where the force jumps, is either followed by that boundary of the two intervals, for the discs
-// that take part; or it is held on the node, by a multiplier between those of the two one-sided gradients. Held impacts
-// restrict directions to those along which they stay on their nodes, to first order.
+// An impact on a node at which the force jumps is treated in one of two ways. Either the boundary of the two intervals
+// moves with the impact, for the discs that take part; or the impact is held on the node, by a multiplier between those
+// of the two one-sided gradients. Held impacts restrict directions to those along which they stay on their nodes, to
+// first order.
 //
-// So do bounds that forces are at, and hard terminal terms. L is then the Lagrangian: multipliers of hard terms add to
-// the costates at the end, and a bound on the norm, which is curved itself, adds to M.
+// Active bounds on forces and hard terminal terms restrict directions as well. L is then the Lagrangian: multipliers of
+// hard terms add to the costates at the end, and a bound on the norm, which is curved itself, adds to M.
 #pragma once
 
 #include <Eigen/Core>
@@ -35,7 +35,7 @@
 
 namespace saltus {
 
-// What holds a motion back, with the multipliers that belong to it.
+// Active bounds on the forces and hard terminal terms, with their multipliers.
 struct Restrictions {
   struct Force {
     Eigen::Matrix2d free = Eigen::Matrix2d::Identity();  // projects on the directions along its bounds
@@ -47,13 +47,13 @@ struct Restrictions {
 
 class CondensedLoss {
  public:
-  // `theta`, by impact: the weight of the gradient as if the impact were early, if it is held on its node; an empty
-  // vector holds none. The flight must outlive the object and be that of `control` on intervals of `lengths`.
+  // `theta`, by impact: if the impact is held on its node, the weight of the gradient as if it were early. An empty
+  // vector holds no impact. The flight must outlive the object and be that of `control` on intervals of `lengths`.
   CondensedLoss(const Scene& scene, const Flight& flight, std::span<const double> control,
                 std::span<const double> lengths, std::vector<std::optional<double>> theta = {},
                 Restrictions restrictions = {});
 
-  // Of F.
+  // The number of rows of F.
   int num_functionals() const { return static_cast<int>(values_.size()); }
 
   // By the control, K x C x 2, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left out.

@@ -8,25 +8,46 @@
 //   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
 //   final time     nor does moving that; at its bounds the loss may fall towards outside.
 //
-// The theta that meet them best are found as cone_conditions.h says. On a grid that does not move, the impacts on nodes
+// ConeConditions finds the theta that meets them best. On a grid that does not move, the impacts on nodes
 // have multipliers between those of the two one-sided gradients instead, and the other impacts those that keep the
 // Hamiltonian.
 
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
 
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
 #include "optimality/cone_conditions.h"
-#include "optimality/costate_sweep.h"
 #include "optimality/optimality_conditions.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {
 
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
+
+constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
+
+// The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
+double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
+  constexpr int kSamples = 4;  // of a piece
+  const double contact_distance = MakeImpactConstants(scene, {pair.a, pair.b, pair.plane}).contact_distance;
+  double least = std::numeric_limits<double>::infinity();
+  for (const Flight::Piece& piece : flight.pieces()) {
+    for (int i = 0; i <= kSamples; ++i) {
+      const auto at = [&](int body) { return piece.After(body, piece.duration * i / kSamples).p; };
+      const double distance = pair.plane ? Separate<double>(at(pair.a), MakeHalfPlane(scene.planes[pair.b])).distance
+                                         : (at(pair.a) - at(pair.b)).norm();
+      least = std::min(least, distance / contact_distance - 1);
+    }
+  }
+  return least;
+}
 
 class ConstrainedCertifier {
  public:
@@ -40,17 +61,7 @@ class ConstrainedCertifier {
   }
 
   Certificate Run() {
-    Certificate result;
-    result.impacts.resize(num_hits());
-    for (int k = 0; k < num_hits(); ++k) {
-      const Flight::Hit& hit = motion_.flight.hits()[k];
-      ImpactCertificate& impact = result.impacts[k];
-      impact.time = hit.time;
-      impact.a = motion_.exact.events[k].a;
-      impact.b = motion_.exact.events[k].b;
-      impact.speed = -hit.impact.speed;
-      impact.on_node = hit.on_node;
-    }
+    Certificate result = WithImpactsOf(motion_);
     OfMovingGrid(&result);
     Judge(&result);
     if (result.verdict != Certificate::Verdict::kStationary) {
@@ -363,8 +374,8 @@ class ConstrainedCertifier {
     const Objective& objective = scene_.objective;
     const auto with = [](const char* what) { return std::string("its curvature is not looked at with ") + what; };
     if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
-    if (!objective.running.empty()) return with("running terms");
-    if (!objective.via.empty()) return with("via terms");
+    if (!objective.running.empty()) return with("running costs");
+    if (!objective.via.empty()) return with("waypoint costs");
     if (scene_.num_turned() > 0) return with("torques");
     if (objective.duration) return with("a free duration");
     for (int k = 0; k < num_hits(); ++k) {
@@ -433,5 +444,13 @@ class ConstrainedCertifier {
 }  // namespace
 
 Certificate ConstrainedConditions(const ControlledMotion& motion) { return ConstrainedCertifier(motion).Run(); }
+
+std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight) {
+  for (const NoContact& pair : scene.no_contact) {
+    if (LeastGap(scene, flight, pair) > kApart) continue;
+    return "a pair that must not touch holds the motion back; the conditions are those without";
+  }
+  return "";
+}
 
 }  // namespace saltus

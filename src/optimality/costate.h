@@ -21,8 +21,7 @@
 #pragma once
 
 #include "control/event_phases.h"
-#include "optimality/impact_jump.h"
-#include "optimality/terminal_costate.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 
@@ -70,8 +69,7 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
   std::vector<Costate<T>> now;  // of every disc; of pushed ones only while they fly freely
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Knot<T>& end = path->end[i];
-    const DiscCostate<T> last = TerminalCostate<T>(scene.objective, i, end.p, end.v);
-    now.push_back({end.time, last.position, last.velocity});
+    now.push_back(TerminalCostate<T>(scene.objective, i, end.time, end.p, end.v));
     if (path->last_arc[i] < 0) continue;
     const Costate<T> costate = internal::ArcCostate(scene, path->arcs[path->last_arc[i]], true);
     for (int d = 0; d < 2; ++d) *terminal++ = costate.position[d] - now[i].position[d];

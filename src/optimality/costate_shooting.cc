@@ -98,7 +98,7 @@ std::string CostateShooting::WhyNot(const Scene& scene) {
   for (const RunningTerm& term : scene.objective.running) {
     const auto& pushed = scene.control.bodies;
     if (bounded && std::find(pushed.begin(), pushed.end(), term.body) != pushed.end()) {
-      return "with running terms of a disc whose force is bounded, the times at which it meets the bound are not known";
+      return "with running costs of a disc whose force is bounded, the times at which it meets the bound are not known";
     }
   }
   return "";

@@ -1,17 +1,19 @@
 // The conditions of the hybrid minimum principle in continuous time as a square system, with bounds on the forces, hard
-// terms, running and via terms and a free final time: a shooting method, forward from the start.
-//
-// States and costates of every disc that matters fly together between events (impacts, via terms, turns of targets):
+// terms, running and via terms and a free final time. States and costates are integrated forward from the start
+// (indirect shooting): for every disc that has an influence, between events (impacts, via terms, corners of targets),
 //
 //   p' = v,  v' = u/m + g,  lambda_q' = -dL/dq,  lambda_v' = -lambda_q - dL/dv,
-//   u = that within the bounds which is nearest to -lambda_v / (2 effort m).
+//   u = the force within the bounds that is nearest to -lambda_v / (2 effort m).
 //
-// Unknown are the costates at the start, of each impact its time, its multiplier nu and the costates after it, the
-// multipliers of hard terms and the final time if that is free. What must vanish is listed in Evaluate. A force within
-// its bounds makes this linear with constant coefficients: Taylor's series, to rounding. At bounds it is integrated by
-// Gauss' rule between the times at which it gets there or leaves; these are found for costates that are linear in time,
-// so a disc may have bounds or running terms and not both. Derivatives need not move these times: forces are
-// continuous.
+// The unknowns are the costates at the start; of each impact the time, the multiplier nu and the costates after it; the
+// multipliers of hard terms; and the final time if it is free. The residuals are, in this order: the jumps of the
+// costates at impacts; the jumps of the Hamiltonian there, and its value at a free final time; gaps at impacts and hard
+// terms; and the costates at the end.
+//
+// Where the force is within its bounds the equations are linear with constant coefficients, and Taylor's series solves
+// them to rounding. Where it is bounded it is integrated by Gauss' rule between the times at which a bound becomes
+// active or inactive. These times are computed for costates that are linear in time, so a disc may have bounds or
+// running terms and not both. Derivatives need not move these times, as forces are continuous.
 #pragma once
 
 #include <array>
@@ -19,10 +21,9 @@
 #include <optional>
 #include <vector>
 
-#include "control/phase_costs.h"
-#include "optimality/impact_jump.h"
 #include "saltus/contact/contact_model.h"
 #include "saltus/scene/scene.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 
@@ -30,7 +31,7 @@ inline constexpr int kCostateShootingStride = 4;  // of the Jets that Evaluate t
 
 class CostateShooting {
  public:
-  // State and costates of a disc; q and w are lambda_q and lambda_v.
+  // State and costates of a disc. q is lambda_q, w is lambda_v.
   template <typename T>
   struct Flying {
     Vec2<T> p, v, q, w;
@@ -45,14 +46,14 @@ class CostateShooting {
   // `moving_end`: the final time is unknown. Preconditions: WhyNot() is empty, effort > 0.
   CostateShooting(const Scene& scene, std::vector<Candidate> sequence, bool moving_end);
 
-  // Why a scene is beyond this; empty if it is not.
+  // Why the method does not apply to a scene; empty if it does.
   static std::string WhyNot(const Scene& scene);
 
   int num_unknowns() const { return num_unknowns_; }
   const Scene& scene() const { return scene_; }
 
-  // The unknowns from: costates of all discs at the start and after each impact, times and multipliers of impacts,
-  // multipliers of hard terms (terminal ones first), and the final time.
+  // The vector of unknowns for given costates of all discs at the start and after each impact, times and multipliers of
+  // impacts, multipliers of hard terms (terminal ones first), and the final time.
   std::vector<double> Unknowns(const std::vector<Costate<double>>& start,
                                const std::vector<std::vector<Costate<double>>>& after_impact,
                                const std::vector<double>& times, const std::vector<double>& multipliers,
@@ -63,7 +64,8 @@ class CostateShooting {
   };
   const Sizes& sizes() const { return sizes_; }
 
-  // As many residuals as unknowns. False if there is no such motion. Loss and flights are left out if null.
+  // Writes as many residuals as there are unknowns. Returns false if there is no motion with these unknowns: impact
+  // times are not in order, or the two bodies of an impact separate. Loss and legs are not computed where null.
   template <typename T>
   bool Evaluate(const T* y, T* residuals, T* loss = nullptr, std::vector<Leg>* legs = nullptr) const;
   // The force on pushed disc c at a time. Precondition: `legs` are those of a motion, the time is in it.
@@ -78,7 +80,8 @@ class CostateShooting {
   bool Matters(int body) const { return index_[body] >= 0; }
   template <typename T>
   Vec2<T> ForceOf(int body, const Vec2<T>& lambda_v) const;
-  // From time `from` on, for `length`; T(0) for a disc that nothing pushes.
+  // Moves state and costates of a disc from time `from` on by `length`, and adds the effort and the running terms of
+  // the flight to `loss` unless it is null.
   template <typename T>
   void Fly(int body, const T& from, const T& length, Flying<T>* x, T* loss) const;
   template <typename T>

@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "base/time_grid.h"
-#include "optimality/impact_jump.h"
 #include "optimality/optimality_conditions.h"
+#include "simulate/costate_sweep.h"
 
 namespace saltus {
 namespace {
@@ -25,25 +25,23 @@ struct Arc {
 
 class Certifier {
  public:
-  Certifier(const Scene& scene, const std::vector<double>& control, const Flight& flight,
-            const std::vector<double>& lengths)
-      : scene_(scene), control_(control), flight_(flight), lengths_(lengths) {
-    pushed_.assign(scene.num_bodies(), -1);
-    for (int c = 0; c < scene.num_controlled(); ++c) pushed_[scene.control.bodies[c]] = c;
-    arcs_.resize(scene.num_controlled());
+  explicit Certifier(const ControlledMotion& motion)
+      : motion_(motion),
+        scene_(motion.scene),
+        control_(motion.control),
+        flight_(motion.flight),
+        lengths_(motion.lengths) {
+    pushed_.assign(scene_.num_bodies(), -1);
+    for (int c = 0; c < scene_.num_controlled(); ++c) pushed_[scene_.control.bodies[c]] = c;
+    arcs_.resize(scene_.num_controlled());
   }
 
-  Certificate Run(const ExactRun& exact) {
+  Certificate Run() {
     for (int c = 0; c < scene_.num_controlled(); ++c) FitArcs(c);
-    Certificate result;
+    Certificate result = WithImpactsOf(motion_);
     Transversality(&result);
     next_hamiltonian_ = PhaseHamiltonian(num_hits());
-    result.impacts.resize(num_hits());
-    for (int k = num_hits() - 1; k >= 0; --k) {
-      result.impacts[k].a = exact.events[k].a;
-      result.impacts[k].b = exact.events[k].b;
-      CertifyImpact(k, &result.impacts[k]);
-    }
+    for (int k = num_hits() - 1; k >= 0; --k) CertifyImpact(k, &result.impacts[k]);
     Scale(&result);
     GridGradients(&result);
     Judge(&result);
@@ -229,9 +227,6 @@ class Certifier {
       if (body[side] >= 0) after[side] = CostateAfter(body[side], hit.time);
     }
     const ImpactJump jump = MakeImpactJump(scene_, hit, after);
-    out->time = hit.time;
-    out->speed = -hit.impact.speed;
-    out->on_node = hit.on_node;
 
     // The pushed discs' costates before the impact are known from their forces.
     std::array<Costate<double>, 2> known;
@@ -350,6 +345,7 @@ class Certifier {
     }
   }
 
+  const ControlledMotion& motion_;
   const Scene& scene_;
   const std::vector<double>& control_;
   const Flight& flight_;
@@ -379,8 +375,6 @@ std::optional<Curvature> FindCurvature(const CondensedLoss& loss) {
   return curvature;
 }
 
-Certificate FreeConditions(const ControlledMotion& motion) {
-  return Certifier(motion.scene, motion.control, motion.flight, motion.lengths).Run(motion.exact);
-}
+Certificate FreeConditions(const ControlledMotion& motion) { return Certifier(motion).Run(); }
 
 }  // namespace saltus

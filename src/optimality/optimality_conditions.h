@@ -1,5 +1,5 @@
-// The conditions of the hybrid minimum principle, each read off a control and its exact motion (saltus/control/
-// certificate.h says what they are); one file for forces that are free, and one for the general problem.
+// The conditions of the hybrid minimum principle (saltus/optimality/certificate.h), evaluated at a control and its
+// exact motion: for free forces in free_conditions.cc, for the general problem in constrained_conditions.cc.
 #pragma once
 
 #include <optional>
@@ -21,15 +21,19 @@ struct ControlledMotion {
   const ExactRun& exact;
 };
 
-// Costates are read off the forces. Precondition: BeyondTerminalCost() is empty, effort > 0.
+// A certificate with times, names and speeds of the impacts; the residuals are left out.
+Certificate WithImpactsOf(const ControlledMotion& motion);
+
+// Costates of controlled discs follow from the forces. Preconditions: BeyondTerminalCost() is empty, effort > 0.
 Certificate FreeConditions(const ControlledMotion& motion);
 
-// Costates are carried backwards through the motion; multipliers are those that fit best.
+// With bounds on the forces, hard terms, running and via terms, torques and a free final time. Costates are carried
+// backwards through the motion, and the multipliers are those that meet the conditions best.
 Certificate ConstrainedConditions(const ControlledMotion& motion);
-// Why the latter do not apply; empty if they do.
+// Why ConstrainedConditions() does not apply; empty if it does.
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight);
 
-// Nothing if it would take long.
+// Returns std::nullopt if the matrices would be too large.
 std::optional<Curvature> FindCurvature(const CondensedLoss& loss);
 
 }  // namespace saltus

@@ -16,48 +16,76 @@ using Json = nlohmann::ordered_json;
 constexpr size_t kColumns = 120;
 constexpr size_t kIndent = 2;
 
-// Writes a document whose numbers are known to be finite.
+void AppendNumber(double value, int significant_digits, std::string* text) {
+  std::array<char, 40> buffer;
+  const auto [end, error] = std::to_chars(
+      buffer.data(), buffer.data() + buffer.size(), value, std::chars_format::general, significant_digits);
+  CHECK(error == std::errc());
+  const std::string_view digits(buffer.data(), end);
+  text->append(digits);
+  if (digits.find_first_of(".e") == std::string_view::npos) text->append(".0");
+}
+
+// Writes a document whose numbers are known to be finite. Documents have millions of numbers: each is formatted once.
 class Writer {
  public:
   explicit Writer(int significant_digits) : digits_(significant_digits) {}
 
   std::string Document(const Json& document) {
-    Value(document, 0, 0);
+    // The outermost object is always opened up.
+    if (document.is_object() || !OnOneLine(document, RoomAfter(0))) Open(document, 0);
     return std::move(text_) + "\n";
   }
 
  private:
-  static bool IsContainer(const Json& value) { return value.is_structured() && !value.empty(); }
+  // One column is kept for a comma.
+  static size_t RoomAfter(size_t used) { return used < kColumns ? kColumns - used - 1 : 0; }
 
-  std::string Scalar(const Json& value) const {
-    if (value.is_number_float()) return *FormatJsonNumber(value.get<double>(), digits_);
-    return value.dump(-1, ' ', false, Json::error_handler_t::replace);
+  void Scalar(const Json& value) {
+    if (value.is_number_float()) {
+      AppendNumber(value.get<double>(), digits_, &text_);
+    } else {
+      text_ += value.dump(-1, ' ', false, Json::error_handler_t::replace);
+    }
   }
 
-  // The value on one line, or what fits of it: gives up once it is longer than `limit`.
-  void OneLine(const Json& value, size_t limit, std::string* line) const {
-    if (!IsContainer(value)) {
-      *line += Scalar(value);
-      return;
-    }
-    const bool object = value.is_object();
-    *line += object ? "{" : "[";
-    bool first = true;
-    for (const auto& [key, child] : value.items()) {
-      if (!first) *line += ", ";
-      first = false;
-      if (object) *line += Scalar(key) + ": ";
-      OneLine(child, limit, line);
-      if (line->size() > limit) return;
-    }
-    *line += object ? "}" : "]";
+  // Appends the value on one line if it takes at most `room` columns, and nothing otherwise.
+  bool OnOneLine(const Json& value, size_t room) {
+    const size_t begin = text_.size();
+    if (AppendUpTo(begin + room, value)) return true;
+    text_.resize(begin);
+    return false;
   }
 
-  // `used`: columns taken on the current line; one more is kept for a comma.
-  bool FitsOnOneLine(const Json& value, size_t used, std::string* line) const {
-    const size_t room = used < kColumns ? kColumns - used - 1 : 0;
-    OneLine(value, room, line);
-    return line->size() <= room;
+  // False as soon as the text is longer than `limit`.
+  bool AppendUpTo(size_t limit, const Json& value) {
+    const char* separator = "";
+    if (value.is_object()) {
+      text_ += '{';
+      for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
+        text_ += separator;
+        Label(key);
+        if (!AppendUpTo(limit, child)) return false;
+        separator = ", ";
+      }
+      text_ += '}';
+    } else if (value.is_array()) {
+      text_ += '[';
+      for (const Json& child : value) {
+        text_ += separator;
+        if (!AppendUpTo(limit, child)) return false;
+        separator = ", ";
+      }
+      text_ += ']';
+    } else {
+      Scalar(value);
+    }
+    return text_.size() <= limit;
+  }
+
+  void Label(const std::string& key) {
+    Scalar(key);
+    text_ += ": ";
   }
 
   void NewLine(size_t depth) {
@@ -65,27 +93,26 @@ class Writer {
     text_.append(depth * kIndent, ' ');
   }
 
-  void Value(const Json& value, size_t depth, size_t used) {
-    std::string line;
-    // The outermost object is always opened up.
-    if (!IsContainer(value) || ((depth > 0 || value.is_array()) && FitsOnOneLine(value, used, &line))) {
-      text_ += line.empty() ? Scalar(value) : line;
-    } else if (value.is_object()) {
+  // A value that does not fit on the line.
+  void Open(const Json& value, size_t depth) {
+    if (value.is_object() && !value.empty()) {
       Object(value, depth);
-    } else {
+    } else if (value.is_array() && !value.empty()) {
       Array(value, depth);
+    } else {
+      Scalar(value);
     }
   }
 
   void Object(const Json& value, size_t depth) {
     text_ += '{';
     const char* separator = "";
-    for (const auto& [key, child] : value.items()) {
+    for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
       text_ += separator;
+      const size_t line = text_.size() + 1;
       NewLine(depth + 1);
-      const std::string label = Scalar(key) + ": ";
-      text_ += label;
-      Value(child, depth + 1, (depth + 1) * kIndent + label.size());
+      Label(key);
+      if (!OnOneLine(child, RoomAfter(text_.size() - line))) Open(child, depth + 1);
       separator = ",";
     }
     NewLine(depth);
@@ -94,23 +121,24 @@ class Writer {
 
   // Entries that fit on one line share lines, as words in a paragraph, if they are numbers or short arrays.
   void Array(const Json& value, size_t depth) {
+    const size_t indent = (depth + 1) * kIndent;
     text_ += '[';
     size_t column = kColumns;
-    bool first = true;
+    const char* separator = "";
     for (const Json& child : value) {
-      if (!first) text_ += ',';
-      std::string line;
-      const size_t indent = (depth + 1) * kIndent;
-      const bool fills = !child.is_object() && FitsOnOneLine(child, indent, &line);
-      if (fills && !first && column + 2 + line.size() < kColumns) {
-        text_ += ' ' + line;
-        column += 2 + line.size();
+      text_ += separator;
+      const size_t begin = text_.size();
+      text_ += ' ';
+      const bool fits = OnOneLine(child, RoomAfter(indent)), fills = fits && !child.is_object();
+      const size_t length = text_.size() - begin - 1;
+      if (fills && column + 2 + length < kColumns) {
+        column += 2 + length;
       } else {
-        NewLine(depth + 1);
-        Value(child, depth + 1, indent);
-        column = fills ? indent + line.size() : kColumns;
+        text_.replace(begin, 1, "\n" + std::string(indent, ' '));
+        if (!fits) Open(child, depth + 1);
+        column = fills ? indent + length : kColumns;
       }
-      first = false;
+      separator = ",";
     }
     NewLine(depth);
     text_ += ']';
@@ -120,15 +148,16 @@ class Writer {
   std::string text_;
 };
 
-std::optional<Json::json_pointer> FindNonFinite(const Json& value, const Json::json_pointer& here) {
+std::optional<Json::json_pointer> FindNonFinite(const Json& value) {
+  const Json::json_pointer here;
   if (value.is_number_float() && !std::isfinite(value.get<double>())) return here;
   if (value.is_object()) {
-    for (const auto& [key, child] : value.items()) {
-      if (auto found = FindNonFinite(child, here / key)) return found;
+    for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
+      if (const auto found = FindNonFinite(child)) return here / key / *found;
     }
   } else if (value.is_array()) {
     for (size_t i = 0; i < value.size(); ++i) {
-      if (auto found = FindNonFinite(value[i], here / i)) return found;
+      if (const auto found = FindNonFinite(value[i])) return here / i / *found;
     }
   }
   return std::nullopt;
@@ -139,17 +168,13 @@ std::optional<Json::json_pointer> FindNonFinite(const Json& value, const Json::j
 std::optional<std::string> FormatJsonNumber(double value, int significant_digits) {
   CHECK(1 <= significant_digits && significant_digits <= kDoubleDigits) << significant_digits;
   if (!std::isfinite(value)) return std::nullopt;
-  std::array<char, 40> buffer;
-  const auto [end, error] = std::to_chars(
-      buffer.data(), buffer.data() + buffer.size(), value, std::chars_format::general, significant_digits);
-  CHECK(error == std::errc());
-  std::string text(buffer.data(), end);
-  if (text.find_first_of(".e") == std::string::npos) text += ".0";
+  std::string text;
+  AppendNumber(value, significant_digits, &text);
   return text;
 }
 
 StatusOr<std::string> DumpJson(const nlohmann::ordered_json& document, int significant_digits) {
-  if (const auto place = FindNonFinite(document, Json::json_pointer())) {
+  if (const auto place = FindNonFinite(document)) {
     return Status::Error("number at '" + place->to_string() + "' is not finite");
   }
   return Writer(significant_digits).Document(document);

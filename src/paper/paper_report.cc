@@ -73,7 +73,8 @@ void AddLaw(const PaperFigure& law, const std::vector<DrawnPaperFigure>& figures
       "A law need not be a number. Here the restitution is a small network of the speed of approach inside exact "
       "events "
       "(`neural_event`), and its weights are unknowns of the same least squares; derivatives pass through the impact "
-      "times. It begins as a constant, in whose place `event` is the same model, and knows nothing of the law's form.");
+      "times. It begins as a constant, in whose place `event` is the same model, and does not contain the form of the "
+      "law.");
   AddFigure(figures, law.name, report);
 }
 
@@ -96,7 +97,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "is the number as printed; `ours` is computed by the programs of this project at the precision of the row; "
       "`exact` is the same quantity under exact event-driven dynamics. A row is as expected if ours equals what a "
       "faithful implementation gives, within a tolerance stated in `data/published.csv`. Where the printed number "
-      "itself is in error, the row says so and why; it is neither imitated nor silently corrected.");
+      "itself is in error, the row states this and the reason; it is neither imitated nor silently corrected.");
   report.AddList(
       {"Reproduced: ours is the printed number.",
        "As expected, though not as printed: ours is what a faithful implementation gives, and the print is a misprint "

@@ -235,7 +235,8 @@ std::vector<std::string> ParameterFits::Findings() const {
       "To the recording of exact motion, both parameters are determined and within three of the standard errors that "
       "the fit itself states under " +
           JoinNames(honest) +
-          ". Under the others the motion is another one, or the fit stuck, and the stated confidence does not say so."};
+          ". Under the others the motion is another one, or the fit ended elsewhere, which the stated confidence does "
+          "not include."};
 }
 
 }  // namespace saltus

@@ -22,12 +22,11 @@
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 
-DEFINE_string(problems_dir, "", "where the scenes of the problems are (default: those that come with saltus)");
-DEFINE_string(data_dir, "",
-              "where published.csv and constrained_references.json are (default: those that come with saltus)");
+DEFINE_string(problems_dir, "", "directory of the scenes of the problems (default: the installed ones)");
+DEFINE_string(data_dir, "", "directory of published.csv and constrained_references.json (default: the installed one)");
 DEFINE_bool(all_formulations, true,
             "audit every contact model on the three tasks, solve task 3 and fit parameters under each (default)");
-DEFINE_bool(every_solver, false, "every general solver, too, under the models that the paper does not compare");
+DEFINE_bool(every_solver, false, "run every general solver also under the models that the paper does not compare");
 
 namespace saltus {
 namespace {

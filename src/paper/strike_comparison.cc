@@ -176,8 +176,8 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
     }
   }
   return {{"strike",
-           "Task 3 on 480 and 1000 steps, under exact dynamics: solvers that shoot over the impact, and solvers "
-           "that know of it. `gap` is the exact loss less the optimum in continuous time.",
+           "Task 3 on 480 and 1000 steps, under exact dynamics: solvers by single shooting, and solvers in which "
+           "the time of the impact is an unknown. `gap` is the exact loss less the optimum in continuous time.",
            std::move(free)},
           {"strike_bounded",
            "Task 3 with bounds on the force, 480 steps. Where the target disc starts at (-1, -0.6), doing nothing is "

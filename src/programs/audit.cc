@@ -20,10 +20,12 @@
 #include "saltus/simulate/registry.h"
 
 DEFINE_double(attribution_seconds, 0,
-              "how long the error of a wrong gradient may be traced to contacts, for each model; 0: no limit");
-DEFINE_bool(width_sweep, false,
-            "differences of the loss of every width, too (always where there is no exact gradient)");
-DEFINE_string(given, "", "a gradient computed elsewhere, to be audited too: JSON with the keys of those of --json");
+              "time limit, s, for tracing the error of a wrong gradient to contacts, for each model; 0 is no limit");
+DEFINE_bool(
+    width_sweep, false,
+    "also compare the gradient with differences of the loss of every width (always done where no exact gradient "
+    "exists)");
+DEFINE_string(given, "", "JSON file with an externally computed gradient to audit, with the keys that --json prints");
 
 namespace saltus {
 namespace {

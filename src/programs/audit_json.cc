@@ -1,15 +1,28 @@
 // The audit as JSON, under the keys that the README promises.
 #include <algorithm>
 
+#include "base/interrupt.h"
 #include "programs/audit.h"
 #include "programs/surrogate_flags.h"
 
 namespace saltus {
 namespace {
 
+constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
+
 // Room for all keys that an object will have. One that has to grow copies what it holds, its keys being constant: of a
 // long horizon, gradients of millions of numbers.
 void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
+
+// After an interrupt without a long derivative by the control, whose text alone takes a second for each million steps.
+Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
+  if (gradient.control.size() <= kMostAfterInterrupt || !InterruptGuard::Interrupted()) {
+    return GradientToJson(scene, gradient);
+  }
+  Json item = GradientToJson(scene, {.initial = gradient.initial, .control = {}, .parameters = gradient.parameters});
+  item["control"] = nullptr;
+  return item;
+}
 
 Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
   Json quantities = Json::array();
@@ -123,7 +136,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   }
   if (audit.interrupted) item["termination"] = "interrupted";
   item["loss"] = NumberToJson(audit.gradient.loss);
-  item["gradient"] = GradientToJson(scene, audit.gradient.gradient);
+  item["gradient"] = DerivativesToJson(scene, audit.gradient.gradient);
   if (!audit.gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, audit.gradient.one_sided);
   if (!audit.gradient.initial_error.empty()) {
     item["standard_error"] = {{"position", VectorsToJson(scene, audit.gradient.initial_error, 0)},
@@ -186,7 +199,7 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
     Json& reference =
         document["reference"] = {{"contact", report.reference->contact}, {"loss", report.reference->loss}};
     MakeRoom(&reference);
-    reference["gradient"] = GradientToJson(request.scene, report.reference->gradient);
+    reference["gradient"] = DerivativesToJson(request.scene, report.reference->gradient);
     reference["events"] = EventsToJson(report.reference->events);
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
   }

@@ -289,7 +289,7 @@ Table ClassTable(const AuditReport& report) {
 
 Table BlackBoxTable(const AuditReport& report) {
   Table table({{"simulator"},
-               {"says"},
+               {"reports"},
                {"bits"},
                {"motion"},
                {"e", 3},

@@ -12,23 +12,28 @@
 #include "programs/identify_tables.h"
 #include "programs/report_parts.h"
 
-DEFINE_string(recording, "", "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own start");
+DEFINE_string(recording, "",
+              "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own initial state");
 DEFINE_string(unknown, "restitution",
-              "comma-separated: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY; of vectors "
-              "one component as gravity.y");
-DEFINE_string(law, "",
-              "learns the law of impact: network (restitution by the speed of approach) or impulse (friction too, by "
-              "approach and sliding), each with :N hidden units (default :4)");
+              "comma-separated parameters to fit: restitution, friction, stiffness, damping, gravity, mass.BODY, "
+              "force.BODY, or one component of a vector, such as gravity.y");
+DEFINE_string(
+    law, "",
+    "fit an impact law: network (restitution as a function of the approach speed) or impulse (friction too, as a "
+    "function of approach and sliding speeds), each with :N hidden units (default :4)");
 DEFINE_string(
     events, "",
-    "learns where and how discs bounce off the scene's planes: affine (angle, distance and a linear update of "
-    "each) or profile (a plane that is not flat, restitution and friction), with :N units (default :3)");
-DEFINE_string(law_beside, "", "CSV (speed, restitution) of a law that is known, to stand beside the learned one");
-DEFINE_string(loss, "huber", "of a sample's residual: none (squares), huber or cauchy");
-DEFINE_double(loss_scale, 2, "sigmas beyond which a sample counts less");
-DEFINE_double(segment, 0, "s, > 0: recordings are cut into segments of this length, each with its own start");
-DEFINE_bool(known_start, false, "the initial state is that of the scene (default: it is identified too)");
-DEFINE_int32(starts, 12, "fits from different starts, at most");
+    "fit event functions of the scene's planes: affine (angle, distance and a linear update of the velocity for each "
+    "plane) or profile (a surface that is not flat, restitution and friction), with :N units (default :3)");
+DEFINE_string(law_beside, "", "CSV file (speed, restitution) of a known law to compare the fitted one with");
+DEFINE_string(loss, "huber", "robust loss of the residual of a sample: none (squares), huber or cauchy");
+DEFINE_double(loss_scale, 2,
+              "residual, in standard deviations, beyond which the robust loss reduces the weight of a sample");
+DEFINE_double(
+    segment, 0,
+    "length, s, of the segments into which recordings are cut, each with its own initial state (default: not cut)");
+DEFINE_bool(known_start, false, "take the initial state from the scene (default: it is fitted too)");
+DEFINE_int32(starts, 12, "largest number of starts of the fit");
 
 namespace saltus {
 namespace {

@@ -50,21 +50,23 @@ Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int
 
 namespace {
 
-// From rows (control_rows.h).
+// From rows (control_rows.h), of which a long horizon has millions.
 Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
-  Json intervals = Json::array();
   const std::vector<int>& turned = scene.control.turned;
   const size_t columns = ControlColumns(scene), width = columns * scene.num_controlled();
+  Json::array_t intervals;
+  if (width > 0) intervals.reserve(rows.size() / width);
   for (size_t begin = 0; width > 0 && begin < rows.size(); begin += width) {
-    Json forces = Json::array();
+    Json::array_t forces;
+    forces.reserve(scene.num_controlled());
     for (int c = 0; c < scene.num_controlled(); ++c) {
       const double* row = &rows[begin + c * columns];
-      Json force = {NumberToJson(row[0]), NumberToJson(row[1])};
       const bool turns = std::find(turned.begin(), turned.end(), scene.control.bodies[c]) != turned.end();
-      if (turns) force.push_back(NumberToJson(row[2]));
-      forces.push_back(std::move(force));
+      Json::array_t force(turns ? 3 : 2);
+      std::transform(row, row + force.size(), force.begin(), NumberToJson);
+      forces.emplace_back(std::move(force));
     }
-    intervals.push_back(std::move(forces));
+    intervals.emplace_back(std::move(forces));
   }
   return intervals;
 }

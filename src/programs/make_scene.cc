@@ -11,10 +11,10 @@
 
 DEFINE_string(
     kind, "gas",
-    "gas (in a box with four walls), break (a cue ball and a triangle of discs), pile (discs that fall between two "
-    "walls) or control (a control problem of one of ten kinds, the seed modulo 10)");
-DEFINE_int32(discs, 100, "how many, the cue ball included");
-DEFINE_int64(seed, 1, "the same seed gives the same scene");
+    "kind of scene: gas (in a box with four walls), break (a cue ball and a triangle of discs), pile (discs that fall "
+    "between two walls) or control (a control problem of one of ten kinds, the seed modulo 10)");
+DEFINE_int32(discs, 100, "number of discs, the cue ball included");
+DEFINE_int64(seed, 1, "seed of the random numbers; the same seed gives the same scene");
 DECLARE_double(restitution);
 DECLARE_int32(steps);
 

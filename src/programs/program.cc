@@ -30,38 +30,45 @@
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"
 
-DEFINE_string(scene, "", "the scene, in YAML");
-DEFINE_string(contact, "all",
-              "comma-separated names, each perhaps with options of its own (ncp:kappa=1e-6:kappa_grad=1e-4), 'all', or "
-              "'list' to print what there is");
-DEFINE_string(solver, "", "comma-separated names, 'all', 'none', or 'list' to print what there is (default: gd)");
+DEFINE_string(scene, "", "scene file in YAML");
+DEFINE_string(
+    contact, "all",
+    "comma-separated contact models, each with its options if there are any (ncp:kappa=1e-6:kappa_grad=1e-4), "
+    "'all', or 'list' to print them");
+DEFINE_string(solver, "",
+              "comma-separated solvers, 'all', 'none' to simulate only, or 'list' to print them (default: gd)");
 DEFINE_int32(steps, 0, "number of time steps");
-DEFINE_string(precision, "double", "of the contact model's arithmetic, double or float");
-DEFINE_double(stiffness, 0, "of contacts, N/m; compliant models only");
-DEFINE_double(damping, 0, "of contacts, N s/m; compliant models only");
+DEFINE_string(precision, "double", "arithmetic of the contact model: double or float");
+DEFINE_double(stiffness, 0, "contact stiffness, N/m; compliant models only");
+DEFINE_double(damping, 0, "contact damping, N s/m; compliant models only");
 DEFINE_double(friction, 0, "coefficient of friction, >= 0");
 DEFINE_double(restitution, 0, "coefficient of restitution, in [0, 1]");
-DEFINE_double(learning_rate, 0, "of gradient descent (default: that of the published experiment)");
-DEFINE_bool(rate_per_time, false, "the rate is one per unit of time (default: per step)");
-DEFINE_int32(iterations, 0, "of each solver at most (default: 1000)");
-DEFINE_string(sequence, "auto",
-              "collision sequence, for solvers along one: 'auto' (that of the initial guess, from which all but hmp "
-              "go on to others), 'fixed' (that of the initial guess), 'none', or pairs as "
-              "striker-target,target-ceiling");
-DEFINE_double(search_work, saltus::SearchOptions().work, "of mode_search at most, gradients; 0 is any");
-DEFINE_double(search_seconds, 0, "time limit of mode_search, s, on which its answer depends; 0 is none");
-DEFINE_int32(search_memory, 200, "of mode_search at most, MiB");
-DEFINE_int32(search_starts, 8, "random ones of mode_search, beside the initial guess");
-DEFINE_uint64(search_seed, 1, "of these starts");
-DEFINE_int32(threads, 0, "0 is one per core");
-DEFINE_int32(memory_limit, 1024, "for the states of a rollout; others are computed again");
-DEFINE_string(output_dir, "", "where result files are written");
-DEFINE_string(control, "", "JSON or NPZ with a control to start from, or with --solver=none to simulate");
-DEFINE_string(warm_start, "", "JSON or NPZ of a solution to start from: its control, velocities or positions");
-DEFINE_bool(states, false, "times and states of every solution in --json");
-DEFINE_bool(json, false, "one JSON document on standard output, instead of tables");
-DEFINE_string(progress, "auto", "on standard error: auto, plain (lines) or none");
-DEFINE_bool(h, false, "as --help");
+DEFINE_double(learning_rate, 0, "step size of gradient descent (default: that of the published experiment)");
+DEFINE_bool(rate_per_time, false,
+            "the learning rate is per unit of time and does not depend on the number of steps (default: per step)");
+DEFINE_int32(iterations, 0, "largest number of iterations of each solver (default: 1000)");
+DEFINE_string(
+    sequence, "auto",
+    "collision sequence of ceres_event, ceres_phases, hmp and mode_search: 'auto' (that of the initial guess, "
+    "which all but hmp may change), 'fixed' (that of the initial guess), 'none' (no impacts), or pairs such "
+    "as striker-target,target-ceiling");
+DEFINE_double(search_work, saltus::SearchOptions().work,
+              "work limit of mode_search, in computed gradients; 0 is no limit");
+DEFINE_double(search_seconds, 0, "time limit of mode_search, s; the result then depends on the machine; 0 is no limit");
+DEFINE_int32(search_memory, 200, "memory limit of mode_search, MiB");
+DEFINE_int32(search_starts, 8, "number of random starts of mode_search, in addition to the initial guess");
+DEFINE_uint64(search_seed, 1, "seed of the random starts of mode_search");
+DEFINE_int32(threads, 0, "number of threads; 0 is one per core");
+DEFINE_int32(memory_limit, 1024, "memory for the states of a rollout, MiB; states that do not fit are computed again");
+DEFINE_string(output_dir, "", "directory in which to write result files");
+DEFINE_string(control, "",
+              "JSON or NPZ file with a control: the initial guess or, with --solver=none, the control to simulate");
+DEFINE_string(warm_start, "",
+              "JSON or NPZ file of a solution whose control, velocities or positions are the initial guess");
+DEFINE_bool(states, false, "include the times and states of every solution in --json");
+DEFINE_bool(json, false, "print one JSON document on standard output instead of tables");
+DEFINE_string(progress, "auto", "progress on standard error: auto, plain (lines) or none");
+DEFINE_bool(h, false, "same as --help");
 
 DECLARE_bool(help);
 DECLARE_bool(helpshort);
@@ -171,7 +178,7 @@ void RefuseFlagsOfOneScene() {
 // --control and --warm_start.
 void ReadStart(Request* request) {
   if (!FLAGS_control.empty() && !FLAGS_warm_start.empty()) {
-    throw InputError("--control and --warm_start both say where to start; expected one of them");
+    throw InputError("--control and --warm_start both give the initial guess; expected one of them");
   }
   const bool warm = !FLAGS_warm_start.empty();
   const std::string flag = warm ? "--warm_start" : "--control", path = warm ? FLAGS_warm_start : FLAGS_control;

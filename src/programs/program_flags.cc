@@ -13,12 +13,13 @@ namespace saltus {
 namespace {
 
 constexpr char kProblems[] = "the problems' programs";
+constexpr char kHybridProblems[] = "the programs of hybrid systems";
 constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
 
-const FlagGroup kScene = {"Scene (in place of what the file says)",
+const FlagGroup kScene = {"Scene (these flags override the file)",
                           {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
 const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
-const FlagGroup kSimulators = {"Simulators of others", {"simulate=COMMAND", "simulate_seconds=S"}};
+const FlagGroup kSimulators = {"Black-box simulators", {"simulate=COMMAND", "simulate_seconds=S"}};
 const FlagGroup kModelsAndSimulators = {"Contact models",
                                         {"contact=LIST", "precision=NAME", "simulate=COMMAND", "simulate_seconds=S"}};
 const FlagGroup kSolvers = {"Solvers",
@@ -33,7 +34,7 @@ const FlagGroup kSolvers = {"Solvers",
                              "search_memory=MIB",
                              "search_starts=N",
                              "search_seed=N"}};
-const FlagGroup kStart = {"Start (in place of the scene's)", {"control=FILE", "warm_start=FILE"}};
+const FlagGroup kStart = {"Initial guess (these flags override the scene)", {"control=FILE", "warm_start=FILE"}};
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
     {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
@@ -76,11 +77,29 @@ std::string Join(const std::vector<std::string>& words) {
 std::vector<Program> MakePrograms() {
   return {
       {kProblems,
-       "Gradients of every contact model, and optimisation, of a problem of the papers",
+       "Computes the gradients of every contact model, and optimises, for a problem of the papers",
        {"[--contact=LIST] [--solver=LIST|none] [--json]"},
        {kScene, kModels, kSolvers, kStart, {"Audit", {"attribution_seconds=S", "width_sweep"}}, kSurrogate, kOutput}},
+      {kHybridProblems,
+       "Motion, loss with gradient, optimisation and audit of a problem of a hybrid system",
+       {"[--set=NAME=VALUE,...] [--solver=LIST|none] [--audit] [--json]"},
+       {{"Problem (in place of the program's own)", {"set=LIST", "steps=N"}},
+        {"Solvers",
+         {"solver=LIST",
+          "iterations=N",
+          "learning_rate=X",
+          "rate_per_time",
+          "search_work=N",
+          "search_seconds=S",
+          "search_memory=MIB",
+          "search_starts=N",
+          "search_seed=N"}},
+        {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
+        {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}},
+       "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
+       "ceres_lm, or where it does not apply ceres_lbfgs or gd."},
       {"saltus_audit",
-       "Gradients of contact models: which are right, which are wrong, where and why",
+       "Audits the gradients of contact models: which are right, which are wrong, where and why",
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
        {kScene,
         kModels,
@@ -96,25 +115,24 @@ std::vector<Program> MakePrograms() {
        "Writes a page that plays saved motions",
        {"FILE... [--scene=FILE] [--output=FILE.html]"},
        {{"Replay", {"scene=FILE", "output=FILE"}}},
-       "A FILE is an NPZ file or the JSON of saltus_solve --states, or has states of another simulator under the same "
-       "keys; several make one page of several motions. The README has the keys.",
+       "A FILE is an NPZ file of a solution, the JSON output of saltus_solve --states, or a file of another simulator "
+       "with the same keys (docs/how-to/replays.md lists them). Several files make one page of several motions.",
        true},
       {"saltus_sweep",
-       "Many points of some options, one row each, as CSV on standard output",
-       {"--scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
-       {{"Points", {"sweep=POINTS", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
+       "Computes many points of some options, and prints one row of CSV for each",
+       {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
+       {{"Points", {"sweep=POINTS", "program=COMMAND", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
         kScene,
         kModelsAndSimulators,
         kSolvers,
         kSurrogate,
         kOutput},
-       "With --output_dir, every finished point is kept at once in DIR/sweep.sqlite: the same command goes on where "
-       "the "
-       "last one ended, however that was. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
-       "Many machines: 'mpirun -n K saltus_sweep ...' (with --enable-recovery, the job outlives ranks that die), or "
-       "--shard=1/N ... --shard=N/N on each and then --merge."},
+       "With --output_dir, every finished point is written to DIR/sweep.sqlite immediately, and the same command "
+       "continues after an interruption or a crash. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
+       "On many machines, run 'mpirun -n K saltus_sweep ...' (with --enable-recovery the job survives ranks that "
+       "die), or --shard=1/N ... --shard=N/N and then --merge."},
       {"saltus_identify",
-       "Parameters of a scene from recordings of its motion, with their confidence",
+       "Fits parameters of a scene to recordings of its motion, with confidence intervals",
        {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},
        {{"Data", {"recording=LIST", "segment=S"}},
         {"Fit",
@@ -130,16 +148,17 @@ std::vector<Program> MakePrograms() {
         {"Contact models (default: event)", {"contact=LIST"}},
         kOutput}},
       {"saltus_scene",
-       "Writes a scene of many discs, or a control problem, to standard output, for --scene of the other programs",
+       "Writes a scene of many discs, or a control problem, to standard output",
        {"[--kind=NAME] [--discs=N] [--seed=N]"},
        {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
       {"saltus_simulate",
-       "A contact model as a black box: answers on standard output what is asked on standard input, one JSON object a "
-       "line",
+       "Runs a contact model as a black box: reads requests from standard input and answers on standard output, one "
+       "JSON "
+       "object per line",
        {"--contact=NAME [--precision=NAME] [--offer=LIST]"},
        {kModels, {"Protocol", {"offer=LIST"}}}},
       {"saltus_reproduce",
-       "Every table and figure of the paper, next to the published values",
+       "Computes every table and figure of the paper, next to the published values",
        {"[--output_dir=DIR] [--simulate=\"[NAME=]COMMAND\"]"},
        {{"What", {"[no]all_formulations", "every_solver"}},
         kSimulators,
@@ -191,8 +210,9 @@ std::string HelpText(const Program& program, size_t width) {
   if (!program.notes.empty()) text += "\n" + Paragraph(program.notes, width);
   return text + "\n" +
          Paragraph(
-             "Also --flagfile=FILE, --fromenv=FLAGS, --version, and --helpfull for every flag, those of logging "
-             "included. Exit code: 0 done, 1 the answer failed, 2 wrong input.",
+             "Every program also takes --flagfile=FILE, --fromenv=FLAGS, --version, and --helpfull, which lists the "
+             "flags "
+             "of gflags and glog too. Exit codes: 0 success, 1 the computation failed, 2 the input is wrong.",
              width);
 }
 

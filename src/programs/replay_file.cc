@@ -13,7 +13,7 @@
 #include "programs/replay_scene.h"
 
 DECLARE_string(scene);
-DEFINE_string(output, "replay.html", "the page to write");
+DEFINE_string(output, "replay.html", "HTML page to write");
 
 namespace saltus {
 namespace {
@@ -61,7 +61,7 @@ void Thin(size_t most_rows, size_t width, ReplayMotion* motion) {
 
 int WriteReplay() {
   const std::vector<std::string>& paths = FilesGiven();
-  if (paths.empty()) throw InputError("expected a file to replay; -h says which");
+  if (paths.empty()) throw InputError("expected a file to replay; -h describes the formats");
   std::optional<Scene> scene;
   if (!FLAGS_scene.empty()) scene = LoadScene(FLAGS_scene);
   const Replay replay = ReadReplay(paths, scene);

@@ -60,7 +60,8 @@ class Reader {
     const size_t rows = scene_.num_controlled();
     if (scene_.num_turned() == 0) return Vectors(list, key, rows);
     if (!list.is_array() || list.size() != rows) {
-      Fail(key, "a list of " + std::to_string(rows) + " times [x, y], or [x, y, torque] of discs that are turned");
+      Fail(key,
+           "a list of " + std::to_string(rows) + " times [x, y], or [x, y, torque] of discs with a torque control");
     }
     std::vector<double> numbers;
     for (size_t c = 0; c < rows; ++c) {

@@ -10,7 +10,7 @@
 #include "programs/program.h"
 
 DEFINE_string(offer, "gradient,step,states",
-              "what it gives besides final states: some of gradient, step and states, or none");
+              "answers offered in addition to final states: some of gradient, step and states, or none");
 DECLARE_string(contact);
 DECLARE_string(precision);
 

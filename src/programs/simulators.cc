@@ -14,8 +14,9 @@
 #include "base/file.h"
 #include "blackbox/command_box.h"
 
-DEFINE_string(simulate, "", "a simulator of yours: [NAME=]COMMAND, or @FILE of such lines");
-DEFINE_double(simulate_seconds, 30, "after which a simulator that is silent has failed");
+DEFINE_string(simulate, "",
+              "command of a simulator of your own: [NAME=]COMMAND, or @FILE with one such command per line");
+DEFINE_double(simulate_seconds, 30, "time, s, after which a simulator that does not answer has failed");
 
 namespace saltus {
 namespace {

@@ -60,8 +60,9 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
       const Certificate& certificate = *runs[0]->certificate;
       const std::string words = VerdictInWords(certificate);
       const bool good = certificate.IsStationary() && !certificate.IsSaddle();
-      tiles.push_back(
-          {words.empty() ? "not certified" : words, "what its certificate says", good ? Tone::kGood : Tone::kWarning});
+      tiles.push_back({words.empty() ? "not certified" : words,
+                       "what its certificate reports",
+                       good ? Tone::kGood : Tone::kWarning});
     }
   }
   const auto failed = std::count_if(

@@ -5,12 +5,14 @@
 #include "programs/program.h"
 
 DEFINE_string(surrogate, "",
-              "what stands in for the gradient, biased, or 'list' to print what there is (default: the model's own "
+              "biased estimate that replaces the gradient, or 'list' to print the names (default: the model's own "
               "gradient)");
 DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples, m, m/s or N");
-DEFINE_int32(surrogate_samples, 2000, "of a smoothed gradient, an even number");
-DEFINE_uint64(surrogate_seed, 1, "of a smoothed gradient; iteration k takes the k-th after it");
-DEFINE_int32(surrogate_segments, 0, "parts of the horizon in which samples hold the control (default: steps)");
+DEFINE_int32(surrogate_samples, 2000, "number of samples of a smoothed gradient, even");
+DEFINE_uint64(surrogate_seed, 1, "seed of a smoothed gradient; iteration k uses the k-th seed after it");
+DEFINE_int32(surrogate_segments, 0,
+             "number of equal parts of the horizon over which a sample changes the control by a constant (default: "
+             "steps)");
 
 namespace saltus {
 namespace {

@@ -429,7 +429,8 @@ class Rules {
       }
       Expect(!term.hard || !term.component,
              At("objective.terminal", i, "hard"),
-             "found a hard term with a component, expected a target: a linear term is no constraint");
+             "found a terminal equality constraint (hard) with a component, expected a target: a linear term is no "
+             "constraint");
     }
     Number({"objective.effort"}, scene_.objective.effort, in_.not_negative);
     CheckRunning();
@@ -477,7 +478,7 @@ std::optional<SceneError> BrokenInNaturalUnits(const Scene& scene) {
   if (!error) return error;
   const Units& units = natural.units;
   error->message += "; this is in the units of the scene, " + ToText(units.length) + " m, " + ToText(units.time) +
-                    " s and " + ToText(units.mass) + " kg, which are too far from what the key says";
+                    " s and " + ToText(units.mass) + " kg, which are too far from the value of the key";
   return error;
 }
 

@@ -198,7 +198,7 @@ Control SceneReader::ReadControl(const Value& value) {
       control.initial.push_back(ReadVector(force));
       continue;
     }
-    constexpr char kExpected[] = "[x, y, torque], in N and N m, as the body is turned too";
+    constexpr char kExpected[] = "[x, y, torque], in N and N m, as the body has a torque control";
     const std::vector<Value> entries = ReadList(force, kExpected);
     if (entries.size() != 3) FailExpected(force, kExpected);
     control.initial.emplace_back(ReadNumber(entries[0]), ReadNumber(entries[1]));

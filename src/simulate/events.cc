@@ -58,7 +58,7 @@ int NumUnresolvedSteps(const Simulator& simulator) {
 std::string DescribeUnresolved(int unresolved_steps, int num_steps) {
   if (unresolved_steps == 0) return "";
   return std::to_string(unresolved_steps) + " of " + std::to_string(num_steps) +
-         " steps, in which a crowd of discs stirs without end, are taken at once";
+         " steps use the time-stepping fallback, as impacts of many discs accumulate in them";
 }
 
 std::vector<Tie> TiesOf(const Simulator& simulator) {

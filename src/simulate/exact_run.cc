@@ -8,24 +8,16 @@
 #include <numeric>
 
 #include "contact/event/event_ties.h"
-#include "control/running_loss.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
-#include "simulate/limited_run.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 namespace {
 
 constexpr double kSameEnd = 1e-6;  // of how far and how fast discs move
-
-const ModelTraits* ExactModel() {
-  for (const ModelTraits& traits : AllContactModels()) {
-    if (traits.event_driven) return &traits;
-  }
-  return nullptr;
-}
 
 struct How {
   std::string model;
@@ -126,12 +118,13 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
   if (objective.running.empty() && objective.via.empty()) return;
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
     run->ok = false;
-    run->reason = "the scene has " + beyond + "; running and via terms are integrated between impacts on planes";
+    run->reason = "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     return;
   }
   if (!run->only_impacts) {
     run->ok = false;
-    run->reason = "discs rest on or graze each other or a plane; running and via terms are integrated between impacts";
+    run->reason =
+        "discs rest on or graze each other or a plane; running and waypoint costs are integrated between impacts";
     return;
   }
   run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));
@@ -202,6 +195,11 @@ class SameEnd {
 };
 
 }  // namespace
+
+const ModelTraits* ExactModel() {
+  const auto exact = std::ranges::find_if(AllContactModels(), &ModelTraits::event_driven);
+  return exact == AllContactModels().end() ? nullptr : &*exact;
+}
 
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations, const StopRequest& stop) {

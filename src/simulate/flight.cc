@@ -9,20 +9,6 @@
 namespace saltus {
 namespace {
 
-DiscStates After(const Flight::Piece& piece, double s) {
-  DiscStates x = piece.at_start;
-  for (size_t i = 0; i < x.p.size(); ++i) {
-    x.p[i] += s * (x.v[i] + 0.5 * s * piece.acceleration[i]);
-    x.v[i] += s * piece.acceleration[i];
-  }
-  for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
-  for (size_t i = 0; i < piece.turning.size(); ++i) {
-    x.angle[i] += 0.5 * s * s * piece.turning[i];
-    x.spin[i] += s * piece.turning[i];
-  }
-  return x;
-}
-
 std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
   std::vector<Vec2d> acceleration;
   for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
@@ -48,7 +34,40 @@ Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
   return Separate<double>(x.p[c.a], x.p[c.b]).normal;
 }
 
+// The integral of |q - target|^2 over a piece.
+double Integral(const Flight::Piece& piece, const RunningTerm& term) {
+  double sum = 0;
+  for (double begin = 0; begin < piece.duration;) {
+    const auto turn = std::upper_bound(term.times.begin(), term.times.end(), piece.start + begin);
+    double end = piece.duration;
+    if (turn != term.times.end()) end = std::min(end, *turn - piece.start);
+    if (!(end > begin)) end = piece.duration;  // a turn within rounding of here
+    for (size_t i = 0; i < kGaussNodes.size(); ++i) {
+      const double s = begin + kGaussNodes[i] * (end - begin);
+      const Vec2d miss = piece.After(term.body, s).Of(term.quantity) - TargetAt(term, piece.start + s);
+      sum += kGaussWeights[i] * (end - begin) * miss.squaredNorm();
+    }
+    begin = end;
+  }
+  return sum;
+}
+
 }  // namespace
+
+DiscStates Flight::Piece::After(double s) const {
+  DiscStates x = at_start;
+  for (size_t i = 0; i < x.p.size(); ++i) {
+    const DiscState disc = After(static_cast<int>(i), s);
+    x.p[i] = disc.p;
+    x.v[i] = disc.v;
+  }
+  for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
+  for (size_t i = 0; i < turning.size(); ++i) {
+    x.angle[i] += 0.5 * s * s * turning[i];
+    x.spin[i] += s * turning[i];
+  }
+  return x;
+}
 
 Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<const double> control,
                std::span<const double> durations, const ExactRun& run) {
@@ -74,7 +93,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
       const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration, turning};
-      x = After(piece, to - now);
+      x = piece.After(to - now);
       if (to - now > margin) pieces_.push_back(piece);
       now = to;
     };
@@ -105,7 +124,30 @@ DiscStates Flight::Before(double time) const {
   const auto after =
       std::partition_point(pieces_.begin(), pieces_.end(), [&](const Piece& piece) { return piece.start < time; });
   const Piece& piece = after == pieces_.begin() ? *after : *(after - 1);
-  return After(piece, std::min(time - piece.start, piece.duration));
+  return piece.After(std::min(time - piece.start, piece.duration));
+}
+
+Vec2d InitialAcceleration(const Scene& scene, int body) {
+  if (scene.bodies[body].fixed) return Vec2d(0, 0);
+  Vec2d acceleration = scene.gravity;
+  for (int c = 0; c < scene.num_controlled(); ++c) {
+    if (scene.control.bodies[c] == body) acceleration += scene.control.initial[c] / scene.bodies[body].mass;
+  }
+  return acceleration;
+}
+
+double RunningLoss(const Scene& scene, const Flight& flight) {
+  double loss = 0;
+  for (const RunningTerm& term : scene.objective.running) {
+    for (const Flight::Piece& piece : flight.pieces()) loss += term.weight * Integral(piece, term);
+  }
+  for (const ViaTerm& term : scene.objective.via) {
+    if (term.hard) continue;
+    const DiscStates x = flight.Before(term.time);
+    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
+    loss += term.weight * (q - term.target).squaredNorm();
+  }
+  return loss;
 }
 
 }  // namespace saltus

@@ -1,6 +1,5 @@
-// The exact motion of all discs under a piecewise constant control, as pieces of constant accelerations (angular ones
-// too) and the impacts between them: what an exact re-simulation has found, written out for those who need it
-// between grid nodes.
+// The trajectory of all discs under a piecewise constant control in exact dynamics: pieces of constant acceleration
+// (linear and angular) and the impacts between them, from the events that an exact run has found.
 #pragma once
 
 #include <array>
@@ -9,11 +8,21 @@
 #include <string>
 #include <vector>
 
-#include "control/impact.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/exact_run.h"
+#include "simulate/impact.h"
 
 namespace saltus {
+
+// One disc.
+struct DiscState {
+  Vec2d p, v;  // m, m/s
+
+  // What a term with one of these two quantities is of.
+  const Vec2d& Of(TerminalTerm::Quantity quantity) const {
+    return quantity == TerminalTerm::Quantity::kPosition ? p : v;
+  }
+};
 
 struct DiscStates {
   std::vector<Vec2d> p, v;                    // m and m/s, of every disc
@@ -36,6 +45,12 @@ class Flight {
     std::vector<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
 
     double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
+    // `s` seconds after the start: one disc, and all of them.
+    DiscState After(int body, double s) const {
+      const Vec2d &p = at_start.p[body], &v = at_start.v[body], &a = acceleration[body];
+      return {p + s * (v + 0.5 * s * a), v + s * a};
+    }
+    DiscStates After(double s) const;
   };
   struct Hit {
     double time = 0;
@@ -59,11 +74,38 @@ class Flight {
   DiscStates Before(double time) const;
 
  private:
-  void Fly(double duration);
-
   std::vector<Piece> pieces_;
   std::vector<Hit> hits_;
   DiscStates end_;
 };
+
+// The target of a running term at time t.
+template <typename T>
+Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
+  size_t next = 0;
+  while (next < term.times.size() && term.times[next] <= Value(t)) ++next;
+  if (next == 0) return term.targets.front().cast<T>();
+  if (next == term.times.size()) return term.targets.back().cast<T>();
+  const double length = term.times[next] - term.times[next - 1];
+  const Vec2d& from = term.targets[next - 1];
+  return from.cast<T>() + Scale(T((t - term.times[next - 1]) / length), Vec2d(term.targets[next] - from));
+}
+
+// Nodes and weights of the quadrature of Gauss and Legendre on [0, 1], exact for the square of a quadratic.
+inline constexpr std::array<double, 3> kGaussNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
+inline constexpr std::array<double, 3> kGaussWeights = {5.0 / 18, 4.0 / 9, 5.0 / 18};
+
+// The acceleration of a disc under gravity and the first of its forces, m/s^2; zero if it is fixed.
+Vec2d InitialAcceleration(const Scene& scene, int body);
+
+// The running terms and the soft via terms of the objective on a trajectory: integrals are exact, cut at impacts and
+// where targets turn.
+double RunningLoss(const Scene& scene, const Flight& flight);
+
+// As SimulateExactly(), but a motion with more than so many impacts ends in the step in which it exceeds the number,
+// and that is the reason. For trial motions, whose impacts might accumulate without limit.
+ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const std::vector<double>& initial,
+                      const std::vector<double>& control, const std::vector<double>& durations = {},
+                      const StopRequest& stop = nullptr);
 
 }  // namespace saltus

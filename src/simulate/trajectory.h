@@ -7,6 +7,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <span>
 #include <vector>
@@ -19,7 +20,17 @@ inline constexpr std::size_t kWindowBytes = std::size_t{1} << 18;
 // The length of a window, in steps, for `steps` steps with states of `state_bytes` each: at least kWindowBytes, and the
 // shortest for which window and checkpoints take at most `limit` bytes, if there is one; otherwise that which takes the
 // least.
-int WindowLength(int steps, std::size_t state_bytes, std::size_t limit);
+inline int WindowLength(int steps, std::size_t state_bytes, std::size_t limit) {
+  const auto bytes = [&](int length) {
+    return (static_cast<std::size_t>(length) + (steps + length - 1) / length) * state_bytes;
+  };
+  const int cached = static_cast<int>(std::min<std::size_t>(kWindowBytes / state_bytes, steps));
+  const int balanced = static_cast<int>(std::ceil(std::sqrt(steps)));
+  int length = std::clamp(cached, 1, steps);
+  while (length < balanced && bytes(length) > limit) length = std::min(2 * length, balanced);
+  while (length > balanced && bytes(length) > limit) length = std::max(length / 2, balanced);
+  return length;
+}
 
 template <typename State>
 class Trajectory {

@@ -1,23 +1,166 @@
 #include "solve/hmp.h"
 
-#include <algorithm>
-#include <cmath>
+#include <ceres/dynamic_autodiff_cost_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
 
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <numeric>
+
+#include "base/linear_algebra.h"
 #include "saltus/control/objective.h"
-#include "solve/hmp_constrained.h"
-#include "solve/hmp_roots.h"
+#include "simulate/costate_sweep.h"
+#include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_run.h"
+#include "solve/phases/phase_solution.h"
 
 namespace saltus {
 namespace {
 
+constexpr int kStride = 4;  // derivatives in one pass
 constexpr double kResidualTolerance = 1e-9;
-constexpr double kSameLoss = 1e-4;  // relative: Newton's method has stayed with the minimum it started from
+constexpr double kSameLoss = 1e-4;          // relative: Newton's method has stayed with the minimum it started from
+constexpr double kSameLossAsOnGrid = 1e-3;  // relative, between the grid and continuous time
+constexpr double kAtEnd = 1e-6;             // of the bounds of a free final time
 
 double LargestOf(const double* begin, int count) {
   double largest = 0;
   for (int i = 0; i < count; ++i) largest = std::max(largest, std::abs(begin[i]));
   return largest;
+}
+
+struct PathConditions {
+  HmpSystem system;
+  template <typename T>
+  bool operator()(T const* const* y, T* residuals) const {
+    Path<T> path;
+    return system.Evaluate(y[0], &path, residuals);
+  }
+};
+
+struct ShootingConditions {
+  const CostateShooting* shooting;
+  template <typename T>
+  bool operator()(T const* const* y, T* residuals) const {
+    return shooting->Evaluate(y[0], residuals);
+  }
+};
+
+struct NewtonSummary {
+  int iterations = 0, jacobians = 0;
+};
+
+// Newton's method, damped where the full step fails, for as many equations as there are numbers in y.
+template <int kJetWidth, typename Equations>
+NewtonSummary FindRoot(const Equations& equations, int num_equations, std::vector<double>* y, int most_iterations) {
+  auto* cost = new ceres::DynamicAutoDiffCostFunction<Equations, kJetWidth>(new Equations(equations));
+  cost->AddParameterBlock(static_cast<int>(y->size()));
+  cost->SetNumResiduals(num_equations);
+  ceres::Problem problem;
+  problem.AddResidualBlock(cost, nullptr, y->data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_QR;
+  options.logging_type = ceres::SILENT;
+  options.max_num_iterations = most_iterations;
+  options.initial_trust_region_radius = 1e12;  // Newton's method until that fails
+  options.max_trust_region_radius = 1e20;
+  options.min_lm_diagonal = 1e-12;
+  options.gradient_tolerance = 0;
+  options.function_tolerance = 0;
+  options.parameter_tolerance = 0;
+  options.max_num_consecutive_invalid_steps = 20;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  return {std::max(0, static_cast<int>(summary.iterations.size()) - 1), summary.num_jacobian_evaluations};
+}
+
+// The multipliers that leave the least sum of squares.
+bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
+  const int n = system.num_residuals(), variables = system.phases->num_variables();
+  Path<double> path;
+  Eigen::VectorXd base(n), moved(n);
+  if (!system.Evaluate(y->data(), &path, base.data())) return false;
+  Eigen::MatrixXd columns(n, system.num_impacts());
+  for (int k = 0; k < system.num_impacts(); ++k) {
+    (*y)[variables + k] = 1;
+    system.Evaluate(y->data(), &path, moved.data());
+    (*y)[variables + k] = 0;
+    columns.col(k) = moved - base;
+  }
+  if (system.num_impacts() == 0) return true;
+  const Eigen::VectorXd best = -LeastSquaresSolution(columns, base);
+  std::copy_n(best.data(), system.num_impacts(), y->begin() + variables);
+  return true;
+}
+
+Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& on_grid) {
+  const CostateShooting::Sizes& sizes = optimum.shooting.sizes();
+  const double* at = optimum.residuals.data();
+  Certificate certificate;
+  certificate.costate_jump = LargestOf(at, sizes.jumps) / optimum.scale;
+  const double* hamiltonian = at + sizes.jumps;
+  certificate.hamiltonian = LargestOf(hamiltonian, sizes.hamiltonians) / optimum.scale;
+  at = hamiltonian + sizes.hamiltonians + sizes.gaps;
+  certificate.transversality = LargestOf(at, sizes.terminal) / optimum.scale;
+  certificate.impacts = on_grid.impacts;
+  for (size_t k = 0; k < certificate.impacts.size(); ++k) {
+    ImpactCertificate& impact = certificate.impacts[k];
+    impact.time = optimum.shooting.Time(optimum.y.data(), static_cast<int>(k));
+    impact.multiplier = optimum.shooting.Multiplier(optimum.y.data(), static_cast<int>(k));
+    impact.jump = certificate.costate_jump;
+    impact.hamiltonian = hamiltonian[k] / optimum.scale;
+    impact.on_node = true;
+    impact.theta.reset();
+  }
+  certificate.constraints = on_grid.constraints;
+  for (size_t i = 0; i < certificate.constraints.size(); ++i) {
+    certificate.constraints[i].multiplier = optimum.shooting.Hard(optimum.y.data(), static_cast<int>(i));
+  }
+  if (sizes.hamiltonians > static_cast<int>(certificate.impacts.size())) {
+    certificate.final_time = hamiltonian[sizes.hamiltonians - 1] / optimum.scale;
+  }
+  Judge(&certificate);
+  return certificate;
+}
+
+std::string WhyNotConstrainedHmp(const SolveRequest& request) {
+  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
+  return CostateShooting::WhyNot(request.scene);
+}
+
+SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptions& options) {
+  const auto start = std::chrono::steady_clock::now();
+  const Scene& scene = request.scene;
+  SolveReport report = SolveByCeresPhases(request, options);
+  report.solver = "hmp";
+  if (report.termination == Termination::kNotApplicable || report.termination == Termination::kFailed ||
+      report.termination == Termination::kInterrupted) {
+    return report;
+  }
+  const std::optional<ContinuousOptimum> optimum = FindContinuousOptimum(scene, report, options.iterations);
+  const auto give_up = [&](const std::string& reason) {
+    if (report.termination == Termination::kConverged) report.termination = Termination::kNoProgress;
+    report.reason += (report.reason.empty() ? "" : "; ") + reason;
+  };
+  if (!optimum) {
+    give_up("Newton's method has left the motions along the sequence");
+  } else if (optimum->Residual() > kResidualTolerance) {
+    give_up("the conditions are not met");
+  } else if (std::abs(optimum->loss - report.final_loss) > kSameLossAsOnGrid * std::abs(report.final_loss)) {
+    give_up("the conditions are met at a point that is no minimum");
+  } else {
+    const Certificate on_grid = Certify(scene, report.initial_state, report.control, report.durations);
+    report.certificate = CertifyOptimum(*optimum, on_grid);
+    report.termination = Termination::kConverged;
+    report.final_loss = optimum->loss;
+    report.losses.push_back(optimum->loss);
+    report.iterations += 1;
+    report.evaluations += optimum->jacobians;
+  }
+  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return report;
 }
 
 // The conditions as HmpSystem has them, relative to the costates met.
@@ -136,6 +279,79 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
 }
 
 }  // namespace
+
+HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_iterations) {
+  HmpRoot root;
+  const PathConditions conditions{HmpSystem(&phases)};
+  const HmpSystem& system = conditions.system;
+  std::vector<double> y = std::move(z);
+  y.resize(system.num_variables(), 0.0);
+  if (!StartMultipliers(system, &y)) return root;
+  NewtonSummary summary;
+  if (system.num_residuals() > 0) {
+    summary = FindRoot<kStride>(conditions, system.num_residuals(), &y, most_iterations);
+  }
+  Path<double> path;
+  std::vector<double> r(system.num_residuals());
+  if (!system.Evaluate(y.data(), &path, r.data())) return root;
+  root.valid = true;
+  for (double x : r) root.residual = std::max(root.residual, std::abs(x));
+  for (int k = 0; k < system.num_impacts(); ++k) {
+    root.scale = std::max(root.scale, std::abs(y[phases.num_variables() + k]));
+  }
+  for (const Arc<double>& arc : path.arcs) {
+    const double mass = phases.scene().bodies[arc.body].mass;
+    const double weight = 2 * phases.scene().objective.effort * mass * mass;
+    root.scale = std::max({root.scale, weight * arc.slope.norm(), weight * arc.AccelerationAtStart().norm()});
+  }
+  root.iterations = summary.iterations;
+  root.jacobians = summary.jacobians;
+  root.multipliers.assign(y.begin() + phases.num_variables(), y.end());
+  y.resize(phases.num_variables());
+  root.z = std::move(y);
+  return root;
+}
+
+double ContinuousOptimum::Residual() const {
+  return LargestOf(residuals.data(), static_cast<int>(residuals.size())) / scale;
+}
+
+std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const SolveReport& start,
+                                                       int most_iterations) {
+  Scene whole = scene;
+  if (scene.objective.duration) {
+    whole.duration = std::accumulate(start.durations.begin(), start.durations.end(), 0.0);
+  }
+  const ExactRun exact = SimulateExactly(scene, start.initial_state, start.control, start.durations);
+  if (!exact.ok || !exact.only_impacts) return std::nullopt;
+  const Certificate certificate = Certify(scene, start.initial_state, start.control, start.durations);
+  if (!certificate.IsStationary() && certificate.impacts.size() != exact.contacts.size()) return std::nullopt;
+  const Flight flight(whole, start.initial_state, start.control, start.durations, exact);
+  CostateSweep::Source source;
+  for (const ConstraintCertificate& constraint : certificate.constraints) source.hard.push_back(constraint.multiplier);
+  std::vector<double> times, multipliers;
+  for (const ImpactCertificate& impact : certificate.impacts) {
+    times.push_back(impact.time);
+    multipliers.push_back(impact.multiplier);
+  }
+  const CostateSweep::Result costates =
+      CostateSweep(whole, flight).Sweep(source, [&](int k, const ImpactJump&, double) { return multipliers[k]; });
+
+  const std::optional<FreeDuration>& free = scene.objective.duration;
+  const bool moving_end =
+      free && whole.duration > free->min * (1 + kAtEnd) && whole.duration < free->max * (1 - kAtEnd);
+  ContinuousOptimum found(CostateShooting(whole, exact.contacts, moving_end));
+  const CostateShooting& shooting = found.shooting;
+  found.y = shooting.Unknowns(costates.start, costates.after_impact, times, multipliers, source.hard, whole.duration);
+  const NewtonSummary summary = FindRoot<kCostateShootingStride>(
+      ShootingConditions{&shooting}, shooting.num_unknowns(), &found.y, most_iterations);
+  found.iterations = summary.iterations;
+  found.jacobians = summary.jacobians;
+  found.residuals.resize(shooting.num_unknowns());
+  if (!shooting.Evaluate(found.y.data(), found.residuals.data(), &found.loss, &found.legs)) return std::nullopt;
+  found.scale = std::max({costates.largest_position, costates.largest_velocity, 1e-300});
+  return found;
+}
 
 std::string WhyNotHmp(const SolveRequest& request) {
   return BeyondTerminalCost(request.scene).empty() ? WhyNotEventPhases(request) : WhyNotConstrainedHmp(request);

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
+#include "scene/units.h"
 #include "solve/control_guess.h"
 #include "solve/grid_solver.h"
 #include "solve/hmp.h"
@@ -12,13 +14,9 @@
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_solution.h"
 #include "solve/search/mode_search.h"
-#include "solve/shooting/ceres_lagrangian.h"
-#include "solve/shooting/ceres_lbfgs.h"
-#include "solve/shooting/ceres_lm.h"
-#include "solve/shooting/ceres_shooting.h"
-#include "solve/shooting/gradient_descent.h"
+#include "solve/shooting/single_shooting_solvers.h"
+#include "solve/shooting/step_shooting_solvers.h"
 #include "solve/solve_run.h"
-#include "solve/solve_units.h"
 
 namespace saltus {
 namespace {
@@ -92,7 +90,7 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
     if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
   }
   if (request.terms.empty() || entry.own_terms) return "";
-  return "it knows the scene's objective and no terms of a user's own, which ceres_phases takes";
+  return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -120,16 +118,76 @@ double FixDuration(Scene* scene) {
   return price;
 }
 
-// To every loss in the report.
-void AddToLosses(double price, SolveReport* report) {
+// Calls apply(&loss) for every loss in the report.
+template <typename Apply>
+void ForEachLoss(SolveReport* report, const Apply& apply) {
   if (!report->losses.empty()) {
-    report->initial_loss += price;
-    report->final_loss += price;
+    apply(&report->initial_loss);
+    apply(&report->final_loss);
   }
-  for (double& loss : report->losses) loss += price;
-  if (report->best) report->best->loss += price;
-  if (report->searched) report->searched->lower_bound += price;
-  for (LocalOptimum& optimum : report->optima) optimum.loss += price;
+  for (double& loss : report->losses) apply(&loss);
+  if (report->best) apply(&report->best->loss);
+  if (report->searched) apply(&report->searched->lower_bound);
+  for (LocalOptimum& optimum : report->optima) apply(&optimum.loss);
+}
+
+// The next three functions are the border between the units of users, SI, and those in which a solver works on `scene`.
+// First the decision variables (single_shooting.h), from the latter to SI.
+void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
+  const UnitFactors to_si(scene.units, {});
+  if (scene.optimize == Optimize::kControl && scene.objective.duration) {
+    const double duration = z->back() * to_si.time;
+    *z = Multiplied(std::move(*z), to_si.force);
+    z->back() = duration;
+    return;
+  }
+  if (scene.optimize == Optimize::kVelocity) {
+    const size_t turning = z->size() - scene.free_spin.size();
+    for (size_t i = 0; i < z->size(); ++i) (*z)[i] *= i < turning ? to_si.speed : to_si.rate;
+    return;
+  }
+  if (scene.optimize != Optimize::kPosition) {
+    *z = Multiplied(std::move(*z), to_si.force);
+    return;
+  }
+  for (size_t i = 0; i + 1 < z->size(); i += 2) {
+    const Vec2d position = ConvertPosition({(*z)[i], (*z)[i + 1]}, scene.units, {});
+    std::copy_n(position.data(), 2, &(*z)[i]);
+  }
+}
+
+// The options for a solver; it calls back with losses in SI units.
+SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
+  SolverOptions out = options;
+  if (options.guess) {
+    const UnitFactors from_si({}, scene.units);
+    out.guess->control = Multiplied(options.guess->control, from_si.force);
+    out.guess->durations = Multiplied(options.guess->durations, from_si.time);
+  }
+  if (options.callback) {
+    out.callback = [&options, units = scene.units](int iteration, double loss) {
+      return options.callback(iteration, ConvertLoss(loss, units, {}));
+    };
+  }
+  return out;
+}
+
+// The report of a solver.
+SolveReport InSiUnits(const Scene& scene, SolveReport report) {
+  const Units si;
+  const UnitFactors to_si(scene.units, si);
+  const auto convert_motion = [&](auto* motion) {
+    motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
+    motion->control = Multiplied(std::move(motion->control), to_si.force);
+    motion->durations = Multiplied(std::move(motion->durations), to_si.time);
+  };
+  ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
+  convert_motion(&report);
+  if (report.best) convert_motion(&*report.best);
+  for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
+  if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
+  for (LocalOptimum& optimum : report.optima) optimum.times = Multiplied(std::move(optimum.times), to_si.time);
+  return report;
 }
 
 }  // namespace
@@ -154,7 +212,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
       {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "as ceres_event or ceres_phases, and searches for the sequence of impacts", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
+      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
   };
   // clang-format on
   return solvers;
@@ -202,7 +260,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
     report = entry->solve(converted, own);
     Confirm(converted, options.stop, &report);
     report = InSiUnits(converted.scene, std::move(report));
-    AddToLosses(price, &report);
+    ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.durations.empty() && !report.control.empty()) {
       const size_t intervals = report.control.size() / request.scene.control_width();
       report.durations.assign(intervals, request.scene.duration / static_cast<double>(intervals));
@@ -218,21 +276,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
 }
 
 const char* TerminationToString(Termination termination) {
-  switch (termination) {
-    case Termination::kConverged:
-      return "converged";
-    case Termination::kIterationLimit:
-      return "iteration_limit";
-    case Termination::kNoProgress:
-      return "no_progress";
-    case Termination::kFailed:
-      return "failed";
-    case Termination::kInterrupted:
-      return "interrupted";
-    case Termination::kNotApplicable:
-      return "not_applicable";
-  }
-  return "";
+  constexpr const char* kNames[] = {
+      "converged", "iteration_limit", "no_progress", "failed", "interrupted", "not_applicable"};
+  return kNames[static_cast<int>(termination)];
 }
 
 }  // namespace saltus

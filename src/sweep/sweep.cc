@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <iostream>
 #include <regex>
+#include <string_view>
 
 #include "base/interrupt.h"
 #include "output/text_layout.h"
@@ -23,10 +24,14 @@
 
 DEFINE_string(
     sweep, "",
-    "'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & damping=3,4' two that move "
-    "together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are explicit points");
-DEFINE_double(point_seconds, 0, "time limit of every point, s; what takes longer fails (default: none)");
-DEFINE_string(shard, "", "only the I-th of N parts, I = 1..N; --merge puts them together");
+    "points of the sweep: 'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & "
+    "damping=3,4' changes two options together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are "
+    "explicit points");
+DEFINE_string(program, "",
+              "program of a hybrid system, with or without flags of its own, in place of --scene; its options are its "
+              "parameters, initial states, duration, steps, iterations, learning_rate and solver");
+DEFINE_double(point_seconds, 0, "time limit of each point, s; a point that takes longer fails (default: no limit)");
+DEFINE_string(shard, "", "compute only the I-th of N parts, I = 1..N; --merge joins the parts");
 DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
 DEFINE_bool(retry_failed, false, "compute the failed points of --output_dir again");
 
@@ -128,7 +133,7 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   report.AddTable(SweepTable(study, first),
                   first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
                                                : "All rows, as in `" + base + ".csv`.");
-  if (study.generates()) return OrOutputError(report.Write(ReportPath(study, base)));
+  if (study.generates() || KeptProgram() != nullptr) return OrOutputError(report.Write(ReportPath(study, base)));
   report.AddHeading(1, "Scene");
   report.AddPreformatted(WriteScene(request.scene));
   OrOutputError(report.Write(ReportPath(study, base)));
@@ -225,13 +230,43 @@ void AddSimulators(const std::vector<std::string>& arguments, Request* request) 
 
 // Whether each point is to have a scene of its own, which is asked before there is any.
 bool SweepsSeeds(const std::string& text) {
-  static const std::regex seeds(std::string("(^|[;&(,\\s])") + kSeedOption + "\\s*[=,)]");
-  return std::regex_search(text, seeds);
+  // By hand: std::regex needs stack for every character.
+  constexpr std::string_view kSpace = " \t\n\v\f\r", kBefore = ";&(, \t\n\v\f\r", kAfter = "=,)";
+  const std::string_view seed = kSeedOption;
+  for (size_t at = text.find(seed); at != std::string::npos; at = text.find(seed, at + 1)) {
+    const size_t next = text.find_first_not_of(kSpace, at + seed.size());
+    const bool begins = at == 0 || kBefore.find(text[at - 1]) != std::string_view::npos;
+    if (begins && next != std::string::npos && kAfter.find(text[next]) != std::string_view::npos) return true;
+  }
+  return false;
+}
+
+// Asks the program of --program for the names of what it lets set.
+void AskProgram() {
+  KeepProgram({.command = FLAGS_program, .name = FLAGS_program, .names = {}});
+  const Json document = RunProgram("--solver=none", FLAGS_point_seconds);
+  SweepProgram program{.command = FLAGS_program, .name = "", .names = {"duration", "tolerance"}};
+  try {
+    program.name = document.at("program");
+    for (const Json& name : document.at("system").at("parameters")) program.names.push_back(name);
+    for (const Json& mode : document.at("system").at("modes")) {
+      if (mode.at("name") != document.at("guess").at("mode")) continue;
+      for (const Json& name : mode.at("states")) program.names.push_back(name);
+    }
+  } catch (const Json::exception&) {
+    throw InputError("--program=" + FLAGS_program + ": is no program of a hybrid system");
+  }
+  KeepProgram(std::move(program));
 }
 
 int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   Request request;
   ProgramDefaults defaults;
+  if (!FLAGS_program.empty()) {
+    AskProgram();
+    defaults.generated = ControlProblem(0);
+    defaults.generated->name = KeptProgram()->name;
+  }
   if (SweepsSeeds(FLAGS_sweep)) {
     defaults.generated = ControlProblem(0);
     defaults.generated->name = "control_problems";

@@ -11,6 +11,7 @@
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <stdexcept>
 
 namespace saltus {
 namespace {
@@ -49,18 +50,23 @@ WorkerPool::WorkerPool(int workers, double seconds, Work work) : seconds_(second
 
 WorkerPool::~WorkerPool() {
   for (Worker& worker : workers_) {
+    if (worker.process < 0) continue;  // it could not be started
     kill(worker.process, SIGKILL);
     Reap(&worker);
   }
 }
 
 void WorkerPool::Launch(Worker* worker) {
-  int sockets[2];
+  int sockets[2] = {-1, -1};
   // Keeps the boundaries of messages, and tells when the other end is gone.
-  PCHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, sockets) == 0);
+  const bool connected = socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, sockets) == 0;
   const pid_t parent = getpid();
-  worker->process = fork();
-  PCHECK(worker->process >= 0) << "cannot start a process";
+  if (connected) worker->process = fork();
+  if (worker->process < 0) {
+    const std::string why = std::strerror(errno);
+    for (const int socket : sockets) close(socket);
+    throw std::runtime_error("cannot start a process that computes: " + why);
+  }
   if (worker->process == 0) {
     // The parent's ends would keep the other workers' sockets open.
     for (const Worker& other : workers_) {
@@ -78,7 +84,7 @@ std::string WorkerPool::Reap(Worker* worker) {
   while (waitpid(worker->process, &status, 0) < 0 && errno == EINTR) {
   }
   close(worker->socket);
-  worker->socket = -1;
+  worker->socket = worker->process = -1;
   return HowItEnded(status);
 }
 

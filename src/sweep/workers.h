@@ -30,7 +30,8 @@ class WorkerPool {
   };
 
   // `seconds` is what a task may take (0: any time). Precondition: workers > 0, and no other threads that hold locks
-  // which `work` needs, neither now nor when a worker must be replaced.
+  // which `work` needs, neither now nor when a worker must be replaced. This, Start and Wait throw std::runtime_error
+  // if the system has no process or socket for a worker.
   WorkerPool(int workers, double seconds, Work work);
   // Ends the workers, and with them what they were computing.
   ~WorkerPool();

@@ -6,7 +6,6 @@
 
 #include <cmath>
 
-#include "audit/attribution/pulled_costate.h"
 #include "audit/attribution/step_map.h"
 #include "saltus/audit/audit.h"
 #include "saltus/simulate/registry.h"

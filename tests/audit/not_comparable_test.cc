@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/gradient/conditioning.h"
 #include "saltus/audit/audit.h"
 #include "scene/scene_generators.h"
 #include "test_scenes.h"

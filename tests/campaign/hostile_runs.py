@@ -608,6 +608,7 @@ NO_NUMBER = re.compile(r"(?<![A-Za-z0-9_./'-])[-+]?(?:nan|inf|infinity)(?![A-Za-
 
 
 def no_number(text):
+    text = re.sub(r"'\{[^']*'", "''", text)  # the line of a simulator, quoted
     found = NO_NUMBER.search(text)
     return text[max(0, found.start() - 40):found.end() + 40].replace("\n", "\\n") if found else None
 
@@ -646,7 +647,8 @@ def judge(run, outcome, hang):
     starved = run.limits.get(resource.RLIMIT_NOFILE, 1000) < 6 and outcome.code == 127  # no libraries
     if outcome.code not in (0, 1, 2) and not starved:
         yield f"exit code {outcome.code}"
-    if outcome.code != 0 and not outcome.errors.strip() and 2 not in run.closed:
+    mute = 2 in run.closed or run.limits.get(resource.RLIMIT_FSIZE) == 0  # standard error is a file
+    if outcome.code != 0 and not outcome.errors.strip() and not mute:
         yield f"exit code {outcome.code}, and not a word on standard error"
     if outcome.code == 0 and not run.stdout and 1 not in run.closed:
         asked = any(line.strip() for line in run.stdin.splitlines()) if "saltus_simulate" in run.command[0] else True
@@ -690,6 +692,7 @@ def main():
     parser.add_argument("--bin", default=os.path.join(source, "build/release/bin"), help="the folder of the programs")
     parser.add_argument("--source", default=source, help="the source tree, whose scenes are mutated")
     parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0, help="the number of the first run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--hang", type=float, default=60, help="s, after which a run is said to hang")
@@ -713,7 +716,7 @@ def main():
             shutil.rmtree(folder, ignore_errors=True)
         return index, run, outcome, violations
 
-    indices = [options.only] if options.only is not None else range(options.runs)
+    indices = [options.only] if options.only is not None else range(options.first, options.first + options.runs)
     counts, codes, bad, longest = {}, {}, 0, 0.0
     with concurrent.futures.ThreadPoolExecutor(max(1, options.jobs)) as pool:
         for index, run, outcome, violations in pool.map(one, indices):

@@ -188,7 +188,7 @@ TEST(WayCosts, SaysWhyAFinalTimeBeforeAViaTermIsNone) {
   z.back() = 0.6;
   double loss = 0;
   EXPECT_FALSE(shooting.Evaluate(z, &loss, nullptr));
-  EXPECT_EQ(shooting.WhyFailed(), "the final time is not after all via terms");
+  EXPECT_EQ(shooting.WhyFailed(), "the final time is not after the times of all waypoint costs");
 }
 
 }  // namespace

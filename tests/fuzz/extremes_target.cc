@@ -12,7 +12,7 @@
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
-#include "simulate/limited_run.h"
+#include "simulate/flight.h"
 
 namespace saltus::fuzz {
 namespace {

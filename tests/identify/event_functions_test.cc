@@ -274,7 +274,7 @@ TEST(EventFunctions, WhatMakesNoSenseIsRefused) {
     return report.reason;
   };
   EXPECT_THAT(reason("lcp", {}, false), HasSubstr("expected event"));
-  EXPECT_THAT(reason("event", {{Kind::kRestitution}}, false), HasSubstr("beside event functions, which say it"));
+  EXPECT_THAT(reason("event", {{Kind::kRestitution}}, false), HasSubstr("beside event functions, which determine it"));
   EXPECT_THAT(reason("event", {}, true), HasSubstr("expected one of them"));
 }
 

@@ -263,6 +263,17 @@ TEST(Ends, FilesThatAreNoneAreWrongInput) {
   std::filesystem::remove(self);
 }
 
+// Nothing that reads takes stack for every character.
+TEST(Ends, LongArgumentsAreWrongInput) {
+  const std::string spaces(100'000, ' '), brackets(100'000, '(');
+  for (const std::string& sweep : {"seed" + spaces, "seed" + spaces + "=0,x", brackets}) {
+    const Outcome outcome =
+        RunProgram("saltus_sweep --contact=event --solver=none --progress=none --sweep='" + sweep + "'");
+    EXPECT_EQ(outcome.exit_code, 2);
+    EXPECT_THAT(outcome.errors, HasSubstr("error: "));
+  }
+}
+
 TEST(Ends, PipesAreFiles) {
   const std::string scene = SourceFolder() + "/problems/two_balls.yaml", pipe = PathFor("pipe");
   ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);

@@ -342,7 +342,7 @@ TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
        "component: x, hard",
        11,
        "objective.terminal[0].hard",
-       "found a hard term with a component"},
+       "found a terminal equality constraint (hard) with a component"},
       {"[0.5, 3, 4]", "[0, 3, 4]", 12, "objective.running[0].target[1]", "rise"},
       {"[0.5, 3, 4]", "[3, 4]", 12, "objective.running[0].target[1]", "a row [time, x, y]"},
       {"time: 0.5", "time: 1", 14, "objective.via[0].time", "expected a time strictly between 0 and the duration, 1"},

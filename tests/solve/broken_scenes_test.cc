@@ -4,7 +4,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/gradient/conditioning.h"
 #include "audit/gradient/own_differences.h"
 #include "exact/closed_forms.h"
 #include "exact/grid_optimum.h"

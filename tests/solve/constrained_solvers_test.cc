@@ -9,7 +9,7 @@
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "scene/units.h"
-#include "solve/hmp_constrained.h"
+#include "solve/hmp.h"
 
 namespace saltus {
 namespace {

@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -7,6 +8,7 @@
 #include <cstdlib>
 #include <map>
 #include <set>
+#include <stdexcept>
 
 #include "sweep/workers.h"
 
@@ -44,6 +46,20 @@ TEST(WorkerPool, AnswersEveryTask) {
     EXPECT_EQ(result.end, WorkerPool::End::kAnswered);
     EXPECT_EQ(result.text.size(), static_cast<size_t>(task) + 1);
   }
+}
+
+TEST(WorkerPool, SaysThatTheSystemHasNoSocketForAWorker) {
+  rlimit limit;
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &limit), 0);
+  const rlimit none = {3, limit.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &none), 0);
+  try {
+    WorkerPool pool(2, 0, [](int64_t) { return std::string(); });
+    ADD_FAILURE() << "it has";
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("cannot start a process that computes: Too many open files"));
+  }
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &limit), 0);
 }
 
 TEST(WorkerPool, ComputesInOtherProcesses) {

@@ -12,7 +12,7 @@
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
 //   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
-//   (conditioning.h) not applicable    model and exact gradient are of different worlds; there is no study of it
+//   (Conditioning)   not applicable    model and exact gradient are of different worlds; there is no study of it
 //   ambiguous    there is no gradient: the order of impacts at the same time decides (simulate/events.h, Tie)
 //   one-sided    every derivative by the initial state exists from one side only, or from none, and none is judged
 //
@@ -115,6 +115,11 @@ struct Conditioning {
   // nothing but the rounding, and from the other initial states; the largest of a few.
   double rounding = 0;
 };
+// Of the event-driven model; nothing where that one cannot take the scene or fails. Where discs meet again and again,
+// each impact magnifies what was there before: after a few dozen of them the last bits of the initial state, and the
+// rounding of every step since, may decide the leading digits of the derivative. A gradient that differs from the exact
+// one by no more than the exact one differs from itself is not wrong: nobody can tell.
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop = nullptr);
 
 struct RefinementStudy {
   std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite

@@ -1,32 +1,32 @@
-// Whether a control is optimal: how well it meets each condition of the hybrid minimum principle, and whether the loss
-// is curved upwards there.
+// The optimality of a control: how well it meets each condition of the hybrid minimum principle, and whether the second
+// derivative of the loss is positive.
 //
-// The control is constant on intervals; in exact dynamics it has some impacts, which cut the time into phases, and the
-// flight of each pushed disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
+// The control is constant on intervals. In exact dynamics the motion has impacts, which cut the time into phases, and
+// the flight of each controlled disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
 // lambda_v.(u/m + g), and of discs that spin + lambda_angle w:
 //
-//   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: how far the forces on an arc, at the
-//                   middles of their intervals, are from a straight line. The line gives the costates of pushed discs.
-//   transversality  the costates at the end are the derivatives of the terminal terms. All other discs' costates start
-//                   there, and those of spin.
+//   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: the distance of the forces on an arc, at
+//                   the middles of their intervals, from a straight line. The line gives the costates of the disc.
+//   transversality  the costates at the end are the derivatives of the terminal terms. The costates of all other discs,
+//                   and those of spin, start there.
 //   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact; nu is that which fits best.
 //   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
-//                   impacts, this and not the pointwise condition is exact; they differ by O(h^2).)
+//                   impacts this condition is exact, and not the pointwise one; they differ by O(h^2).)
 //
-// On a grid that does not move, the last condition gives way to another: with an impact on a node and a force that
-// jumps there, the loss has a kink, with the gradients `early` and `late` as if the impact were just before and just
-// after the node. Each belongs to a nu; a minimum lies between them, theta early + (1 - theta) late = 0 with theta in
-// [0, 1] (Clarke).
+// On a fixed grid the last condition is replaced. With an impact on a node and a force that jumps there, the loss has a
+// kink, with the gradients `early` and `late` as if the impact were just before and just after the node. Each belongs
+// to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
 //
-// With bounds on forces, hard terms, running and via terms or a free final time, the costates cannot be read off the
-// forces. They are then carried backwards through the motion, with the multipliers of impacts and hard terms that fit
-// best, so that transversality and jumps hold by themselves and what is left is
+// With bounds on forces, hard terms, running and via terms or a free final time, the costates do not follow from the
+// forces. They are then carried backwards through the motion, with the multipliers of impacts and hard terms that meet
+// the conditions best. Transversality and jumps then hold by construction, and the remaining conditions are
 //
-//   stationarity    the force on an interval is that within the bounds which is nearest to -lambda_v / (2 effort m) in
-//                   the mean; how far 2 effort m u + lambda_v is from the cone of outward normals there, turned round
-//   Hamiltonian     as above, less what running targets gain as they move; at a final time that is free, -weight.
+//   stationarity    the force on an interval is the one within the bounds that is nearest to the mean of
+//                   -lambda_v / (2 effort m); the residual is the distance of -(2 effort m u + lambda_v) from the cone
+//                   of outward normals of the active bounds
+//   Hamiltonian     as above, less the change by moving targets of running terms; at a free final time, -weight.
 //
-// Conditions of first order say nothing of other sequences of impacts, which may be better.
+// First-order conditions do not compare with other sequences of impacts, which may be better.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
 // principle" (arXiv 2205.08622). Residuals are relative to the largest costate (Hamiltonian) of the path.
@@ -54,7 +54,7 @@ struct ImpactCertificate {
   std::optional<double> theta;  // if the force jumps there
 };
 
-// A term that is hard: the loss of the optimum falls by multiplier . d if its target moves by a small d.
+// A hard term: if its target moves by a small d, the loss of the optimum falls by multiplier . d.
 struct ConstraintCertificate {
   std::string body;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
@@ -84,7 +84,8 @@ struct Certificate {
     kGlobal,  // all conditions hold, and a lower bound proves that no other control is better
   };
   Verdict verdict = Verdict::kNotApplicable;
-  // Which condition fails worst, that it is no minimum though all hold, or why there is nothing to certify.
+  // The condition with the largest residual; or that the control is no minimum although all conditions hold; or why
+  // there is nothing to certify.
   std::string reason;
   std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
 
@@ -96,11 +97,12 @@ struct Certificate {
   std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
   std::optional<double> final_time;                // if that is free: residual of the derivative of the loss by it
 
-  // Of the loss by the control on the given intervals, combined with the thetas: what is left of 2 effort m u +
-  // lambda_v in the mean over an interval, relative to the largest costate.
+  // The gradient of the loss by the control on the given intervals, combined with the thetas: the largest mean of
+  // 2 effort m u + lambda_v over an interval, relative to the largest costate.
   std::optional<double> gradient;
 
-  // Where stationary (on the grid too), but not if it took long, nor with terms on the way, free time, no effort.
+  // At stationary controls (on the grid too); not with path costs, a free final time or no effort, nor where the
+  // matrices would be too large.
   std::optional<Curvature> curvature;
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
@@ -111,7 +113,7 @@ struct Certificate {
   // impacts on nodes were early, late, and of their combination with the thetas, 1/N.
   std::optional<double> gradient_early, gradient_late, gradient_combined;
 
-  // What is known of other sequences of impacts: nothing or that one of them is better, or that none searched is.
+  // kBestOfSearched: no other sequence of impacts among those searched is better. kLocal: nothing is claimed.
   enum class Scope { kLocal, kBestOfSearched };
   Scope scope = Scope::kLocal;
   int sequences_searched = 0;
@@ -126,22 +128,23 @@ const char* CurvatureToString(Curvature::Kind kind);
 // Verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
 std::string VerdictInWords(const Certificate& certificate);
 
-// Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`; equal ones if there are
-// none. Where these or the scene are wrong, or `stop` asked for the end, the certificate is kNotApplicable and says so.
+// Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`, or on equal intervals
+// if there are none. If the arguments or the scene are wrong, or `stop` returned true, the certificate is
+// kNotApplicable with the reason.
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
 // The same certificate in other units; its residuals have none.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
-// The curvature at a control that need not be stationary, impacts on nodes taking these with them. Nothing where there
-// is nothing to certify, or that would take long.
+// The curvature at a control that need not be stationary; nodes move with impacts that are on them. Returns
+// std::nullopt if there is nothing to certify, or if the matrices would be too large.
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations = {});
 
-// From the residuals, the thetas and the curvature to verdict and reason.
+// Sets verdict and reason from the residuals, the thetas and the curvature.
 void Judge(Certificate* certificate);
-// If there are ties, the verdict is kAmbiguous.
+// Sets the verdict to kAmbiguous if there are ties.
 void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate);
 
 }  // namespace saltus

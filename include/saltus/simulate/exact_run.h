@@ -9,6 +9,9 @@
 
 namespace saltus {
 
+// The traits of the contact model of the registry whose motion is exact (event-driven); null if there is none.
+const ModelTraits* ExactModel();
+
 // The smallest and the largest loss over the orders of impacts at the same time.
 struct LossSpread {
   double lowest = 0, highest = 0;

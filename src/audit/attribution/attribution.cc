@@ -1,234 +1,700 @@
-// The contacts of a rollout, their costates, and what of their errors is due to finite steps.
+// The contacts of a rollout as intervals of steps, their costates, what is wrong over each and why, and what of their
+// errors is due to finite steps.
 #include "saltus/audit/attribution.h"
 
 #include <glog/logging.h>
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <cstdio>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <numeric>
+#include <optional>
+#include <string>
 #include <utility>
+#include <vector>
 
-#include "audit/attribution/attributor.h"
+#include "audit/attribution/impact_faults.h"
+#include "audit/attribution/step_map.h"
 #include "base/parallel_for.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "solve/phases/phase_run.h"
 
 namespace saltus {
-namespace internal {
 namespace {
 
 constexpr double kTouching = 1e-11;  // overlap that is none
 constexpr int kMargin = 2;           // steps by which an interval may grow to find the exact impact
+// How much smaller steps are when asking whether a force is resolved, at most and at least.
+constexpr int kFiner = 32, kLeastFiner = 4;
+constexpr int kMostFineSteps = 8192;
+constexpr int kLongest = 1024;  // steps of one interval; a contact that lasts longer is cut
+constexpr double kSmallError = 1e-3;
+// Of a scene with more discs costates are pulled back, instead of matrices multiplied.
+constexpr int kMostDiscsByMatrices = 16;
+constexpr std::size_t kKeptNumbers = std::size_t{1} << 23;  // of states
 
-}  // namespace
+// A pair, and the first and last step in which the model lets it touch.
+struct PairContact {
+  Candidate pair;
+  int first = 0, last = 0;
+};
 
-std::string Attributor::PairName(const Candidate& pair) const {
-  return scene_.bodies[pair.a].name + " - " + (pair.plane ? walls_[pair.b].name : scene_.bodies[pair.b].name);
-}
+// Steps [begin, end) of the model, and the pairs that meet in them: connected by discs that move, so that other discs
+// may meet in the same steps without being part of it.
+struct Interval {
+  int begin = 0, end = 0;
+  std::vector<PairContact> meetings;
 
-bool Attributor::Overlap(const Interval& interval, int k) const {
-  const std::vector<double> x = PlainStateAt(k);
-  const auto position = [&](int i) { return Vec2d(x[size_ * i], x[size_ * i + 1]); };
-  return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
-    const Candidate& pair = meeting.pair;
-    const double radius = scene_.bodies[pair.a].radius;
-    if (pair.plane) {
-      return Separate<double>(position(pair.a), walls_[pair.b].wall).distance < radius - kTouching;
-    }
-    return (position(pair.a) - position(pair.b)).norm() < radius + scene_.bodies[pair.b].radius - kTouching;
-  });
-}
-
-bool Attributor::Involves(const Interval& interval, const Candidate& pair) const {
-  const auto shares = [&](int body, const Candidate& other) {
-    return !scene_.bodies[body].fixed && (body == other.a || (!other.plane && body == other.b));
-  };
-  return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const Meeting& meeting) {
-    return shares(pair.a, meeting.pair) || (!pair.plane && shares(pair.b, meeting.pair));
-  });
-}
-
-void Attributor::AddTouch(const StepTouch& at, std::vector<Interval>* intervals) const {
-  const auto belongs = [&](const Interval& interval) {
-    return at.step <= interval.end && at.step - interval.begin < kLongest && Involves(interval, at.touch.candidate);
-  };
-  Interval joined{at.step, at.step + 1, {{at.touch.candidate, at.step, at.step}}};
-  for (const Interval& interval : *intervals) {
-    if (!belongs(interval)) continue;
-    joined.begin = std::min(joined.begin, interval.begin);
-    joined.end = std::max(joined.end, interval.end);
-    for (const Meeting& meeting : interval.meetings) {
-      if (meeting.pair == at.touch.candidate) {
-        joined.meetings.front().first = std::min(meeting.first, joined.meetings.front().first);
-      } else {
-        joined.meetings.push_back(meeting);
-      }
-    }
+  int first_touch() const {
+    int first = meetings.front().first;
+    for (const PairContact& meeting : meetings) first = std::min(first, meeting.first);
+    return first;
   }
-  std::erase_if(*intervals, belongs);
-  while (joined.end < model_->num_steps() && joined.end - joined.begin < kLongest && Overlap(joined, joined.end)) {
-    ++joined.end;
+  int last_touch() const {
+    int last = 0;
+    for (const PairContact& meeting : meetings) last = std::max(last, meeting.last);
+    return last;
   }
-  intervals->push_back(std::move(joined));
-}
+  // Steps of the longest meeting.
+  int longest() const {
+    int steps = 0;
+    for (const PairContact& meeting : meetings) steps = std::max(steps, meeting.last - meeting.first + 1);
+    return steps;
+  }
+};
 
-std::vector<Interval> Attributor::FindIntervals() const {
-  std::vector<Interval> intervals;
-  for (const StepTouch& at : model_->touches()) {
-    AddTouch(at, &intervals);
-    if (intervals.size() > Attribution::kMostContacts) {
-      intervals.pop_back();
-      break;
-    }
-  }
-  std::stable_sort(intervals.begin(), intervals.end(), [](const Interval& a, const Interval& b) {
-    return a.first_touch() < b.first_touch();
-  });
-  for (size_t i = 0; i < intervals.size(); ++i) {
-    Interval& interval = intervals[i];
-    // Neighbours in time that share a disc.
-    int from = 0, to = model_->num_steps();
-    for (size_t j = 0; j < intervals.size(); ++j) {
-      const bool shares = std::any_of(intervals[j].meetings.begin(),
-                                      intervals[j].meetings.end(),
-                                      [&](const Meeting& meeting) { return Involves(interval, meeting.pair); });
-      if (j == i || !shares) continue;
-      if (j < i) from = std::max(from, intervals[j].end);
-      if (j > i) to = std::min(to, intervals[j].begin);
-    }
-    const auto full = [&] { return interval.end - interval.begin >= kLongest; };
-    while (interval.begin > from && !full() && Overlap(interval, interval.begin)) --interval.begin;
-    for (int margin = 0; margin < kMargin && !full() && !HasExactImpact(interval); ++margin) {
-      if (interval.begin > from) --interval.begin;
-      if (interval.end < to) ++interval.end;
-    }
-  }
-  return intervals;
-}
+class Attributor {
+ public:
+  // Simulates until `stop`, which may be that of AttributionOptions or a limit of time. The others are as there.
+  Attributor(const Contact& contact, const Scene& scene, const StopRequest& stop,
+             const std::function<void(const std::string&)>& status, int threads)
+      : contact_(contact),
+        scene_(scene),
+        size_(NumbersOfDisc(scene)),
+        walls_(WallPartsOf(scene)),
+        stop_(stop),
+        status_(status),
+        threads_(threads),
+        model_(Simulate(contact, scene)) {}
 
-bool Attributor::HasExactImpact(const Interval& interval) const {
-  const std::vector<StepTouch> touches = ExactTouches(interval);
-  return std::any_of(
-      touches.begin(), touches.end(), [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
-}
-
-// One sweep of the model's own adjoint from the end.
-void Attributor::FindCostates(const std::vector<Interval>& intervals) {
-  std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(model_->force_size());
-  std::vector<double> unused(u.size());
-  TerminalGradient(scene_.objective, StateAt(model_->num_steps()), model_->body_size(), lambda);
-  costates_.resize(intervals.size());
-  std::vector<size_t> order(intervals.size());
-  std::iota(order.begin(), order.end(), size_t{0});
-  std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return intervals[a].end > intervals[b].end; });
-  StepLinearization step;
-  int k = model_->num_steps();
-  for (size_t i : order) {
-    if (IsCrowd() && k > intervals[i].end) {
-      const Eigen::VectorXd pulled =
-          PullBackOver(intervals[i].end, k, Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size()));
-      lambda.assign(pulled.begin(), pulled.end());
-      k = intervals[i].end;
-    }
-    for (; k > intervals[i].end; --k) {
-      model_->ExpandForce(control_, k - 1, u);
-      model_->Linearize(StateAt(k - 1), u, /*with_parameters=*/false, &step);
-      step.ApplyTranspose(lambda, before, unused);
-      std::swap(lambda, before);
-    }
-    costates_[i] = Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size());
-  }
-}
-
-// How often each pair meets; a contact counts once as long as it lasts. Their order is not compared: several may fall
-// into one step.
-std::string Attributor::CompareSequences(const std::vector<Interval>& intervals) const {
-  if (intervals.size() >= Attribution::kMostContacts) return "";
-  std::vector<std::string> pairs;  // in the order of their first exact contact, then of the model's
-  std::map<std::string, int> own, exact;
-  const auto count = [&](const Candidate& pair, std::map<std::string, int>* counts) {
-    const std::string name = PairName(pair);
-    if (own[name] + exact[name] == 0) pairs.push_back(name);
-    ++(*counts)[name];
-  };
-  const std::unique_ptr<Simulator> reference = Simulate(exact_contact_, scene_);
-  if (!reference->Rollout(initial_, InitialControl(scene_, reference->num_steps()))) return "";
-  for (const StepTouch& at : reference->touches()) {
-    if (at.touch.kind == ContactKind::kImpact) count(at.touch.candidate, &exact);
-  }
-  for (const Interval& interval : intervals) {
-    for (const Meeting& meeting : interval.meetings) count(meeting.pair, &own);
-  }
-  for (const std::string& pair : pairs) {
-    if (own[pair] == exact[pair]) continue;
-    return pair + " meet " + std::to_string(own[pair]) + " times, not " + std::to_string(exact[pair]);
-  }
-  return "";
-}
-
-// The first ones, all unless it is stopped. They are begun in their order, so that few are lost then.
-std::vector<ContactError> Attributor::CompareAll(const std::vector<Interval>& intervals) const {
-  const auto stopped = [&] { return stop_ && stop_(); };
-  std::vector<std::optional<ContactError>> found(intervals.size());
-  std::atomic<std::size_t> next = 0;
-  std::mutex saying;
-  ParallelFor(threads_, threads_, [&](int, int) {
-    for (std::size_t i = next++; i < intervals.size() && !stopped(); i = next++) {
-      if (status_) {
-        const std::lock_guard lock(saying);
-        status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
-                std::to_string(model_->num_steps()) + " steps");
-      }
-      ContactError error = Compare(intervals[i], costates_[i]);
-      if (!stopped()) found[i] = std::move(error);
-    }
-  });
-  std::vector<ContactError> errors;
-  for (std::size_t i = 0; i < found.size() && found[i]; ++i) errors.push_back(std::move(*found[i]));
-  return errors;
-}
-
-Attribution Attributor::Run() {
-  Attribution out;
-  for (const ModelTraits& traits : AllContactModels()) {
-    if (traits.event_driven && WhyNotApplicable(traits.name, scene_).empty()) exact_contact_ = traits.name;
-  }
-  if (exact_contact_.empty()) {
-    out.reason = "there is no exact flow";
-    return out;
-  }
-  initial_ = InitialState(scene_);
-  control_ = InitialControl(scene_, model_->num_steps());
-  const auto stopped = [&] { return stop_ && stop_(); };
-  if (!model_->Rollout(initial_, control_)) {
-    if (stopped()) {
-      out.limit = "no contacts";
+  Attribution Run() {
+    Attribution out;
+    const ModelTraits* exact = ExactModel();
+    if (exact != nullptr && WhyNotApplicable(exact->name, scene_).empty()) exact_contact_ = exact->name;
+    if (exact_contact_.empty()) {
+      out.reason = "there is no exact flow";
       return out;
     }
-    out.reason = "the rollout fails: " + model_->WhyFailed();
+    initial_ = InitialState(scene_);
+    control_ = InitialControl(scene_, model_->num_steps());
+    const auto stopped = [&] { return stop_ && stop_(); };
+    if (!model_->Rollout(initial_, control_)) {
+      if (stopped()) {
+        out.limit = "no contacts";
+        return out;
+      }
+      out.reason = "the rollout fails: " + model_->WhyFailed();
+      return out;
+    }
+    const std::vector<Interval> intervals = FindIntervals();
+    if (!stopped()) FindCostates(intervals);
+    if (!stopped()) out.contacts = CompareAll(intervals);
+    if (out.contacts.size() == intervals.size()) {
+      out.sequence = CompareSequences(intervals);
+    } else {
+      out.limit = std::to_string(out.contacts.size()) + " of " + std::to_string(intervals.size()) + " contacts";
+    }
     return out;
   }
-  const std::vector<Interval> intervals = FindIntervals();
-  if (!stopped()) FindCostates(intervals);
-  if (!stopped()) out.contacts = CompareAll(intervals);
-  if (out.contacts.size() == intervals.size()) {
-    out.sequence = CompareSequences(intervals);
-  } else {
-    out.limit = std::to_string(out.contacts.size()) + " of " + std::to_string(intervals.size()) + " contacts";
+
+ private:
+  const Simulator& model() const { return *model_; }
+  double h() const { return model_->step(); }
+  std::unique_ptr<Simulator> Simulate(const Contact& contact, const Scene& scene) const {
+    std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
+    simulator->set_stop(stop_);
+    return simulator;
   }
-  return out;
-}
 
-}  // namespace internal
+  // Of the rollout. The last ones are kept, as looking back may simulate again: by one thread at a time.
+  std::vector<double> StateAt(int k) const {
+    const std::lock_guard lock(looking_back_);
+    if (const auto known = states_.find(k); known != states_.end()) return known->second;
+    if (states_.size() >= kKeptNumbers / model_->state_size()) states_.clear();
+    std::vector<double>& x = states_[k];
+    x.resize(model_->state_size());
+    model_->GetState(k, x);
+    return x;
+  }
+  // The same without rotation that is the model's own.
+  std::vector<double> PlainStateAt(int k) const {
+    std::vector<double> x = StateAt(k);
+    if (model_->body_size() == size_) return x;
+    std::vector<double> plain;
+    for (int i = 0; i < model_->num_bodies(); ++i) {
+      plain.insert(plain.end(), x.begin() + i * model_->body_size(), x.begin() + i * model_->body_size() + size_);
+    }
+    return plain;
+  }
+  ForceOfStep ForcesFrom(int begin, int finer = 1) const {
+    return [this, begin, finer](int k, std::span<double> force) {
+      model_->ExpandForce(control_, begin + k / finer, force);
+    };
+  }
+  // For the model `contact` over the time of an interval, cut into `steps` of its own steps.
+  Scene SceneOver(const Contact& contact, const Interval& interval, int steps) const {
+    Scene scene = scene_;
+    scene.duration = (interval.end - interval.begin) * h();
+    scene.steps = steps * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
+    return scene;
+  }
+  std::unique_ptr<Simulator> SimulatorOf(const Contact& contact, const Interval& interval, int steps) const {
+    return Simulate(contact, SceneOver(contact, interval, steps));
+  }
 
-using internal::Attributor, internal::kSmallError;
+  std::vector<Interval> FindIntervals() const {
+    std::vector<Interval> intervals;
+    for (const StepTouch& at : model_->touches()) {
+      AddTouch(at, &intervals);
+      if (intervals.size() > Attribution::kMostContacts) {
+        intervals.pop_back();
+        break;
+      }
+    }
+    std::stable_sort(intervals.begin(), intervals.end(), [](const Interval& a, const Interval& b) {
+      return a.first_touch() < b.first_touch();
+    });
+    for (size_t i = 0; i < intervals.size(); ++i) {
+      Interval& interval = intervals[i];
+      // Neighbours in time that share a disc.
+      int from = 0, to = model_->num_steps();
+      for (size_t j = 0; j < intervals.size(); ++j) {
+        const bool shares = std::any_of(intervals[j].meetings.begin(),
+                                        intervals[j].meetings.end(),
+                                        [&](const PairContact& meeting) { return Involves(interval, meeting.pair); });
+        if (j == i || !shares) continue;
+        if (j < i) from = std::max(from, intervals[j].end);
+        if (j > i) to = std::min(to, intervals[j].begin);
+      }
+      const auto full = [&] { return interval.end - interval.begin >= kLongest; };
+      while (interval.begin > from && !full() && Overlap(interval, interval.begin)) --interval.begin;
+      for (int margin = 0; margin < kMargin && !full() && !HasExactImpact(interval); ++margin) {
+        if (interval.begin > from) --interval.begin;
+        if (interval.end < to) ++interval.end;
+      }
+    }
+    return intervals;
+  }
 
-namespace {
+  void AddTouch(const StepTouch& at, std::vector<Interval>* intervals) const {
+    const auto belongs = [&](const Interval& interval) {
+      return at.step <= interval.end && at.step - interval.begin < kLongest && Involves(interval, at.touch.candidate);
+    };
+    Interval joined{at.step, at.step + 1, {{at.touch.candidate, at.step, at.step}}};
+    for (const Interval& interval : *intervals) {
+      if (!belongs(interval)) continue;
+      joined.begin = std::min(joined.begin, interval.begin);
+      joined.end = std::max(joined.end, interval.end);
+      for (const PairContact& meeting : interval.meetings) {
+        if (meeting.pair == at.touch.candidate) {
+          joined.meetings.front().first = std::min(meeting.first, joined.meetings.front().first);
+        } else {
+          joined.meetings.push_back(meeting);
+        }
+      }
+    }
+    std::erase_if(*intervals, belongs);
+    while (joined.end < model_->num_steps() && joined.end - joined.begin < kLongest && Overlap(joined, joined.end)) {
+      ++joined.end;
+    }
+    intervals->push_back(std::move(joined));
+  }
+
+  bool Overlap(const Interval& interval, int k) const {
+    const std::vector<double> x = PlainStateAt(k);
+    const auto position = [&](int i) { return Vec2d(x[size_ * i], x[size_ * i + 1]); };
+    return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const PairContact& meeting) {
+      const Candidate& pair = meeting.pair;
+      const double radius = scene_.bodies[pair.a].radius;
+      if (pair.plane) {
+        return Separate<double>(position(pair.a), walls_[pair.b].wall).distance < radius - kTouching;
+      }
+      return (position(pair.a) - position(pair.b)).norm() < radius + scene_.bodies[pair.b].radius - kTouching;
+    });
+  }
+
+  bool Involves(const Interval& interval, const Candidate& pair) const {
+    const auto shares = [&](int body, const Candidate& other) {
+      return !scene_.bodies[body].fixed && (body == other.a || (!other.plane && body == other.b));
+    };
+    return std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const PairContact& meeting) {
+      return shares(pair.a, meeting.pair) || (!pair.plane && shares(pair.b, meeting.pair));
+    });
+  }
+
+  bool HasExactImpact(const Interval& interval) const {
+    const std::vector<StepTouch> touches = ExactTouches(interval);
+    return std::any_of(
+        touches.begin(), touches.end(), [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
+  }
+
+  StepMap ExactOver(const Interval& interval, const std::vector<int>* bodies) const {
+    if (bodies != nullptr && IsCrowd()) return MapOver(exact_contact_, interval, 1, *bodies);
+    const int steps = interval.end - interval.begin;
+    const std::unique_ptr<Simulator> exact = SimulatorOf(exact_contact_, interval, steps);
+    const std::vector<double> begin = PlainStateAt(interval.begin);
+    if (bodies == nullptr) return RunSteps(*exact, begin, ForcesFrom(interval.begin), steps);
+    return ComposeSteps(*exact, begin, ForcesFrom(interval.begin), steps, *bodies);
+  }
+
+  std::vector<StepTouch> TouchesOver(const Contact& contact, const Interval& interval) const {
+    const std::unique_ptr<Simulator> simulator = SimulatorOf(contact, interval, interval.end - interval.begin);
+    simulator->Rollout(ToInitial(PlainStateAt(interval.begin), scene_.num_bodies()),
+                       InitialControl(simulator->scene(), simulator->num_steps()));
+    return simulator->touches();
+  }
+
+  std::vector<StepTouch> ExactTouches(const Interval& interval) const {
+    return IsCrowd() ? TouchesOver(exact_contact_, interval) : ExactOver(interval, nullptr).touches;
+  }
+
+  std::vector<StepTouch> OwnTouches(const Interval& interval) const {
+    if (IsCrowd()) return TouchesOver(contact_, interval);
+    const int steps = interval.end - interval.begin;
+    return RunSteps(model(), StateAt(interval.begin), ForcesFrom(interval.begin), steps).touches;
+  }
+
+  // The model's own linearization over some discs, perhaps with finer steps.
+  StepMap OwnMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const {
+    if (IsCrowd()) return MapOver(contact_, interval, finer, bodies);
+    const int steps = (interval.end - interval.begin) * finer;
+    std::unique_ptr<Simulator> fine;
+    if (finer > 1) fine = SimulatorOf(contact_, interval, steps);
+    const Simulator& simulator = finer > 1 ? *fine : model();
+    return ComposeSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, bodies);
+  }
+
+  // The linearization over some discs, which no others meet in the interval: in a crowd they are simulated alone.
+  StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const {
+    const int steps = (interval.end - interval.begin) * finer;
+    Scene scene = SceneOver(contact, interval, steps);
+    scene.control = {};
+    scene.objective.terminal.clear();
+    scene.free.clear();
+    scene.free_spin.clear();
+    scene.bodies.clear();
+    std::vector<int> local;
+    const std::vector<double> begin_state = PlainStateAt(interval.begin);
+    std::vector<double> moves, turns;
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      const bool wanted = std::binary_search(bodies.begin(), bodies.end(), i);
+      if (!wanted && !scene_.bodies[i].fixed) continue;
+      const int at = scene.num_bodies();
+      if (wanted) local.push_back(at);
+      scene.bodies.push_back(scene_.bodies[i]);
+      const auto state = begin_state.begin() + size_ * i;
+      moves.insert(moves.end(), state, state + 4);
+      turns.insert(turns.end(), state + 4, state + size_);
+      for (int c = 0; c < scene_.num_controlled(); ++c) {
+        if (scene_.control.bodies[c] != i) continue;
+        scene.control.bodies.push_back(at);
+        scene.control.initial.push_back(scene_.control.initial[c]);
+      }
+      for (int t = 0; t < scene_.num_turned(); ++t) {
+        if (scene_.control.turned[t] != i) continue;
+        scene.control.turned.push_back(at);
+        scene.control.initial_torque.push_back(scene_.control.initial_torque[t]);
+      }
+    }
+    const std::unique_ptr<Simulator> simulator = Simulate(contact, scene);
+    const std::vector<double> control = InitialControl(scene, simulator->num_steps());
+    const auto force = [&](int k, std::span<double> f) { simulator->ExpandForce(control, k, f); };
+    if (scene.Spins()) moves.insert(moves.end(), turns.begin(), turns.end());
+    std::vector<double> begin(simulator->state_size());
+    simulator->ExpandInitial(moves, begin);
+    StepMap map = ComposeSteps(*simulator, begin, force, steps, local);
+    if (NumbersOfDisc(scene) == size_) return map;
+    // None of these spins: they turn evenly, as in the whole scene.
+    const int n = static_cast<int>(local.size());
+    Eigen::MatrixXd A = Eigen::MatrixXd::Zero(size_ * n, size_ * n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) A.block<4, 4>(size_ * i, size_ * j) = map.A.block<4, 4>(4 * i, 4 * j);
+      A.block<2, 2>(size_ * i + 4, size_ * i + 4) << 1, scene.duration, 0, 1;
+    }
+    map.A = std::move(A);
+    return map;
+  }
+
+  // One sweep of the model's own adjoint from the end.
+  void FindCostates(const std::vector<Interval>& intervals) {
+    std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(model_->force_size());
+    std::vector<double> unused(u.size());
+    TerminalGradient(scene_.objective, StateAt(model_->num_steps()), model_->body_size(), lambda);
+    costates_.resize(intervals.size());
+    std::vector<size_t> order(intervals.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return intervals[a].end > intervals[b].end; });
+    StepLinearization step;
+    int k = model_->num_steps();
+    for (size_t i : order) {
+      if (IsCrowd() && k > intervals[i].end) {
+        const Eigen::VectorXd pulled =
+            PullBackOver(intervals[i].end, k, Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size()));
+        lambda.assign(pulled.begin(), pulled.end());
+        k = intervals[i].end;
+      }
+      for (; k > intervals[i].end; --k) {
+        model_->ExpandForce(control_, k - 1, u);
+        model_->Linearize(StateAt(k - 1), u, /*with_parameters=*/false, &step);
+        step.ApplyTranspose(lambda, before, unused);
+        std::swap(lambda, before);
+      }
+      costates_[i] = Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size());
+    }
+  }
+
+  bool IsCrowd() const { return scene_.num_bodies() > kMostDiscsByMatrices && model_->body_size() == size_; }
+
+  Eigen::VectorXd PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const {
+    std::vector<int> all(model_->num_bodies());
+    std::iota(all.begin(), all.end(), 0);
+    return PullBackOver(contact_, {begin, end, {}}, 1, all, costate).Sum();
+  }
+
+  PulledCostate PullBackOver(const Contact& contact, const Interval& interval, int finer,
+                             const std::vector<int>& bodies, const Eigen::VectorXd& lambda) const {
+    const std::unique_ptr<Simulator> simulator =
+        SimulatorOf(contact, interval, (interval.end - interval.begin) * finer);
+    return PullBackCostate(simulator.get(), PlainStateAt(interval.begin), bodies, lambda);
+  }
+
+  // By what the costate sees of the linearizations, which is all that the gradient has of them.
+  void CompareCrowd(const Interval& interval, const std::vector<int>& bodies, const Eigen::VectorXd& lambda,
+                    const std::vector<StepTouch>& exact, ContactError* error) const {
+    const PulledCostate right = PullBackOver(exact_contact_, interval, 1, bodies, lambda);
+    const PulledCostate own = PullBackOver(contact_, interval, 1, bodies, lambda);
+    const double size = Norm(own.Sum() - right.Sum(), bodies), scale = std::max(Norm(right.Sum(), bodies), 1e-300);
+    error->error = size / scale;
+    error->block = LargestBlock([&](bool to_velocity, bool from_velocity) {
+      Eigen::VectorXd part =
+          to_velocity ? own.by_velocities - right.by_velocities : own.by_positions - right.by_positions;
+      for (int c = 0; c < part.size(); ++c) {
+        if (IsRate(c % size_) != from_velocity) part[c] = 0;
+      }
+      return Norm(part, bodies);
+    });
+    if (error->error <= kSmallError) return;
+    if (const std::string plain = WhyWithoutMaps(interval, exact); !plain.empty()) {
+      error->why = plain;
+    } else if (interval.longest() > 1) {
+      const PulledCostate fine = PullBackOver(contact_, interval, FinerSteps(interval), bodies, lambda);
+      error->why = DescribeUnresolved(interval, size, Norm(fine.Sum() - right.Sum(), bodies));
+    } else {
+      error->why = WhyInOneStep(exact);
+    }
+  }
+
+  static Block LargestBlock(const std::function<double(bool to_velocity, bool from_velocity)>& size) {
+    Block largest_block = Block::kPositionFromPosition;
+    double largest = -1;
+    for (const Block block : {Block::kPositionFromPosition,
+                              Block::kVelocityFromPosition,
+                              Block::kPositionFromVelocity,
+                              Block::kVelocityFromVelocity}) {
+      const bool to_velocity = block == Block::kVelocityFromPosition || block == Block::kVelocityFromVelocity;
+      const bool from_velocity = block == Block::kPositionFromVelocity || block == Block::kVelocityFromVelocity;
+      const double here = size(to_velocity, from_velocity);
+      if (here <= largest) continue;
+      largest = here;
+      largest_block = block;
+    }
+    return largest_block;
+  }
+
+  ContactError Compare(const Interval& interval, const Eigen::VectorXd& costate) const {
+    ContactError error;
+    error.first_step = interval.first_touch();
+    error.last_step = interval.last_touch();
+    const auto first = std::find_if(interval.meetings.begin(),
+                                    interval.meetings.end(),
+                                    [&](const PairContact& meeting) { return meeting.first == error.first_step; });
+    error.a = scene_.bodies[first->pair.a].name;
+    error.b = first->pair.plane ? walls_[first->pair.b].name : scene_.bodies[first->pair.b].name;
+
+    std::vector<StepTouch> own = OwnTouches(interval);
+    std::vector<StepTouch> exact_touches = ExactTouches(interval);
+    std::vector<int> bodies;
+    KeepConnected(interval, &exact_touches, &own, &bodies);
+    const int n = static_cast<int>(bodies.size());
+    Eigen::VectorXd lambda(size_ * n);
+    for (int i = 0; i < n; ++i) {
+      lambda.segment(size_ * i, size_) = costate.segment(bodies[i] * model().body_size(), size_);
+    }
+    error.exact_impacts = static_cast<int>(exact_touches.size());
+    if (IsCrowd() && n > kMostDiscsByMatrices) {
+      CompareCrowd(interval, bodies, lambda, exact_touches, &error);
+      return error;
+    }
+    StepMap exact = ExactOver(interval, &bodies);
+    exact.touches = exact_touches;
+    const StepMap approximate = OwnMap(interval, bodies);
+    const Eigen::MatrixXd difference = approximate.A - exact.A;
+    const double scale = std::max(Norm(exact.A.transpose() * lambda, bodies), 1e-300);
+    error.error = Norm(difference.transpose() * lambda, bodies) / scale;
+    error.block = LargestBlock([&](bool to_velocity, bool from_velocity) {
+      Eigen::VectorXd part = Eigen::VectorXd::Zero(size_ * n);
+      for (int r = 0; r < size_ * n; ++r) {
+        if (IsRate(r % size_) != to_velocity) continue;
+        for (int c = 0; c < size_ * n; ++c) {
+          if (IsRate(c % size_) == from_velocity) part[c] += difference(r, c) * lambda[r];
+        }
+      }
+      return Norm(part, bodies);
+    });
+    if (error.error > kSmallError) error.why = Why(interval, exact, approximate, bodies);
+    return error;
+  }
+
+  std::string Why(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                  const std::vector<int>& bodies) const {
+    if (const std::string plain = WhyWithoutMaps(interval, exact.touches); !plain.empty()) return plain;
+    if (interval.longest() > 1) return WhyUnresolved(interval, exact, approximate, bodies);
+    if (const std::optional<PairImpact> impact = OnlyImpact(interval, exact)) {
+      // Bodies are in the order of their indices, and so are the two of a pair.
+      if (const std::optional<std::string> fault = RecogniseFault(*impact, approximate.A, scene_.duration))
+        return *fault;
+    }
+    return WhyInOneStep(exact.touches);
+  }
+
+  // What the touches alone say; empty if nothing.
+  static std::string WhyWithoutMaps(const Interval& interval, const std::vector<StepTouch>& exact) {
+    if (exact.empty()) return "touches where the exact motion does not";
+    const bool rests = std::any_of(
+        exact.begin(), exact.end(), [](const StepTouch& at) { return at.touch.kind == ContactKind::kSustained; });
+    return rests || interval.end - interval.begin >= kLongest ? "a contact that lasts" : "";
+  }
+
+  static std::string WhyInOneStep(const std::vector<StepTouch>& exact) {
+    return exact.size() > 1 ? std::to_string(exact.size()) + " impacts in one step" : "no known cause";
+  }
+
+  std::optional<PairImpact> OnlyImpact(const Interval& interval, const StepMap& exact) const {
+    if (exact.touches.size() != 1 || interval.meetings.size() != 1) return std::nullopt;
+    const StepTouch& at = exact.touches.front();
+    const Candidate& pair = at.touch.candidate;
+    if (at.touch.kind != ContactKind::kImpact || !(pair == interval.meetings.front().pair)) return std::nullopt;
+
+    // The exact state at the begin of the step with the impact, and from there to the impact.
+    Interval until = interval;
+    until.end = interval.begin + at.step;
+    std::vector<double> x = PlainStateAt(interval.begin);
+    if (at.step > 0) x = ExactOver(until, nullptr).end;
+    std::vector<double> force(model_->force_size());
+    ForcesFrom(interval.begin)(at.step, force);
+    const double time = at.touch.time;
+    struct Motion {
+      Vec2d p, v, a;
+      double inverse_mass;
+    };
+    const auto motion = [&](int i) -> Motion {
+      const Body& body = scene_.bodies[i];
+      const double* disc = &x[size_ * i];
+      const Vec2d p(disc[0], disc[1]), v(disc[2], disc[3]);
+      if (body.fixed) return {p, Vec2d::Zero(), Vec2d::Zero(), 0.0};
+      const Vec2d a = Vec2d(force[2 * i], force[2 * i + 1]) / body.mass + scene_.gravity;
+      return {p + time * (v + 0.5 * time * a), v + time * a, a, 1 / body.mass};
+    };
+    const Motion a = motion(pair.a);
+    PairImpact impact;
+    impact.inverse_mass_a = a.inverse_mass;
+    impact.velocity_a = a.v;
+    impact.acceleration_a = a.a;
+    impact.velocity_b = impact.acceleration_b = Vec2d::Zero();
+    if (pair.plane) {
+      const Wall<double>& wall = walls_[pair.b].wall;
+      const Separation<double> at_wall = Separate<double>(a.p, wall);
+      impact.normal = at_wall.normal;
+      if (wall.curved()) impact.inverse_distance = 1 / (at_wall.distance + wall.side * wall.radius);
+    } else {
+      const Motion b = motion(pair.b);
+      impact.normal = (a.p - b.p).normalized();
+      impact.inverse_distance = 1 / (a.p - b.p).norm();
+      impact.inverse_mass_b = b.inverse_mass;
+      impact.velocity_b = b.v;
+      impact.acceleration_b = b.a;
+    }
+    for (int side = 0; side < (pair.plane ? 1 : 2); ++side) {
+      const int i = side == 0 ? pair.a : pair.b;
+      const Body& body = scene_.bodies[i];
+      impact.radius[side] = body.radius;
+      if (!body.Spins()) continue;
+      impact.inverse_inertia[side] = 1 / body.MomentOfInertia();
+      impact.spin[side] = x[size_ * i + 5];
+      if (scene_.num_turned() == 0) continue;
+      const double torque = body.radius * force[2 * scene_.bodies.size() + i];
+      impact.spin[side] += time * torque * impact.inverse_inertia[side];
+    }
+    impact.spins = scene_.Spins();
+    impact.restitution = scene_.contact.restitution;
+    impact.friction = scene_.contact.friction;
+    impact.mode = at.touch.mode;
+    impact.before = at.step * h() + time;
+    impact.after = (interval.end - interval.begin) * h() - impact.before;
+    impact.step = h();
+    return impact;
+  }
+
+  // The same model over the same interval with far smaller steps.
+  std::string WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                            const std::vector<int>& bodies) const {
+    const StepMap fine = OwnMap(interval, bodies, FinerSteps(interval));
+    const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
+    const double coarse_error = ScaledNorm(approximate.A - exact.A, scales);
+    const double fine_error = ScaledNorm(fine.A - exact.A, scales);
+    return DescribeUnresolved(interval, coarse_error, fine_error);
+  }
+
+  // By how much the steps of an interval are cut to see if its forces are resolved.
+  int FinerSteps(const Interval& interval) const {
+    return std::clamp(kMostFineSteps / (interval.end - interval.begin), kLeastFiner, kFiner);
+  }
+
+  std::string DescribeUnresolved(const Interval& interval, double coarse_error, double fine_error) const {
+    const int lasts = interval.longest();
+    char text[128];
+    if (fine_error < 0.5 * coarse_error) {
+      std::snprintf(text,
+                    sizeof text,
+                    "contact force not resolved by its %d steps (%d times as many leave %.0f %% of the error)",
+                    lasts,
+                    FinerSteps(interval),
+                    100 * fine_error / coarse_error);
+    } else {
+      std::snprintf(text,
+                    sizeof text,
+                    "contact is soft: it lasts %.2g s, and smaller steps do not help",
+                    lasts * h() * scene_.units.time);
+    }
+    return text;
+  }
+
+  // Drops touches that no chain of touches connects with the interval; collects the discs that move of the others.
+  void KeepConnected(Interval interval, std::vector<StepTouch>* exact, std::vector<StepTouch>* own,
+                     std::vector<int>* bodies) const {
+    const auto involved = [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); };
+    for (bool grown = true; grown;) {
+      grown = false;
+      for (const std::vector<StepTouch>* touches : {exact, own}) {
+        for (const StepTouch& at : *touches) {
+          const bool known =
+              std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const PairContact& meeting) {
+                return meeting.pair == at.touch.candidate;
+              });
+          if (known || !involved(at)) continue;
+          interval.meetings.push_back({at.touch.candidate, at.step, at.step});
+          grown = true;
+        }
+      }
+    }
+    std::erase_if(*exact, std::not_fn(involved));
+    std::erase_if(*own, std::not_fn(involved));
+    for (const PairContact& meeting : interval.meetings) {
+      bodies->push_back(meeting.pair.a);
+      if (!meeting.pair.plane) bodies->push_back(meeting.pair.b);
+    }
+    std::sort(bodies->begin(), bodies->end());
+    bodies->erase(std::unique(bodies->begin(), bodies->end()), bodies->end());
+    std::erase_if(*bodies, [&](int body) { return scene_.bodies[body].fixed; });
+  }
+
+  double Norm(const Eigen::VectorXd& costate, const std::vector<int>& bodies) const {
+    const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
+    double sum = 0;
+    for (int i = 0; i < costate.size(); ++i) {
+      const double entry = costate[i] / scales[i];
+      sum += entry * entry;
+    }
+    return std::sqrt(sum);
+  }
+
+  std::string PairName(const Candidate& pair) const {
+    return scene_.bodies[pair.a].name + " - " + (pair.plane ? walls_[pair.b].name : scene_.bodies[pair.b].name);
+  }
+
+  // How often each pair meets; a contact counts once as long as it lasts. Their order is not compared: several may fall
+  // into one step.
+  std::string CompareSequences(const std::vector<Interval>& intervals) const {
+    if (intervals.size() >= Attribution::kMostContacts) return "";
+    std::vector<std::string> pairs;  // in the order of their first exact contact, then of the model's
+    std::map<std::string, int> own, exact;
+    const auto count = [&](const Candidate& pair, std::map<std::string, int>* counts) {
+      const std::string name = PairName(pair);
+      if (own[name] + exact[name] == 0) pairs.push_back(name);
+      ++(*counts)[name];
+    };
+    const std::unique_ptr<Simulator> reference = Simulate(exact_contact_, scene_);
+    if (!reference->Rollout(initial_, InitialControl(scene_, reference->num_steps()))) return "";
+    for (const StepTouch& at : reference->touches()) {
+      if (at.touch.kind == ContactKind::kImpact) count(at.touch.candidate, &exact);
+    }
+    for (const Interval& interval : intervals) {
+      for (const PairContact& meeting : interval.meetings) count(meeting.pair, &own);
+    }
+    for (const std::string& pair : pairs) {
+      if (own[pair] == exact[pair]) continue;
+      return pair + " meet " + std::to_string(own[pair]) + " times, not " + std::to_string(exact[pair]);
+    }
+    return "";
+  }
+
+  // The first ones, all unless it is stopped. They are begun in their order, so that few are lost then.
+  std::vector<ContactError> CompareAll(const std::vector<Interval>& intervals) const {
+    const auto stopped = [&] { return stop_ && stop_(); };
+    std::vector<std::optional<ContactError>> found(intervals.size());
+    std::atomic<std::size_t> next = 0;
+    std::mutex saying;
+    ParallelFor(threads_, threads_, [&](int, int) {
+      for (std::size_t i = next++; i < intervals.size() && !stopped(); i = next++) {
+        if (status_) {
+          const std::lock_guard lock(saying);
+          status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
+                  std::to_string(model_->num_steps()) + " steps");
+        }
+        ContactError error = Compare(intervals[i], costates_[i]);
+        if (!stopped()) found[i] = std::move(error);
+      }
+    });
+    std::vector<ContactError> errors;
+    for (std::size_t i = 0; i < found.size() && found[i]; ++i) errors.push_back(std::move(*found[i]));
+    return errors;
+  }
+
+  Contact contact_;
+  Scene scene_;
+  int size_;  // numbers of a disc
+  std::vector<WallPart> walls_;
+  const StopRequest stop_;
+  const std::function<void(const std::string&)> status_;
+  const int threads_;
+  std::unique_ptr<Simulator> model_;
+  std::string exact_contact_;
+  std::vector<double> initial_, control_;
+  std::vector<Eigen::VectorXd> costates_;  // at the end of each interval
+  mutable std::mutex looking_back_;
+  mutable std::map<int, std::vector<double>> states_;  // by step
+};
 
 // An error stays if more steps leave this part of it: at least eight times as many, so that one of first order would
 // fall to an eighth, and about as many as make causes clear.
@@ -245,17 +711,9 @@ std::string Seconds(double seconds) {
 }  // namespace
 
 const char* BlockToString(Block block) {
-  switch (block) {
-    case Block::kPositionFromPosition:
-      return "position from position";
-    case Block::kVelocityFromPosition:
-      return "velocity from position";
-    case Block::kPositionFromVelocity:
-      return "position from velocity";
-    case Block::kVelocityFromVelocity:
-      return "velocity from velocity";
-  }
-  LOG(FATAL) << "no such block";
+  constexpr const char* kNames[] = {
+      "position from position", "velocity from position", "position from velocity", "velocity from velocity"};
+  return kNames[static_cast<int>(block)];
 }
 
 Attribution AttributeError(const Contact& contact, const Scene& given, const AttributionOptions& options) {

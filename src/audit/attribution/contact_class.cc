@@ -75,17 +75,123 @@ class Recogniser {
     out_.restitution = restitution;
   }
 
-  ContactRecognition Run();
+  ContactRecognition Run() {
+    if (!RunContacts()) {
+      out_.words = "the contact does not happen at every length of step";
+      return out_;
+    }
+    RecordContacts();
+    if (std::max(*out_.rebound, *out_.finer_rebound) < kNoRebound * out_.restitution) {
+      Decide(ContactClass::kNoRestitution,
+             Format("rebounds at %.3f of the closing speed, at finer steps %.3f, where %.2f is asked for",
+                    *out_.rebound,
+                    *out_.finer_rebound,
+                    out_.restitution));
+    } else if (*out_.finer_rebound > kMostRebound) {
+      out_.words = Format("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
+    } else if (*out_.finer_concentration < kForce) {
+      JudgeForce();
+    } else if (*out_.finer_concentration > kImpulse) {
+      JudgeImpulse();
+    } else {
+      out_.words =
+          Format("between impulse and force: the largest change in a step is %.2f of all", *out_.finer_concentration);
+    }
+    return out_;
+  }
 
  private:
   double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
-  bool RunContacts();
+  // Until it is clear whether the contact is an impulse. False if it did not happen at some length.
+  bool RunContacts() {
+    std::vector<double> from = before_;
+    int steps = 0;
+    for (int i = 0; i <= kMostHalvings * kPerHalving && steps < kMostSteps; ++i) {
+      const ContactRun run = bench_.Run(LengthOf(i), from, /*onset_only=*/false);
+      if (!run.begins) return false;
+      lengths_.push_back({LengthOf(i), run});
+      from = run.before;
+      steps += run.steps;
+      if (lengths_.size() < 2 * kNeighbours) continue;
+      const double concentration = FinestConcentration();
+      if (concentration < kResolved || (i >= kHalvings * kPerHalving && concentration > kImpulse)) break;
+    }
+    return lengths_.size() >= 2 * kNeighbours;
+  }
+
   double FinestConcentration() const {
     return MedianOf(lengths_, -int(kNeighbours), kNeighbours, [](const Length& l) { return l.run.concentration; });
   }
-  void RecordContacts();
-  void JudgeForce();
-  void JudgeImpulse();
+  void RecordContacts() {
+    const auto rebound = [](const Length& length) { return length.run.rebound; };
+    out_.concentration =
+        MedianOf(lengths_, 0, kNeighbours, [](const Length& length) { return length.run.concentration; });
+    out_.finer_concentration = FinestConcentration();
+    out_.rebound = MedianOf(lengths_, 0, kNeighbours, rebound);
+    const int last = std::min<int>(lengths_.size(), kReboundHalvings * kPerHalving);
+    out_.finer_rebound = MedianOf(lengths_, std::max<int>(0, last - kNeighbours), kNeighbours, rebound);
+  }
+
+  void JudgeForce() {
+    std::vector<Length> onsets = lengths_;
+    const double halvings = std::log2(kOnsetSteps / std::max(1, onsets.back().run.touched));
+    const int last = static_cast<int>(onsets.size() + kPerHalving * std::max(2.0, halvings));
+    for (int i = static_cast<int>(onsets.size()); i <= last; ++i) {
+      const ContactRun run = bench_.Run(LengthOf(i), onsets.back().run.before, /*onset_only=*/true);
+      if (!run.begins) break;
+      onsets.push_back({LengthOf(i), run});
+    }
+    const double order =
+        OrderOf(onsets, 2 * kPerHalving + 1, [](const Length& length) { return length.run.first_full; });
+    out_.onset_order = order;
+    const std::string found = Format("a force, at its onset ~ h^%.1f in a step", order);
+    if (order < kJumps) {
+      Decide(ContactClass::kForceWithJump, found + Format("; rebound %.2f", *out_.finer_rebound));
+    } else if (order > kContinuous) {
+      Decide(ContactClass::kContinuousForce, found + Format("; rebound %.2f", *out_.finer_rebound));
+    } else {
+      Decide(ContactClass::kUnclear, found + ", between that of a jump and of a continuous one");
+    }
+  }
+
+  void JudgeImpulse() {
+    struct Entry {
+      double h, position, velocity;
+    };
+    std::vector<Entry> entries;
+    for (size_t i = lengths_.size() - std::min(lengths_.size(), kFinest); i < lengths_.size(); ++i) {
+      const NormalMap map = bench_.Linearize(lengths_[i].h, lengths_[i].run.before_largest);
+      entries.push_back({lengths_[i].h, map.position_from_position, lengths_[i].h * map.velocity_from_position});
+    }
+    double position = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.position; });
+    if (std::abs(position) < 0.005) position = 0;  // not to be printed as -0.00
+    const double feedback = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.velocity; });
+    const double order = OrderOf(entries, kFinest, [](const Entry& e) { return std::abs(e.velocity); });
+    out_.position_from_position = position;
+    out_.velocity_from_position = feedback;
+    const auto near = [](double value, double target) { return std::abs(value - target) < kTolerance; };
+    const std::string passes = Format("an impulse; the normal position passes with a factor of %.2f", position);
+    const std::string instead = Format(" instead of %.2f", -out_.restitution);
+    const bool rebounds = *out_.finer_rebound > 2 * kTolerance;
+    if (near(position, 0) && rebounds) {
+      Decide(ContactClass::kProjection, passes + instead);
+    } else if (near(position, -*out_.finer_rebound) && rebounds) {
+      Decide(ContactClass::kImpactTimeResolved, passes);
+    } else if (std::abs(position - 1) < kTolerance + std::abs(feedback) && std::abs(feedback) > kFeedback) {
+      // It may have acted within the step, so that the position has felt it.
+      if (std::abs(order) < 0.5) {
+        Decide(ContactClass::kDepthFeedback,
+               Format("an impulse that takes %.2g of the depth out in a step", -feedback));
+      } else {
+        Decide(ContactClass::kUnclear, passes + ", and with the depth it changes as no class does");
+      }
+    } else if (near(position, 1)) {
+      Decide(ContactClass::kImpulseAtStepBoundary, passes + instead);
+    } else {
+      Decide(ContactClass::kUnclear, passes + instead + ", which is that of no known class");
+    }
+  }
+
   void Decide(ContactClass contact_class, std::string words) {
     out_.contact_class = contact_class;
     out_.words = std::move(words);
@@ -97,116 +203,6 @@ class Recogniser {
   std::vector<Length> lengths_;  // from the model's own on
   ContactRecognition out_;
 };
-
-// Until it is clear whether the contact is an impulse. False if it did not happen at some length.
-bool Recogniser::RunContacts() {
-  std::vector<double> from = before_;
-  int steps = 0;
-  for (int i = 0; i <= kMostHalvings * kPerHalving && steps < kMostSteps; ++i) {
-    const ContactRun run = bench_.Run(LengthOf(i), from, /*onset_only=*/false);
-    if (!run.begins) return false;
-    lengths_.push_back({LengthOf(i), run});
-    from = run.before;
-    steps += run.steps;
-    if (lengths_.size() < 2 * kNeighbours) continue;
-    const double concentration = FinestConcentration();
-    if (concentration < kResolved || (i >= kHalvings * kPerHalving && concentration > kImpulse)) break;
-  }
-  return lengths_.size() >= 2 * kNeighbours;
-}
-
-void Recogniser::RecordContacts() {
-  const auto rebound = [](const Length& length) { return length.run.rebound; };
-  out_.concentration =
-      MedianOf(lengths_, 0, kNeighbours, [](const Length& length) { return length.run.concentration; });
-  out_.finer_concentration = FinestConcentration();
-  out_.rebound = MedianOf(lengths_, 0, kNeighbours, rebound);
-  const int last = std::min<int>(lengths_.size(), kReboundHalvings * kPerHalving);
-  out_.finer_rebound = MedianOf(lengths_, std::max<int>(0, last - kNeighbours), kNeighbours, rebound);
-}
-
-void Recogniser::JudgeForce() {
-  std::vector<Length> onsets = lengths_;
-  const double halvings = std::log2(kOnsetSteps / std::max(1, onsets.back().run.touched));
-  const int last = static_cast<int>(onsets.size() + kPerHalving * std::max(2.0, halvings));
-  for (int i = static_cast<int>(onsets.size()); i <= last; ++i) {
-    const ContactRun run = bench_.Run(LengthOf(i), onsets.back().run.before, /*onset_only=*/true);
-    if (!run.begins) break;
-    onsets.push_back({LengthOf(i), run});
-  }
-  const double order = OrderOf(onsets, 2 * kPerHalving + 1, [](const Length& length) { return length.run.first_full; });
-  out_.onset_order = order;
-  const std::string found = Format("a force, at its onset ~ h^%.1f in a step", order);
-  if (order < kJumps) {
-    Decide(ContactClass::kForceWithJump, found + Format("; rebound %.2f", *out_.finer_rebound));
-  } else if (order > kContinuous) {
-    Decide(ContactClass::kContinuousForce, found + Format("; rebound %.2f", *out_.finer_rebound));
-  } else {
-    Decide(ContactClass::kUnclear, found + ", between that of a jump and of a continuous one");
-  }
-}
-
-void Recogniser::JudgeImpulse() {
-  struct Entry {
-    double h, position, velocity;
-  };
-  std::vector<Entry> entries;
-  for (size_t i = lengths_.size() - std::min(lengths_.size(), kFinest); i < lengths_.size(); ++i) {
-    const NormalMap map = bench_.Linearize(lengths_[i].h, lengths_[i].run.before_largest);
-    entries.push_back({lengths_[i].h, map.position_from_position, lengths_[i].h * map.velocity_from_position});
-  }
-  double position = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.position; });
-  if (std::abs(position) < 0.005) position = 0;  // not to be printed as -0.00
-  const double feedback = MedianOf(entries, 0, kFinest, [](const Entry& e) { return e.velocity; });
-  const double order = OrderOf(entries, kFinest, [](const Entry& e) { return std::abs(e.velocity); });
-  out_.position_from_position = position;
-  out_.velocity_from_position = feedback;
-  const auto near = [](double value, double target) { return std::abs(value - target) < kTolerance; };
-  const std::string passes = Format("an impulse; the normal position passes with a factor of %.2f", position);
-  const std::string instead = Format(" instead of %.2f", -out_.restitution);
-  const bool rebounds = *out_.finer_rebound > 2 * kTolerance;
-  if (near(position, 0) && rebounds) {
-    Decide(ContactClass::kProjection, passes + instead);
-  } else if (near(position, -*out_.finer_rebound) && rebounds) {
-    Decide(ContactClass::kImpactTimeResolved, passes);
-  } else if (std::abs(position - 1) < kTolerance + std::abs(feedback) && std::abs(feedback) > kFeedback) {
-    // It may have acted within the step, so that the position has felt it.
-    if (std::abs(order) < 0.5) {
-      Decide(ContactClass::kDepthFeedback, Format("an impulse that takes %.2g of the depth out in a step", -feedback));
-    } else {
-      Decide(ContactClass::kUnclear, passes + ", and with the depth it changes as no class does");
-    }
-  } else if (near(position, 1)) {
-    Decide(ContactClass::kImpulseAtStepBoundary, passes + instead);
-  } else {
-    Decide(ContactClass::kUnclear, passes + instead + ", which is that of no known class");
-  }
-}
-
-ContactRecognition Recogniser::Run() {
-  if (!RunContacts()) {
-    out_.words = "the contact does not happen at every length of step";
-    return out_;
-  }
-  RecordContacts();
-  if (std::max(*out_.rebound, *out_.finer_rebound) < kNoRebound * out_.restitution) {
-    Decide(ContactClass::kNoRestitution,
-           Format("rebounds at %.3f of the closing speed, at finer steps %.3f, where %.2f is asked for",
-                  *out_.rebound,
-                  *out_.finer_rebound,
-                  out_.restitution));
-  } else if (*out_.finer_rebound > kMostRebound) {
-    out_.words = Format("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
-  } else if (*out_.finer_concentration < kForce) {
-    JudgeForce();
-  } else if (*out_.finer_concentration > kImpulse) {
-    JudgeImpulse();
-  } else {
-    out_.words =
-        Format("between impulse and force: the largest change in a step is %.2f of all", *out_.finer_concentration);
-  }
-  return out_;
-}
 
 // The contact of a model's own rollout.
 class ModelBench final : public ContactBench {
@@ -236,54 +232,34 @@ ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::ve
 }
 
 const char* ContactClassToString(ContactClass contact_class) {
-  switch (contact_class) {
-    case ContactClass::kUnclear:
-      return "unclear";
-    case ContactClass::kImpactTimeResolved:
-      return "impact time resolved";
-    case ContactClass::kImpulseAtStepBoundary:
-      return "impulse at a step boundary";
-    case ContactClass::kProjection:
-      return "projection";
-    case ContactClass::kDepthFeedback:
-      return "depth feedback";
-    case ContactClass::kContinuousForce:
-      return "continuous force";
-    case ContactClass::kForceWithJump:
-      return "force with a jump";
-    case ContactClass::kNoRestitution:
-      return "no restitution";
-  }
-  LOG(FATAL) << "no such class";
+  constexpr const char* kNames[] = {"unclear",
+                                    "impact time resolved",
+                                    "impulse at a step boundary",
+                                    "projection",
+                                    "depth feedback",
+                                    "continuous force",
+                                    "force with a jump",
+                                    "no restitution"};
+  return kNames[static_cast<int>(contact_class)];
 }
 
 const char* MeaningOf(ContactClass contact_class) {
-  switch (contact_class) {
-    case ContactClass::kUnclear:
-      return "The numbers do not decide.";
-    case ContactClass::kImpactTimeResolved:
-      return "An impulse that is differentiated together with its time: a displacement towards the contact comes back "
-             "with the opposite sign, as it should.";
-    case ContactClass::kImpulseAtStepBoundary:
-      return "An impulse that acts at the boundary of a step, whatever the depth: the motion converges, but its time "
-             "of "
-             "impact is not differentiated, and the gradient by position keeps the wrong sign at every step.";
-    case ContactClass::kProjection:
-      return "Overlap is projected away: whatever the normal position was before the impact, nothing of it is left in "
-             "the gradient.";
-    case ContactClass::kDepthFeedback:
-      return "The impulse corrects a part of the depth within a step: as the depth is a part of what a step moves, the "
-             "gradient grows without bound as steps shrink.";
-    case ContactClass::kContinuousForce:
-      return "A force that sets in from zero: the gradient converges to the exact one as first the step and then the "
-             "softness go to zero.";
-    case ContactClass::kForceWithJump:
-      return "A force that jumps at its onset: what the jump puts into the gradient does not depend on the step, and "
-             "grows with stiffness and damping.";
-    case ContactClass::kNoRestitution:
-      return "Plastic by construction: the gradient is that of a motion that does not rebound.";
-  }
-  LOG(FATAL) << "no such class";
+  constexpr const char* kMeanings[] = {
+      "The numbers do not decide.",
+      "An impulse that is differentiated together with its time: a displacement towards the contact comes back "
+      "with the opposite sign, as it should.",
+      "An impulse that acts at the boundary of a step, whatever the depth: the motion converges, but its time "
+      "of impact is not differentiated, and the gradient by position keeps the wrong sign at every step.",
+      "Overlap is projected away: whatever the normal position was before the impact, nothing of it is left in "
+      "the gradient.",
+      "The impulse corrects a part of the depth within a step: as the depth is a part of what a step moves, the "
+      "gradient grows without bound as steps shrink.",
+      "A force that sets in from zero: the gradient converges to the exact one as first the step and then the "
+      "softness go to zero.",
+      "A force that jumps at its onset: what the jump puts into the gradient does not depend on the step, and "
+      "grows with stiffness and damping.",
+      "Plastic by construction: the gradient is that of a motion that does not rebound."};
+  return kMeanings[static_cast<int>(contact_class)];
 }
 
 ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop) {

@@ -1,4 +1,6 @@
-// The linearization of several steps of a simulator, composed, over some of its discs.
+// The linearization of several steps of a simulator, composed, over some of its discs: as a matrix (StepMap); or, where
+// discs are many, as a costate that is pulled back (PulledCostate). Time and memory for the matrix grow with the square
+// of the number of discs; its transpose times a vector takes one rollout and two reverse sweeps.
 #pragma once
 
 #include <Eigen/Core>
@@ -36,5 +38,18 @@ StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, 
 
 // The same without the linearization.
 StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps);
+
+// A^T lambda over some discs, [p v] of each and [angle w] if the scene spins; what the positions and what the
+// velocities at the end contribute.
+struct PulledCostate {
+  Eigen::VectorXd by_positions, by_velocities;
+  Eigen::VectorXd Sum() const { return by_positions + by_velocities; }
+};
+
+// Through all steps of the simulator, from state `begin` under its scene's initial control. `lambda`: the numbers
+// of each disc of `bodies`, those of the others are zero. Not a number if the rollout fails.
+// Precondition: the simulator's discs have no rotation of their own, but that of a scene that spins.
+PulledCostate PullBackCostate(Simulator* simulator, std::span<const double> begin, const std::vector<int>& bodies,
+                              const Eigen::VectorXd& lambda);
 
 }  // namespace saltus

@@ -13,6 +13,7 @@
 #include "audit/gradient/own_differences.h"
 #include "audit/gradient/statistics.h"
 #include "saltus/control/objective.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 namespace {
@@ -84,17 +85,10 @@ int BitsOf(double noise) {
 // How fast the two of a pair are accelerated towards each other by the scene's forces, in a state of all discs.
 double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vector<double>& state) {
   const auto position = [&](int i) { return Vec2d(state[4 * i], state[4 * i + 1]); };
-  const auto acceleration = [&](int i) -> Vec2d {
-    if (scene.bodies[i].fixed) return Vec2d::Zero();
-    Vec2d sum = scene.gravity;
-    for (int c = 0; c < scene.num_controlled(); ++c) {
-      if (scene.control.bodies[c] == i) sum += scene.control.initial[c] / scene.bodies[i].mass;
-    }
-    return sum;
-  };
-  if (pair.plane) return -Dot(Vec2d(scene.planes[pair.b].normal.normalized()), acceleration(pair.a));
+  const Vec2d of_a = InitialAcceleration(scene, pair.a);
+  if (pair.plane) return -Dot(Vec2d(scene.planes[pair.b].normal.normalized()), of_a);
   return Dot(Vec2d((position(pair.b) - position(pair.a)).normalized()),
-             Vec2d(acceleration(pair.a) - acceleration(pair.b)));
+             Vec2d(of_a - InitialAcceleration(scene, pair.b)));
 }
 
 // The first in the exact motion; or else the first two discs, or a disc and a plane.
@@ -246,17 +240,8 @@ bool HasFailed(BlackBox* box, const Scene& scene, ModelAudit* audit) {
 }  // namespace
 
 const char* MotionToString(Motion motion) {
-  switch (motion) {
-    case Motion::kUnknown:
-      return "unknown";
-    case Motion::kExact:
-      return "exact";
-    case Motion::kConverges:
-      return "converges";
-    case Motion::kDoesNotConverge:
-      return "does not converge";
-  }
-  LOG(FATAL) << "no such motion";
+  constexpr const char* kNames[] = {"unknown", "exact", "converges", "does not converge"};
+  return kNames[static_cast<int>(motion)];
 }
 
 Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop) {

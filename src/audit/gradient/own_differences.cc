@@ -10,6 +10,7 @@
 #include <random>
 #include <vector>
 
+#include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
@@ -57,20 +58,6 @@ class Loss {
   bool ok_ = false;
 };
 
-// The speed that a disc has at most in the last rollout, m/s.
-double LargestSpeed(const Simulator& simulator) {
-  double largest = 0;
-  std::vector<double> x(simulator.state_size());
-  for (int k = 0; k <= simulator.num_steps(); ++k) {
-    simulator.GetState(k, x);
-    for (int i = 0; i < simulator.num_bodies(); ++i) {
-      const double* v = &x[i * simulator.body_size() + 2];
-      largest = std::max(largest, std::hypot(v[0], v[1]));
-    }
-  }
-  return largest;
-}
-
 // What a direction shows. `widest` is in its units.
 OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double widest) {
   OwnDifferences found;
@@ -85,7 +72,7 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   std::array<double, 2> change_before = {kNan, kNan};
   int jumps = 0;  // widths on end at which the loss jumps on both sides
   double width = widest;
-  for (int i = 0; i < kWidths && jumps < kMostJumps; ++i, width *= kNarrower) {
+  for (int i = 0; i < kWidths && jumps < kMostJumps && !loss->shooting().stopped(); ++i, width *= kNarrower) {
     bool jumps_here = true;
     for (int side = 0; side < 2; ++side) {
       const double signed_width = side == 0 ? width : -width;

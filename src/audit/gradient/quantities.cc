@@ -8,43 +8,20 @@
 namespace saltus {
 
 const char* QuantityToString(Quantity quantity) {
-  switch (quantity) {
-    case Quantity::kPosition:
-      return "position";
-    case Quantity::kVelocity:
-      return "velocity";
-    case Quantity::kControl:
-      return "control";
-    case Quantity::kRestitution:
-      return "restitution";
-    case Quantity::kFriction:
-      return "friction";
-    case Quantity::kMass:
-      return "mass";
-    case Quantity::kGravity:
-      return "gravity";
-  }
-  LOG(FATAL) << "no such quantity";
+  constexpr const char* kNames[] = {"position", "velocity", "control", "restitution", "friction", "mass", "gravity"};
+  return kNames[static_cast<int>(quantity)];
 }
 
 double GradientFactor(Quantity quantity, const Units& from, const Units& to) {
   const UnitFactors by(from, to);
-  switch (quantity) {
-    case Quantity::kPosition:
-      return by.loss / by.length;
-    case Quantity::kVelocity:
-      return by.loss / by.speed;
-    case Quantity::kControl:
-      return by.loss / by.force;
-    case Quantity::kRestitution:
-    case Quantity::kFriction:
-      return by.loss;
-    case Quantity::kMass:
-      return by.loss / by.mass;
-    case Quantity::kGravity:
-      return by.loss / by.acceleration;
-  }
-  LOG(FATAL) << "no such quantity";
+  const double factors[] = {by.loss / by.length,
+                            by.loss / by.speed,
+                            by.loss / by.force,
+                            by.loss,
+                            by.loss,
+                            by.loss / by.mass,
+                            by.loss / by.acceleration};  // in the order of the enum
+  return factors[static_cast<int>(quantity)];
 }
 
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals) {

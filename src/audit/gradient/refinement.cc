@@ -4,12 +4,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <random>
 #include <utility>
 
-#include "audit/gradient/conditioning.h"
+#include "audit/gradient/judgement.h"
 #include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/audit/audit.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
@@ -31,12 +34,6 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   return quantities;
 }
 
-double Norm(const std::vector<double>& entries) {
-  double sum = 0;
-  for (double entry : entries) sum += entry * entry;
-  return std::sqrt(sum);
-}
-
 double Largest(const std::vector<double>& entries) {
   double largest = 0;
   for (double entry : entries) largest = std::max(largest, std::abs(entry));
@@ -47,6 +44,25 @@ double Distance(const std::vector<double>& a, const std::vector<double>& b) {
   std::vector<double> difference(a.size());
   std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());
   return Norm(difference);
+}
+
+constexpr int kSamples = 4;
+constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+
+double RelativeChange(std::vector<double> gradient, const std::vector<double>& from) {
+  for (std::size_t i = 0; i < gradient.size(); ++i) gradient[i] -= from[i];
+  const double scale = Norm(from);
+  return scale > 0 ? Norm(gradient) / scale : 0.0;
+}
+
+// With every number of the initial state off by a last bit, up or down.
+Scene Jitter(Scene scene, std::mt19937* random) {
+  for (Body& body : scene.bodies) {
+    for (Vec2d* vector : {&body.position, &body.velocity}) {
+      for (int j = 0; j < 2; ++j) (*vector)[j] *= (*random)() % 2 == 0 ? 1 + kEpsilon : 1 - kEpsilon;
+    }
+  }
+  return scene;
 }
 
 // The entries, but 0 for those whose names are in `left_out`.
@@ -125,38 +141,14 @@ void Judge(const RefinementOptions& options, QuantityStudy* study) {
   }
 }
 
-// An error that falls may yet come to rest above zero, as that of a stiff spring does.
-bool MayHaveAFloor(const QuantityStudy& study) {
-  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
-}
-
 bool EntersTheVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
 }
 
 // From good to bad; what is wrong outweighs what is unknown.
 int Badness(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-      return 0;
-    case Verdict::kConsistent:
-      return 1;
-    case Verdict::kUnknown:
-    case Verdict::kOneSided:
-      return 2;
-    case Verdict::kIllConditioned:
-    case Verdict::kNotApplicable:
-      return 3;
-    case Verdict::kBiased:
-      return 4;
-    case Verdict::kWrong:
-      return 5;
-    case Verdict::kWrongSign:
-      return 6;
-    case Verdict::kAmbiguous:
-      return 7;
-  }
-  LOG(FATAL) << "no such verdict";
+  constexpr int kBadness[] = {0, 1, 5, 6, 2, 4, 3, 3, 7, 2};  // in the order of the enum
+  return kBadness[static_cast<int>(verdict)];
 }
 
 Verdict Overall(const RefinementStudy& study) {
@@ -178,10 +170,10 @@ Verdict Overall(const RefinementStudy& study) {
 }
 
 // Errors that are no larger than what rounding does to the exact gradient are nobody's.
-void ExcuseRounding(const Scene& scene, RefinementStudy* study) {
+void ExcuseRounding(const Scene& scene, const StopRequest& stop, RefinementStudy* study) {
   for (QuantityStudy& quantity : study->quantities) {
     if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
-    if (!study->conditioning) study->conditioning = MeasureConditioning(scene);
+    if (!study->conditioning) study->conditioning = MeasureConditioning(scene, stop);
     if (!study->conditioning) return;
     if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
       quantity.verdict = Verdict::kIllConditioned;
@@ -214,10 +206,9 @@ class Study {
       added.quantity = quantity;
       added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);
       added.one_sided = OneSidedNames(scene, *exact, quantity);
-      names_.push_back(EntryNames(scene, quantity, out_.intervals));
-      // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
-      const double norm = Norm(Without(added.one_sided, names_.back(), added.exact));
-      scales_.push_back(std::max(norm, 1e-6 * std::max(1.0, std::abs(exact->loss))));
+      QuantityLevels& levels = levels_.emplace_back();
+      levels.names = EntryNames(scene, quantity, out_.intervals);
+      levels.scale = ScaleOf(added, levels.names, exact->loss);
     }
   }
 
@@ -240,94 +231,112 @@ class Study {
     std::vector<ModelGradient> gradients(options_.samples);
     const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
     ParallelFor(threads, options_.samples, [&](int, int sample) {
+      // Of many steps the arrays alone take long.
+      if (gradients[sample].reason = stop_ && stop_() ? kStopped : ""; !gradients[sample].ok()) return;
       Scene refined = scene_;
       refined.steps = steps_of(sample);
       gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
     });
+    for (int sample = 0; sample < options_.samples; ++sample) {
+      if (gradients[sample].ok()) continue;
+      out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradients[sample].reason;
+      return false;
+    }
     std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
     double log_steps = 0;
     for (int sample = 0; sample < options_.samples; ++sample) {
       log_steps += std::log(steps_of(sample)) / options_.samples;
       const ModelGradient& gradient = gradients[sample];
-      if (!gradient.ok()) {
-        out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradient.reason;
-        return false;
-      }
       if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
       for (size_t q = 0; q < entries.size(); ++q) {
         entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
       }
     }
-    for (size_t q = 0; q < entries.size(); ++q) Record(std::exp(log_steps), entries[q], scales_[q], level, q);
+    for (size_t q = 0; q < entries.size(); ++q) {
+      levels_[q].Add(std::exp(log_steps), entries[q], options_, &out_.quantities[q]);
+    }
     return true;
   }
 
  private:
-  void Record(double steps, const std::vector<std::vector<double>>& samples, double scale, int level, size_t q) {
-    QuantityStudy& study = out_.quantities[q];
-    const auto judged = [&](const std::vector<double>& entries) {
-      return Without(study.one_sided, names_[q], entries);
-    };
-    std::vector<double> errors;
-    for (const std::vector<double>& entries : samples) {
-      errors.push_back(Distance(judged(entries), judged(study.exact)) / scale);
-    }
-    const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
-    study.levels.push_back({steps, Median(errors), *smallest, *largest});
-    study.finest.clear();
-    for (size_t entry = 0; entry < study.exact.size(); ++entry) {
-      std::vector<double> values;
-      for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
-      study.finest.push_back(Median(values));
-    }
-    if (level == 0) coarsest_.push_back(samples.front());
-    study.wrong_signs = FindWrongSigns(names_[q], judged(study.exact), judged(coarsest_[q]), judged(study.finest));
-    largest_.resize(out_.quantities.size(), 0.0);
-    largest_[q] = std::max(largest_[q], *largest);
-    const double median = study.levels.back().error;
-    study.decisive = median > options_.tolerance ? median : largest_[q];
-    if (study.levels.size() >= kTail) Judge(options_, &study);
-  }
-
   Contact contact_;
   const Scene& scene_;
   const RefinementOptions& options_;
   const StopRequest& stop_;
   RefinementStudy& out_;
   int unit_ = 1;
-  int touches_ = 0;  // at the first level
-  std::vector<double> scales_;
-  std::vector<double> largest_;                  // error of all samples so far, by quantity
-  std::vector<std::vector<std::string>> names_;  // of the entries, by quantity
-  std::vector<std::vector<double>> coarsest_;
+  int touches_ = 0;                     // at the first level
+  std::vector<QuantityLevels> levels_;  // by quantity
 };
 
 }  // namespace
 
-const char* VerdictToString(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-      return "right";
-    case Verdict::kConsistent:
-      return "consistent";
-    case Verdict::kWrong:
-      return "wrong";
-    case Verdict::kWrongSign:
-      return "wrong sign";
-    case Verdict::kUnknown:
-      return "unknown";
-    case Verdict::kBiased:
-      return "biased";
-    case Verdict::kIllConditioned:
-      return "ill-conditioned";
-    case Verdict::kNotApplicable:
-      return "not applicable";
-    case Verdict::kAmbiguous:
-      return "ambiguous";
-    case Verdict::kOneSided:
-      return "one-sided";
+void QuantityLevels::Add(double steps, const std::vector<std::vector<double>>& samples,
+                         const RefinementOptions& options, QuantityStudy* study) {
+  const auto judged = [&](const std::vector<double>& entries) { return Without(study->one_sided, names, entries); };
+  std::vector<double> errors;
+  for (const std::vector<double>& entries : samples) {
+    errors.push_back(Distance(judged(entries), judged(study->exact)) / scale);
   }
-  LOG(FATAL) << "no such verdict";
+  const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
+  study->levels.push_back({steps, Median(errors), *smallest, *largest});
+  study->finest.clear();
+  for (size_t entry = 0; entry < study->exact.size(); ++entry) {
+    std::vector<double> values;
+    for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
+    study->finest.push_back(Median(values));
+  }
+  if (study->levels.size() == 1) coarsest = samples.front();
+  study->wrong_signs = FindWrongSigns(names, judged(study->exact), judged(coarsest), judged(study->finest));
+  const double median = study->levels.back().error;
+  double largest_of_all = 0;
+  for (const RefinementLevel& level : study->levels) largest_of_all = std::max(largest_of_all, level.largest);
+  study->decisive = median > options.tolerance ? median : largest_of_all;
+  if (study->levels.size() >= kTail) Judge(options, study);
+}
+
+double ScaleOf(const QuantityStudy& study, const std::vector<std::string>& names, double loss) {
+  return std::max(Norm(Without(study.one_sided, names, study.exact)), 1e-6 * std::max(1.0, std::abs(loss)));
+}
+
+bool MayHaveAFloor(const QuantityStudy& study) {
+  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
+}
+
+std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop) {
+  const ModelTraits* exact = ExactModel();
+  if (exact == nullptr) return std::nullopt;
+  const ModelGradient gradient = ComputeGradient(exact->name, scene, Precision::kDouble, stop);
+  if (!gradient.ok()) return std::nullopt;
+  Conditioning found;
+  const auto compare = [&](const Scene& other) {
+    const ModelGradient changed = ComputeGradient(exact->name, other, Precision::kDouble, stop);
+    return changed.ok() ? RelativeChange(changed.gradient.initial, gradient.gradient.initial) : 1.0;
+  };
+  std::mt19937 random(1);
+  for (int sample = 1; sample <= kSamples; ++sample) {
+    const double change = compare(Jitter(scene, &random));
+    found.condition = std::max(found.condition, change / kEpsilon);
+    Scene resampled = scene;
+    resampled.steps += sample;
+    found.rounding = std::max({found.rounding, change, compare(resampled)});
+    if (stop && stop()) return std::nullopt;
+  }
+  return found;
+}
+
+const char* VerdictToString(Verdict verdict) {
+  constexpr const char* kNames[] = {"right",
+                                    "consistent",
+                                    "wrong",
+                                    "wrong sign",
+                                    "unknown",
+                                    "biased",
+                                    "ill-conditioned",
+                                    "not applicable",
+                                    "ambiguous",
+                                    "one-sided"};
+  return kNames[static_cast<int>(verdict)];
 }
 
 bool IsWrong(Verdict verdict) { return verdict == Verdict::kWrong || verdict == Verdict::kWrongSign; }
@@ -365,7 +374,7 @@ RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, cons
   for (QuantityStudy& quantity : study.quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
-  ExcuseRounding(scene, &study);
+  ExcuseRounding(scene, stop, &study);
   study.verdict = Overall(study);
   return study;
 }

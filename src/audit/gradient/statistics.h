@@ -1,4 +1,4 @@
-// Small statistics of the audit.
+// Small functions of numbers and of rollouts that several parts of the audit need.
 #pragma once
 
 #include <algorithm>
@@ -6,13 +6,36 @@
 #include <span>
 #include <vector>
 
+#include "saltus/simulate/simulator.h"
+
 namespace saltus {
+
+// The Euclidean norm.
+inline double Norm(const std::vector<double>& entries) {
+  double sum = 0;
+  for (double entry : entries) sum += entry * entry;
+  return std::sqrt(sum);
+}
 
 // The middle value; the upper one of two. Precondition: not empty.
 inline double Median(std::vector<double> values) {
   const auto middle = values.begin() + values.size() / 2;
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// The largest speed of a disc in the simulator's last rollout, m/s.
+inline double LargestSpeed(const Simulator& simulator) {
+  double largest = 0;
+  std::vector<double> x(simulator.state_size());
+  for (int k = 0; k <= simulator.num_steps(); ++k) {
+    simulator.GetState(k, x);
+    for (int i = 0; i < simulator.num_bodies(); ++i) {
+      const double* v = &x[i * simulator.body_size() + 2];
+      largest = std::max(largest, std::hypot(v[0], v[1]));
+    }
+  }
+  return largest;
 }
 
 // p of y ~ x^p, by least squares of the logarithms.

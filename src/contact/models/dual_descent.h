@@ -44,9 +44,11 @@ struct DualDescentOf : SpringDescent<kTurn> {
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
     this->VisitSharedOptions(visit);
-    visit(ModelOption{"gauss_seidel", "1: contacts one after the other, else all at once", 0, 1}, gauss_seidel);
-    visit(ModelOption{"incremental", "1: adds changes of forces along directions of their own iteration", 0, 1},
-          incremental);
+    visit(ModelOption{"gauss_seidel", "1: updates contacts one after another; 0: all together", 0, 1}, gauss_seidel);
+    visit(
+        ModelOption{
+            "incremental", "1: adds each change of the forces along the contact directions of its iteration", 0, 1},
+        incremental);
   }
 
   template <typename T>

@@ -197,11 +197,13 @@ struct IpcBarrierOf {
   Integrator integrator = Integrator::kImplicitEuler;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"range", "gap below which the barrier pushes, m", 1e-6, kRange}, range);
+    visit(ModelOption{"range", "gap below which the barrier acts, m", 1e-6, kRange}, range);
     visit(ModelOption{"kappa", "stiffness of the barrier, N/m", 1e-3, 1e12}, kappa);
-    visit(ModelOption{"slip_speed", "below which friction is less than mu times the normal force, m/s", 1e-6, 1},
-          slip_speed);
-    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    visit(
+        ModelOption{
+            "slip_speed", "sliding speed below which friction is less than mu times the normal force, m/s", 1e-6, 1},
+        slip_speed);
+    visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
     bool trapezoidal = integrator == Integrator::kTrapezoidal;
     visit(ModelOption{"trapezoidal", "1: the trapezoidal rule instead of implicit Euler", 0, 1}, trapezoidal);
     integrator = trapezoidal ? Integrator::kTrapezoidal : Integrator::kImplicitEuler;

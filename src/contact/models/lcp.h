@@ -62,10 +62,12 @@ struct LcpOf {
 
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(
-        ModelOption{
-            "complementarity_aware", "1: reverse sweeps in the classes that the loss would rather have", 0, 1, true},
-        complementarity_aware);
+    visit(ModelOption{"complementarity_aware",
+                      "1: reverse sweeps choose the contact modes that leave a larger gradient",
+                      0,
+                      1,
+                      true},
+          complementarity_aware);
   }
 
   template <typename T, typename H>

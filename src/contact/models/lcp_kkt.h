@@ -154,11 +154,13 @@ struct LcpKktOf {
   bool released_backward = false;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"eps", "gap from which on a pair is a contact, m", 2e-6, 1e-3}, eps);
-    visit(ModelOption{"tolerance", "overlap that a step may leave, m", 1e-9, 1e-6}, tolerance);
-    visit(ModelOption{"force_once", "1: no new solve with a halved step, as the source", 0, 1}, force_once);
-    visit(ModelOption{"released_backward", "1: the source's backward pass, wrong with friction", 0, 1, true},
-          released_backward);
+    visit(ModelOption{"eps", "gap below which a pair is a contact, m", 2e-6, 1e-3}, eps);
+    visit(ModelOption{"tolerance", "largest accepted overlap after a step, m", 1e-9, 1e-6}, tolerance);
+    visit(ModelOption{"force_once", "1: no new solve with a halved step, as in the source", 0, 1}, force_once);
+    visit(
+        ModelOption{
+            "released_backward", "1: the backward pass of the source, which is wrong with friction", 0, 1, true},
+        released_backward);
   }
 
   template <typename T, typename H>

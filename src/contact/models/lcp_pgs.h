@@ -103,8 +103,8 @@ struct LcpPgsOf {
   double cfm = 0;    // 1/kg
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"sweeps", "of Gauss-Seidel", 1, 1e5}, sweeps);
-    visit(ModelOption{"erp", "part of the overlap that a step corrects", 0, 1}, erp);
+    visit(ModelOption{"sweeps", "number of Gauss-Seidel sweeps", 1, 1e5}, sweeps);
+    visit(ModelOption{"erp", "fraction of the overlap that a step corrects", 0, 1}, erp);
     visit(ModelOption{"cfm", "softness of the constraints, 1/kg", 0, 1e3}, cfm);
   }
 

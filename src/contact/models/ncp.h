@@ -189,9 +189,11 @@ struct NcpOf {
   double kappa_grad = 0;  // no less than kappa; 0: kappa
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"kappa", "where the central path is left, N s m", 1e-12, 1}, kappa);
-    visit(ModelOption{"kappa_grad", "where derivatives leave it; those of kappa if it is less", 0, 1, true},
-          kappa_grad);
+    visit(ModelOption{"kappa", "central-path parameter at which the iterations end, N s m", 1e-12, 1}, kappa);
+    visit(
+        ModelOption{
+            "kappa_grad", "central-path parameter at which derivatives are taken; kappa if it is smaller", 0, 1, true},
+        kappa_grad);
   }
 
   template <typename T, typename H>

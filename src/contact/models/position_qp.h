@@ -51,7 +51,8 @@ struct PositionQpRule {
   bool normal_gradient = true;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"restitution", "1: that of the scene, by a program in velocities", 0, 1}, restitution);
+    visit(ModelOption{"restitution", "1: the restitution of the scene, by a quadratic program in velocities", 0, 1},
+          restitution);
     visit(ModelOption{"normal_gradient", "0: normals are constants, as in the released program", 0, 1, true},
           normal_gradient);
   }

@@ -43,7 +43,8 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
     this->VisitSharedOptions(visit);
-    visit(ModelOption{"exponent", "of a spring's energy; above 2 its force sets in smoothly", 2, 10}, exponent);
+    visit(ModelOption{"exponent", "exponent of the energy of a spring; above 2 its force begins smoothly", 2, 10},
+          exponent);
     visit(ModelOption{"newton", "1: Newton's method instead of descent", 0, 1}, newton);
   }
 

@@ -60,8 +60,8 @@ struct QcqpOf {
   double tolerance = 1e-13;  // of the impulses, relative to the largest
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"passes", "of the two programs in turn", 1, 1e6}, passes);
-    visit(ModelOption{"tolerance", "of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
+    visit(ModelOption{"passes", "passes over the two programs", 1, 1e6}, passes);
+    visit(ModelOption{"tolerance", "tolerance of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
   }
 
   template <typename T, typename H>

@@ -55,14 +55,16 @@ struct SmoothCompliantOf : HuntCrossley {
   int substeps = 4;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"exponent", "of the overlap; 1.5 is Hertz's", 1, 10}, exponent);
-    visit(ModelOption{"reference_depth", "where the stiffness is that of a linear spring, m", 1e-6, 1},
+    visit(ModelOption{"exponent", "exponent of the overlap; 1.5 is Hertz's", 1, 10}, exponent);
+    visit(ModelOption{"reference_depth", "overlap at which the force is that of a linear spring, m", 1e-6, 1},
           reference_depth);
-    visit(ModelOption{"reference_speed", "of impact, at which restitution is the stated one, m/s", 1e-3, 1e3},
+    visit(ModelOption{"reference_speed", "impact speed at which the restitution is that of the scene, m/s", 1e-3, 1e3},
           reference_speed);
-    visit(ModelOption{"slip_speed", "below which friction is less than mu times the normal force, m/s", 1e-6, 1},
-          slip_speed);
-    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    visit(
+        ModelOption{
+            "slip_speed", "sliding speed below which friction is less than mu times the normal force, m/s", 1e-6, 1},
+        slip_speed);
+    visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
   }
 
   template <typename T, typename H>

@@ -61,12 +61,15 @@ struct SoftConvexOf {
   double tangential_damping = -1;  // 1/s; 2 sqrt(stiffness) if negative
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"damping", "of closing, 1/s; that of the restitution if negative", -1, 1e6}, damping);
-    visit(ModelOption{"tangential_damping", "of sliding, 1/s; 2 sqrt(stiffness) if negative", -1, 1e6},
+    visit(
+        ModelOption{
+            "damping", "normal damping, 1/s; if negative, the value that gives the restitution of the scene", -1, 1e6},
+        damping);
+    visit(ModelOption{"tangential_damping", "tangential damping, 1/s; if negative, 2 sqrt(stiffness)", -1, 1e6},
           tangential_damping);
-    visit(ModelOption{"impratio", "of normal to tangential softness", 1e-6, 1e6}, impratio);
-    visit(ModelOption{"dmin", "impedance where discs touch", 1e-4, 0.9999}, impedance.at_contact);
-    visit(ModelOption{"dmax", "impedance from `width` on", 1e-4, 0.9999}, impedance.at_width);
+    visit(ModelOption{"impratio", "ratio of normal to tangential softness", 1e-6, 1e6}, impratio);
+    visit(ModelOption{"dmin", "impedance at zero overlap", 1e-4, 0.9999}, impedance.at_contact);
+    visit(ModelOption{"dmax", "impedance at an overlap of `width` or more", 1e-4, 0.9999}, impedance.at_width);
     visit(ModelOption{"width", "overlap over which the impedance rises, m", 1e-9, 1}, impedance.width);
   }
 

@@ -214,13 +214,13 @@ class SpringDescent {
 
   template <typename Visit>
   void VisitSharedOptions(const Visit& visit) {
-    visit(ModelOption{"kf", "of friction below its bound, N s/m", 1e-3, 1e12}, kf);
-    visit(ModelOption{"iterations", "of a substep", 1, 1e6}, iterations);
-    visit(ModelOption{"alpha", "length of an iteration", 1e-3, 1}, alpha);
-    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
-    visit(ModelOption{"implicit", "1: derivative by the implicit function theorem, else through the iterations", 0, 1},
+    visit(ModelOption{"kf", "friction coefficient below the bound of Coulomb, N s/m", 1e-3, 1e12}, kf);
+    visit(ModelOption{"iterations", "iterations of a substep", 1, 1e6}, iterations);
+    visit(ModelOption{"alpha", "step length of an iteration", 1e-3, 1}, alpha);
+    visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
+    visit(ModelOption{"implicit", "1: derivatives by the implicit function theorem; 0: through the iterations", 0, 1},
           implicit);
-    visit(ModelOption{"tolerance", "largest residual that the iterations may leave, m/s", 1e-15, 1e3}, tolerance);
+    visit(ModelOption{"tolerance", "largest accepted residual of the iterations, m/s", 1e-15, 1e3}, tolerance);
   }
 
   // descend(problem, z, touched) moves z from v_f to the solution, with any scalar, and marks in `touched` each contact

@@ -29,7 +29,7 @@ namespace saltus {
 
 struct StaticLcp {
   static constexpr ModelTraits kTraits = {.name = "static_lcp",
-                                          .summary = "static contact: what touches sticks, friction is not read",
+                                          .summary = "static contact: no tangential motion at active contacts",
                                           .source = "DiffPD (Du et al. 2021)",
                                           .friction = false,
                                           .double_engine = true,
@@ -47,9 +47,10 @@ struct StaticLcp {
   double omega = 1e8;  // kg
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"source_anchor", "1: discs freeze where the step began, as in the source", 0, 1}, source_anchor);
-    visit(ModelOption{"rounds", "in which contacts leave and join", 1, 1e4}, rounds);
-    visit(ModelOption{"omega", "weight of the tangents, kg", 1, 1e12}, omega);
+    visit(ModelOption{"source_anchor", "1: discs in contact stay where the step began, as in the source", 0, 1},
+          source_anchor);
+    visit(ModelOption{"rounds", "rounds of the active-set update of contacts", 1, 1e4}, rounds);
+    visit(ModelOption{"omega", "penalty weight of tangential motion, kg", 1, 1e12}, omega);
   }
 
   template <typename T, typename H>

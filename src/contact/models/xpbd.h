@@ -52,10 +52,10 @@ struct XpbdOf {
   FrictionBound friction_bound = FrictionBound::kTotalImpulse;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
-    visit(ModelOption{"compliance", "of contacts, m/N", 0, 1}, compliance);
-    visit(ModelOption{"substeps", "of a step", 1, 1e4}, substeps);
+    visit(ModelOption{"compliance", "compliance of contacts, m/N", 0, 1}, compliance);
+    visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
     bool published = friction_bound == FrictionBound::kPublished;
-    visit(ModelOption{"published_bound", "1: friction is bounded by the position pass alone", 0, 1}, published);
+    visit(ModelOption{"published_bound", "1: the position pass alone bounds the friction", 0, 1}, published);
     friction_bound = published ? FrictionBound::kPublished : FrictionBound::kTotalImpulse;
   }
 

@@ -9,12 +9,11 @@
 // iterations to 1e-3 to 1e-6. Controls as variables, free flight and the multiplier eliminated: 16 iterations, but
 // 240 ms each with one dense Jacobian of all controls. Here, with an augmented Lagrangian alone for gaps that no pushed
 // disc closes: 64 iterations for two impacts, and 200 without an end for three. So Newton's method on the costate
-// conditions (hmp_roots.h) takes the last steps where there are such gaps, or steps have become small; about 10
+// conditions (hmp.h) takes the last steps where there are such gaps, or steps have become small; about 10
 // iterations.
 #pragma once
 
 #include "saltus/solve/solver.h"
-#include "solve/phases/phase_plan.h"
 #include "solve/phases/phase_run.h"
 
 namespace saltus {

@@ -7,6 +7,7 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/phase_transcription.h"
+#include "solve/phases/sequence_mending.h"
 
 namespace saltus {
 namespace {
@@ -60,7 +61,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
     return !left;
   };
   PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
-  const bool kinks = plan.HasTies() || plan.HasModes() || !plan.apart.empty();
+  const bool kinks = plan.HasTies() || plan.HasRegimes() || !plan.apart.empty();
   if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
     return attempt;
   if (attempt.converged) {
@@ -103,7 +104,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                                    request.terms,
                                    phases->cuts,
                                    phases->steps,
-                                   ForcesOf(scene, trial),
+                                   ControlOf(trial, scene.control_width()),
                                    apart,
                                    0,
                                    flight.get());
@@ -137,7 +138,7 @@ std::string WhyNotPhases(const SolveRequest& request) {
   if (!over) return request.contact.name() + " has no free flight over steps of any length, with derivatives";
   const bool turns = over->turn.pp != 0;  // linearly
   if (request.scene.num_turned() > 0 && !turns) {
-    return request.contact.name() + " does not turn discs linearly, and some are turned by torques";
+    return request.contact.name() + " does not change rotations linearly, and some discs have a torque control";
   }
   return "";
 }

@@ -71,7 +71,7 @@ struct PhaseSolution {
   bool optimal() const { return valid && minimum.converged && realized; }
 };
 // Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
-// (hmp_roots.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
+// (hmp.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
 // `loss_change` of it.
 bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum);
 
@@ -89,9 +89,6 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 // Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature.
 // Of those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
-inline constexpr int kMostSaddles = 5;  // left one after the other
-// Remarks for a person: that it was left, and what came after.
-std::string DescribeSaddle(const std::string& then);
 
 // Whether the exact run has these impacts, at these times, and no others.
 bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,

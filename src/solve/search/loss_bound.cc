@@ -9,7 +9,6 @@
 
 #include "saltus/simulate/registry.h"
 #include "simulate/flight.h"
-#include "simulate/limited_run.h"
 
 namespace saltus {
 namespace {

@@ -1,12 +1,11 @@
-#include "solve/shooting/ceres_lagrangian.h"
-
 #include <Eigen/Core>
 #include <algorithm>
 #include <sstream>
 
 #include "control/step_shooting.h"
-#include "solve/ceres_common.h"
 #include "solve/phases/augmented_lagrangian.h"
+#include "solve/shooting/step_shooting_solvers.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {

@@ -6,10 +6,12 @@
 #include <cmath>
 #include <cstdio>
 
-#include "solve/shooting/ceres_lbfgs.h"
-#include "solve/shooting/ceres_lm.h"
-#include "solve/shooting/gradient_descent.h"
-#include "solve/shooting/hybrid_run.h"
+#include "control/hybrid_shooting.h"
+#include "hybrid/rollout.h"
+#include "solve/phases/hybrid_phases.h"
+#include "solve/search/hybrid_search.h"
+#include "solve/shooting/single_shooting_solvers.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
@@ -18,14 +20,9 @@ constexpr double kNearJump = 1e-3;  // of an interval: how near to a jump of the
 
 // The events that happen so near to a jump of the control that the solver may have stopped at the kink there.
 std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput& input) {
-  const int width = simulator.system().num_controls();
-  const double length = input.duration / input.num_intervals;
   std::string near;
   for (const HybridEvent& event : simulator.events()) {
-    const int k = static_cast<int>(std::round(event.time / length));
-    if (k <= 0 || k >= input.num_intervals || std::abs(event.time - k * length) > kNearJump * length) continue;
-    const double* u = input.control.data() + k * width;
-    if (std::equal(u - width, u, u)) continue;
+    if (ControlJumpNear(input, simulator.system().num_controls(), event.time, kNearJump) < 0) continue;
     char text[64];
     std::snprintf(text, sizeof text, "' has an event at t = %.8g, ", event.time);
     near += (near.empty() ? "" : "; ") + ("guard '" + simulator.system().GuardName(event.mode, event.guard)) + text +
@@ -33,6 +30,33 @@ std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput&
   }
   return near;
 }
+
+// A run of a solver by single shooting on a problem of a hybrid system.
+class HybridRun final : public ShootingRun {
+ public:
+  HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
+      : ShootingRun(solver, options), shooting_(problem) {
+    shooting_.set_stop([this] { return options_.stop && options_.stop(); });
+    guess_ = shooting_.initial_guess();
+  }
+
+  HybridShooting& shooting() { return shooting_; }
+  ShootingFunction& function() override { return shooting_; }
+
+ private:
+  // What is not smooth there. Also records the error of the integration.
+  std::string RemarkOn(std::span<const double> z, Termination termination) override {
+    double loss = 0;
+    if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
+    report_.integration_error = shooting_.simulator().IntegrationError();
+    const std::string why = shooting_.simulator().WhyNotDifferentiable();
+    const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
+    if (near.empty() || why.find("control jumps") != std::string::npos) return why;
+    return why.empty() ? near : why + "; " + near;
+  }
+
+  HybridShooting shooting_;
+};
 
 std::string WhyNotShot(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
@@ -115,26 +139,13 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
 
 }  // namespace
 
-HybridRun::HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
-    : ShootingRun(solver, options), shooting_(problem) {
-  shooting_.set_stop([this] { return options_.stop && options_.stop(); });
-  guess_ = shooting_.initial_guess();
-}
-
-std::string HybridRun::RemarkOn(std::span<const double> z, Termination termination) {
-  double loss = 0;
-  if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
-  report_.integration_error = shooting_.simulator().IntegrationError();
-  const std::string why = shooting_.simulator().WhyNotDifferentiable();
-  const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
-  return near.empty() || why.find("control jumps") != std::string::npos ? why : why.empty() ? near : why + "; " + near;
-}
-
 const std::vector<HybridSolverEntry>& HybridSolvers() {
   static const std::vector<HybridSolverEntry> solvers = {
       {"gd", "gradient descent at a fixed rate", WhyNotShot, SolveByGradientDescent},
       {"ceres_lbfgs", "L-BFGS on the adjoint gradient", WhyNotLbfgs, SolveByLbfgs},
       {"ceres_lm", "Levenberg-Marquardt, states eliminated", WhyNotLm, SolveByLm},
+      {"ceres_phases", "phases between events, a cost for every step", WhyNotHybridPhases, SolveHybridByPhases},
+      {"mode_search", "search over sequences of events, by ceres_phases", WhyNotHybridPhases, SolveHybridByModeSearch},
   };
   return solvers;
 }

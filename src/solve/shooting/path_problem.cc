@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "control/step_shooting.h"
-#include "solve/ceres_common.h"
+#include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
@@ -327,12 +327,8 @@ ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tol
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // the same bits every time
-  options.logging_type = ceres::SILENT;
-  options.max_num_iterations = iterations;
-  options.gradient_tolerance = kGradientTolerance;
+  SetCommonOptions(iterations, &options);
   options.function_tolerance = function_tolerance;
-  options.parameter_tolerance = kParameterTolerance;
-  options.update_state_every_iteration = true;  // the callbacks read it; dropped otherwise if Ceres fails
   options.jacobi_scaling = false;
   options.min_lm_diagonal = options.max_lm_diagonal = Damping(parts_->path.simulator());
   options.callbacks = {&read};

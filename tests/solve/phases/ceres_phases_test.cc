@@ -294,7 +294,7 @@ TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
   EXPECT_THAT(refusing(scene, "bounds on the control"), and_never({"ceres_lbfgs", "ceres_lm"}));
   scene.control.max_norm.clear();
   scene.objective.terminal[0].hard = true;
-  EXPECT_THAT(refusing(scene, "hard terms"), and_never({"gd", "ceres_lbfgs", "ceres_lm"}));
+  EXPECT_THAT(refusing(scene, "terminal equality constraints"), and_never({"gd", "ceres_lbfgs", "ceres_lm"}));
   scene.objective.terminal[0].hard = false;
   scene.objective.duration = FreeDuration{0.5, 2, 0.1};
   EXPECT_THAT(refusing(scene, "a free duration"), and_never({}));

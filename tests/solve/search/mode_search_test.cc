@@ -12,7 +12,7 @@
 #include "saltus/solve/solver.h"
 #include "scene/control_problems.h"
 #include "searched_scenes.h"
-#include "simulate/limited_run.h"
+#include "simulate/flight.h"
 #include "solve/search/loss_bound.h"
 #include "solve/search/search_starts.h"
 #include "test_scenes.h"

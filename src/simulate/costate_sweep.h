@@ -1,0 +1,184 @@
+// Costates of discs in an exact motion, and how they pass impacts.
+//
+// CostateSweep carries them backwards from the end: they are the derivatives of the loss, of hard terms and of gaps at
+// impacts by the state at any time. With L the running terms and u held on its intervals,
+//
+//   lambda_q' = -dL/dq,   lambda_v' = -lambda_q - dL/dv    in flight
+//   lambda-   = lambda+ + d(term)/dx                       at the time of a via term
+//   lambda-   = Dg^T lambda+ + nu grad psi                 at an impact
+//   lambda(T) = d(terminal terms)/dx                       and the multipliers of hard ones.
+//
+// Discs with rotational inertia have such costates of angle and angular velocity too. All integrals are exact: pieces
+// are cut where targets turn and at via terms, and are polynomials between.
+#pragma once
+
+#include <array>
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "saltus/scene/geometry.h"
+#include "saltus/scene/scene.h"
+#include "simulate/flight.h"
+#include "simulate/impact.h"
+
+namespace saltus {
+
+// The derivatives of the loss by position and velocity of a disc at a time, lambda_q and lambda_v, and if it has
+// rotational inertia by angle and angular velocity.
+template <typename T>
+struct Costate {
+  T time = T(0.0);  // s
+  Vec2<T> position = Vec2<T>(T(0.0), T(0.0)), velocity = position;
+  T angle = T(0.0), angular_velocity = T(0.0);
+
+  // In flight without path costs.
+  Costate At(const T& t) const {
+    return {t, position, velocity + Scale(T(time - t), position), angle, T(angular_velocity + (time - t) * angle)};
+  }
+  // The derivative by what a term is of, if that is an angle or an angular velocity.
+  T& OfSpin(TerminalTerm::Quantity quantity) {
+    return quantity == TerminalTerm::Quantity::kAngle ? angle : angular_velocity;
+  }
+};
+
+// The derivatives of the terminal terms that are not hard by the final state of a disc.
+template <typename T>
+Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, const Vec2<T>& p, const Vec2<T>& v,
+                           const T& angle = T(0.0), const T& spin = T(0.0)) {
+  Costate<T> costate;
+  costate.time = time;
+  for (const TerminalTerm& term : objective.terminal) {
+    if (term.body != body || term.hard) continue;
+    if (term.IsOfSpin()) {
+      const T& q = term.quantity == TerminalTerm::Quantity::kAngle ? angle : spin;
+      costate.OfSpin(term.quantity) += T(2 * term.weight * (q - term.target[0]));
+      continue;
+    }
+    const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
+    Vec2<T>& out = of_position ? costate.position : costate.velocity;
+    if (term.component) {
+      out[*term.component] += T(term.weight);
+    } else {
+      out += Scale(2 * term.weight, Vec2<T>((of_position ? p : v) - term.target.template cast<T>()));
+    }
+  }
+  return costate;
+}
+
+// The costates of both bodies just after and just before an impact, before without the part of the multiplier.
+struct ImpactJump {
+  std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
+  std::array<Costate<double>, 2> after, before;
+  std::array<Vec2d, 2> velocity_before, velocity_after;
+  std::array<double, 2> spin_gain = {0, 0};  // rad/s
+
+  // The multiplier with which the Hamiltonian does not jump if accelerations before and after the impact are those of
+  // `piece`, and the rate of the path costs jumps by `gain`. `speed` is the normal velocity before the impact.
+  double MultiplierAt(const Flight::Piece& piece, double speed, double gain = 0) const;
+};
+
+// TerminalCostate() where a trajectory ends.
+Costate<double> FinalCostate(const Scene& scene, const DiscStates& end, int body);
+
+ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after);
+
+class CostateSweep {
+  using RunningTerms = std::span<const RunningTerm>;
+
+ public:
+  // The scene and the flight must outlive the object; scene.duration is that of the flight.
+  CostateSweep(const Scene& scene, const Flight& flight);
+
+  // A part of a piece.
+  struct Segment {
+    Flight::Piece piece;
+    int original = 0;  // the piece that it is a part of
+  };
+  const std::vector<Segment>& segments() const { return segments_; }
+  // Of each impact: the segment that starts there; segments().size() at the final time.
+  int SegmentAfter(int hit) const { return segment_after_[hit]; }
+  // Of each via term: the segment that starts at its time.
+  int num_via() const { return static_cast<int>(via_after_.size()); }
+  int SegmentAfterVia(int term) const { return via_after_[term]; }
+  // The number of terminal and via terms that are hard.
+  int num_hard() const { return num_hard_; }
+
+  // The multiplier of impact k; `gain` as in ImpactJump.
+  using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
+  // The multiplier with which the Hamiltonian does not jump if the force after (before) the impact acts on both sides
+  // of it: that of the derivative by a motion whose impact on a node is late (early).
+  double Late(int k, const ImpactJump& jump, double gain) const;
+  double Early(int k, const ImpactJump& jump, double gain) const;
+
+  // The function that the costates are derivatives of.
+  struct Source {
+    bool objective = true;  // terms that are not hard
+    // Multipliers of hard terms: terminal ones, then those on the way; empty: none. Of spin the first entry counts.
+    std::vector<Vec2d> hard = {};
+  };
+  struct Result {
+    std::vector<Costate<double>> start;    // of each disc, at time 0
+    std::vector<std::vector<Vec2d>> push;  // of each segment and pushed disc: the integral of lambda_v
+    std::vector<std::vector<double>>
+        turn;  // of each segment and turned disc: that of the costate of its angular velocity
+    // Of each segment: the integral of the Hamiltonian, without the effort, and those of its partial derivative by time
+    // and of that times the time since the segment began.
+    std::vector<double> hamiltonian, drift, drift_moment;
+    std::vector<double> multipliers;  // of impacts
+    double clock = 0;                 // sum of (derivative of a via term by its time) * time
+    double largest_position = 0, largest_velocity = 0, largest_hamiltonian = 0;
+    std::vector<std::vector<Costate<double>>> after_impact;  // of each impact: of each disc
+  };
+  Result Sweep(const Source& source, const MultiplierOf& multiplier) const;
+
+  // Adds to `gradient`, of the shape of a control, the derivatives by the forces and torques of an interval that follow
+  // from `push` and `turn` of one of its segments.
+  void AddByControl(int interval, const std::vector<Vec2d>& push, const std::vector<double>& turn,
+                    std::span<double> gradient) const;
+
+  struct Derivatives {
+    std::vector<Costate<double>> start;  // by the initial state of each disc
+    double by_duration = 0;              // if all control intervals scale with the final time
+  };
+  // The derivatives of scale * q_axis(t) of a disc, with t `offset` after the start of a segment, which scales too.
+  // Impact times follow the motion, late. Adds the derivatives by the control to `gradient`, which has the control's
+  // shape.
+  Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
+                      std::span<double> gradient) const;
+  // The same of `scale` times the integral of a running term over segments first..end-1.
+  Derivatives OfIntegral(const RunningTerm& term, int first, int end, double scale, std::span<double> gradient) const;
+
+ private:
+  // Integrals over a segment of the Hamiltonian and of its partial derivative by time (see Result).
+  struct Balance {
+    double hamiltonian = 0, drift = 0, drift_moment = 0;
+    double largest = 0;  // magnitude of a part of the Hamiltonian
+  };
+
+  // Carries all costates back from `length` after the start of a segment to its start. Adds the integral of lambda_v of
+  // each controlled disc to `push`, and that of the costate of the angular velocity of each disc with a torque to
+  // `turn`.
+  void CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms, std::vector<Costate<double>>* now,
+                   std::vector<Vec2d>* push, std::vector<double>* turn) const;
+  Balance BalanceOf(const Flight::Piece& piece, double length, RunningTerms terms,
+                    const std::vector<Costate<double>>& end) const;
+  double CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
+                     std::vector<Costate<double>>* now) const;
+  void CrossVia(size_t term, const Vec2d& derivative, std::vector<Costate<double>>* now, Result* result) const;
+  // From costates at `offset` after the start of a segment; `terms` count from segment `first` on.
+  Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
+                       std::span<double> gradient) const;
+  std::vector<Costate<double>> AtEnd(const Source& source) const;
+  const std::vector<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
+
+  const Scene& scene_;
+  const Flight& flight_;
+  std::vector<int> place_;  // by body: among the pushed ones, or -1
+  std::vector<Segment> segments_;
+  std::vector<int> segment_after_;
+  std::vector<int> via_after_;  // of each via term: the segment that starts at its time
+  int num_hard_ = 0;
+};
+
+}  // namespace saltus
