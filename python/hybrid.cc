@@ -297,7 +297,8 @@ class Problem {
     std::shared_ptr<HybridScheme> scheme;
     if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);
     computation.RunOrThrow([&] {
-      if (!command.empty()) scheme = std::make_shared<CommandScheme>(problem.system, name, command, 30);
+      if (!command.empty())
+        scheme = std::make_shared<CommandScheme>(problem.system, CommandOptions{.name = name, .command = command});
       audit = AuditScheme(problem, scheme.get(), options);
     });
     return ToPython(HybridAuditToJson(problem, audit));

@@ -431,7 +431,7 @@ def rollout(problem: HybridProblem) -> HybridRollout:
 def final_derivatives(problem: HybridProblem) -> Result:
     """The derivatives of the final state (n,) of a hybrid problem: ``by_initial`` (n, n0), ``by_control`` (n, K, m),
     ``by_parameters`` (n, P), ``by_duration`` (n,); and those of the times of the events: ``times_by_initial`` (E, n0)
-    and so on. ``remark`` states why there is no derivative, or only a one-sided one; empty if there is.
+    and so on. ``remark`` gives the reason why there is no derivative, or only a one-sided one; empty if there is.
 
     The control is held on K equal parts of the duration, which grow with it. Raises RuntimeError for a motion that
     fails, with mode, guard and time.

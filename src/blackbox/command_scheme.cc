@@ -2,7 +2,7 @@
 
 #include <poll.h>
 
-#include <iostream>
+#include <utility>
 #include <vector>
 
 #include "blackbox/conversation.h"
@@ -25,14 +25,10 @@ ProtocolJson NamesOf(int count, const Name& name) {
 
 }  // namespace
 
-CommandScheme::CommandScheme(const HybridSystem& system, const std::string& name, const std::string& command,
-                             double seconds)
+CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options)
     : system_(system),
-      name_(name),
-      command_(command),
-      seconds_(seconds),
-      conversation_(std::make_unique<Conversation>(
-          command, [name](const std::string& line) { std::cerr << name << ": " << line << std::endl; })) {
+      options_(std::move(options)),
+      conversation_(std::make_unique<Conversation>(options_.command, options_.on_error_line)) {
   ProtocolJson modes = ProtocolJson::array();
   for (int mode = 0; mode < system.num_modes(); ++mode) {
     modes.push_back({{"name", system.ModeName(mode)},
@@ -75,9 +71,9 @@ std::string CommandScheme::Answer(const std::string& line, const std::string& wh
       answer = found;
       answered = true;
     });
-    conversation_->CheckTime(seconds_);
+    conversation_->CheckTime(options_.seconds);
   }
-  if (!answered) broken_ = "'" + command_ + "': " + conversation_->failure();
+  if (!answered) broken_ = "'" + options_.command + "': " + conversation_->failure();
   return answer;
 }
 

@@ -16,6 +16,7 @@
 #include <memory>
 #include <string>
 
+#include "blackbox/command_box.h"
 #include "saltus/audit/hybrid_audit.h"
 
 namespace saltus {
@@ -24,11 +25,11 @@ class Conversation;
 
 class CommandScheme final : public HybridScheme {
  public:
-  // Starts the command by /bin/sh. After `seconds` of silence it has failed; > 0.
-  CommandScheme(const HybridSystem& system, const std::string& name, const std::string& command, double seconds);
+  // Starts the command; of the options `copies` has no meaning.
+  CommandScheme(const HybridSystem& system, CommandOptions options);
   ~CommandScheme() override;
 
-  std::string name() const override { return name_; }
+  std::string name() const override { return options_.name; }
   int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) override;
 
  private:
@@ -37,8 +38,7 @@ class CommandScheme final : public HybridScheme {
   std::string Answer(const std::string& line, const std::string& what);
 
   const HybridSystem system_;
-  const std::string name_, command_;
-  const double seconds_;
+  const CommandOptions options_;
   std::unique_ptr<Conversation> conversation_;
   std::string broken_;  // why it is of no use
   bool has_jacobian_ = false;

@@ -194,8 +194,12 @@ bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   if (FLAGS_audit && request->extras.scheme != nullptr) request->schemes.push_back(request->extras.scheme);
   if (!(FLAGS_simulate_seconds > 0)) throw InputError("--simulate_seconds must be positive");
   for (const SimulatorCommand& command : commands) {
-    request->schemes.push_back(
-        std::make_shared<CommandScheme>(problem.system, command.name, command.command, FLAGS_simulate_seconds));
+    const auto on_error_line = [name = command.name](const std::string& line) {
+      std::cerr << name << ": " << line << std::endl;
+    };
+    request->schemes.push_back(std::make_shared<CommandScheme>(
+        problem.system,
+        CommandOptions{command.name, command.command, /*copies=*/1, FLAGS_simulate_seconds, on_error_line}));
   }
   if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; the page has states anyway");
   if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());

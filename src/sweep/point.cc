@@ -147,7 +147,7 @@ std::vector<double> NumbersIn(const Json& json) {
 // |gradient - exact| / |exact| of an audit, over all that it has.
 SweepValue ErrorOfAudit(const Json& audit) {
   if (!audit.contains("gradient")) return {};
-  const std::vector<double> found = NumbersIn(audit["gradient"]), exact = NumbersIn(audit["exact_gradient"]);
+  const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
   std::vector<double> difference = found;
   for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
   return FiniteOrNothing(Norm(difference) / Norm(exact));
@@ -171,10 +171,10 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   }
   const Json document = RunProgram(arguments, seconds);
   if (!study.solving()) {
-    const Json& motion = document["motion"];
+    const Json& motion = document.at("motion");
     const Json gradient = document.value("gradient", Json::object());
     const auto norm = [&](const char* key) {
-      return gradient.contains(key) ? FiniteOrNothing(Norm(NumbersIn(gradient[key]))) : SweepValue();
+      return gradient.contains(key) ? FiniteOrNothing(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
     };
     if (!document.contains("loss")) result.status = PointStatus::kFailed;
     const SweepValue reason = document.contains("failed") ? ValueOf(document, "failed") : ValueOf(motion, "remark");
@@ -182,14 +182,14 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
             norm("initial"),
             norm("control"),
             norm("parameters"),
-            document.contains("audits") ? ErrorOfAudit(document["audits"][0]) : SweepValue(),
-            static_cast<int64_t>(motion["events"].size()),
+            document.contains("audits") ? ErrorOfAudit(document.at("audits").at(0)) : SweepValue(),
+            static_cast<int64_t>(motion.at("events").size()),
             std::holds_alternative<std::monostate>(reason) ? SweepValue(std::string()) : reason},
            &result.row);
     return result;
   }
   const Json& run = document.at("runs").at(0);
-  const std::vector<double> losses = run.contains("losses") ? NumbersIn(run["losses"]) : std::vector<double>();
+  const std::vector<double> losses = run.contains("losses") ? NumbersIn(run.at("losses")) : std::vector<double>();
   const std::string termination = run.at("termination");
   if (termination == TerminationToString(Termination::kNotApplicable)) result.status = PointStatus::kNotApplicable;
   if (termination == TerminationToString(Termination::kFailed)) result.status = PointStatus::kFailed;
@@ -243,6 +243,8 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds)
                            : GradientPoint(request, std::move(result));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
+  } catch (const Json::exception& error) {
+    return FailedPoint(study, point, std::string("the program's document: ") + error.what());
   } catch (const std::bad_alloc&) {
     HoldMemoryBackAgain();
     return FailedPoint(study, point, kMemoryRanOut);
