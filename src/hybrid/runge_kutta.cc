@@ -114,8 +114,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
     : functions_(functions),
       num_parameters_(functions.layout().num_parameters),
       num_controls_(functions.layout().num_controls) {
-  const std::vector<int>& sizes = functions.layout().state_sizes;
-  const int most = *std::max_element(sizes.begin(), sizes.end());
+  const int most = functions.most_states();
   stage_.resize(most);
   slopes_.resize(kStages * most);
   cotangents_.resize(kStages * most);
@@ -124,7 +123,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
 }
 
 void RungeKutta::Step(const FlowStep& step, const double* slope, double* after) {
-  const int n = functions_.layout().state_sizes[step.mode];
+  const int n = functions_.state_size(step.mode);
   double *slopes = slopes_.data(), *stage = stage_.data();
   std::copy_n(slope, n, slopes);
   switch (n) {
@@ -151,7 +150,7 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 }
 
 void RungeKutta::Linearize(const FlowStep& step) {
-  size_ = functions_.layout().state_sizes[step.mode];
+  size_ = functions_.state_size(step.mode);
   length_ = step.h;
   for (int i = 0; i < kStages; ++i) {
     Combine<0>(kRows[i], size_, step.h, step.x, slopes_.data(), stage_.data());

@@ -295,7 +295,7 @@ bool SolveAsComplementarity(double friction, double allowed, std::span<const dou
     sliding[k] = contacts[k].sliding;
   }
   const std::optional<Eigen::VectorXd> forces =
-      SolveFrictionalLcp(friction, Responses(inverse_mass, of, contacts), without, sliding);
+      SolveFrictionalLcp(std::vector<double>(n, friction), Responses(inverse_mass, of, contacts), without, sliding);
   if (!forces) return false;
   std::vector<Guess> guesses(n);
   for (int k = 0; k < n; ++k) {
