@@ -181,6 +181,9 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
                       ") at the start, in " + Where());
       }
       if (due >= 0) continue;
+      if (standing == EventSearch::Standing::kBehind && value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) {
+        continue;
+      }
       if (standing != EventSearch::Standing::kBehind && standing != EventSearch::Standing::kFalling) continue;
       due = guard;
       located = standing == EventSearch::Standing::kFalling;

@@ -94,6 +94,10 @@ class HybridFunctions {
   virtual void ProjectJacobian(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/,
                                double* /*jacobian*/) const {}
 
+  // Whether a guard that a reset leaves below zero, and that rises, waits until it is above zero in the place of an
+  // event.
+  virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
+
   // Whether the resets themselves end an accumulation of events (Zeno behaviour).
   virtual bool EndsAccumulations() const { return false; }
 

@@ -148,6 +148,7 @@ TimeJet<S> abs(const TimeJet<S>& x) {
 struct MechanicalLayout {
   int num_coordinates = 0, num_controls = 0, num_parameters = 0, num_contacts = 0;
   std::vector<char> has_friction = {};  // of each contact
+  std::vector<char> has_reach = {};     // likewise; none: no contact has
   std::vector<std::string> contact_names = {}, coordinate_names = {}, control_names = {}, parameter_names = {};
 };
 
@@ -180,6 +181,9 @@ class MechanicalFunctions {
   virtual void SlideRow(int contact, const TimeJet<double>* q, const TimeJet<double>* p,
                         TimeJet<double>* row) const = 0;
   virtual void SlideRow(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p, TimeJet<Jet>* row) const = 0;
+
+  // Above zero while a closed contact stays on what its gap is measured from.
+  virtual Jet Reach(int contact, const Jet* q, const Jet* p) const = 0;
 
   virtual double Restitution(int contact, const double* p) const = 0;
   virtual Jet Restitution(int contact, const Jet* p) const = 0;
@@ -234,6 +238,14 @@ class MechanicalFunctionsOf final : public MechanicalFunctions {
   }
   void SlideRow(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p, TimeJet<Jet>* row) const override {
     RowOf(contact, q, p, row);
+  }
+
+  Jet Reach(int contact, const Jet* q, const Jet* p) const override {
+    if constexpr (requires(const S& s) { s.Reach(0, q, p); }) {
+      return system_.Reach(contact, q, p);
+    } else {
+      return Jet(1.0);
+    }
   }
 
   double Restitution(int contact, const double* p) const override { return system_.Restitution(contact, p); }

@@ -103,6 +103,13 @@ std::string StatusOf(const ContactProblem& problem, const Eigen::VectorXd& force
 
 }  // namespace
 
+ContactSolution HoldContacts(const ContactProblem& problem) {
+  ContactProblem smooth = problem;
+  std::fill(smooth.friction.begin(), smooth.friction.end(), 0.0);
+  const std::string status(problem.friction.size(), 'n');
+  return {status, ForcesOf(smooth, status).value_or(Eigen::VectorXd::Zero(problem.given.size()))};
+}
+
 std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) {
   std::vector<ContactSolution> solutions;
   const int k = problem.size();

@@ -43,4 +43,7 @@ inline constexpr int kMostTriedContacts = 4;
 // no floors.
 std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem);
 
+// The forces under which no contact accelerates along its normal, whatever their signs; without friction.
+ContactSolution HoldContacts(const ContactProblem& problem);
+
 }  // namespace saltus

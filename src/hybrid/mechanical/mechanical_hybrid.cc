@@ -17,6 +17,7 @@ constexpr double kAtZero = 1e-11;     // of a gap that another contact's impact 
 constexpr double kTouches = 1e-9;     // of gaps and speeds at the start, likewise
 constexpr double kUncoupled = 1e-12;  // |W_ij| / sqrt(W_ii W_jj) that is rounding
 constexpr double kRests = 1e-10;      // speeds that are zero, of the size of their terms
+constexpr double kMostHeld = 10;      // speeds of contacts that close together, of rest_speed
 constexpr double kNearly = 1e-9;      // distance to another branch of an impact that is none, relative
 
 using What = MechanicalHybrid::Guarded::What;
@@ -24,7 +25,7 @@ using What = MechanicalHybrid::Guarded::What;
 HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
   HybridLayout layout{.num_controls = mechanical.num_controls, .num_parameters = mechanical.num_parameters};
   layout.state_sizes = {2 * mechanical.num_coordinates};
-  layout.num_guards = {std::max(3 * mechanical.num_contacts, 1)};
+  layout.num_guards = {std::max(4 * mechanical.num_contacts, 1)};
   for (const std::string& name : mechanical.coordinate_names) layout.state_names.push_back(name);
   for (const std::string& name : mechanical.coordinate_names) layout.state_names.push_back("d" + name);
   layout.control_names = mechanical.control_names;
@@ -141,6 +142,8 @@ int MechanicalHybrid::ModeOf(const std::string& status) const {
   CHECK(IsStatus(status)) << "no contacts of this system have the status '" << status << "'";
   Mode mode{.status = status, .closed = ClosedIn(status), .guards = {}};
   for (int i = 0; i < static_cast<int>(status.size()); ++i) {
+    const std::vector<char>& has_reach = functions_->layout().has_reach;
+    if (status[i] != 'o' && !has_reach.empty() && has_reach[i] != 0) mode.guards.push_back({What::kEnd, i});
     switch (status[i]) {
       case 'o':
         mode.guards.push_back({What::kHit, i});
@@ -182,6 +185,8 @@ std::string MechanicalHybrid::GuardName(int mode, int guard) const {
         return "break-";
       case What::kBreakOn:
         return "break+";
+      case What::kEnd:
+        return "end";
       default:
         return "jam";
     }
@@ -304,7 +309,7 @@ MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode) const {
 // Impacts.
 
 MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, const Point& at) const {
-  Impact impact = HitWith(mode, contact, at, /*plastic=*/false);
+  Impact impact = HitWith(mode, contact, at, Restitution::kOwn);
   if (!impact.why.empty()) return impact;
   // Bounces that accumulate.
   bool slow = false, fast = false;
@@ -314,13 +319,18 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
     (after[2 * static_cast<Eigen::Index>(i)] < options_.rest_speed ? slow : fast) = true;
   }
   if (!slow || fast) return impact;
-  Impact plastic = HitWith(mode, contact, at, /*plastic=*/true);
-  if (!plastic.why.empty()) return impact;
-  for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
-    if (impact.rebounds[i] && plastic.next[plastic.contacts[i]] == 'o') return impact;
+  // Where contacts are hit in turn, an impact of one parts the others: all of them close together.
+  for (const Restitution restitution : {Restitution::kNone, Restitution::kNoneAndHeld}) {
+    Impact plastic = HitWith(mode, contact, at, restitution);
+    bool closes = plastic.why.empty();
+    for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
+      if (impact.rebounds[i]) closes = plastic.next[impact.contacts[i]] != 'o';
+    }
+    if (!closes) continue;
+    plastic.ends_bouncing = true;
+    return plastic;
   }
-  plastic.ends_bouncing = true;
-  return plastic;
+  return impact;
 }
 
 Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse,
@@ -337,8 +347,9 @@ Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const 
   return Eigen::Map<const Eigen::VectorXd>(at.v, n) + equations_.Assemble({}, at).mass.solve(momentum);
 }
 
-// `plastic`: contacts that hit have no restitution.
-MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at, bool plastic) const {
+MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
+                                                   Restitution law) const {
+  const bool plastic = law != Restitution::kOwn;
   // Contacts that are closed, and those that hit as well.
   std::vector<int> candidates = {contact};
   for (int i = 0; i < functions_->layout().num_contacts; ++i) {
@@ -373,7 +384,16 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
   if (!poisson) {
     for (Eigen::Index i = 0; i < k; ++i) problem.given[2 * i] *= 1 + restitution[i];
   }
-  std::vector<ContactSolution> solutions = SolveContactProblem(problem);
+  std::vector<ContactSolution> solutions;
+  if (law == Restitution::kNoneAndHeld) {
+    if (!(impact.before(Eigen::seq(0, Eigen::last, 2)).cwiseAbs().maxCoeff() < kMostHeld * options_.rest_speed)) {
+      impact.why = "faster than what is held";
+      return impact;
+    }
+    solutions.push_back(HoldContacts(problem));
+  } else {
+    solutions = SolveContactProblem(problem);
+  }
   const auto refuse = [&]() {
     impact.why = solutions.empty() ? "no_solution: no impulses satisfy the law of impact of"
                                    : "several_solutions: impulses that differ satisfy the law of impact of";
@@ -418,7 +438,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     if (parts) continue;
     closing.contacts.push_back(number);
     int sign = SlidingSign(impact.status[i]);
-    if (impact.status[i] == 'o' && problem.has_friction[i]) {
+    if ((impact.status[i] == 'o' || impact.status[i] == 'n') && problem.has_friction[i]) {
       const double slip = after[2 * i + 1];
       const double size = impact.W.row(2 * i + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
       if (mode.status[number] != 's' || std::abs(slip) > kRests * size) sign = slip > 0 ? 1 : -1;
@@ -508,6 +528,8 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
     case What::kStop:
       return static_cast<double>(SlidingSign(mode.status[contact])) *
              equations_.RateAlong({contact, true}, seeds.q.data(), seeds.v.data(), seeds.p.data());
+    case What::kEnd:
+      return functions_->Reach(contact, seeds.q.data(), seeds.p.data());
     case What::kBreakBack:
       return functions_->Friction(contact, seeds.p.data()) * force(normal) - force(tangential);
     case What::kBreakOn:
@@ -617,6 +639,7 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
       *why = impact->why;
       return impact->next;
     case What::kOff:
+    case What::kEnd:
       next[guarded.contact] = 'o';
       return next;
     case What::kBreakBack:

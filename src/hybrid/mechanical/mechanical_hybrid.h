@@ -32,6 +32,7 @@ class MechanicalHybrid final : public HybridFunctions {
       kStop,       // sigma v_t
       kBreakBack,  // mu f_n - f_t, behind which the contact slides with v_t < 0
       kBreakOn,    // mu f_n + f_t, behind which it slides with v_t > 0
+      kEnd,        // the end of what the gap is measured from
       kJam,        // N M^-1 (N^T - mu sigma T^T)
     } what = What::kHit;
     int contact = 0;
@@ -122,6 +123,9 @@ class MechanicalHybrid final : public HybridFunctions {
   bool Projects(int mode) const override { return !ModeAt(mode).closed.empty(); }
   void Project(int mode, const double* x, const double* p, double* x_plus) const override;
   void ProjectJacobian(int mode, const double* x, const double* p, double* x_plus, double* jacobian) const override;
+  bool WaitsBehind(int mode, int guard) const override {
+    return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
+  }
   bool EndsAccumulations() const override { return true; }
 
  private:
@@ -131,7 +135,9 @@ class MechanicalHybrid final : public HybridFunctions {
   bool HasFriction(int contact) const { return functions_->layout().has_friction[contact] != 0; }
   // W and the velocities or accelerations of contacts, as in ContactProblem.
   ContactProblem ProblemOf(const std::vector<int>& contacts, const Point& at) const;
-  Impact HitWith(const Mode& mode, int contact, const Point& at, bool plastic) const;
+  // Of contacts that hit: their own; none; none, and all contacts that take part are held closed, without friction.
+  enum class Restitution { kOwn, kNone, kNoneAndHeld };
+  Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
   // The guard and its derivatives by the seeds; `closed_motion` is the derivative of the accelerations, if it is
   // needed.
