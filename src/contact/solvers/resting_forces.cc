@@ -400,7 +400,8 @@ class ForceSolver {
       without[2 * k + 1] = Dot(Perpendicular(contacts_[k].normal), relative);
       sliding[k] = contacts_[k].sliding;
     }
-    const std::optional<Eigen::VectorXd> forces = SolveFrictionalLcp(friction_, Responses(), without, sliding);
+    const std::optional<Eigen::VectorXd> forces =
+        SolveFrictionalLcp(std::vector<double>(n, friction_), Responses(), without, sliding);
     if (!forces) return false;
     std::vector<Mode> modes(n);
     for (int k = 0; k < n; ++k) {
