@@ -78,7 +78,8 @@ struct Start {
         const int j = order[l];
         if (!bodies[i].fixed || !bodies[j].fixed) add({std::min(i, j), std::max(i, j)});
       }
-      for (int plane = 0; plane < static_cast<int>(in.planes.size()) && !bodies[i].fixed; ++plane) add({i, plane, true});
+      for (int plane = 0; plane < static_cast<int>(in.planes.size()) && !bodies[i].fixed; ++plane)
+        add({i, plane, true});
     }
   }
 };

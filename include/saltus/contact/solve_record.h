@@ -8,8 +8,8 @@
 
 namespace saltus {
 
-// The vectors that a step finds by iteration, in the order in which the step asks for them. A derivative depends only on
-// the point at which an iteration ends (implicit function theorem), so a step that is repeated with Jets recalls the
+// The vectors that a step finds by iteration, in the order in which the step asks for them. A derivative depends only
+// on the point at which an iteration ends (implicit function theorem), so a step that is repeated with Jets recalls the
 // values that were found before.
 //
 // Each vector is stored with the place in the source that asked for it. A repeated step that takes another branch asks
