@@ -28,7 +28,8 @@ Json NamesToJson(int count, const Name& name) {
 // Times, modes, states and guards of a motion, in order of time.
 class Samples {
  public:
-  Samples(const HybridSystem& system, const HybridInput& input) : system_(system), input_(input) {}
+  Samples(const HybridSystem& system, const HybridInput& input)
+      : system_(system), input_(input), no_control_(system.num_controls()) {}
 
   void Add(double time, int mode, std::span<const double> state) {
     times_.push_back(NumberToJson(time));
@@ -36,8 +37,8 @@ class Samples {
     states_.push_back(NumbersOf(state));
     Json values = Json::array();
     for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
-      values.push_back(
-          NumberToJson(system_.functions().Guard(mode, guard, time, state.data(), input_.parameters.data())));
+      values.push_back(NumberToJson(
+          system_.functions().Guard(mode, guard, time, state.data(), ControlAt(time), input_.parameters.data())));
     }
     guards_.push_back(std::move(values));
   }
@@ -49,8 +50,16 @@ class Samples {
   }
 
  private:
+  // Of the interval that begins at or before `time`; the last one at the end.
+  const double* ControlAt(double time) const {
+    if (input_.control.empty()) return no_control_.data();
+    const int k = static_cast<int>(time / input_.duration * input_.num_intervals);
+    return &input_.control[static_cast<std::size_t>(std::min(k, input_.num_intervals - 1)) * system_.num_controls()];
+  }
+
   const HybridSystem& system_;
   const HybridInput& input_;
+  const std::vector<double> no_control_;
   Json times_ = Json::array(), modes_ = Json::array(), states_ = Json::array(), guards_ = Json::array();
 };
 
