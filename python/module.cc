@@ -15,4 +15,5 @@ PYBIND11_MODULE(_saltus, module) {
   BindSolve(&module);
   BindAudit(&module);
   BindIdentify(&module);
+  BindHybrid(&module);
 }

@@ -23,7 +23,9 @@ import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = ["saltus_audit", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene", "saltus_simulate",
-            "saltus_replay", "saltus_reproduce", "two_balls"]
+            "saltus_replay", "saltus_reproduce", "two_balls", "bouncing_ball"]
+# What stands for many programs.
+KINDS = {"two_balls": "the problems", "bouncing_ball": "the hybrid systems"}
 TASKS = {"bounce_once": "one bounce", "ground_wall": "ground and wall", "two_balls": "two balls"}
 MARK = re.compile(r"(<!-- table: ([a-z ]+) -->\n).*?(<!-- end -->)", re.S)
 
@@ -383,9 +385,9 @@ def flag_tables(programs):
     parts = []
     for group, flags in programs.flags().items():
         rows = [[f"`--{flag}`", explanation,
-                 "all" if len(takes) == len(PROGRAMS) else code("problems" if p == "two_balls" else p for p in takes)]
+                 ", ".join(KINDS.get(p) or code([p]) for p in sorted(takes, key=PROGRAMS.index))]
                 for flag, (explanation, takes) in flags.items()]
-        parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows).replace("`problems`", "the problems"))
+        parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows))
     return "\n\n".join(parts)
 
 
@@ -438,7 +440,8 @@ def schema_rows(schema, part, path=""):
         elif "const" in described:
             kind = f"`{described['const']}`"
         elif "oneOf" in described:
-            kind = " or ".join(choice["type"] for choice in described["oneOf"])
+            parts = [schema["$defs"].get(choice.get("$ref", "").rsplit("/", 1)[-1], choice) for choice in described["oneOf"]]
+            kind = " or ".join(part["type"] for part in parts)
         else:
             kind = described.get("type", "object")
             kind = " or ".join(kind) if isinstance(kind, list) else kind

@@ -18,6 +18,8 @@ Repeated use    Simulation (one scene, evaluated many times), Batch (many points
 Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
+Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
+                loss_and_gradient, solve, hybrid_solvers, audit
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
 Other packages  EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient with jac=True
@@ -35,6 +37,21 @@ raises RuntimeError, which names the step. The interpreter lock is released whil
 computation.
 """
 
+from ._expression import where
+from ._hybrid import (
+    HybridAudit,
+    HybridGradient,
+    HybridProblem,
+    HybridRollout,
+    HybridRun,
+    HybridSystem,
+    effort,
+    final_derivatives,
+    final_time,
+    hybrid_solvers,
+    residuals,
+    terminal,
+)
 from ._identify import identify
 from ._own import ContactModel
 from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient, load_result
@@ -50,6 +67,12 @@ __all__ = [
     "EndState",
     "Fit",
     "Gradient",
+    "HybridAudit",
+    "HybridGradient",
+    "HybridProblem",
+    "HybridRollout",
+    "HybridRun",
+    "HybridSystem",
     "Result",
     "Rollout",
     "Run",
@@ -60,12 +83,19 @@ __all__ = [
     "__version__",
     "audit",
     "contact_models",
+    "effort",
+    "final_derivatives",
+    "final_time",
+    "hybrid_solvers",
     "identify",
     "linearize",
     "load_result",
     "load_scene",
     "loss_and_gradient",
+    "residuals",
     "rollout",
     "solve",
     "solvers",
+    "terminal",
+    "where",
 ]

@@ -140,6 +140,44 @@ def identify(
     threads: int,
     status: Any,
 ) -> tuple[dict[str, Any], BaseException | None]: ...
+class HybridSystem:
+    def __init__(self, modes: Any, controls: Sequence[str], parameters: Sequence[str]) -> None: ...
+
+class HybridProblem:
+    def __init__(
+        self,
+        system: HybridSystem,
+        mode: int,
+        initial: Any,
+        parameters: Any,
+        duration: float,
+        control: Any,
+        terms: Any,
+        tolerance: float,
+        steps_per_interval: int,
+        wait_behind_guards: bool,
+    ) -> None: ...
+    def set(self, mode: int, initial: Any, parameters: Any, duration: float, control: Any) -> None: ...
+    def rollout(self) -> dict[str, Any]: ...
+    def final_derivatives(self) -> tuple[_Array, _Array, str]: ...
+    def loss_and_gradient(self) -> tuple[float, _Array, str]: ...
+    def solve(
+        self,
+        solver: str,
+        control: bool,
+        initial: Sequence[int],
+        parameters: Sequence[int],
+        duration: bool,
+        bounds: Any,
+        iterations: int,
+        learning_rate: float,
+        callback: Any,
+    ) -> tuple[dict[str, Any], BaseException | None]: ...
+    def audit(
+        self, name: str, step: Any, jacobian: Any, command: str, steps: int, width_sweep: bool, budget: float
+    ) -> dict[str, Any]: ...
+
+def hybrid_solvers() -> dict[str, str]: ...
 def contact_models() -> dict[str, str]: ...
 def solvers() -> dict[str, str]: ...
 def style(contact: str) -> dict[str, Any]: ...

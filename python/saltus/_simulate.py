@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
+from . import _hybrid
+from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
@@ -38,6 +40,11 @@ class Simulation(_saltus.Simulation):
         num_steps: number of steps, K.
         initial_guess: the initial guess, of shape ``shape``.
 
+    Raises:
+        ValueError: an argument is wrong, or the model does not support the scene.
+        TypeError: an argument has a wrong type.
+        RuntimeError: a rollout fails.
+
     Methods:
         loss(z=None): the loss at z.
         loss_and_gradient(z=None, out=None): the loss and its gradient, in a new array of the shape of z, or in ``out``.
@@ -49,11 +56,6 @@ class Simulation(_saltus.Simulation):
             scene.
         linearize(state, force=None): the derivatives of that step with respect to the state, (S, S) with S the size of
             a state, and with respect to the forces, (S, C, 2).
-
-    Raises:
-        ValueError: an argument is wrong, or the model does not support the scene.
-        TypeError: an argument has a wrong type.
-        RuntimeError: a rollout fails.
     """
 
     def __init__(
@@ -120,7 +122,7 @@ def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool)
 
 
 def rollout(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -130,8 +132,8 @@ def rollout(
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
     memory_limit: float = 1024,
-) -> Rollout:
-    """Simulates a scene.
+) -> Any:
+    """Simulates a scene, or a HybridProblem, for which there are no other arguments.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -145,12 +147,14 @@ def rollout(
         memory_limit: MiB, for the states.
 
     Returns:
-        The motion.
+        The motion: a Rollout, or a HybridRollout.
 
     Raises:
         ValueError: the model does not support the scene, or an argument is wrong.
-        RuntimeError: the rollout fails.
+        RuntimeError: the rollout fails; that of a HybridProblem whose events accumulate has the time as ``accumulation``.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.rollout(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     simulation = _saltus.Simulation(given, as_contact(contact), precision=precision, memory_limit=memory_limit)
@@ -159,7 +163,7 @@ def rollout(
 
 
 def loss_and_gradient(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     *,
     control: ArrayLike | None = None,
@@ -168,13 +172,22 @@ def loss_and_gradient(
     angle: ArrayLike | None = None,
     angular_velocity: ArrayLike | None = None,
     precision: str = "double",
-) -> Gradient:
+) -> Any:
     """Computes the loss of a motion and its gradient with respect to positions, velocities, control and parameters, and in
     scenes with rotational inertia angles and angular velocities.
 
     Arguments and errors are those of `rollout`. Simulation evaluates a scene many times without repeating the set-up. It
     also supports path costs, constraints and a free final time, which this function refuses.
+
+    Of a HybridProblem it computes the loss and its gradient with respect to the initial state, the control, the parameters
+    and the duration; there are no other arguments. The number of integration steps is chosen in the first call, and stays
+    the same as long as mode, intervals and duration do.
+
+    Returns:
+        A Gradient, or a HybridGradient.
     """
+    if isinstance(scene, HybridProblem):
+        return _hybrid.loss_and_gradient(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
     return Gradient(_saltus.gradient(given, as_contact(contact), precision, control))

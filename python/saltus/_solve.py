@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Mapping, Sequence
 
-from . import _saltus
+from . import _hybrid, _saltus
+from ._hybrid import HybridProblem
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene
@@ -22,10 +23,12 @@ def solvers() -> dict[str, str]:
 
 
 def solve(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = "event",
     solver: str = "gd",
     *,
+    optimize: Sequence[str] | None = None,
+    bounds: Mapping[str, Any] | None = None,
     precision: str = "double",
     iterations: int = 1000,
     learning_rate: float | None = None,
@@ -37,19 +40,22 @@ def solve(
     keep_iterates: bool = False,
     callback: Callable[[int, float], bool | None] | None = None,
     status: Callable[[str], None] | None = None,
-) -> Run:
-    """Optimises a scene under a contact model with a solver.
+) -> Any:
+    """Optimises a scene under a contact model, or a HybridProblem, with a solver.
 
     The solution is simulated again with exact dynamics and certified. Ctrl-C raises KeyboardInterrupt at once. This
     exception, and one that a callback raises, has the run computed until then as its attribute ``run``.
 
     Args:
-        scene: a Scene, a dict or the path of a scene file.
+        scene: a Scene, a dict or the path of a scene file, or a HybridProblem.
         contact: name of a contact model, or a class derived from ContactModel.
-        solver: name of a solver.
+        solver: name of a solver; those of a HybridProblem are hybrid_solvers().
+        optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
+            and parameters; default: the control.
+        bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control.
         precision: arithmetic of the contact model, "double" or "float".
         iterations: largest number of iterations.
-        learning_rate: step size of gradient descent; default: that of the published experiments.
+        learning_rate: step size of gradient descent; default: that of the published experiments, 0.01 for a HybridProblem.
         rate_per_time: whether the learning rate is per unit of time.
         sequence: collision sequence of ceres_event, ceres_phases, hmp and mode_search: "auto", "fixed", "none" or pairs
             such as "striker-target,target-ceiling".
@@ -60,6 +66,11 @@ def solve(
         callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
         status: called as status(text) with the progress of solvers that take long.
 
+    A HybridProblem takes optimize, bounds, iterations, learning_rate and callback.
+
+    Returns:
+        A Run, or a HybridRun.
+
     Raises:
         ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
@@ -68,6 +79,12 @@ def solve(
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
     expect("a callable", callback=callback, status=status)
+    if isinstance(scene, HybridProblem):
+        rate = 0.01 if learning_rate is None else float(learning_rate)
+        free = ["control"] if optimize is None else optimize
+        return _hybrid.solve(scene, solver, free, bounds or {}, iterations, rate, callback)
+    if optimize is not None or bounds is not None:
+        raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
     found, stopped_by = _saltus.solve(
         as_scene(scene),
         as_contact(contact),
@@ -92,23 +109,26 @@ def solve(
 
 
 def audit(
-    scene: SceneLike,
+    scene: SceneLike | HybridProblem,
     contact: Any = None,
     *,
-    simulate: Callable[..., Any] | None = None,
+    simulate: Callable[..., Any] | str | None = None,
     gradient: Callable[..., Any] | None = None,
     vjp: Callable[..., Any] | None = None,
     jacobian: Callable[..., Any] | None = None,
     step: Callable[..., Any] | None = None,
+    steps: int = 100,
     name: str = "simulate",
     precision: str = "double",
     width_sweep: bool = False,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
-) -> Audit:
-    """Compares the gradients of contact models, or of a simulator of your own, with the exact gradient.
+) -> Any:
+    """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
 
-    ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
+    A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
+    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -133,13 +153,22 @@ def audit(
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
 
-    A gradient is compared with the exact one and with differences of the results of ``simulate``
-    (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
-    measured precision.
+    Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step(mode, x, u, p, h), or
+    step(mode, t, x, u, p, h), which returns the mode's name and the state after a step of length h; or as simulate a
+    command that speaks the line protocol; jacobian, with the arguments of step, which returns the derivatives by [x u p]
+    (differences without it); steps, the number of steps at which the refinement begins; width_sweep and name.
+
+    Returns:
+        An Audit, or a HybridAudit.
 
     Raises:
         ValueError: a name is unknown, a shape is wrong, or the only model does not support the scene.
     """
+    if isinstance(scene, HybridProblem):
+        expect("text", name=name)
+        return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name)
+    if isinstance(simulate, str):
+        raise TypeError("simulate: found text, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
         contact = "all" if simulate is None else []
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact

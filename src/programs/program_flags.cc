@@ -13,6 +13,7 @@ namespace saltus {
 namespace {
 
 constexpr char kProblems[] = "the problems' programs";
+constexpr char kHybridProblems[] = "the programs of hybrid systems";
 constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
 
 const FlagGroup kScene = {"Scene (these flags override the file)",
@@ -79,6 +80,24 @@ std::vector<Program> MakePrograms() {
        "Computes the gradients of every contact model, and optimises, for a problem of the papers",
        {"[--contact=LIST] [--solver=LIST|none] [--json]"},
        {kScene, kModels, kSolvers, kStart, {"Audit", {"attribution_seconds=S", "width_sweep"}}, kSurrogate, kOutput}},
+      {kHybridProblems,
+       "Motion, loss with gradient, optimisation and audit of a problem of a hybrid system",
+       {"[--set=NAME=VALUE,...] [--solver=LIST|none] [--audit] [--json]"},
+       {{"Problem (in place of the program's own)", {"set=LIST", "steps=N"}},
+        {"Solvers",
+         {"solver=LIST",
+          "iterations=N",
+          "learning_rate=X",
+          "rate_per_time",
+          "search_work=N",
+          "search_seconds=S",
+          "search_memory=MIB",
+          "search_starts=N",
+          "search_seed=N"}},
+        {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
+        {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}},
+       "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
+       "ceres_lm, or where it does not apply ceres_lbfgs or gd."},
       {"saltus_audit",
        "Audits the gradients of contact models: which are right, which are wrong, where and why",
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
@@ -101,8 +120,9 @@ std::vector<Program> MakePrograms() {
        true},
       {"saltus_sweep",
        "Computes many points of some options, and prints one row of CSV for each",
-       {"--scene=FILE --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
-       {{"Points", {"sweep=POINTS", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
+       {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] "
+        "[--solver=LIST|none]"},
+       {{"Points", {"sweep=POINTS", "program=COMMAND", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
         kScene,
         kModelsAndSimulators,
         kSolvers,

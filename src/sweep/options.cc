@@ -3,8 +3,10 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <cstdio>
 
 #include "saltus/simulate/registry.h"
+#include "saltus/solve/hybrid_solver.h"
 #include "scene/control_problems.h"
 
 namespace saltus {
@@ -156,9 +158,44 @@ void SetBodyField(const BodyField& found, double value, Scene* scene) {
   }
 }
 
+std::optional<SweepProgram> kept_program;
+
+std::optional<SweepOptionKind> FindProgramOption(const std::string& name) {
+  if (name == "solver") return SweepOptionKind::kWord;
+  if (name == "steps" || name == "iterations") return kInteger;
+  const std::vector<std::string>& names = kept_program->names;
+  const bool known = name == "learning_rate" || std::find(names.begin(), names.end(), name) != names.end();
+  return known ? std::optional(kReal) : std::nullopt;
+}
+
 }  // namespace
 
+void KeepProgram(SweepProgram program) { kept_program = std::move(program); }
+
+const SweepProgram* KeptProgram() { return kept_program ? &*kept_program : nullptr; }
+
+Json RunProgram(const std::string& arguments, double seconds) {
+  const std::string limit = seconds > 0 ? "timeout " + std::to_string(seconds) + " " : "";
+  const std::string command = limit + kept_program->command + " " + arguments + " --json 2>&1";
+  std::string text;
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) throw InputError("'" + command + "' cannot be started");
+  char part[4096];
+  for (size_t size; (size = fread(part, 1, sizeof part, pipe)) > 0;) text.append(part, size);
+  pclose(pipe);
+  // Beside the document it may say something on standard error.
+  const size_t begin = text.find('{'), end = text.rfind('}');
+  if (begin != std::string::npos && end != std::string::npos && begin < end) {
+    Json document = Json::parse(text.substr(begin, end - begin + 1), nullptr, /*allow_exceptions=*/false);
+    if (document.is_object()) return document;
+  }
+  if (text.starts_with("error: ")) text.erase(0, 7);
+  text = text.substr(0, text.find('\n'));
+  throw InputError(text.empty() ? "'" + command + "' printed nothing" : text);
+}
+
 std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Scene& scene) {
+  if (kept_program) return FindProgramOption(name);
   if (IsWord(name)) return SweepOptionKind::kWord;
   if (const NumberOption* option = FindNumber(name)) return option->kind;
   const std::optional<BodyField> found = FindBodyField(name, scene);
@@ -170,6 +207,11 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
 }
 
 std::vector<std::string> SweepOptionNames() {
+  if (kept_program) {
+    std::vector<std::string> names = {"solver", "steps", "iterations", "learning_rate"};
+    names.insert(names.end(), kept_program->names.begin(), kept_program->names.end());
+    return names;
+  }
   std::vector<std::string> names = {"contact", "solver", "precision"};
   for (const NumberOption& option : kNumbers) names.emplace_back(option.name);
   return names;
@@ -177,7 +219,7 @@ std::vector<std::string> SweepOptionNames() {
 
 std::vector<std::string> SweepWords(const std::string& name) {
   CHECK(name == "solver" || name == "precision") << name;
-  if (name == "solver") return Names(AllSolvers());
+  if (name == "solver") return kept_program ? Names(HybridSolvers()) : Names(AllSolvers());
   return {"double", "float"};
 }
 

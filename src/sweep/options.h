@@ -15,6 +15,20 @@
 
 namespace saltus {
 
+// A program of a hybrid system (programs/hybrid_program.h) that is swept in the place of a scene. Its options are
+// `names`, the values of its flag --set, and "solver", "steps", "iterations" and "learning_rate".
+struct SweepProgram {
+  std::string command;             // for /bin/sh
+  std::string name;                // of what it solves
+  std::vector<std::string> names;  //
+};
+// Keeps it for the functions below and for the points of a study. To be called once, before them.
+void KeepProgram(SweepProgram program);
+// Null if none is kept.
+const SweepProgram* KeptProgram();
+// The JSON that a command line of the program prints. Throws InputError with what it prints if there is none.
+Json RunProgram(const std::string& arguments, double seconds);
+
 enum class SweepOptionKind { kReal, kInteger, kWord };
 
 // Nothing if a sweep over `scene` has no such option.

@@ -10,6 +10,7 @@
 #include "programs/solve.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
+#include "sweep/options.h"
 #include "sweep/peak_memory.h"
 
 namespace saltus {
@@ -123,6 +124,88 @@ PointResult GradientPoint(const Request& request, PointResult result) {
   return result;
 }
 
+// The number under a key, or nothing.
+SweepValue ValueOf(const Json& json, const char* key) {
+  const auto found = json.find(key);
+  if (found == json.end()) return {};
+  if (found->is_string()) return found->get<std::string>();
+  if (found->is_number_integer()) return found->get<int64_t>();
+  return found->is_number() ? FiniteOrNothing(found->get<double>()) : SweepValue();
+}
+
+// The numbers of nested lists.
+std::vector<double> NumbersIn(const Json& json) {
+  std::vector<double> numbers;
+  if (json.is_number()) return {json.get<double>()};
+  for (const Json& item : json) {
+    const std::vector<double> more = NumbersIn(item);
+    numbers.insert(numbers.end(), more.begin(), more.end());
+  }
+  return numbers;
+}
+
+// |gradient - exact| / |exact| of an audit, over all that it has.
+SweepValue ErrorOfAudit(const Json& audit) {
+  if (!audit.contains("gradient")) return {};
+  const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
+  std::vector<double> difference = found;
+  for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
+  return FiniteOrNothing(Norm(difference) / Norm(exact));
+}
+
+PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds, PointResult result) {
+  const SweepRow values = study.Values(point);
+  std::string arguments, set;
+  const auto quoted = [](const std::string& text) { return "'" + text + "'"; };
+  for (size_t i = 0; i < values.size(); ++i) {
+    const std::string& option = study.options()[i];
+    const std::string value = ToCell(values[i]).Exact();
+    const bool flag = option == "solver" || option == "steps" || option == "iterations" || option == "learning_rate";
+    (flag ? arguments : set) += flag ? " --" + option + "=" + value : (set.empty() ? "" : ",") + option + "=" + value;
+  }
+  const SolverOptions& options = study.request().options;
+  if (!set.empty()) arguments += " --set=" + quoted(set);
+  if (!study.solving()) arguments += " --solver=none";
+  if (arguments.find("--iterations=") == std::string::npos) {
+    arguments += " --iterations=" + std::to_string(options.iterations);
+  }
+  const Json document = RunProgram(arguments, seconds);
+  if (!study.solving()) {
+    const Json& motion = document.at("motion");
+    const Json gradient = document.value("gradient", Json::object());
+    const auto norm = [&](const char* key) {
+      return gradient.contains(key) ? FiniteOrNothing(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
+    };
+    if (!document.contains("loss")) result.status = PointStatus::kFailed;
+    const SweepValue reason = document.contains("failed") ? ValueOf(document, "failed") : ValueOf(motion, "remark");
+    Append({ValueOf(document, "loss"),
+            norm("initial"),
+            norm("control"),
+            norm("parameters"),
+            document.contains("audits") ? ErrorOfAudit(document.at("audits").at(0)) : SweepValue(),
+            static_cast<int64_t>(motion.at("events").size()),
+            std::holds_alternative<std::monostate>(reason) ? SweepValue(std::string()) : reason},
+           &result.row);
+    return result;
+  }
+  const Json& run = document.at("runs").at(0);
+  const std::vector<double> losses = run.contains("losses") ? NumbersIn(run.at("losses")) : std::vector<double>();
+  const std::string termination = run.at("termination");
+  if (termination == TerminationToString(Termination::kNotApplicable)) result.status = PointStatus::kNotApplicable;
+  if (termination == TerminationToString(Termination::kFailed)) result.status = PointStatus::kFailed;
+  Append({ValueOf(run, "initial_loss"),
+          losses.empty() ? SweepValue() : FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+          ValueOf(run, "final_loss"),
+          ValueOf(run, "final_loss"),
+          ValueOf(run, "iterations"),
+          ValueOf(run, "evaluations"),
+          ValueOf(run, "seconds"),
+          termination,
+          run.value("reason", std::string())},
+         &result.row);
+  return result;
+}
+
 }  // namespace
 
 std::vector<std::string> ResultColumns(const SweepStudy& study) {
@@ -139,6 +222,10 @@ std::vector<std::string> ResultColumns(const SweepStudy& study) {
     add({"termination", "reason"});
     return columns;
   }
+  if (KeptProgram() != nullptr) {
+    add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events", "reason"});
+    return columns;
+  }
   add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
   if (HasStandardError(surrogate)) add({"norm_standard_error"});
   add({"reason"});
@@ -149,12 +236,15 @@ std::string TimeLimitReason(double seconds) { return "stopped at the time limit 
 
 PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds) {
   try {
+    if (KeptProgram() != nullptr) return ProgramPoint(study, point, seconds, StartRow(study, point));
     const Request request = study.At(point);
     PointResult result = StartRow(study, point);
     return study.solving() ? SolvePoint(request, seconds, study.generates(), std::move(result))
                            : GradientPoint(request, std::move(result));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
+  } catch (const Json::exception& error) {
+    return FailedPoint(study, point, std::string("the program's document: ") + error.what());
   } catch (const std::bad_alloc&) {
     HoldMemoryBackAgain();
     return FailedPoint(study, point, kMemoryRanOut);

@@ -18,6 +18,9 @@ namespace saltus {
 // where the reason of a row with results names ambiguous ties (a gradient then has no relative_error),
 // and before either, of a surrogate: surrogate, and of biased gradients: biased ("yes" or "no"). Before the reason of a
 // gradient that was estimated comes norm_standard_error (over the initial state and the control).
+// The gradient of a program (options.h) is
+//   loss, norm_dinitial, norm_dcontrol, norm_dparameters, relative_error (of the first scheme that it audits), events,
+//   reason.
 std::vector<std::string> ResultColumns(const SweepStudy& study);
 
 // Computes a point. A solver is stopped after `seconds` (0: never), and then the row holds what it had reached. All but

@@ -72,7 +72,7 @@ bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
 SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
     : request_(std::move(request)), blocks_(std::move(blocks)) {
   solving_ = !request_.solvers.empty() || Has(blocks_, "solver");
-  if (!Has(blocks_, "contact")) blocks_.push_back(WordBlock("contact", request_.contacts));
+  if (!Has(blocks_, "contact") && KeptProgram() == nullptr) blocks_.push_back(WordBlock("contact", request_.contacts));
   if (solving_ && !Has(blocks_, "solver")) blocks_.push_back(WordBlock("solver", request_.solvers));
   generates_ = Has(blocks_, kSeedOption);
   any_bias_ = request_.options.surrogate || AnyContactIsBiased(blocks_);
@@ -152,6 +152,11 @@ std::string SweepStudy::Description() const {
                       {"learning_rate", request_.options.learning_rate},
                       {"sequence", SequenceText(request_)},
                       {"sweep", std::move(blocks)}};
+  if (const SweepProgram* program = KeptProgram()) {
+    description.erase("scene");
+    description["program"] = program->command;
+    return description.dump();
+  }
   const SearchOptions& search = request_.options.search_options;
   const SearchOptions usual;
   if (search.work != usual.work) description["search_work"] = search.work;

@@ -15,9 +15,9 @@ namespace saltus {
 
 class SweepStudy {
  public:
-  // Sweeps `blocks` and, fastest, the contact models and solvers of `request` unless a block has them. Without solvers
-  // a point is the loss and its gradient at the initial guess. Preconditions: the blocks are ParseSweep's for the scene
-  // of `request`. Throws InputError if there are too many points.
+  // Sweeps `blocks` and, fastest, the contact models (unless a program is kept, options.h) and solvers of `request`
+  // unless a block has them. Without solvers a point is the loss and its gradient at the initial guess. Preconditions:
+  // the blocks are ParseSweep's for the scene of `request`. Throws InputError if there are too many points.
   SweepStudy(Request request, std::vector<SweepBlock> blocks);
 
   int64_t size() const { return size_; }

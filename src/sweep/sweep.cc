@@ -27,6 +27,9 @@ DEFINE_string(
     "points of the sweep: 'stiffness=1e2:1e5:log:7; steps=120,240' is every combination, 'stiffness=1,2 & "
     "damping=3,4' changes two options together, '(contact,solver)=(lcp,gd),(event,ceres_lm)' and '@points.csv' are "
     "explicit points");
+DEFINE_string(program, "",
+              "program of a hybrid system, with or without flags of its own, in place of --scene; its options are its "
+              "parameters, initial states, duration, steps, iterations, learning_rate and solver");
 DEFINE_double(point_seconds, 0, "time limit of each point, s; a point that takes longer fails (default: no limit)");
 DEFINE_string(shard, "", "compute only the I-th of N parts, I = 1..N; --merge joins the parts");
 DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
@@ -130,7 +133,7 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   report.AddTable(SweepTable(study, first),
                   first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
                                                : "All rows, as in `" + base + ".csv`.");
-  if (study.generates()) return OrOutputError(report.Write(ReportPath(study, base)));
+  if (study.generates() || KeptProgram() != nullptr) return OrOutputError(report.Write(ReportPath(study, base)));
   report.AddHeading(1, "Scene");
   report.AddPreformatted(WriteScene(request.scene));
   OrOutputError(report.Write(ReportPath(study, base)));
@@ -238,9 +241,32 @@ bool SweepsSeeds(const std::string& text) {
   return false;
 }
 
+// Asks the program of --program for the names of what it lets set.
+void AskProgram() {
+  KeepProgram({.command = FLAGS_program, .name = FLAGS_program, .names = {}});
+  const Json document = RunProgram("--solver=none", FLAGS_point_seconds);
+  SweepProgram program{.command = FLAGS_program, .name = "", .names = {"duration", "tolerance"}};
+  try {
+    program.name = document.at("program");
+    for (const Json& name : document.at("system").at("parameters")) program.names.push_back(name);
+    for (const Json& mode : document.at("system").at("modes")) {
+      if (mode.at("name") != document.at("guess").at("mode")) continue;
+      for (const Json& name : mode.at("states")) program.names.push_back(name);
+    }
+  } catch (const Json::exception&) {
+    throw InputError("--program=" + FLAGS_program + ": is no program of a hybrid system");
+  }
+  KeepProgram(std::move(program));
+}
+
 int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   Request request;
   ProgramDefaults defaults;
+  if (!FLAGS_program.empty()) {
+    AskProgram();
+    defaults.generated = ControlProblem(0);
+    defaults.generated->name = KeptProgram()->name;
+  }
   if (SweepsSeeds(FLAGS_sweep)) {
     defaults.generated = ControlProblem(0);
     defaults.generated->name = "control_problems";

@@ -1,6 +1,7 @@
 // Names that the targets refer to, in place of the solvers, contact models and flags behind them: readers want no more,
 // and those would take long to compile.
 #include "programs/program.h"
+#include "saltus/solve/hybrid_solver.h"
 #include "saltus/solve/solver.h"
 #include "simulate/registry_entry.h"
 
@@ -10,6 +11,11 @@ const std::vector<SolverEntry>& AllSolvers() {
   static const std::vector<SolverEntry>& solvers =
       *new std::vector<SolverEntry>{{.name = "gd", .summary = "", .why_not = nullptr, .solve = nullptr},
                                     {.name = "ceres_lm", .summary = "", .why_not = nullptr, .solve = nullptr}};
+  return solvers;
+}
+
+const std::vector<HybridSolverEntry>& HybridSolvers() {
+  static const std::vector<HybridSolverEntry> solvers;
   return solvers;
 }
 

@@ -139,16 +139,6 @@ TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
   EXPECT_NEAR(published.final_loss, 0.3995468507, 1e-9);
 }
 
-// int x^2 dt is the second component of the state; its root is the residual.
-struct RootOfIntegral {
-  template <typename T>
-  bool operator()(const T* x, T* residual) const {
-    using std::sqrt;
-    residual[0] = sqrt(x[1]);
-    return true;
-  }
-};
-
 TEST(HybridSolvers, FindTheStartOfTheSwitchedLine) {
   HybridProblem problem{.system = HybridSystem(SwitchedLine()),
                         .guess = {.initial = {-1, 0}, .duration = 2},

@@ -45,6 +45,29 @@ class Reports(Pages):
                 if name != "failed":
                     self.assertEqual(self.js("return saltusReplays.length"), 1)
 
+    def test_reports_of_hybrid_systems(self):
+        for program, flags, charts, drawn in (
+                ("slip_hopper", ["--solver=all", "--iterations=20"], 7, 1),
+                ("bouncing_ball", ["--solver=none", "--audit", "--set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2"], 3, 1),
+                ("bouncing_ball", ["--solver=none", "--set=y=1,v=0,e=0.5"], 3, 1),  # events accumulate
+                ("thermostat", ["--solver=none"], 3, 0)):
+            with self.subTest(f"{program} {flags}"):
+                folder = tempfile.mkdtemp(dir=self.folder)
+                run(program, f"--output_dir={folder}", *flags)
+                page = os.path.join(folder, "report.html")
+                self.assert_valid(page)
+                self.assert_fits(page)
+                # One figure for each state and one for the guards, and the replay of systems that draw themselves.
+                self.assertEqual(self.js("return document.querySelectorAll('svg').length"), charts + drawn)
+                lines = self.js("return [...document.querySelectorAll('polyline')].map(line => line.getAttribute('points'))")
+                self.assertGreater(len(lines), charts - 1)
+                self.assertFalse([line for line in lines if "NaN" in line or "undefined" in line])
+                before = self.js("return document.querySelector('input') ? document.querySelector('g').innerHTML : ''")
+                after = self.js("const slider = document.querySelector('input'); if (!slider) return 'none';"
+                                "slider.value = slider.max / 2; slider.oninput();"
+                                "return document.querySelector('g').innerHTML")
+                self.assertNotEqual(before, after)
+
     def test_reports_of_audits_and_sweeps(self):
         for program, problem, flags in (
                 ("saltus_audit", "two_balls", ["--contact=direct_toi,event"]),

@@ -8,6 +8,7 @@
 #include <random>
 #include <utility>
 
+#include "audit/gradient/judgement.h"
 #include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/audit/audit.h"
@@ -140,11 +141,6 @@ void Judge(const RefinementOptions& options, QuantityStudy* study) {
   }
 }
 
-// An error that falls may yet come to rest above zero, as that of a stiff spring does.
-bool MayHaveAFloor(const QuantityStudy& study) {
-  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
-}
-
 bool EntersTheVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
 }
@@ -210,10 +206,9 @@ class Study {
       added.quantity = quantity;
       added.exact = EntriesOf(scene, *exact, quantity, out_.intervals);
       added.one_sided = OneSidedNames(scene, *exact, quantity);
-      names_.push_back(EntryNames(scene, quantity, out_.intervals));
-      // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
-      const double norm = Norm(Without(added.one_sided, names_.back(), added.exact));
-      scales_.push_back(std::max(norm, 1e-6 * std::max(1.0, std::abs(exact->loss))));
+      QuantityLevels& levels = levels_.emplace_back();
+      levels.names = EntryNames(scene, quantity, out_.intervals);
+      levels.scale = ScaleOf(added, levels.names, exact->loss);
     }
   }
 
@@ -257,51 +252,56 @@ class Study {
         entries[q].push_back(EntriesOf(scene_, gradient, out_.quantities[q].quantity, out_.intervals));
       }
     }
-    for (size_t q = 0; q < entries.size(); ++q) Record(std::exp(log_steps), entries[q], scales_[q], level, q);
+    for (size_t q = 0; q < entries.size(); ++q) {
+      levels_[q].Add(std::exp(log_steps), entries[q], options_, &out_.quantities[q]);
+    }
     return true;
   }
 
  private:
-  void Record(double steps, const std::vector<std::vector<double>>& samples, double scale, int level, size_t q) {
-    QuantityStudy& study = out_.quantities[q];
-    const auto judged = [&](const std::vector<double>& entries) {
-      return Without(study.one_sided, names_[q], entries);
-    };
-    std::vector<double> errors;
-    for (const std::vector<double>& entries : samples) {
-      errors.push_back(Distance(judged(entries), judged(study.exact)) / scale);
-    }
-    const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
-    study.levels.push_back({steps, Median(errors), *smallest, *largest});
-    study.finest.clear();
-    for (size_t entry = 0; entry < study.exact.size(); ++entry) {
-      std::vector<double> values;
-      for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
-      study.finest.push_back(Median(values));
-    }
-    if (level == 0) coarsest_.push_back(samples.front());
-    study.wrong_signs = FindWrongSigns(names_[q], judged(study.exact), judged(coarsest_[q]), judged(study.finest));
-    largest_.resize(out_.quantities.size(), 0.0);
-    largest_[q] = std::max(largest_[q], *largest);
-    const double median = study.levels.back().error;
-    study.decisive = median > options_.tolerance ? median : largest_[q];
-    if (study.levels.size() >= kTail) Judge(options_, &study);
-  }
-
   Contact contact_;
   const Scene& scene_;
   const RefinementOptions& options_;
   const StopRequest& stop_;
   RefinementStudy& out_;
   int unit_ = 1;
-  int touches_ = 0;  // at the first level
-  std::vector<double> scales_;
-  std::vector<double> largest_;                  // error of all samples so far, by quantity
-  std::vector<std::vector<std::string>> names_;  // of the entries, by quantity
-  std::vector<std::vector<double>> coarsest_;
+  int touches_ = 0;                     // at the first level
+  std::vector<QuantityLevels> levels_;  // by quantity
 };
 
 }  // namespace
+
+void QuantityLevels::Add(double steps, const std::vector<std::vector<double>>& samples,
+                         const RefinementOptions& options, QuantityStudy* study) {
+  const auto judged = [&](const std::vector<double>& entries) { return Without(study->one_sided, names, entries); };
+  std::vector<double> errors;
+  for (const std::vector<double>& entries : samples) {
+    errors.push_back(Distance(judged(entries), judged(study->exact)) / scale);
+  }
+  const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
+  study->levels.push_back({steps, Median(errors), *smallest, *largest});
+  study->finest.clear();
+  for (size_t entry = 0; entry < study->exact.size(); ++entry) {
+    std::vector<double> values;
+    for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
+    study->finest.push_back(Median(values));
+  }
+  if (study->levels.size() == 1) coarsest = samples.front();
+  study->wrong_signs = FindWrongSigns(names, judged(study->exact), judged(coarsest), judged(study->finest));
+  const double median = study->levels.back().error;
+  double largest_of_all = 0;
+  for (const RefinementLevel& level : study->levels) largest_of_all = std::max(largest_of_all, level.largest);
+  study->decisive = median > options.tolerance ? median : largest_of_all;
+  if (study->levels.size() >= kTail) Judge(options, study);
+}
+
+double ScaleOf(const QuantityStudy& study, const std::vector<std::string>& names, double loss) {
+  return std::max(Norm(Without(study.one_sided, names, study.exact)), 1e-6 * std::max(1.0, std::abs(loss)));
+}
+
+bool MayHaveAFloor(const QuantityStudy& study) {
+  return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
+}
 
 std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop) {
   const ModelTraits* exact = ExactModel();

@@ -8,6 +8,7 @@
 #include <memory>
 #include <utility>
 
+#include "audit/gradient/judgement.h"
 #include "audit/gradient/statistics.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
@@ -212,6 +213,38 @@ std::string WidthSweepStudy::Summary() const {
   return text;
 }
 
+std::vector<double> WidthsOf(const WidthSweepOptions& options, double grid_width) {
+  const int count = static_cast<int>(options.per_decade * std::log10(options.largest / options.smallest)) + 1;
+  std::vector<double> widths;
+  for (int i = 0; i < count; ++i) {
+    widths.push_back(grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade));
+  }
+  return widths;
+}
+
+Verdict JudgeSweeps(double loss, const WidthSweepOptions& options, std::vector<WidthSweep>* sweeps) {
+  Verdict verdict = Verdict::kUnknown;
+  for (WidthSweep& sweep : *sweeps) {
+    const bool narrow = FindPlateau(sweep, options.narrow_from, options.narrow_to, &sweep.narrow, &sweep.narrow_spread);
+    const bool wide = FindPlateau(sweep, options.wide_from, options.wide_to, &sweep.wide, &sweep.wide_spread);
+    sweep.finding = narrow && wide ? WidthFinding::kNothing : WidthFinding::kUndecided;
+  }
+  for (WidthSweep& sweep : *sweeps) {
+    if (sweep.finding == WidthFinding::kUndecided) continue;
+    double scale = 1e-9 * std::max(1.0, std::abs(loss));
+    for (const WidthSweep& other : *sweeps) {
+      if (other.quantity == sweep.quantity) scale = std::max({scale, std::abs(other.wide), std::abs(other.gradient)});
+    }
+    sweep.finding = Judge(sweep, scale, options.tolerance);
+    if (!IsAgainst(sweep)) continue;
+    const double negligible = kNegligible * scale;
+    const bool flips =
+        sweep.gradient * sweep.wide < 0 && std::abs(sweep.gradient) > negligible && std::abs(sweep.wide) > negligible;
+    if (verdict == Verdict::kUnknown || flips) verdict = flips ? Verdict::kWrongSign : Verdict::kWrong;
+  }
+  return verdict;
+}
+
 WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options,
                             const StopRequest& stop) {
   WidthSweepStudy refused;
@@ -241,33 +274,14 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     sweep.entry = direction.entry;
     sweep.grid_width = direction.grid_width;
     sweep.gradient = GradientAlong(direction, own, scene.control_width());
-    const int count = static_cast<int>(options.per_decade * std::log10(options.largest / options.smallest)) + 1;
-    for (int i = 0; i < count; ++i) {
-      const double width = direction.grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade);
+    for (const double width : WidthsOf(options, direction.grid_width)) {
       if (width > direction.most) break;
       if (line.simulator().stopped()) return study;
       sweep.widths.push_back(width);
       sweep.slopes.push_back((line.LossAt(direction, width) - line.LossAt(direction, -width)) / (2 * width));
     }
   }
-  for (WidthSweep& sweep : study.sweeps) {
-    const bool narrow = FindPlateau(sweep, options.narrow_from, options.narrow_to, &sweep.narrow, &sweep.narrow_spread);
-    const bool wide = FindPlateau(sweep, options.wide_from, options.wide_to, &sweep.wide, &sweep.wide_spread);
-    sweep.finding = narrow && wide ? WidthFinding::kNothing : WidthFinding::kUndecided;
-  }
-  for (WidthSweep& sweep : study.sweeps) {
-    if (sweep.finding == WidthFinding::kUndecided) continue;
-    double scale = 1e-9 * std::max(1.0, std::abs(own.loss));
-    for (const WidthSweep& other : study.sweeps) {
-      if (other.quantity == sweep.quantity) scale = std::max({scale, std::abs(other.wide), std::abs(other.gradient)});
-    }
-    sweep.finding = Judge(sweep, scale, options.tolerance);
-    if (!IsAgainst(sweep)) continue;
-    const double negligible = kNegligible * scale;
-    const bool flips =
-        sweep.gradient * sweep.wide < 0 && std::abs(sweep.gradient) > negligible && std::abs(sweep.wide) > negligible;
-    if (study.verdict == Verdict::kUnknown || flips) study.verdict = flips ? Verdict::kWrongSign : Verdict::kWrong;
-  }
+  study.verdict = JudgeSweeps(own.loss, options, &study.sweeps);
   return study;
 }
 

@@ -125,7 +125,7 @@ class EventStep {
   // the accelerations from then on: for discs that move around each other until `latest` at most. The instant may be
   // that of an earlier event, whose sub-step begins again.
   void Settle(int q, const Instant<T>& at, const T& latest) {
-    if (in_.table >= 0) return changes_.Fail("discs press against each other while they slide on a table");
+    if (in_.table >= 0) return changes_.Fail("discs have active contacts with each other while they slide on a table");
     group_.Clear();
     Join(q, at);
     while (Grow(at)) continue;
@@ -172,6 +172,7 @@ class EventStep {
                    : contact.mode == ContactMode::kStick ? PairTurning::kRolling
                                                          : PairTurning::kSliding;
     pair.passed = at.event;
+    pair.precedes = false;
     if (contact.closed || contact.stopped) ReportSustained(contact, at.time);
     if (!contact.closed) return pair.Change(PairChange::kSettled, PairState::kFree);
     const double now = Value(at.time), end = sub_step > 0 ? now + sub_step : kNever;
@@ -194,6 +195,7 @@ class EventStep {
         state = PairState::kStopping;
       }
     }
+    pair.precedes = state == PairState::kStopping;
     pair.Change(PairChange::kSettled, state);
   }
 

@@ -1,0 +1,134 @@
+// Audit of a time-stepping scheme for a hybrid system: the gradient that its steps compose to, beside the exact one.
+//
+// A scheme knows nothing of events: from a state it gives the state after a step of a given length, in whatever way.
+// Its gradient is that of automatic differentiation, or of differences, of each step, composed by the chain rule. The
+// exact one is the adjoint of the hybrid system with located events. Loss, initial state, control and parameters are
+// those of a problem, whose costs are at control intervals or at the end.
+#pragma once
+
+#include <ceres/jet.h>
+
+#include <algorithm>
+#include <array>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "saltus/audit/refinement.h"
+#include "saltus/audit/width_sweep.h"
+#include "saltus/hybrid/hybrid_problem.h"
+
+namespace saltus {
+
+// Where a step begins. The states of a mode have its size, u that of the control, p of the parameters.
+struct SchemeStep {
+  int mode = 0;
+  double t = 0, h = 0;
+  const double *x = nullptr, *u = nullptr, *p = nullptr;
+};
+
+class HybridScheme {
+ public:
+  virtual ~HybridScheme() = default;
+  virtual std::string name() const = 0;
+  // Returns the mode after the step, and its state in `next`, which has room for the largest of any mode. A `jacobian`
+  // that is not null becomes the derivative by [x u p]: row-major, (size of the next mode's state) x (n + m + P).
+  // Returns -1 and the reason in `error` if there is no such state.
+  virtual int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) = 0;
+};
+
+// A step of `function`, and its Jacobian by central differences if that is not null, or by one-sided ones beside a jump
+// of the state. Returns what HybridScheme::Step returns.
+using StepFunction = std::function<int(const SchemeStep&, double* next, std::string* error)>;
+int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
+                   double* jacobian, std::string* error);
+
+// Of a struct that describes a hybrid system (hybrid_system.h) and has
+//
+//   template <typename T>
+//   int Step(int mode, const T& t, const T* x, const T* u, const T* p, const T& h, T* next) const;
+//
+// which returns the mode after the step. It is differentiated by Jets.
+template <typename S>
+class HybridSchemeOf final : public HybridScheme {
+ public:
+  explicit HybridSchemeOf(S system, std::string name = "step") : system_(std::move(system)), name_(std::move(name)) {}
+
+  std::string name() const override { return name_; }
+  int Step(const SchemeStep& step, double* next, double* jacobian, std::string*) override {
+    if (jacobian == nullptr) return system_.Step(step.mode, step.t, step.x, step.u, step.p, step.h, next);
+    const int states = S::kStateSizes[step.mode], columns = states + S::kNumControls + S::kNumParameters;
+    std::array<Jet, kMostStates> x, out;
+    std::array<Jet, S::kNumControls> u;
+    std::array<Jet, S::kNumParameters> p;
+    int column = 0;
+    for (int i = 0; i < states; ++i) x[i] = Jet(step.x[i], column++);
+    for (int i = 0; i < S::kNumControls; ++i) u[i] = Jet(step.u[i], column++);
+    for (int i = 0; i < S::kNumParameters; ++i) p[i] = Jet(step.p[i], column++);
+    const int mode = system_.Step(step.mode, Jet(step.t), x.data(), u.data(), p.data(), Jet(step.h), out.data());
+    if (mode < 0 || mode >= static_cast<int>(S::kStateSizes.size())) return mode;
+    for (int i = 0; i < S::kStateSizes[mode]; ++i) {
+      next[i] = out[i].a;
+      std::copy_n(out[i].v.data(), columns, jacobian + i * columns);
+    }
+    return mode;
+  }
+
+ private:
+  static constexpr int kMostStates = *std::max_element(S::kStateSizes.begin(), S::kStateSizes.end());
+  using Jet = ceres::Jet<double, kMostStates + S::kNumControls + S::kNumParameters>;
+  const S system_;
+  const std::string name_;
+};
+
+struct HybridAuditOptions {
+  int steps = 100;  // of the scheme over the duration, at least; rounded up to a multiple of the control intervals
+  RefinementOptions refinement = {};
+  bool width_sweep = false;  // also where the exact gradient exists
+  // The loss jumps where an event moves to another step: differences over a few steps scatter more than those of discs.
+  WidthSweepOptions widths = {.per_decade = 4, .largest = 400, .wide_from = 20, .wide_to = 200};
+  StopRequest stop = nullptr;
+};
+
+// The part of the motion around one event, or several that are closer than two steps.
+struct SegmentError {
+  double time = 0;          // of the first event, s
+  std::string mode, guard;  // of it
+  int step = 0;             // in which it happens, of steps numbered from 0
+  // Of the costate that is pulled back through the part by the scheme's steps from the exact state at its beginning,
+  // relative to the exact one; infinite if the scheme ends in another mode.
+  double error = 0;
+  bool stays = false;  // with eight times the steps it is more than a quarter of this
+};
+
+struct HybridAudit {
+  struct Part {
+    std::string name;                  // "initial", "control" or "parameters"
+    std::vector<std::string> entries;  // their names
+    QuantityStudy study;               // its quantity has no meaning
+  };
+
+  std::string scheme;
+  std::string reason;  // why there is no verdict: the problem, the exact motion or the scheme fails, and where
+  Verdict verdict = Verdict::kUnknown;
+  int steps = 0;  // with which losses and gradient are computed
+  double loss = 0, exact_loss = 0;
+  HybridGradient gradient, exact;
+  double order = 0;  // observed order of the error in the step: the least of all parts
+  std::vector<Part> parts;
+  std::vector<SegmentError> segments;  // if the verdict is that it is wrong
+  int first_wrong = -1;                // index of the first segment whose error is not small and stays
+  std::optional<WidthSweepStudy> widths;
+  bool interrupted = false;
+
+  bool ok() const { return reason.empty(); }
+  // Why the verdict is what it is, in one sentence; empty for a right or a consistent gradient.
+  std::string Why() const;
+};
+
+// At the problem's guess. What is wrong with the problem is a reason.
+HybridAudit AuditScheme(const HybridProblem& problem, HybridScheme* scheme, const HybridAuditOptions& options = {});
+
+}  // namespace saltus

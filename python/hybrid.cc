@@ -1,0 +1,395 @@
+// Hybrid systems whose functions were recorded in Python, and their problems.
+#include <pybind11/stl.h>
+
+#include <memory>
+#include <mutex>
+
+#include "arrays.h"
+#include "blackbox/command_scheme.h"
+#include "computation.h"
+#include "control/hybrid_shooting.h"
+#include "convert.h"
+#include "hybrid/recorded_functions.h"
+#include "programs/hybrid_document.h"
+
+namespace saltus::python {
+namespace {
+
+using Node = std::tuple<std::string, int, int, int, double>;
+using Outputs = std::tuple<int, std::vector<Node>, std::vector<int>>;  // as of _expression.outputs
+
+RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
+  ExpressionGraph recording{.num_inputs = num_inputs, .outputs = std::get<2>(recorded)};
+  for (const auto& [name, a, b, c, value] : std::get<1>(recorded)) {
+    ExpressionGraph::Node& node =
+        recording.nodes.emplace_back(ExpressionGraph::Node{.a = a, .b = b, .c = c, .value = value});
+    if (!FindOperation(name, &node.operation)) throw py::value_error("operation: found '" + name + "'");
+  }
+  if (const std::string wrong = WhatIsWrongWith(recording); !wrong.empty()) throw py::value_error(wrong);
+  return RecordedFunction(recording);
+}
+
+using TransitionTuple = std::tuple<std::string, Outputs, Outputs, int>;
+using ModeTuple = std::tuple<std::string, std::vector<std::string>, Outputs, std::vector<TransitionTuple>>;
+
+HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<std::string>& controls,
+                        const std::vector<std::string>& parameters) {
+  HybridLayout layout{.num_controls = static_cast<int>(controls.size()),
+                      .num_parameters = static_cast<int>(parameters.size()),
+                      .control_names = controls,
+                      .parameter_names = parameters};
+  std::vector<RecordedSystem::Mode> recorded;
+  for (const auto& [name, states, flow, transitions] : modes) {
+    const int of_guards = static_cast<int>(states.size()) + 1 + layout.num_parameters;
+    layout.mode_names.push_back(name);
+    layout.state_sizes.push_back(static_cast<int>(states.size()));
+    layout.num_guards.push_back(static_cast<int>(transitions.size()));
+    layout.state_names.insert(layout.state_names.end(), states.begin(), states.end());
+    RecordedSystem::Mode& mode =
+        recorded.emplace_back(RecordedSystem::Mode{ReadFunction(of_guards + layout.num_controls, flow), {}});
+    for (const auto& [guard_name, guard, reset, next_mode] : transitions) {
+      layout.guard_names.push_back(guard_name);
+      mode.transitions.push_back({ReadFunction(of_guards, guard), ReadFunction(of_guards, reset), next_mode});
+    }
+  }
+  return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded)));
+}
+
+// name, "steps" | "event" | "end", "cost" | "equality" | "inequality", mode, guard, before, letters of what the
+// function reads (some of "xupth", in this order), sizes of these, the function.
+using TermTuple =
+    std::tuple<std::string, std::string, std::string, int, int, bool, std::string, std::vector<int>, Outputs>;
+
+HybridTerm ReadTerm(const TermTuple& tuple) {
+  const auto& [name, at, role, mode, guard, before, reads, sizes, function] = tuple;
+  HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before};
+  term.at = at == "steps"   ? HybridTerm::At::kEachInterval
+            : at == "event" ? HybridTerm::At::kEvent
+                            : HybridTerm::At::kEnd;
+  term.role = role == "equality"     ? HybridTerm::Role::kEquality
+              : role == "inequality" ? HybridTerm::Role::kInequality
+                                     : HybridTerm::Role::kCost;
+  const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
+  term.with_state = has('x');
+  term.with_control = has('u');
+  term.with_parameters = has('p');
+  term.with_time = has('t');
+  term.with_length = has('h');
+  int inputs = 0;
+  for (const int size : sizes) inputs += size;
+  term.function = std::make_shared<RecordedCost>(ReadFunction(inputs, function), sizes);
+  return term;
+}
+
+HybridOptions ReadIntegration(double tolerance, int steps, bool wait) {
+  HybridOptions options;
+  if (!(tolerance > 0)) throw py::value_error("tolerance: expected a number > 0");
+  if (steps < 0) throw py::value_error("steps_per_interval: expected a number of at least 0");
+  options.tolerance = tolerance;
+  options.steps_per_interval = steps;
+  options.wait_behind_guards = wait;
+  return options;
+}
+
+// A time-stepping scheme in Python: `step`(mode, t, x, u, p, h) returns the next mode's name and state, and `jacobian`,
+// of the same arguments, its derivatives by [x u p], or is None.
+class CallableScheme final : public HybridScheme {
+ public:
+  CallableScheme(std::string name, const HybridSystem& system, py::object step, py::object jacobian,
+                 Computation* computation)
+      : name_(std::move(name)),
+        system_(system),
+        step_(std::move(step)),
+        jacobian_(std::move(jacobian)),
+        computation_(computation) {}
+
+  std::string name() const override { return name_; }
+  int Step(const SchemeStep& at, double* next, double* jacobian, std::string* error) override {
+    const StepFunction call = [this](const SchemeStep& step, double* after, std::string* why) {
+      return Call(step, after, why);
+    };
+    if (jacobian == nullptr || jacobian_.is_none()) return DifferenceStep(system_, at, call, next, jacobian, error);
+    const int mode = Call(at, next, error);
+    if (mode < 0) return mode;
+    const bool done = computation_->WithPython([&] {
+      const py::ssize_t columns = system_.state_size(at.mode) + system_.num_controls() + system_.num_parameters();
+      const Array rows = ReadArray(Ask(jacobian_, at), name_ + ": jacobian", {system_.state_size(mode), columns});
+      std::copy_n(rows.data(), rows.size(), jacobian);
+    });
+    return done ? mode : Stopped(error);
+  }
+
+ private:
+  static int Stopped(std::string* error) {
+    *error = kStopped;
+    return -1;
+  }
+
+  py::object Ask(const py::object& function, const SchemeStep& at) const {
+    const auto array = [](const double* numbers, int size) {
+      return ToArray({numbers, static_cast<std::size_t>(size)}, {size});
+    };
+    return function(system_.ModeName(at.mode),
+                    at.t,
+                    array(at.x, system_.state_size(at.mode)),
+                    array(at.u, system_.num_controls()),
+                    array(at.p, system_.num_parameters()),
+                    at.h);
+  }
+
+  int Call(const SchemeStep& at, double* next, std::string* error) {
+    int mode = 0;
+    const bool done = computation_->WithPython([&] {
+      const auto [name, state] = Ask(step_, at).cast<std::pair<std::string, py::object>>();
+      while (mode < system_.num_modes() && system_.ModeName(mode) != name) ++mode;
+      if (mode == system_.num_modes()) throw py::value_error(name_ + ": found mode '" + name + "' after a step");
+      const Array numbers = ReadArray(state, name_ + ": the state after a step", {system_.state_size(mode)});
+      std::copy_n(numbers.data(), numbers.size(), next);
+    });
+    return done ? mode : Stopped(error);
+  }
+
+  const std::string name_;
+  const HybridSystem& system_;
+  const py::object step_, jacobian_;
+  Computation* const computation_;
+};
+
+// A problem, and what evaluates it again and again.
+class Problem {
+ public:
+  Problem(const HybridSystem& system, int mode, const py::object& initial, const py::object& parameters,
+          double duration, const py::object& control, const std::vector<TermTuple>& terms, double tolerance, int steps,
+          bool wait)
+      : problem_{.system = system, .guess = {}, .integration = ReadIntegration(tolerance, steps, wait)} {
+    for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
+    Set(mode, initial, parameters, duration, control);
+  }
+
+  // Another guess. The number of steps of the integration is kept as long as the mode and the intervals are the same.
+  void Set(int mode, const py::object& initial, const py::object& parameters, double duration,
+           const py::object& control) {
+    const HybridSystem& system = problem_.system;
+    HybridInput input{.mode = mode, .duration = duration};
+    input.initial = ToVector(ReadArray(initial, "initial", {system.state_size(mode)}));
+    input.parameters = ToVector(ReadArray(parameters, "parameters", {system.num_parameters()}));
+    if (!control.is_none()) {
+      const py::array given = py::array::ensure(control);
+      if (!given || given.ndim() < 1)
+        throw py::value_error("control: expected an array (K, " + std::to_string(system.num_controls()) + ")");
+      input.num_intervals = static_cast<int>(given.shape(0));
+      input.control = ToVector(ReadArray(control, "control", {input.num_intervals, system.num_controls()}));
+    }
+    if (const std::string wrong = WhatIsWrongWith(input, system); !wrong.empty()) throw py::value_error(wrong);
+    const std::lock_guard lock(mutex_);
+    const bool same = input.mode == problem_.guess.mode && input.num_intervals == problem_.guess.num_intervals &&
+                      input.duration == problem_.guess.duration;
+    problem_.guess = std::move(input);
+    if (!same) shooting_ = nullptr;
+  }
+
+  py::dict Rollout() {
+    Json motion;
+    Compute([&] {
+      HybridSimulator simulator(problem_.system, problem_.integration);
+      const bool ok = simulator.Rollout(problem_.guess);
+      motion = HybridMotionToJson(simulator, problem_.guess, ok, true);
+    });
+    return ToPython(motion);
+  }
+
+  // Row-major: final state and event times by [initial control parameters duration].
+  py::tuple FinalDerivatives() {
+    HybridSensitivity found;
+    std::string remark;
+    Compute([&] {
+      HybridSimulator simulator(problem_.system, problem_.integration);
+      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
+      found = simulator.Sensitivity();
+      remark = simulator.WhyNotDifferentiable();
+    });
+    const py::ssize_t columns = found.columns, events = static_cast<py::ssize_t>(found.times.size());
+    const py::ssize_t rows = static_cast<py::ssize_t>(found.final_state.size()) / columns;
+    std::vector<double> times;
+    for (const std::vector<double>& row : found.times) times.insert(times.end(), row.begin(), row.end());
+    return py::make_tuple(ToArray(found.final_state, {rows, columns}), ToArray(times, {events, columns}), remark);
+  }
+
+  py::tuple LossAndGradient() {
+    std::vector<double> gradient;
+    double loss = 0;
+    Compute([&] {
+      if (shooting_ == nullptr) {
+        HybridProblem free = problem_;
+        free.free.control = problem_.system.num_controls() > 0;
+        free.free.duration = true;
+        for (int i = 0; i < static_cast<int>(free.guess.initial.size()); ++i) free.free.initial.push_back(i);
+        for (int i = 0; i < problem_.system.num_parameters(); ++i) free.free.parameters.push_back(i);
+        shooting_ = std::make_unique<HybridShooting>(free);
+      }
+      const HybridInput& guess = problem_.guess;
+      std::vector<double> z = guess.control;
+      z.resize(static_cast<std::size_t>(guess.num_intervals) * problem_.system.num_controls());
+      z.insert(z.end(), guess.initial.begin(), guess.initial.end());
+      z.insert(z.end(), guess.parameters.begin(), guess.parameters.end());
+      z.push_back(guess.duration);
+      gradient.resize(z.size());
+      if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->WhyFailed());
+    });
+    const std::string remark = shooting_->simulator().WhyNotDifferentiable();
+    return py::make_tuple(loss, ToArray(gradient, {static_cast<py::ssize_t>(gradient.size())}), remark);
+  }
+
+  // bounds: of each of the controls, of the free initial states, of the free parameters, and of the duration; pairs.
+  py::tuple Solve(const std::string& solver, bool control, const std::vector<int>& initial,
+                  const std::vector<int>& parameters, bool duration,
+                  const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
+                  double learning_rate, const py::object& callback) {
+    HybridProblem problem = problem_;
+    problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
+    const auto split =
+        [](const std::vector<std::pair<double, double>>& pairs, std::vector<double>* min, std::vector<double>* max) {
+          for (const auto& [low, high] : pairs) {
+            min->push_back(low);
+            max->push_back(high);
+          }
+        };
+    split(bounds.at(0), &problem.free.control_min, &problem.free.control_max);
+    split(bounds.at(1), &problem.free.initial_min, &problem.free.initial_max);
+    split(bounds.at(2), &problem.free.parameters_min, &problem.free.parameters_max);
+    if (!bounds.at(3).empty()) {
+      problem.free.duration_min = bounds[3][0].first;
+      problem.free.duration_max = bounds[3][0].second;
+    }
+    SolverOptions options;
+    options.iterations = iterations;
+    options.learning_rate = learning_rate;
+    SolveReport report;
+    Json document;
+    Computation computation;
+    options.stop = computation.stop();
+    if (!callback.is_none()) {
+      options.callback = [&](int iteration, double loss) {
+        bool on = true;
+        return computation.WithPython([&] {
+          const py::object answer = callback(iteration, loss);
+          on = answer.is_none() || answer.cast<bool>();
+        }) && on;
+      };
+    }
+    computation.Run([&] {
+      report = saltus::Solve(solver, problem, options);
+      if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
+    });
+    if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);
+    return py::make_tuple(ToPython(document), computation.StoppedBy());
+  }
+
+  // Of a scheme in Python, or if `command` is not empty of that command.
+  py::dict Audit(const std::string& name, const py::object& step, const py::object& jacobian,
+                 const std::string& command, int steps, bool width_sweep, double budget) {
+    if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
+    Computation computation;
+    HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
+    options.refinement.budget = budget;
+    const HybridProblem problem = problem_;
+    HybridAudit audit;
+    std::shared_ptr<HybridScheme> scheme;
+    if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);
+    computation.RunOrThrow([&] {
+      if (!command.empty())
+        scheme = std::make_shared<CommandScheme>(problem.system, CommandOptions{.name = name, .command = command});
+      audit = AuditScheme(problem, scheme.get(), options);
+    });
+    return ToPython(HybridAuditToJson(problem, audit));
+  }
+
+ private:
+  // Without the GIL, one after the other.
+  template <typename Function>
+  void Compute(const Function& function) {
+    Computation computation;
+    std::exception_ptr error;
+    computation.RunOrThrow([&] {
+      const std::lock_guard lock(mutex_);
+      try {
+        function();
+      } catch (...) {
+        error = std::current_exception();
+      }
+    });
+    if (error) std::rethrow_exception(error);
+  }
+
+  HybridProblem problem_;
+  std::mutex mutex_;
+  std::unique_ptr<HybridShooting> shooting_;
+};
+
+}  // namespace
+
+void BindHybrid(py::module_* module) {
+  py::class_<HybridSystem>(*module, "HybridSystem")
+      .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"));
+  py::class_<Problem> problem(*module, "HybridProblem");
+  problem
+      .def(py::init<const HybridSystem&,
+                    int,
+                    const py::object&,
+                    const py::object&,
+                    double,
+                    const py::object&,
+                    const std::vector<TermTuple>&,
+                    double,
+                    int,
+                    bool>(),
+           py::arg("system"),
+           py::arg("mode"),
+           py::arg("initial"),
+           py::arg("parameters"),
+           py::arg("duration"),
+           py::arg("control"),
+           py::arg("terms"),
+           py::arg("tolerance"),
+           py::arg("steps_per_interval"),
+           py::arg("wait_behind_guards"))
+      .def("set",
+           &Problem::Set,
+           py::arg("mode"),
+           py::arg("initial"),
+           py::arg("parameters"),
+           py::arg("duration"),
+           py::arg("control"))
+      .def("rollout", &Problem::Rollout)
+      .def("final_derivatives", &Problem::FinalDerivatives)
+      .def("loss_and_gradient", &Problem::LossAndGradient)
+      .def("solve",
+           &Problem::Solve,
+           py::arg("solver"),
+           py::arg("control"),
+           py::arg("initial"),
+           py::arg("parameters"),
+           py::arg("duration"),
+           py::arg("bounds"),
+           py::arg("iterations"),
+           py::arg("learning_rate"),
+           py::arg("callback"));
+  problem.def("audit",
+              &Problem::Audit,
+              py::arg("name"),
+              py::arg("step"),
+              py::arg("jacobian"),
+              py::arg("command"),
+              py::arg("steps"),
+              py::arg("width_sweep"),
+              py::arg("budget"));
+  module->def("hybrid_solvers", [] {
+    py::dict summaries;
+    for (const HybridSolverEntry& entry : HybridSolvers()) {
+      summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
+    }
+    return summaries;
+  });
+}
+
+}  // namespace saltus::python

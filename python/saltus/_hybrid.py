@@ -1,0 +1,549 @@
+"""Hybrid systems of a user's own: flow, guards and resets as ordinary functions."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any, Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _saltus
+from ._expression import Tape, call, outputs
+from ._results import Result, WrongGradient
+from ._types import expect
+
+_READS = "xupth"
+
+
+def _named(kind: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{kind}: found {type(value).__name__}, expected a dict")
+    return dict(value)
+
+
+def _names(kind: str, value: Any) -> list[str]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{kind}: found {type(value).__name__}, expected a list of names")
+    names = list(value)
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"{kind}: found {name!r}, expected a name")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{kind}: found {next(n for n in names if names.count(n) > 1)!r} twice")
+    return names
+
+
+def _call(what: str, function: Any, *arguments: Any) -> Any:
+    """What the function returns for symbols; what it raises is raised again with its place."""
+    if not callable(function):
+        raise TypeError(f"{what}: found {type(function).__name__}, expected a function")
+    try:
+        return call(function, *arguments)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{what}: {error}") from error
+    except Exception as error:
+        raise RuntimeError(f"{what}: {type(error).__name__}: {error}") from error
+
+
+def _outputs(what: str, tape: Tape, values: Any, expected: int | None = None) -> Any:
+    try:
+        return outputs(tape, values, expected)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{what}: {error}") from error
+
+
+class HybridSystem:
+    """A hybrid system: a state that flows smoothly until a guard falls through zero, and is then reset.
+
+    states: the modes, each with the names of its states. controls, parameters: names. SI units, or any others.
+    flow: of each mode a function (t, x, u, p) that returns the derivatives of the states.
+    guards: of each mode that has any, functions (t, x, p) by the name of the guard; an event happens where one falls
+    through zero.
+    resets: of each guard a function (t, x, p) that returns the next mode and its state.
+
+        >>> ball = saltus.HybridSystem(
+        ...     states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
+        ...     flow={"flight": lambda t, x, u, p: [x[1], -p[0] + u[0]]},
+        ...     guards={"flight": {"ground": lambda t, x, p: x[0]}},
+        ...     resets={"flight": {"ground": lambda t, x, p: ("flight", [x[0], -p[1] * x[1]])}})
+
+    The functions are called once, here, with symbols, and recorded: arithmetic, powers, the functions of math and numpy
+    and saltus.where. C++ evaluates and differentiates the record; no Python runs then. x, u and p are arrays.
+
+    Raises TypeError where a function branches on a value, ValueError where sizes or names do not match, RuntimeError for
+    what a function raises; each names the mode and the guard.
+    """
+
+    def __init__(
+        self,
+        *,
+        states: Mapping[str, Sequence[str]],
+        flow: Mapping[str, Callable[..., Any]],
+        guards: Mapping[str, Mapping[str, Callable[..., Any]]] | None = None,
+        resets: Mapping[str, Mapping[str, Callable[..., Any]]] | None = None,
+        controls: Sequence[str] = (),
+        parameters: Sequence[str] = (),
+    ):
+        self.modes = _names("states", _named("states", states))
+        self.states = {mode: _names(f"states of mode '{mode}'", states[mode]) for mode in self.modes}
+        self.controls = _names("controls", controls)
+        self.parameters = _names("parameters", parameters)
+        if not self.modes:
+            raise ValueError("states: found no mode, expected at least one")
+        given: list[tuple[str, dict[str, Any]]] = [
+            ("flow", _named("flow", flow)),
+            ("guards", _named("guards", guards or {})),
+            ("resets", _named("resets", resets or {})),
+        ]
+        for kind, by_mode in given:
+            for mode in by_mode:
+                if mode not in self.states:
+                    raise ValueError(f"{kind}: found mode {mode!r}, expected some of {', '.join(self.modes)}")
+        self.guards: dict[str, list[str]] = {}
+        recorded = []
+        for mode in self.modes:
+            if not self.states[mode]:
+                raise ValueError(f"states of mode '{mode}': found none, expected at least one")
+            if mode not in given[0][1]:
+                raise ValueError(f"flow: found none of mode '{mode}'")
+            of_guards = _named(f"guards of mode '{mode}'", given[1][1].get(mode, {}))
+            of_resets = _named(f"resets of mode '{mode}'", given[2][1].get(mode, {}))
+            if set(of_guards) != set(of_resets):
+                odd = sorted(set(of_guards) ^ set(of_resets))[0]
+                raise ValueError(f"mode '{mode}': found '{odd}' only in one of guards and resets, expected it in both")
+            self.guards[mode] = list(of_guards)
+            transitions = [
+                (name, *self._record_guard(mode, name, guard, of_resets[name])) for name, guard in of_guards.items()
+            ]
+            recorded.append((mode, self.states[mode], self._record_flow(mode, given[0][1][mode]), transitions))
+        self._system = _saltus.HybridSystem(recorded, self.controls, self.parameters)
+
+    def _arguments(self, mode: str, control: bool) -> tuple[Tape, list[Any]]:
+        """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
+        tape, n, parameters = Tape(), len(self.states[mode]), len(self.parameters)
+        x, t, p = tape.inputs(0, n), tape.inputs(n, 1)[0], tape.inputs(n + 1, parameters)
+        return tape, [t, x, tape.inputs(n + 1 + parameters, len(self.controls)), p] if control else [t, x, p]
+
+    def _record_flow(self, mode: str, function: Any) -> Any:
+        tape, arguments = self._arguments(mode, control=True)
+        what = f"flow of mode '{mode}'"
+        return _outputs(what, tape, _call(what, function, *arguments), len(self.states[mode]))
+
+    def _record_guard(self, mode: str, name: str, guard: Any, reset: Any) -> tuple[Any, Any, int]:
+        tape, arguments = self._arguments(mode, control=False)
+        what = f"guard '{name}' of mode '{mode}'"
+        of_guard = _outputs(what, tape, _call(what, guard, *arguments), 1)
+        tape, arguments = self._arguments(mode, control=False)
+        what = f"reset '{name}' of mode '{mode}'"
+        result = _call(what, reset, *arguments)
+        if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[0], str):
+            raise ValueError(f"{what}: found {result!r}, expected the next mode's name and its state")
+        if result[0] not in self.states:
+            raise ValueError(f"{what}: found mode '{result[0]}', expected some of {', '.join(self.modes)}")
+        of_reset = _outputs(what, tape, result[1], len(self.states[result[0]]))
+        return of_guard, of_reset, self.modes.index(result[0])
+
+    def __repr__(self) -> str:
+        modes = ", ".join(f"{mode} ({len(states)})" for mode, states in self.states.items())
+        return f"<saltus.HybridSystem of modes {modes}; controls {self.controls}, parameters {self.parameters}>"
+
+
+class Cost:
+    """A term of a problem: residuals whose squares are summed (a cost), or that are to be 0 or at most 0."""
+
+    def __init__(self, name: str, function: Callable[..., Any], at: str, role: str, mode: str | None,
+                 guard: str | None, before: bool, size: int | None):
+        self.name, self.function, self.at, self.role = name, function, at, role
+        self.mode, self.guard, self.before = mode, guard, before
+        self.size = size  # of the state, where the function implies it
+
+    def _recorded(self, problem: HybridProblem) -> Any:
+        system = problem.system
+        names = [name for name, parameter in inspect.signature(self.function).parameters.items()
+                 if parameter.default is parameter.empty]
+        for name in names:
+            if name not in _READS:
+                raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p and h")
+        if self.at != "steps" and ("u" in names or "h" in names):
+            raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
+        sizes = {"x": self._state_size(system) if "x" in names else 0, "u": len(system.controls),
+                 "p": len(system.parameters), "t": 1, "h": 1}
+        tape, first, symbols = Tape(), 0, {}
+        reads = [name for name in _READS if name in names]
+        for name in reads:
+            inputs = tape.inputs(first, sizes[name])
+            symbols[name] = inputs[0] if name in "th" else inputs
+            first += sizes[name]
+        values = _call(self.name, self.function, *(symbols[name] for name in names))
+        mode = -1 if self.mode is None else system.modes.index(self.mode)
+        guard = -1 if self.guard is None else system.guards[str(self.mode)].index(self.guard)
+        found = _outputs(self.name, tape, values)
+        return (self.name, self.at, self.role, mode, guard, self.before, "".join(reads), [sizes[r] for r in reads], found)
+
+    def _state_size(self, system: HybridSystem) -> int:
+        if self.mode is not None and self.mode not in system.states:
+            raise ValueError(f"{self.name}: found mode {self.mode!r}, expected some of {', '.join(system.modes)}")
+        if self.guard is not None and self.guard not in system.guards[str(self.mode)]:
+            raise ValueError(
+                f"{self.name}: found guard {self.guard!r} of mode '{self.mode}', expected some of "
+                f"{', '.join(system.guards[str(self.mode)])}"
+            )
+        if self.size is not None:
+            return self.size
+        if self.mode is not None:
+            return len(system.states[self.mode])
+        sizes = {len(states) for states in system.states.values()}
+        if len(sizes) > 1:
+            raise ValueError(f"{self.name}: found no mode, expected one, as modes have states of different sizes")
+        return sizes.pop()
+
+
+def residuals(
+    function: Callable[..., Any],
+    *,
+    at: str = "end",
+    mode: str | None = None,
+    guard: str | None = None,
+    before: bool = False,
+    role: str = "cost",
+    name: str | None = None,
+) -> Cost:
+    """A term of a problem from a function of some of t, x, u, p and h, by the names of its arguments.
+
+    at: "steps", the beginnings of the control intervals, of length h; "event", every event of `guard` in `mode`, with
+    the state after it, or before it if `before`; or "end", after events there. mode: where it counts; any without.
+    role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
+    """
+    for key, value, known in (("at", at, ("steps", "event", "end")), ("role", role, ("cost", "equality", "inequality"))):
+        if value not in known:
+            raise ValueError(f"{key}: found {value!r}, expected one of {', '.join(known)}")
+    if not callable(function):
+        raise TypeError(f"function: found {type(function).__name__}, expected a function")
+    if at == "event" and (mode is None or guard is None):
+        raise ValueError("at: an event needs the mode and the guard")
+    if at != "event" and (guard is not None or before):
+        raise ValueError("guard: only a term at events has one")
+    label = name or getattr(function, "__name__", "cost").replace("<lambda>", f"cost at {at}")
+    return Cost(label, function, at, role, mode, guard, before, None)
+
+
+def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = None) -> Cost:
+    """weight * |x_i - target_i|^2 at the end. NaN or None leaves a component out; weight: a number, or one for each.
+
+    mode: in which the motion must end; without one the number of targets must be that of its states.
+    """
+    targets = np.array([np.nan if value is None else value for value in np.ravel(np.asarray(target, dtype=object))],
+                       dtype=float)
+    weights = np.broadcast_to(np.asarray(weight, dtype=float), targets.shape)
+    if not np.all(weights >= 0):
+        raise ValueError("weight: expected numbers >= 0")
+    used = [i for i in range(len(targets)) if not np.isnan(targets[i])]
+    if not used:
+        raise ValueError("target: found none, expected at least one number")
+
+    def misses(x: Any) -> Any:
+        return [float(np.sqrt(weights[i])) * (x[i] - float(targets[i])) for i in used]
+
+    return Cost("terminal cost", misses, "end", "cost", mode, None, False, len(targets))
+
+
+def effort(weight: float = 1.0) -> Cost:
+    """weight * int |u|^2 dt."""
+    expect("a number", weight=weight)
+    if not weight >= 0:
+        raise ValueError("weight: expected a number >= 0")
+
+    def forces(u: Any, h: Any) -> Any:
+        return [np.sqrt(float(weight) * h) * entry for entry in u]
+
+    return Cost("effort", forces, "steps", "cost", None, None, False, None)
+
+
+def final_time(weight: float = 1.0) -> Cost:
+    """weight * T of the final time T."""
+    expect("a number", weight=weight)
+    if not weight >= 0:
+        raise ValueError("weight: expected a number >= 0")
+
+    def price(t: Any) -> Any:
+        return [np.sqrt(float(weight) * t)]
+
+    return Cost("final time", price, "end", "cost", None, None, False, None)
+
+
+class HybridProblem:
+    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew.
+
+    system, mode, initial, parameters, duration: where the motion begins, and the final time.
+    control: (K, controls), held on K equal intervals; K = 1 and zeros if left out.
+    costs: a list of saltus.terminal, saltus.effort, saltus.final_time and saltus.residuals, or of functions, which are
+    residuals at the end.
+    tolerance: relative error of final state and event times, for which the number of integration steps is chosen;
+    steps_per_interval: that number, if it is not to be chosen.
+    wait_behind_guards: a guard below zero at the start counts once it is above zero, and is no error.
+    """
+
+    def __init__(
+        self,
+        system: HybridSystem,
+        *,
+        mode: str,
+        initial: ArrayLike,
+        parameters: ArrayLike = (),
+        duration: float,
+        control: ArrayLike | None = None,
+        costs: Sequence[Any] = (),
+        tolerance: float = 1e-12,
+        steps_per_interval: int = 0,
+        wait_behind_guards: bool = False,
+    ):
+        if not isinstance(system, HybridSystem):
+            raise TypeError(f"system: found {type(system).__name__}, expected a saltus.HybridSystem")
+        expect("a number", duration=duration, tolerance=tolerance)
+        expect("a whole number", steps_per_interval=steps_per_interval)
+        self.system, self.mode, self.duration = system, mode, duration
+        self.initial: Any = initial
+        self.parameters: Any = parameters
+        self.control: Any = control
+        self.costs: list[Any] = list(costs)
+        self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
+        self.wait_behind_guards = wait_behind_guards
+        self._made: tuple[Any, Any] | None = None
+        self._native()
+
+    def _native(self) -> Any:
+        """What evaluates it; kept as long as only the guess changes."""
+        if self.mode not in self.system.states:
+            raise ValueError(f"mode: found {self.mode!r}, expected some of {', '.join(self.system.modes)}")
+        expect("a number", duration=self.duration)
+        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
+        rest = (self.system, tuple(self.costs), self.tolerance, self.steps_per_interval, self.wait_behind_guards)
+        if self._made is None or len(self._made[0]) != len(rest) or any(
+            a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(self._made[0], rest)
+        ):
+            costs = [cost if isinstance(cost, Cost) else residuals(cost) for cost in self.costs]
+            terms = [cost._recorded(self) for cost in costs]
+            self._made = (rest, _saltus.HybridProblem(
+                self.system._system, *guess, terms, self.tolerance, self.steps_per_interval, self.wait_behind_guards
+            ))
+            return self._made[1]
+        self._made[1].set(*guess)
+        return self._made[1]
+
+    @property
+    def intervals(self) -> int:
+        """K."""
+        return 1 if self.control is None else len(np.asarray(self.control))
+
+    def _free(self, optimize: Sequence[str]) -> tuple[bool, list[int], list[int], bool]:
+        """What is free: control, components of the initial state, parameters, duration."""
+        if isinstance(optimize, str):
+            optimize = [optimize]
+        states, parameters = self.system.states[self.mode], self.system.parameters
+        initial: list[int] = []
+        free: list[int] = []
+        for name in optimize:
+            if name == "initial":
+                initial += range(len(states))
+            elif name == "parameters":
+                free += range(len(parameters))
+            elif name in states:
+                initial.append(states.index(name))
+            elif name in parameters:
+                free.append(parameters.index(name))
+            elif name not in ("control", "duration"):
+                raise ValueError(
+                    f"optimize: found {name!r}, expected some of control, initial, parameters, duration, "
+                    f"{', '.join([*states, *parameters])}"
+                )
+        return "control" in optimize, initial, free, "duration" in optimize
+
+    def _bounds(self, bounds: Mapping[str, Any], free: Any) -> list[list[tuple[float, float]]]:
+        states, parameters = self.system.states[self.mode], self.system.parameters
+        groups = [self.system.controls if free[0] else [], [states[i] for i in free[1]],
+                  [parameters[i] for i in free[2]], ["duration"] if free[3] else []]
+        known = {name for group in groups for name in group} | ({"control"} if free[0] else set())
+        for name, pair in bounds.items():
+            if name not in known:
+                raise ValueError(f"bounds: found {name!r}, expected some of what is optimized: {', '.join(sorted(known))}")
+            if len(tuple(pair)) != 2:
+                raise ValueError(f"bounds of {name!r}: found {pair!r}, expected a pair")
+        result = []
+        for number, group in enumerate(groups):
+            every = bounds.get("control") if number == 0 else None
+            found = [bounds.get(name, every) for name in group]
+            none = (-np.inf, np.inf) if group != ["duration"] else (0.0, np.inf)
+            pairs = [none if pair is None else (float(pair[0]), float(pair[1])) for pair in found]
+            result.append(pairs if any(pair is not None for pair in found) else [])
+        return result
+
+
+class HybridRollout(Result):
+    """A motion of a hybrid system: ``mode`` and ``final``, the state at the end, after events there; ``events``, a list
+    of (time, mode, guard, next_mode); ``times``, ``modes``, ``states`` and ``guards`` at every step of the integration,
+    and before and after every event. ``remark``: why there is no derivative, or only a one-sided one; empty if there is.
+    """
+
+    _kind = "hybrid rollout"
+
+
+class HybridGradient(Result):
+    """``loss``, and ``gradient`` with ``initial`` (n,), ``control`` (K, m), ``parameters`` (P,) and ``duration``."""
+
+    _kind = "hybrid gradient"
+
+
+class HybridRun(Result):
+    """What a solver found: ``loss``, ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
+    ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
+    ``iterations``, ``integration_error``; ``certificate`` of solvers that certify, otherwise None."""
+
+    _kind = "hybrid run"
+
+
+def _events(motion: Mapping[str, Any]) -> list[tuple[float, str, str, str]]:
+    return [(e["time"], e["mode"], e["guard"], e["next_mode"]) for e in motion["events"]]
+
+
+def _motion(motion: dict[str, Any]) -> dict[str, Any]:
+    if "failed" in motion:
+        error = RuntimeError(motion["failed"])
+        error.accumulation = motion.get("accumulation")  # type: ignore[attr-defined]
+        raise error
+    return {
+        "mode": motion["mode"],
+        "final": np.array(motion["final"]),
+        "events": _events(motion),
+        "times": np.array(motion["times"]),
+        "modes": motion["modes"],
+        "states": [np.array(state) for state in motion["states"]],
+        "guards": [np.array(values) for values in motion["guards"]],
+        "steps_per_interval": motion["steps_per_interval"],
+        "remark": motion.get("remark", ""),
+    }
+
+
+def rollout(problem: HybridProblem) -> HybridRollout:
+    return HybridRollout(_motion(problem._native().rollout()))
+
+
+def final_derivatives(problem: HybridProblem) -> Result:
+    """The derivatives of the final state (n,) of a hybrid problem: ``by_initial`` (n, n0), ``by_control`` (n, K, m),
+    ``by_parameters`` (n, P), ``by_duration`` (n,); and those of the times of the events: ``times_by_initial`` (E, n0)
+    and so on. ``remark`` gives the reason why there is no derivative, or only a one-sided one; empty if there is.
+
+    The control is held on K equal parts of the duration, which grow with it. Raises RuntimeError for a motion that
+    fails, with mode, guard and time.
+    """
+    if not isinstance(problem, HybridProblem):
+        raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
+    final, times, remark = problem._native().final_derivatives()
+    system = problem.system
+    n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
+    found: dict[str, Any] = {}
+    for prefix, rows in (("by_", final), ("times_by_", times)):
+        found[prefix + "initial"] = rows[:, :n0]
+        found[prefix + "control"] = rows[:, n0 : n0 + K * m].reshape(len(rows), K, m)
+        found[prefix + "parameters"] = rows[:, n0 + K * m : n0 + K * m + P]
+        found[prefix + "duration"] = rows[:, -1]
+    found["remark"] = remark
+    return Result(found)
+
+
+def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
+    loss, gradient, remark = problem._native().loss_and_gradient()
+    system = problem.system
+    n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
+    parts = {
+        "initial": gradient[K * m : K * m + n0],
+        "control": gradient[: K * m].reshape(K, m),
+        "parameters": gradient[K * m + n0 : K * m + n0 + P],
+        "duration": float(gradient[-1]),
+    }
+    return HybridGradient({"loss": loss, "gradient": parts, "remark": remark})
+
+
+def hybrid_solvers() -> dict[str, str]:
+    """The solvers of hybrid problems, each with one line about it."""
+    return _saltus.hybrid_solvers()
+
+
+def solve(
+    problem: HybridProblem,
+    solver: str,
+    optimize: Sequence[str],
+    bounds: Mapping[str, Any],
+    iterations: int,
+    learning_rate: float,
+    callback: Any,
+) -> HybridRun:
+    native = problem._native()
+    free = problem._free(optimize)
+    found, stopped_by = native.solve(
+        solver, *free, problem._bounds(bounds, free), iterations, learning_rate, callback
+    )
+    data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", "")}
+    if "solution" in found:
+        solution, motion = found["solution"], found["motion"]
+        control = np.array(solution["control"], dtype=float)
+        data |= {
+            "loss": found["final_loss"],
+            "initial_loss": found["initial_loss"],
+            "losses": np.array(found["losses"]),
+            "iterations": found["iterations"],
+            "evaluations": found["evaluations"],
+            "seconds": found["seconds"],
+            "integration_error": found["integration_error"],
+            "control": control.reshape(solution["intervals"], len(problem.system.controls)),
+            "durations": np.array(found["durations"]),
+            "initial": np.array(solution["initial"]),
+            "parameters": np.array(solution["parameters"]),
+            "duration": solution["duration"],
+            "mode": motion.get("mode"),
+            "final": np.array(motion.get("final", [])),
+            "events": _events(motion),
+        }
+    data["certificate"] = found.get("certificate")
+    run = HybridRun(data)
+    if stopped_by is not None:
+        stopped_by.run = run
+        raise stopped_by
+    return run
+
+
+class HybridAudit(Result):
+    """``verdict`` of a time-stepping scheme ("right", "consistent", "wrong" ...) and its ``reason``; ``order`` of its
+    gradient's error in the step, ``parts`` with errors by number of steps, ``first_wrong`` and ``segments``,
+    ``gradient`` and ``exact_gradient``, ``width_sweep`` if asked for."""
+
+    _kind = "hybrid audit"
+
+    def raise_if_wrong(self) -> None:
+        """Raises WrongGradient if the verdict is that the gradient is wrong."""
+        if self._data["verdict"] in ("wrong", "wrong sign"):
+            raise WrongGradient(f"{self._data['scheme']}: {self._data['verdict']}: {self._data.get('reason', '')}")
+
+
+# Steps times samples of a level of refinement, of schemes that are called.
+_BUDGET = 2e4
+
+
+def audit(
+    problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str
+) -> HybridAudit:
+    expect("a whole number", steps=steps)
+    if simulate is not None and (step is not None or not isinstance(simulate, str)):
+        raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
+    if simulate is None and not callable(step):
+        raise TypeError("step: expected a function (mode, x, u, p, h) or (mode, t, x, u, p, h)")
+
+    def with_time(function: Any) -> Any:
+        if function is None or len(inspect.signature(function).parameters) == 6:
+            return function
+        return lambda mode, t, x, u, p, h: function(mode, x, u, p, h)
+
+    found = problem._native().audit(
+        name, with_time(step), with_time(jacobian), simulate or "", steps, width_sweep, _BUDGET
+    )
+    return HybridAudit(found)

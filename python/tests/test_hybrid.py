@@ -1,0 +1,263 @@
+"""Hybrid systems whose functions are ordinary Python."""
+
+import math
+from math import cos, sqrt
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import saltus
+
+# Exact values: closed forms, and Taylor series of order 56 with 84 digits.
+
+
+def ball(**changes):
+    return saltus.HybridSystem(**{
+        "states": {"flight": ["y", "v"]}, "controls": ["f"], "parameters": ["g", "e"],
+        "flow": {"flight": lambda t, x, u, p: [x[1], -p[0] + u[0]]},
+        "guards": {"flight": {"ground": lambda t, x, p: x[0]}},
+        "resets": {"flight": {"ground": lambda t, x, p: ("flight", [x[0], -p[1] * x[1]])}},
+        **changes,
+    })
+
+
+def ball_problem(**changes):
+    return saltus.HybridProblem(ball(), **{"mode": "flight", "initial": [1.3, 0.4], "parameters": [9.81, 0.8], "duration": 2.0,
+                                           **changes})
+
+
+def hopper(m=1.0, l0=1.0, g=10.0):
+    def spring(x, k):  # a helper that has imported functions of math by name
+        return k / m * (l0 / sqrt(x[0] ** 2 + x[1] ** 2) - 1)
+
+    def flight(t, x, u, p):
+        return [x[2], x[3], 0, -g]
+
+    def touch_down(t, x, p):
+        s, c = math.sin(p[1]), np.cos(p[1])
+        return "stance", [-l0 * s, l0 * c, x[2], x[3], x[0] + l0 * s]
+
+    return saltus.HybridSystem(
+        states={"down": ["x", "y", "vx", "vy"], "stance": ["xr", "y", "vx", "vy", "xf"], "up": ["x", "y", "vx", "vy"]},
+        parameters=["k", "theta"],
+        flow={"down": flight, "up": flight,
+              "stance": lambda t, x, u, p: [x[2], x[3], spring(x, p[0]) * x[0], spring(x, p[0]) * x[1] - g, 0]},
+        guards={"down": {"touch-down": lambda t, x, p: x[1] - l0 * cos(p[1])},
+                "stance": {"lift-off": lambda t, x, p: l0**2 - x[0] ** 2 - x[1] ** 2},
+                "up": {"apex": lambda t, x, p: x[3]}},
+        resets={"down": {"touch-down": touch_down},
+                "stance": {"lift-off": lambda t, x, p: ("up", [x[0] + x[4], x[1], x[2], x[3]])},
+                "up": {"apex": lambda t, x, p: ("down", x)}})
+
+
+def hopper_problem():
+    return saltus.HybridProblem(hopper(), mode="down", initial=[0, 1.18, 1.02, -0.1],
+                                parameters=[100, math.radians(10)], duration=2.1)
+
+
+def test_ball():
+    problem = ball_problem()
+    motion = saltus.rollout(problem)
+    assert motion.mode == "flight"
+    assert_allclose(motion.final, [0.13461823752513323273, -2.8056342918771302282], rtol=1e-12)
+    assert [event[1:] for event in motion.events] == [("flight", "ground", "flight")] * 2
+    assert_allclose([event[0] for event in motion.events], [0.55720308415835660801, 1.3834884673336435927], rtol=1e-13)
+    assert len(motion.states) == len(motion.times) == len(motion.modes)
+    assert motion.times[0] == 0 and motion.times[-1] == 2.0
+    assert motion.remark == ""
+    d = saltus.final_derivatives(problem)
+    assert_allclose(d.by_initial, [[2.203907929171727461, 0.37586110739508880863], [6.2738614352328119871, 1.2558149412938965132]],
+                    rtol=1e-11)
+    assert_allclose(d.by_parameters, [[-0.29366019504140142609, 7.8951741884835833065],
+                                      [-1.168601440794836332, 18.238184120136521969]], rtol=1e-11)
+    assert_allclose(d.by_duration, [-2.8056342918771302282, -9.81], rtol=1e-11)
+    assert d.by_control.shape == (2, 1, 1)
+
+
+def test_control_and_costs():
+    problem = ball_problem(control=np.linspace(-1, 1, 40)[:, None])
+    problem.costs = [saltus.terminal([1, 0], weight=100), saltus.effort(0.0625),
+                     saltus.residuals(lambda x, t: [0.1 * x[0] * t], at="steps"),
+                     saltus.residuals(lambda x, p: [p[1] * x[1]], at="event", mode="flight", guard="ground"),
+                     lambda x, p: [x[0] * np.exp(-p[1])]]
+    found = saltus.loss_and_gradient(problem)
+    assert found.gradient.control.shape == (40, 1)
+    width = 1e-5
+
+    def difference(set_value):
+        losses = []
+        for side in (1, -1):
+            other = ball_problem(control=np.array(problem.control), costs=problem.costs)
+            set_value(other, side * width)
+            losses.append(saltus.loss_and_gradient(other).loss)
+        return (losses[0] - losses[1]) / (2 * width)
+
+    def push(other, by):
+        other.control[7, 0] += by
+
+    assert_allclose(found.gradient.control[7, 0], difference(push), rtol=1e-7)
+    for i in range(2):
+        assert_allclose(found.gradient.initial[i],
+                        difference(lambda o, by: setattr(o, "initial", np.array([1.3, 0.4]) + by * np.eye(2)[i])), rtol=1e-7)
+        assert_allclose(found.gradient.parameters[i],
+                        difference(lambda o, by: setattr(o, "parameters", np.array([9.81, 0.8]) + by * np.eye(2)[i])), rtol=1e-7)
+    assert_allclose(found.gradient.duration, difference(lambda o, by: setattr(o, "duration", 2.0 + by)), rtol=1e-7)
+
+
+def test_hopper_with_states_of_different_size():
+    motion = saltus.rollout(hopper_problem())
+    assert motion.mode == "stance"
+    assert_allclose(motion.final, [0.1434523421370904859, 0.8489130552112413343, 1.139255100795511741, 2.107296555291679943,
+                                   1.899190288412259795], rtol=1e-10)
+    d = saltus.final_derivatives(hopper_problem())
+    assert_allclose(d.by_parameters[:, 0], [-0.0440830868415837872, 0.001933852435766758286, -0.246974037237585231,
+                                            0.08386994428202119259, -0.04305230578443869807], rtol=1e-9)
+    assert_allclose(d.by_initial[:, 2], [10.29394884901157645, 2.743974023850606226, 52.98508175808313899,
+                                         -12.01121008268199654, 9.53254604371169236], rtol=1e-9)
+
+
+def test_answer_of_the_tutorial_is_a_local_minimum():
+    """Restitution with which a ball from 50 m is at 20 m after 15 s: published as 0.8666."""
+    problem = saltus.HybridProblem(ball(), mode="flight", initial=[50, 0], parameters=[9.8, 0.866554105436901], duration=15)
+    problem.costs = [saltus.terminal([20, None])]
+    published = saltus.loss_and_gradient(problem)
+    assert_allclose(published.loss, 0.3995468507, rtol=1e-9)
+    problem.parameters = [9.8, 0.98]
+    run = saltus.solve(problem, solver="ceres_lm", optimize=["e"], bounds={"e": (0.75, 1)}, iterations=100)
+    assert run.termination == "converged"
+    assert_allclose(run.parameters[1], 0.988008392024876511903389, rtol=1e-12)
+    assert run.loss < 1e-18
+    assert len(run.events) == 2
+
+
+def test_every_function_has_its_derivative():
+    """Values and derivatives of what may be called, against differences of the same function of numbers."""
+    functions = {
+        "arithmetic": lambda x, y: (x + 2) * (3 - y) / (x * y) - -x + 2 / y - (5 - x) + abs(x - y),
+        "powers": lambda x, y: x**2 + x**-1 + y**0.5 + x**y + 2.0**x + y**5,
+        "remainder": lambda x, y: x % 0.37 + y // 0.23,
+        "math": lambda x, y: (math.sin(x) * math.cos(y) + math.tan(x) + math.asin(x / 3) + math.acos(y / 3) + math.atan(x)
+                              + math.atan2(y, x) + math.sinh(x) + math.cosh(y) + math.tanh(x) + math.asinh(x)
+                              + math.acosh(1 + y) + math.atanh(x / 3) + math.exp(-x) + math.expm1(x) + math.log(y)
+                              + math.log(y, 3) + math.log2(x) + math.log10(y) + math.log1p(x) + math.sqrt(y)
+                              + math.hypot(x, y) + math.pow(x, y) + math.fabs(-x) + math.erf(x) + math.degrees(x)
+                              + math.radians(y) + math.copysign(x, -y) + math.floor(x) + math.ceil(y)),
+        "numpy": lambda x, y: (np.sin(x) + np.arctan2(x, y) + np.square(y) + np.maximum(x, y) + np.minimum(x, 0.5) + np.sign(x)
+                               + np.hypot(x, y) + np.power(x, y) + np.cbrt(y) + np.exp(x) + np.log10(y) + np.arcsinh(x)
+                               + np.float64(2) * x + np.clip(x, 0.1, 0.6)),
+        "arrays": lambda x, y: np.array([x, y]) @ np.array([[1.0, 2], [3, 4]]) @ np.sin(np.array([x, y])) + np.linalg.norm([x, y]),
+        "where": lambda x, y: saltus.where((x > y) & ~(y > 2) | (x < -1), x * y, math.exp(x) - y),
+    }
+    for name, f in functions.items():
+        for at in ([0.7, 1.1], [1.3, 0.9]):
+            system = saltus.HybridSystem(states={"m": ["x", "y"]}, flow={"m": lambda t, x, u, p: [0, 0]})
+            problem = saltus.HybridProblem(system, mode="m", initial=at, duration=1.0)
+            problem.costs = [saltus.residuals(lambda x, g=f: [1e-3 * g(x[0], x[1])], at="steps")]
+            found = saltus.loss_and_gradient(problem)
+
+            def loss(x, y):
+                return (1e-3 * f(x, y)) ** 2
+
+            assert_allclose(found.loss, loss(*at), rtol=1e-13, err_msg=name)
+            w = 1e-4
+            difference = [(8 * (loss(at[0] + w * i, at[1] + w * j) - loss(at[0] - w * i, at[1] - w * j))
+                           - (loss(at[0] + 2 * w * i, at[1] + 2 * w * j) - loss(at[0] - 2 * w * i, at[1] - 2 * w * j))) / (12 * w)
+                          for i, j in ((1, 0), (0, 1))]
+            assert_allclose(found.gradient.initial, difference, rtol=1e-8, atol=1e-14, err_msg=name)
+
+
+@pytest.mark.parametrize("flow", [
+    lambda t, x, u, p: [x[1], -p[0] if x[0] > 0 else 0],
+    lambda t, x, u, p: [x[1], max(-p[0], x[0])],
+    lambda t, x, u, p: [x[1], np.where(x[0] > 0, 1.0, x[1])],
+    lambda t, x, u, p: [x[1], x[0] and x[1]],
+])
+def test_branching_on_a_value_raises(flow):
+    with pytest.raises(TypeError, match="flow of mode 'flight': .*saltus.where"):
+        ball(flow={"flight": flow})
+
+
+def test_turning_a_symbol_into_a_number_raises():
+    with pytest.raises(TypeError, match="flow of mode 'flight': .*turns a symbol into a number"):
+        ball(flow={"flight": lambda t, x, u, p: [x[1], float(x[0])]})
+    assert math.sin is type(math).__dict__.get("sin", math.sin) and math.sin(0.5) == pytest.approx(np.sin(0.5))
+
+
+@pytest.mark.parametrize("changes, kind, message", [
+    ({"flow": {}}, ValueError, "flow: found none of mode 'flight'"),
+    ({"flow": {"flight": lambda t, x, u, p: [x[1]]}}, ValueError, "flow of mode 'flight': found 1 numbers, expected 2"),
+    ({"flow": {"flight": lambda t, x, u, p: [x[1], "a"]}}, TypeError, "flow of mode 'flight': found str"),
+    ({"flow": {"flight": lambda t, x, u, p: [x[1], x[5]]}}, RuntimeError, "flow of mode 'flight': IndexError"),
+    ({"guards": {"flight": {"ground": lambda t, x, p: x}}}, ValueError, "guard 'ground' of mode 'flight': found 2 numbers, expected 1"),
+    ({"guards": {"flight": {}}}, ValueError, "mode 'flight': found 'ground' only in one of guards and resets"),
+    ({"guards": {"sky": {}}}, ValueError, "guards: found mode 'sky'"),
+    ({"resets": {"flight": {"ground": lambda t, x, p: ("sky", x)}}}, ValueError, "reset 'ground' of mode 'flight': found mode 'sky'"),
+    ({"resets": {"flight": {"ground": lambda t, x, p: x}}}, ValueError, "reset 'ground' of mode 'flight': .*next mode's name"),
+    ({"resets": {"flight": {"ground": lambda t, x, p: 1 / 0}}}, RuntimeError, "reset 'ground' of mode 'flight': ZeroDivisionError"),
+    ({"states": {"flight": ["y", "y"]}}, ValueError, "states of mode 'flight': found 'y' twice"),
+])
+def test_bad_systems(changes, kind, message):
+    with pytest.raises(kind, match=message):
+        ball(**changes)
+
+
+@pytest.mark.parametrize("changes, kind, message", [
+    ({"mode": "sky"}, ValueError, "mode: found 'sky'"),
+    ({"initial": [1]}, ValueError, "initial: found shape"),
+    ({"parameters": [1, np.nan]}, ValueError, "parameters"),
+    ({"control": np.zeros((4, 2))}, ValueError, "control"),
+    ({"duration": -1.0}, ValueError, "duration"),
+    ({"initial": [-1, 0]}, None, "guard 'ground'.*mode 'flight'"),
+    ({"initial": [1, 0], "parameters": [9.8, 0.5]}, None, "accumulate .* at about t = 1.355"),
+])
+def test_bad_problems(changes, kind, message):
+    with pytest.raises(kind or RuntimeError, match=message):
+        saltus.rollout(ball_problem(**changes))
+
+
+def test_bad_numbers_are_reported_with_mode_and_time():
+    system = ball(flow={"flight": lambda t, x, u, p: [x[1], math.log(0.5 - t)]})
+    problem = saltus.HybridProblem(system, mode="flight", initial=[10, 0], parameters=[9.81, 0.8], duration=2.0)
+    with pytest.raises(RuntimeError, match="mode 'flight'.*t = "):
+        saltus.rollout(problem)
+
+
+def semi_implicit(mode, x, u, p, h):
+    """Euler, and the reset at the end of the step that ends below the ground."""
+    v = x[1] + h * (u[0] - p[0])
+    y = x[0] + h * v
+    return (mode, [0.0, -p[1] * v]) if y < 0 and v < 0 else (mode, [y, v])
+
+
+def located(mode, x, u, p, h):
+    """Exact flight, with the time of the impact within the step."""
+    y, v, a = x[0], x[1], u[0] - p[0]
+    end = y + v * h + a * h * h / 2
+    if end >= 0 or a >= 0:
+        return mode, [end, v + a * h]
+    s = (-v - math.sqrt(v * v - 2 * a * y)) / a
+    rest, w = h - s, -p[1] * (v + a * s)
+    return mode, [w * rest + a * rest * rest / 2, w + a * rest]
+
+
+def test_audit_of_a_scheme():
+    problem = ball_problem(costs=[saltus.terminal([1, 0])])
+    wrong = saltus.audit(problem, step=semi_implicit, steps=40, name="euler")
+    assert wrong.verdict in ("wrong", "wrong sign")
+    assert wrong.first_wrong.guard == "ground"
+    assert wrong.first_wrong.step == int(0.55720308415835660801 / (2 / 40))
+    assert "first wrong step is 11" in wrong.reason
+    with pytest.raises(saltus.WrongGradient, match="euler"):
+        wrong.raise_if_wrong()
+    right = saltus.audit(problem, step=located, steps=40)
+    assert right.verdict == "right"
+    right.raise_if_wrong()
+
+
+def test_a_step_that_raises_ends_the_audit():
+    def step(mode, x, u, p, h):
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        saltus.audit(ball_problem(costs=[saltus.terminal([1, 0])]), step=step)

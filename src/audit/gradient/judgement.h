@@ -1,0 +1,36 @@
+// From what was measured to verdicts: of errors at several refinements, and of differences of several widths.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "saltus/audit/refinement.h"
+#include "saltus/audit/width_sweep.h"
+
+namespace saltus {
+
+// One level after the other of a quantity's error.
+struct QuantityLevels {
+  std::vector<std::string> names;  // of the entries
+  double scale = 1;                // that errors are relative to
+  std::vector<double> coarsest = {};
+
+  // Adds a level of so many steps (the mean), given the entries at each of its samples, and judges what there is.
+  // Precondition: study->exact and study->one_sided are set.
+  void Add(double steps, const std::vector<std::vector<double>>& samples, const RefinementOptions& options,
+           QuantityStudy* study);
+};
+
+// Where the exact gradient is zero, errors are absolute, on the scale of the loss.
+double ScaleOf(const QuantityStudy& study, const std::vector<std::string>& names, double loss);
+
+// An error that falls may yet come to rest above zero, as that of a stiff spring does.
+bool MayHaveAFloor(const QuantityStudy& study);
+
+// Finds plateaus and findings of the sweeps, given the widths and slopes. `loss` is that of the refined simulation.
+Verdict JudgeSweeps(double loss, const WidthSweepOptions& options, std::vector<WidthSweep>* sweeps);
+
+// The widths of a sweep.
+std::vector<double> WidthsOf(const WidthSweepOptions& options, double grid_width);
+
+}  // namespace saltus

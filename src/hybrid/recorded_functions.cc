@@ -1,0 +1,582 @@
+#include "hybrid/recorded_functions.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <map>
+#include <tuple>
+#include <utility>
+
+namespace saltus {
+namespace {
+
+struct OperationName {
+  Operation operation;
+  std::string_view name;
+  int operands;
+};
+
+constexpr OperationName kOperations[] = {
+    {Operation::kConstant, "constant", 0}, {Operation::kInput, "input", 0},
+    {Operation::kAdd, "add", 2},           {Operation::kSubtract, "subtract", 2},
+    {Operation::kMultiply, "multiply", 2}, {Operation::kDivide, "divide", 2},
+    {Operation::kPower, "power", 2},       {Operation::kAtan2, "atan2", 2},
+    {Operation::kLess, "less", 2},         {Operation::kLessEqual, "less_equal", 2},
+    {Operation::kAnd, "and", 2},           {Operation::kOr, "or", 2},
+    {Operation::kNot, "not", 1},           {Operation::kWhere, "where", 3},
+    {Operation::kNegate, "negate", 1},     {Operation::kAbs, "abs", 1},
+    {Operation::kSign, "sign", 1},         {Operation::kFloor, "floor", 1},
+    {Operation::kSqrt, "sqrt", 1},         {Operation::kExp, "exp", 1},
+    {Operation::kExpm1, "expm1", 1},       {Operation::kLog, "log", 1},
+    {Operation::kLog1p, "log1p", 1},       {Operation::kSin, "sin", 1},
+    {Operation::kCos, "cos", 1},           {Operation::kTan, "tan", 1},
+    {Operation::kAsin, "asin", 1},         {Operation::kAcos, "acos", 1},
+    {Operation::kAtan, "atan", 1},         {Operation::kSinh, "sinh", 1},
+    {Operation::kCosh, "cosh", 1},         {Operation::kTanh, "tanh", 1},
+    {Operation::kAsinh, "asinh", 1},       {Operation::kAcosh, "acosh", 1},
+    {Operation::kAtanh, "atanh", 1},       {Operation::kErf, "erf", 1},
+};
+
+// The value of an operation on numbers. kConstant and kInput have none.
+double Apply(Operation operation, double a, double b, double c) {
+  switch (operation) {
+    case Operation::kConstant:
+    case Operation::kInput:
+      break;
+    case Operation::kAdd:
+      return a + b;
+    case Operation::kSubtract:
+      return a - b;
+    case Operation::kMultiply:
+      return a * b;
+    case Operation::kDivide:
+      return a / b;
+    case Operation::kPower:
+      return std::pow(a, b);
+    case Operation::kAtan2:
+      return std::atan2(a, b);
+    case Operation::kLess:
+      return a < b;
+    case Operation::kLessEqual:
+      return a <= b;
+    case Operation::kAnd:
+      return a != 0 && b != 0;
+    case Operation::kOr:
+      return a != 0 || b != 0;
+    case Operation::kNot:
+      return a == 0;
+    case Operation::kWhere:
+      return a != 0 ? b : c;
+    case Operation::kNegate:
+      return -a;
+    case Operation::kAbs:
+      return std::abs(a);
+    case Operation::kSign:
+      return static_cast<double>((a > 0) - (a < 0));
+    case Operation::kFloor:
+      return std::floor(a);
+    case Operation::kSqrt:
+      return std::sqrt(a);
+    case Operation::kExp:
+      return std::exp(a);
+    case Operation::kExpm1:
+      return std::expm1(a);
+    case Operation::kLog:
+      return std::log(a);
+    case Operation::kLog1p:
+      return std::log1p(a);
+    case Operation::kSin:
+      return std::sin(a);
+    case Operation::kCos:
+      return std::cos(a);
+    case Operation::kTan:
+      return std::tan(a);
+    case Operation::kAsin:
+      return std::asin(a);
+    case Operation::kAcos:
+      return std::acos(a);
+    case Operation::kAtan:
+      return std::atan(a);
+    case Operation::kSinh:
+      return std::sinh(a);
+    case Operation::kCosh:
+      return std::cosh(a);
+    case Operation::kTanh:
+      return std::tanh(a);
+    case Operation::kAsinh:
+      return std::asinh(a);
+    case Operation::kAcosh:
+      return std::acosh(a);
+    case Operation::kAtanh:
+      return std::atanh(a);
+    case Operation::kErf:
+      return std::erf(a);
+  }
+  LOG(FATAL) << "no value of its own";
+}
+
+constexpr int kMostMultiplications = 4;  // powers up to this are products
+
+// Room for numbers, from the heap if they are many.
+class Memory {
+ public:
+  double* Of(std::size_t size) {
+    if (size <= kSmall) return small_;
+    large_.resize(size);
+    return large_.data();
+  }
+
+ private:
+  static constexpr std::size_t kSmall = 256;
+  double small_[kSmall];  // not initialized
+  std::vector<double> large_;
+};
+
+}  // namespace
+
+bool FindOperation(std::string_view name, Operation* operation) {
+  for (const OperationName& known : kOperations) {
+    if (known.name != name) continue;
+    *operation = known.operation;
+    return true;
+  }
+  return false;
+}
+
+int NumOperands(Operation operation) { return kOperations[static_cast<int>(operation)].operands; }
+
+std::string WhatIsWrongWith(const ExpressionGraph& recording) {
+  const int count = static_cast<int>(recording.nodes.size());
+  for (int i = 0; i < count; ++i) {
+    const ExpressionGraph::Node& node = recording.nodes[i];
+    if (node.operation == Operation::kInput) {
+      if (node.a >= 0 && node.a < recording.num_inputs) continue;
+      return "found input " + std::to_string(node.a) + ", expected 0 to " + std::to_string(recording.num_inputs - 1);
+    }
+    const std::array<int, 3> operands = {node.a, node.b, node.c};
+    for (int j = 0; j < NumOperands(node.operation); ++j) {
+      if (operands[j] >= 0 && operands[j] < i) continue;
+      return "node " + std::to_string(i) + ": found operand " + std::to_string(operands[j]) +
+             ", expected a node before it";
+    }
+  }
+  for (const int output : recording.outputs) {
+    if (output < 0 || output >= count) {
+      return "found output " + std::to_string(output) + ", expected a node from 0 to " + std::to_string(count - 1);
+    }
+  }
+  return "";
+}
+
+// A graph in which equal nodes are one, and operations on constants, zeros and ones are done away with.
+class RecordedFunction::Builder {
+ public:
+  explicit Builder(const ExpressionGraph& recording) : num_inputs_(recording.num_inputs) {
+    std::vector<int> of_node;
+    for (const ExpressionGraph::Node& node : recording.nodes) {
+      const auto at = [&](int operand) { return operand < 0 ? -1 : of_node[operand]; };
+      if (node.operation == Operation::kConstant) {
+        of_node.push_back(Constant(node.value));
+      } else if (node.operation == Operation::kInput) {
+        of_node.push_back(Add({Operation::kInput, node.a, -1, -1, 0}));
+      } else {
+        of_node.push_back(Make(node.operation, at(node.a), at(node.b), at(node.c)));
+      }
+    }
+    for (const int output : recording.outputs) outputs_.push_back(of_node[output]);
+  }
+
+  Tape Values() const { return Flatten({}); }
+
+  Tape Derivatives() {
+    std::vector<Tape::Entry> entries;
+    for (std::size_t row = 0; row < outputs_.size(); ++row) {
+      for (const auto& [column, node] : DerivativeOf(outputs_[row])) {
+        entries.push_back({static_cast<int>(row), column, node});
+      }
+    }
+    return Flatten(std::move(entries));
+  }
+
+ private:
+  using Node = ExpressionGraph::Node;
+  using Derivative = std::map<int, int>;  // from inputs to nodes
+
+  int Add(const Node& node) {
+    const auto key = std::tuple(node.operation, node.a, node.b, node.c, std::bit_cast<std::uint64_t>(node.value));
+    const auto [found, is_new] = known_.try_emplace(key, static_cast<int>(nodes_.size()));
+    if (is_new) nodes_.push_back(node);
+    return found->second;
+  }
+  int Constant(double value) { return Add({Operation::kConstant, -1, -1, -1, value}); }
+  bool IsConstant(int node) const { return node >= 0 && nodes_[node].operation == Operation::kConstant; }
+  bool Is(int node, double value) const { return IsConstant(node) && nodes_[node].value == value; }
+
+  int Make(Operation operation, int a, int b = -1, int c = -1) {
+    if (operation == Operation::kWhere) {
+      if (IsConstant(a)) return nodes_[a].value != 0 ? b : c;
+      if (b == c) return b;
+      return Add({operation, a, b, c, 0});
+    }
+    if (IsConstant(a) && (b < 0 || IsConstant(b))) {
+      return Constant(Apply(operation, nodes_[a].value, b < 0 ? 0 : nodes_[b].value, 0));
+    }
+    using enum Operation;
+    switch (operation) {
+      case kAdd:
+        if (Is(a, 0)) return b;
+        if (Is(b, 0)) return a;
+        if (a > b) std::swap(a, b);
+        break;
+      case kSubtract:
+        if (Is(b, 0)) return a;
+        if (Is(a, 0)) return Make(kNegate, b);
+        break;
+      case kMultiply:
+        if (Is(a, 0) || Is(b, 0)) return Constant(0);
+        if (Is(a, 1)) return b;
+        if (Is(b, 1)) return a;
+        if (Is(a, -1)) return Make(kNegate, b);
+        if (Is(b, -1)) return Make(kNegate, a);
+        if (a > b) std::swap(a, b);
+        break;
+      case kDivide:
+        if (Is(a, 0)) return a;
+        if (Is(b, 1)) return a;
+        break;
+      case kNegate:
+        if (nodes_[a].operation == kNegate) return nodes_[a].a;
+        break;
+      case kPower:
+        if (!IsConstant(b)) break;
+        return PowerOf(a, nodes_[b].value, b);
+      default:
+        break;
+    }
+    return Add({operation, a, b, c, 0});
+  }
+
+  int PowerOf(int a, double exponent, int exponent_node) {
+    if (exponent == 0) return Constant(1);
+    if (exponent == 0.5) return Make(Operation::kSqrt, a);
+    const double times = std::abs(exponent);
+    if (times != std::round(times) || times > kMostMultiplications) {
+      return Add({Operation::kPower, a, exponent_node, -1, 0});
+    }
+    int product = a;
+    for (int i = 1; i < static_cast<int>(times); ++i) product = Make(Operation::kMultiply, product, a);
+    return exponent > 0 ? product : Make(Operation::kDivide, Constant(1), product);
+  }
+
+  // The derivative of a function of one variable at `a`, whose own node is `node`; -1 if it is zero everywhere.
+  int SlopeOf(Operation operation, int a, int node) {
+    using enum Operation;
+    const auto squared = [&](int of) { return Make(kMultiply, of, of); };
+    const auto over = [&](int below) { return Make(kDivide, Constant(1), below); };
+    switch (operation) {
+      case kNegate:
+        return Constant(-1);
+      case kAbs:
+        return Make(kSign, a);
+      case kSqrt:
+        return Make(kDivide, Constant(0.5), node);
+      case kExp:
+        return node;
+      case kExpm1:
+        return Make(kAdd, node, Constant(1));
+      case kLog:
+        return over(a);
+      case kLog1p:
+        return over(Make(kAdd, a, Constant(1)));
+      case kSin:
+        return Make(kCos, a);
+      case kCos:
+        return Make(kNegate, Make(kSin, a));
+      case kTan:
+        return Make(kAdd, Constant(1), squared(node));
+      case kAsin:
+        return over(Make(kSqrt, Make(kSubtract, Constant(1), squared(a))));
+      case kAcos:
+        return Make(kNegate, over(Make(kSqrt, Make(kSubtract, Constant(1), squared(a)))));
+      case kAtan:
+        return over(Make(kAdd, Constant(1), squared(a)));
+      case kSinh:
+        return Make(kCosh, a);
+      case kCosh:
+        return Make(kSinh, a);
+      case kTanh:
+        return Make(kSubtract, Constant(1), squared(node));
+      case kAsinh:
+        return over(Make(kSqrt, Make(kAdd, squared(a), Constant(1))));
+      case kAcosh:
+        return over(Make(kSqrt, Make(kSubtract, squared(a), Constant(1))));
+      case kAtanh:
+        return over(Make(kSubtract, Constant(1), squared(a)));
+      case kErf:
+        return Make(kMultiply, Constant(2 / std::sqrt(M_PI)), Make(kExp, Make(kNegate, squared(a))));
+      default:
+        return -1;
+    }
+  }
+
+  // The derivatives of a node's value by the values of its operands; -1 where it is zero everywhere.
+  std::array<int, 3> PartialsOf(int at) {
+    using enum Operation;
+    const Node node = nodes_[at];
+    const int a = node.a, b = node.b;
+    switch (node.operation) {
+      case kAdd:
+        return {Constant(1), Constant(1), -1};
+      case kSubtract:
+        return {Constant(1), Constant(-1), -1};
+      case kMultiply:
+        return {b, a, -1};
+      case kDivide:
+        return {Make(kDivide, Constant(1), b), Make(kNegate, Make(kDivide, at, b)), -1};
+      case kPower: {
+        const int by_base = Make(kMultiply, b, Make(kPower, a, Make(kSubtract, b, Constant(1))));
+        return {by_base, IsConstant(b) ? -1 : Make(kMultiply, at, Make(kLog, a)), -1};
+      }
+      case kAtan2: {
+        const int square = Make(kAdd, Make(kMultiply, a, a), Make(kMultiply, b, b));
+        return {Make(kDivide, b, square), Make(kNegate, Make(kDivide, a, square)), -1};
+      }
+      default:
+        return {SlopeOf(node.operation, a, at), -1, -1};
+    }
+  }
+
+  // Of any node: those before it are found first.
+  const Derivative& DerivativeOf(int at) {
+    if (const auto found = derivatives_.find(at); found != derivatives_.end()) return found->second;
+    const Node node = nodes_[at];
+    Derivative result;
+    if (node.operation == Operation::kInput) {
+      result[node.a] = Constant(1);
+    } else if (node.operation == Operation::kWhere) {
+      const Derivative yes = DerivativeOf(node.b), no = DerivativeOf(node.c);
+      for (const Derivative* side : {&yes, &no}) {
+        for (const auto& [input, unused] : *side) {
+          const auto of = [&](const Derivative& d) { return d.contains(input) ? d.at(input) : Constant(0); };
+          result[input] = Make(Operation::kWhere, node.a, of(yes), of(no));
+        }
+      }
+    } else if (node.operation != Operation::kConstant) {
+      const std::array<int, 3> operands = {node.a, node.b, node.c}, partials = PartialsOf(at);
+      for (int j = 0; j < NumOperands(node.operation); ++j) {
+        if (partials[j] < 0) continue;
+        const Derivative of_operand = DerivativeOf(operands[j]);
+        for (const auto& [input, inner] : of_operand) {
+          const int product = Make(Operation::kMultiply, partials[j], inner);
+          const auto [entry, is_new] = result.try_emplace(input, product);
+          if (!is_new) entry->second = Make(Operation::kAdd, entry->second, product);
+        }
+      }
+    }
+    std::erase_if(result, [&](const auto& entry) { return Is(entry.second, 0); });
+    return derivatives_[at] = std::move(result);
+  }
+
+  // Of what the outputs and the entries need; these name nodes.
+  Tape Flatten(std::vector<Tape::Entry> entries) const {
+    std::vector<char> needed(nodes_.size());
+    for (const int output : outputs_) needed[output] = 1;
+    for (const Tape::Entry& entry : entries) needed[entry.slot] = 1;
+    for (int i = static_cast<int>(nodes_.size()) - 1; i >= 0; --i) {
+      if (!needed[i] || nodes_[i].operation == Operation::kInput) continue;
+      for (const int operand : {nodes_[i].a, nodes_[i].b, nodes_[i].c}) {
+        if (operand >= 0) needed[operand] = 1;
+      }
+    }
+    Tape tape;
+    std::vector<int> slots(nodes_.size(), -1);
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      if (!needed[i]) continue;
+      if (nodes_[i].operation == Operation::kInput) slots[i] = nodes_[i].a;
+      if (nodes_[i].operation != Operation::kConstant) continue;
+      slots[i] = num_inputs_ + static_cast<int>(tape.constants.size());
+      tape.constants.push_back(nodes_[i].value);
+    }
+    const int first = num_inputs_ + static_cast<int>(tape.constants.size());
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      if (!needed[i] || slots[i] >= 0) continue;
+      const auto slot_of = [&](int node) { return node < 0 ? 0 : slots[node]; };
+      slots[i] = first + static_cast<int>(tape.instructions.size());
+      tape.instructions.push_back(
+          {nodes_[i].operation, slot_of(nodes_[i].a), slot_of(nodes_[i].b), slot_of(nodes_[i].c)});
+    }
+    for (const int output : outputs_) tape.outputs.push_back(slots[output]);
+    tape.entries = std::move(entries);
+    for (Tape::Entry& entry : tape.entries) entry.slot = slots[entry.slot];
+    tape.size = first + tape.instructions.size();
+    return tape;
+  }
+
+  const int num_inputs_;
+  std::vector<Node> nodes_;
+  std::vector<int> outputs_;
+  std::map<std::tuple<Operation, int, int, int, std::uint64_t>, int> known_;
+  std::map<int, Derivative> derivatives_;
+};
+
+RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
+    : num_inputs_(recording.num_inputs), num_outputs_(static_cast<int>(recording.outputs.size())) {
+  CHECK_EQ(WhatIsWrongWith(recording), "");
+  Builder builder(recording);
+  values_ = builder.Values();
+  derivatives_ = builder.Derivatives();
+}
+
+template <typename Parts>
+const double* RecordedFunction::Run(const Tape& tape, const Parts& inputs, double* slots) const {
+  double* next = slots;
+  for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
+  next = std::copy(tape.constants.begin(), tape.constants.end(), next);
+  const double* at = slots;
+  for (const typename Tape::Instruction& instruction : tape.instructions) {
+    const double a = at[instruction.a];
+    // The most frequent ones without a call.
+    switch (instruction.operation) {
+      case Operation::kAdd:
+        *next++ = a + at[instruction.b];
+        break;
+      case Operation::kSubtract:
+        *next++ = a - at[instruction.b];
+        break;
+      case Operation::kMultiply:
+        *next++ = a * at[instruction.b];
+        break;
+      case Operation::kDivide:
+        *next++ = a / at[instruction.b];
+        break;
+      case Operation::kNegate:
+        *next++ = -a;
+        break;
+      default:
+        *next++ = Apply(instruction.operation, a, at[instruction.b], at[instruction.c]);
+    }
+  }
+  return at;
+}
+
+void RecordedFunction::Evaluate(std::initializer_list<Part> inputs, double* outputs) const {
+  Memory memory;
+  const double* at = Run(values_, inputs, memory.Of(values_.size));
+  for (const int slot : values_.outputs) *outputs++ = at[slot];
+}
+
+void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns, double* outputs,
+                                 double* jacobian) const {
+  Memory memory;
+  const double* at = Run(derivatives_, inputs, memory.Of(derivatives_.size));
+  for (const int slot : derivatives_.outputs) *outputs++ = at[slot];
+  std::fill_n(jacobian, num_outputs_ * columns, 0.0);
+  for (const typename Tape::Entry& entry : derivatives_.entries) {
+    jacobian[entry.row * columns + entry.column] = at[entry.slot];
+  }
+}
+
+void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
+  Memory memory;
+  const double* at = Run(derivatives_, inputs, memory.Of(derivatives_.size));
+  for (const int slot : derivatives_.outputs) *outputs++ = at[slot];
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    if (jacobians[i] != nullptr) std::fill_n(jacobians[i], num_outputs_ * inputs[i].size, 0.0);
+  }
+  for (const typename Tape::Entry& entry : derivatives_.entries) {
+    std::size_t block = 0;
+    int column = entry.column;
+    for (; column >= inputs[block].size; ++block) column -= inputs[block].size;
+    if (jacobians[block] != nullptr) jacobians[block][entry.row * inputs[block].size + column] = at[entry.slot];
+  }
+}
+
+RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
+    : HybridFunctions(std::move(layout)), modes_(std::move(modes)) {
+  CHECK_EQ(modes_.size(), this->layout().state_sizes.size());
+  for (std::size_t mode = 0; mode < modes_.size(); ++mode) {
+    const int of_guards = size(static_cast<int>(mode)) + 1 + num_parameters();
+    CHECK_EQ(modes_[mode].flow.num_inputs(), of_guards + this->layout().num_controls);
+    CHECK_EQ(modes_[mode].flow.num_outputs(), size(static_cast<int>(mode)));
+    CHECK_EQ(static_cast<int>(modes_[mode].transitions.size()), this->layout().num_guards[mode]);
+    for (const Transition& transition : modes_[mode].transitions) {
+      CHECK_EQ(transition.guard.num_inputs(), of_guards);
+      CHECK_EQ(transition.guard.num_outputs(), 1);
+      CHECK_EQ(transition.reset.num_inputs(), of_guards);
+      CHECK_EQ(transition.reset.num_outputs(), size(transition.next_mode));
+    }
+  }
+}
+
+void RecordedSystem::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
+  modes_[mode].flow.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}}, xdot);
+}
+
+void RecordedSystem::FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                                  double* jacobian) const {
+  modes_[mode].flow.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}},
+                              modes_[mode].flow.num_inputs(),
+                              xdot,
+                              jacobian);
+}
+
+double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* p) const {
+  double value = 0;
+  transition(mode, guard).guard.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, &value);
+  return value;
+}
+
+double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+                                 double* rate) const {
+  Memory memory;
+  double* gradient = memory.Of(size(mode) + 1 + num_parameters());
+  const double value = GuardGradient(mode, guard, t, x, p, gradient);
+  *rate = gradient[size(mode)];
+  for (int i = 0; i < size(mode); ++i) *rate += gradient[i] * xdot[i];
+  return value;
+}
+
+double RecordedSystem::GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+                                     double* gradient) const {
+  double value = 0;
+  const RecordedFunction& function = transition(mode, guard).guard;
+  function.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, function.num_inputs(), &value, gradient);
+  return value;
+}
+
+int RecordedSystem::Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const {
+  const Transition& of = transition(mode, guard);
+  of.reset.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, x_plus);
+  return of.next_mode;
+}
+
+int RecordedSystem::ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+                                  double* jacobian) const {
+  const Transition& of = transition(mode, guard);
+  of.reset.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, of.reset.num_inputs(), x_plus, jacobian);
+  return of.next_mode;
+}
+
+RecordedCost::RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes)
+    : function_(std::move(function)) {
+  int inputs = 0;
+  for (const int size : block_sizes) inputs += size;
+  CHECK_EQ(inputs, function_.num_inputs());
+  *mutable_parameter_block_sizes() = block_sizes;
+  set_num_residuals(function_.num_outputs());
+}
+
+bool RecordedCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+  std::vector<RecordedFunction::Part> parts;
+  for (std::size_t i = 0; i < parameter_block_sizes().size(); ++i) {
+    parts.push_back({parameters[i], parameter_block_sizes()[i]});
+  }
+  std::vector<double*> none(parts.size(), nullptr);
+  function_.Linearize(parts, residuals, jacobians == nullptr ? none.data() : jacobians);
+  return true;
+}
+
+}  // namespace saltus

@@ -1,0 +1,168 @@
+// Hybrid systems and costs whose functions were recorded once as expression graphs, by a language that is not C++.
+//
+// A recording is a list of operations, each on the results of earlier ones. It is differentiated symbolically, with
+// common subexpressions shared and zeros left out, so that a Jacobian costs its entries that are not always zero; value
+// and derivatives are then evaluated by one pass over a flat list of operations.
+#pragma once
+
+#include <ceres/cost_function.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <initializer_list>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/internal/hybrid_functions.h"
+
+namespace saltus {
+
+enum class Operation : std::uint8_t {
+  kConstant,
+  kInput,
+  kAdd,
+  kSubtract,
+  kMultiply,
+  kDivide,
+  kPower,
+  kAtan2,
+  kLess,       // conditions are 1 or 0
+  kLessEqual,  //
+  kAnd,
+  kOr,
+  kNot,
+  kWhere,  // the second operand if the first is not 0, otherwise the third
+  kNegate,
+  kAbs,
+  kSign,
+  kFloor,
+  kSqrt,
+  kExp,
+  kExpm1,
+  kLog,
+  kLog1p,
+  kSin,
+  kCos,
+  kTan,
+  kAsin,
+  kAcos,
+  kAtan,
+  kSinh,
+  kCosh,
+  kTanh,
+  kAsinh,
+  kAcosh,
+  kAtanh,
+  kErf,
+};
+
+// The operation of a name in lower case without "k" ("add", "less_equal" ...); false if there is none.
+bool FindOperation(std::string_view name, Operation* operation);
+// How many operands it has; those that it does not have are -1.
+int NumOperands(Operation operation);
+
+struct ExpressionGraph {
+  struct Node {
+    Operation operation = Operation::kConstant;
+    int a = -1, b = -1, c = -1;  // nodes before this one; a: the number of an input
+    double value = 0;            // of a constant
+  };
+  int num_inputs = 0;
+  std::vector<Node> nodes = {};
+  std::vector<int> outputs = {};  // nodes
+};
+
+// As "found x, expected y"; empty if nothing is.
+std::string WhatIsWrongWith(const ExpressionGraph& graph);
+
+class RecordedFunction {
+ public:
+  // Precondition: WhatIsWrongWith(recording) is empty.
+  explicit RecordedFunction(const ExpressionGraph& graph);
+
+  int num_inputs() const { return num_inputs_; }
+  int num_outputs() const { return num_outputs_; }
+
+  // The inputs, in parts that follow each other.
+  struct Part {
+    const double* data;
+    int size;
+  };
+  void Evaluate(std::initializer_list<Part> inputs, double* outputs) const;
+  // And the derivatives of the outputs by the inputs: row-major, of the first `columns` inputs.
+  void Linearize(std::initializer_list<Part> inputs, int columns, double* outputs, double* jacobian) const;
+  // The same with the parts of a cost function: any of `jacobians` may be null.
+  void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
+
+ private:
+  // A flat list of operations on slots: those of the inputs first, then constants, then results.
+  struct Tape {
+    struct Instruction {
+      Operation operation;
+      int a, b, c;  // slots
+    };
+    std::size_t size = 0;  // slots
+    std::vector<double> constants;
+    std::vector<Instruction> instructions;
+    std::vector<int> outputs;  // slots
+    // Of the outputs by the inputs, where they are not always zero.
+    struct Entry {
+      int row, column, slot;
+    };
+    std::vector<Entry> entries;
+  };
+  class Builder;
+  template <typename Parts>
+  const double* Run(const Tape& tape, const Parts& inputs, double* slots) const;
+
+  int num_inputs_ = 0, num_outputs_ = 0;
+  Tape values_, derivatives_;
+};
+
+// Inputs: of a flow [x t p u], of a guard and of a reset [x t p].
+class RecordedSystem final : public HybridFunctions {
+ public:
+  struct Transition {
+    RecordedFunction guard, reset;
+    int next_mode = 0;
+  };
+  struct Mode {
+    RecordedFunction flow;
+    std::vector<Transition> transitions;  // of each guard
+  };
+  // Preconditions: sizes are those of the layout.
+  RecordedSystem(HybridLayout layout, std::vector<Mode> modes);
+
+  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
+  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                    double* jacobian) const override;
+  double Guard(int mode, int guard, double t, const double* x, const double* p) const override;
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+                   double* rate) const override;
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+                       double* gradient) const override;
+  int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const override;
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+                    double* jacobian) const override;
+
+ private:
+  int size(int mode) const { return layout().state_sizes[mode]; }
+  int num_parameters() const { return layout().num_parameters; }
+  const Transition& transition(int mode, int guard) const { return modes_[mode].transitions[guard]; }
+
+  const std::vector<Mode> modes_;
+};
+
+// Residuals of the given blocks.
+class RecordedCost final : public ceres::CostFunction {
+ public:
+  // Precondition: the sizes of the blocks add up to the number of inputs.
+  RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes);
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+
+ private:
+  const RecordedFunction function_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,477 @@
+#include "programs/hybrid_program.h"
+
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+
+#include "base/interrupt.h"
+#include "base/suggestion.h"
+#include "blackbox/command_scheme.h"
+#include "output/table.h"
+#include "output/text_layout.h"
+#include "programs/command_line.h"
+#include "programs/hybrid_document.h"
+#include "programs/program.h"
+#include "programs/simulators.h"
+#include "programs/solve.h"
+
+DEFINE_string(
+    set, "",
+    "comma-separated name=value: parameters, components of the initial state, duration, and tolerance (of the "
+    "integration, relative)");
+DEFINE_bool(audit, false, "audit the system's own time-stepping scheme, or those of --simulate");
+
+DECLARE_string(solver);
+DECLARE_int32(steps);
+DECLARE_int32(iterations);
+DECLARE_double(learning_rate);
+DECLARE_bool(rate_per_time);
+DECLARE_double(search_work);
+DECLARE_double(search_seconds);
+DECLARE_int32(search_memory);
+DECLARE_int32(search_starts);
+DECLARE_uint64(search_seed);
+DECLARE_bool(width_sweep);
+DECLARE_double(simulate_seconds);
+DECLARE_bool(states);
+DECLARE_bool(json);
+
+namespace saltus {
+
+extern const char kHybridPage[];  // hybrid_page.html
+
+namespace {
+
+constexpr int kMostSamples = 400;  // of a motion that is drawn
+
+struct HybridRequest {
+  std::string name;
+  HybridProblem problem;
+  HybridExtras extras;
+  std::vector<std::string> solvers = {};
+  std::vector<std::shared_ptr<HybridScheme>> schemes = {};
+  SolverOptions options = {};
+  ProgressMode progress = ProgressMode::kAuto;
+};
+
+double ReadNumber(const std::string& item, const std::string& text) {
+  double value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
+    throw InputError("--set=" + item + ": found '" + text + "', expected a finite number");
+  }
+  return value;
+}
+
+// Where --set puts the value of a name, or null.
+double* PlaceOf(const std::string& name, HybridProblem* problem) {
+  const HybridSystem& system = problem->system;
+  HybridInput& guess = problem->guess;
+  for (int i = 0; i < system.num_parameters(); ++i) {
+    if (system.ParameterName(i) == name) return &guess.parameters.at(i);
+  }
+  for (int i = 0; i < system.state_size(guess.mode); ++i) {
+    if (system.StateName(guess.mode, i) == name) return &guess.initial.at(i);
+  }
+  if (name == "duration") return &guess.duration;
+  return name == "tolerance" ? &problem->integration.tolerance : nullptr;
+}
+
+std::vector<std::string> NamesOf(const HybridProblem& problem) {
+  std::vector<std::string> names;
+  for (int i = 0; i < problem.system.num_parameters(); ++i) names.push_back(problem.system.ParameterName(i));
+  for (int i = 0; i < problem.system.state_size(problem.guess.mode); ++i) {
+    names.push_back(problem.system.StateName(problem.guess.mode, i));
+  }
+  names.insert(names.end(), {"duration", "tolerance"});
+  return names;
+}
+
+std::string Join(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text;
+}
+
+void ReadSet(HybridProblem* problem) {
+  for (const std::string& item : SplitAtCommas(FLAGS_set)) {
+    const std::size_t equals = item.find('=');
+    if (equals == std::string::npos) throw InputError("--set=" + item + ": expected name=value");
+    const std::string name = item.substr(0, equals);
+    double* place = PlaceOf(name, problem);
+    if (place == nullptr) {
+      const std::vector<std::string> names = NamesOf(*problem);
+      throw InputError("--set=" + item + ": '" + name + "' is unknown; expected some of " + Join(names) +
+                       Suggestion(name, names));
+    }
+    *place = ReadNumber(item, item.substr(equals + 1));
+  }
+}
+
+// The guess's control on another number of intervals: the mean over each.
+void Resample(int intervals, HybridInput* guess, int width) {
+  if (!guess->control.empty()) {
+    const int before = guess->num_intervals;
+    std::vector<double> control(static_cast<std::size_t>(intervals) * width, 0.0);
+    for (int k = 0; k < intervals; ++k) {
+      const double from = static_cast<double>(k) * before / intervals,
+                   to = static_cast<double>(k + 1) * before / intervals;
+      for (int j = static_cast<int>(from); j < std::min<double>(std::ceil(to), before); ++j) {
+        const double part = (std::min(to, j + 1.0) - std::max(from, static_cast<double>(j))) / (to - from);
+        for (int i = 0; i < width; ++i) control[k * width + i] += part * guess->control[j * width + i];
+      }
+    }
+    guess->control = std::move(control);
+  }
+  guess->num_intervals = intervals;
+}
+
+std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
+  std::vector<std::string> known, names;
+  for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
+  if (FLAGS_solver.empty()) {
+    // Least squares where it applies.
+    for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd"}) {
+      const auto entry = std::find_if(
+          HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
+      if (entry != HybridSolvers().end() && entry->why_not(problem).empty()) return {name};
+    }
+    return {};
+  }
+  if (FLAGS_solver == kNoSolver) return {};
+  if (FLAGS_solver == "all") return known;
+  for (const std::string& name : SplitAtCommas(FLAGS_solver)) {
+    if (std::find(known.begin(), known.end(), name) == known.end()) {
+      throw InputError("--solver=" + FLAGS_solver + ": '" + name + "' is unknown; expected 'all', 'none' or some of " +
+                       Join(known) + Suggestion(name, known));
+    }
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  return names;
+}
+
+// False if there is nothing more to do.
+bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
+  if (FLAGS_solver == "list") {
+    for (const HybridSolverEntry& entry : HybridSolvers()) {
+      std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+    }
+    return false;
+  }
+  HybridProblem& problem = request->problem;
+  ReadSet(&problem);
+  if (FLAGS_steps < 0) throw InputError("--steps must be positive");
+  if (IsGiven("steps") && !FLAGS_audit)
+    Resample(std::max(1, FLAGS_steps), &problem.guess, problem.system.num_controls());
+  if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw InputError(wrong);
+  request->solvers = ReadSolvers(problem);
+  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : ProgramDefaults().iterations;
+  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
+  if (IsGiven("learning_rate")) {
+    if (!(FLAGS_learning_rate > 0) || std::isinf(FLAGS_learning_rate)) {
+      throw InputError("--learning_rate must be positive");
+    }
+    request->options.learning_rate = FLAGS_learning_rate;
+  }
+  request->options.rate_per_time = FLAGS_rate_per_time;
+  request->options.search_options = {.work = FLAGS_search_work,
+                                     .seconds = FLAGS_search_seconds,
+                                     .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                                     .starts = FLAGS_search_starts,
+                                     .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError("--" + why);
+  request->options.stop = InterruptGuard::Interrupted;
+  request->options.threads = ThreadsFromFlags();
+  request->progress = ProgressFromFlags();
+  const std::vector<SimulatorCommand> commands = ReadSimulators(arguments);
+  if (FLAGS_audit && commands.empty() && request->extras.scheme == nullptr) {
+    throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
+  }
+  if (FLAGS_audit && request->extras.scheme != nullptr) request->schemes.push_back(request->extras.scheme);
+  if (!(FLAGS_simulate_seconds > 0)) throw InputError("--simulate_seconds must be positive");
+  for (const SimulatorCommand& command : commands) {
+    const auto on_error_line = [name = command.name](const std::string& line) {
+      std::cerr << name << ": " << line << std::endl;
+    };
+    request->schemes.push_back(std::make_shared<CommandScheme>(
+        problem.system,
+        CommandOptions{command.name, command.command, /*copies=*/1, FLAGS_simulate_seconds, on_error_line}));
+  }
+  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; the page has states anyway");
+  if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());
+  return true;
+}
+
+// What is drawn of a motion at each of its samples.
+void AddFrames(const HybridRequest& request, const std::vector<double>& parameters, Json* motion) {
+  if (!request.extras.draw || !motion->contains("times")) return;
+  Json frames = Json::array();
+  for (std::size_t k = 0; k < (*motion)["times"].size(); ++k) {
+    const std::vector<double> state = (*motion)["states"][k].get<std::vector<double>>();
+    int mode = 0;
+    while (request.problem.system.ModeName(mode) != (*motion)["modes"][k].get<std::string>()) ++mode;
+    HybridDrawing drawing;
+    request.extras.draw(mode, (*motion)["times"][k].get<double>(), state.data(), parameters.data(), &drawing);
+    frames.push_back({{"lines", drawing.lines()}, {"circles", drawing.circles()}});
+  }
+  (*motion)["frames"] = std::move(frames);
+}
+
+// A motion with as many states as a figure needs.
+Json DrawnMotion(const HybridRequest& request, const HybridInput& input) {
+  HybridOptions options = request.problem.integration;
+  HybridSimulator chosen(request.problem.system, options);
+  chosen.Rollout(input);
+  options.steps_per_interval = std::max(chosen.steps_per_interval(), kMostSamples / input.num_intervals + 1);
+  HybridSimulator fine(request.problem.system, options);
+  const bool ok = fine.Rollout(input);
+  Json motion = HybridMotionToJson(fine, input, ok, true);
+  AddFrames(request, input.parameters, &motion);
+  return motion;
+}
+
+struct HybridResults {
+  Json document;
+  std::vector<SolveReport> reports;
+  std::vector<HybridAudit> audits;
+};
+
+HybridResults Compute(const HybridRequest& request) {
+  const HybridProblem& problem = request.problem;
+  HybridResults results;
+  Json motion;
+  const Json loss = HybridLossToJson(problem, FLAGS_states, &motion);
+  Json& document = results.document;
+  document = {{"program", request.name},
+              {"system", HybridSystemToJson(problem.system)},
+              {"guess", HybridInputToJson(problem.system, problem.guess)},
+              {"motion", std::move(motion)}};
+  document.update(loss);
+  document["runs"] = Json::array();
+  const std::size_t tasks = request.solvers.size() + request.schemes.size();
+  Progress progress(request.progress, stderr, request.name, static_cast<std::int64_t>(tasks));
+  progress.UnitsDiffer();
+  for (const std::string& solver : request.solvers) {
+    progress.Advance(0, solver);
+    results.reports.push_back(Solve(solver, problem, request.options));
+    progress.Advance();
+    results.reports.back().contact = request.name;
+    document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), FLAGS_states));
+  }
+  HybridAuditOptions options{.width_sweep = FLAGS_width_sweep, .stop = InterruptGuard::Interrupted};
+  if (FLAGS_steps > 0) options.steps = FLAGS_steps;
+  for (const std::shared_ptr<HybridScheme>& scheme : request.schemes) {
+    progress.Advance(0, "audit of " + scheme->name());
+    results.audits.push_back(AuditScheme(problem, scheme.get(), options));
+    progress.Advance();
+    document["audits"].push_back(HybridAuditToJson(problem, results.audits.back()));
+  }
+  return results;
+}
+
+Cell NumberCell(const Json& value) { return value.is_number() ? Cell(value.get<double>()) : Cell(); }
+
+// The derivatives of the loss by all but the control, whose norm stands for it.
+Table GradientTable(const HybridProblem& problem, const Json& gradient) {
+  Table table({{"variable"}, {"value", 10}, {"derivative of the loss", 10}});
+  const HybridInput& guess = problem.guess;
+  for (std::size_t i = 0; i < guess.initial.size(); ++i) {
+    table.AddRow({problem.system.StateName(guess.mode, static_cast<int>(i)) + " at the start",
+                  guess.initial[i],
+                  NumberCell(gradient["initial"][i])});
+  }
+  for (std::size_t i = 0; i < guess.parameters.size(); ++i) {
+    table.AddRow({problem.system.ParameterName(static_cast<int>(i)),
+                  guess.parameters[i],
+                  NumberCell(gradient["parameters"][i])});
+  }
+  table.AddRow({"duration", guess.duration, NumberCell(gradient["duration"])});
+  double sum = 0;
+  for (const Json& row : gradient["control"]) {
+    for (const Json& entry : row) sum += std::pow(entry.get<double>(), 2);
+  }
+  if (!gradient["control"].empty()) table.AddRow({"control (norm)", Cell(), std::sqrt(sum)});
+  return table;
+}
+
+Table EventTable(const Json& motion) {
+  Table table({{"event"}, {"time", 12}, {"mode"}, {"guard"}, {"next mode"}});
+  int number = 0;
+  for (const Json& event : motion["events"]) {
+    table.AddRow({++number,
+                  NumberCell(event["time"]),
+                  event["mode"].get<std::string>(),
+                  event["guard"].get<std::string>(),
+                  event["next_mode"].get<std::string>()});
+  }
+  return table;
+}
+
+Table RunsTable(const std::vector<SolveReport>& reports) {
+  Table table({{"solver"},
+               {"initial loss", 10},
+               {"final loss", 10},
+               {"iterations"},
+               {"gradients"},
+               {"seconds", 3},
+               {"termination"},
+               {"certificate"},
+               {"remark"}});
+  for (const SolveReport& report : reports) {
+    const bool ran = !report.losses.empty();
+    const auto of = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
+    table.AddRow({report.solver,
+                  of(report.initial_loss),
+                  of(report.final_loss),
+                  of(report.iterations),
+                  of(report.evaluations),
+                  of(report.seconds),
+                  TerminationToString(report.termination),
+                  report.certificate ? VerdictInWords(*report.certificate) : "",
+                  report.reason});
+  }
+  return table;
+}
+
+// What was optimised but for the control, of each solver.
+Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>& reports) {
+  std::vector<Column> columns = {{"variable"}, {"guess", 10}};
+  std::vector<HybridInput> solutions;
+  for (const SolveReport& report : reports) {
+    if (report.losses.empty()) continue;
+    columns.push_back({report.solver, 16});
+    solutions.push_back(SolutionOf(problem, report));
+  }
+  Table table(columns);
+  if (solutions.empty()) return table;
+  const auto add = [&](const std::string& name, const auto& value_of) {
+    std::vector<Cell> row = {name, value_of(problem.guess)};
+    for (const HybridInput& solution : solutions) row.push_back(value_of(solution));
+    table.AddRow(std::move(row));
+  };
+  for (const int i : problem.free.initial) {
+    add(problem.system.StateName(problem.guess.mode, i), [i](const HybridInput& input) { return input.initial[i]; });
+  }
+  for (const int i : problem.free.parameters) {
+    add(problem.system.ParameterName(i), [i](const HybridInput& input) { return input.parameters[i]; });
+  }
+  if (problem.free.duration) add("duration", [](const HybridInput& input) { return input.duration; });
+  return table;
+}
+
+Table AuditsTable(const std::vector<HybridAudit>& audits) {
+  Table table({{"scheme"},
+               {"verdict"},
+               {"steps"},
+               {"loss", 8},
+               {"exact loss", 8},
+               {"order", 3},
+               {"finest error", 3},
+               {"reason"}});
+  for (const HybridAudit& audit : audits) {
+    double error = 0;
+    for (const HybridAudit::Part& part : audit.parts) {
+      if (!part.study.levels.empty()) error = std::max(error, part.study.levels.back().error);
+    }
+    const bool studied = !audit.parts.empty();
+    table.AddRow({audit.scheme,
+                  Cell(VerdictToString(audit.verdict)).With(IsWrong(audit.verdict) ? Tone::kBad : Tone::kPlain),
+                  audit.steps,
+                  audit.ok() ? Cell(audit.loss) : Cell(),
+                  audit.ok() ? Cell(audit.exact_loss) : Cell(),
+                  studied ? Cell(audit.order) : Cell(),
+                  studied ? Cell(error) : Cell(),
+                  audit.Why()});
+  }
+  return table;
+}
+
+void PrintTables(const HybridRequest& request, const HybridResults& results) {
+  const TextLayout layout = LayoutOfStandardOutput();
+  const Json& document = results.document;
+  const Json& motion = document["motion"];
+  const auto print = [&](const std::string& title, const Table& table) {
+    if (!table.rows().empty()) std::cout << Paragraph(title, layout.width) << "\n" << table.ToText(layout) << std::endl;
+  };
+  if (motion.contains("failed")) {
+    std::cout << Paragraph(request.name + ": no motion: " + motion["failed"].get<std::string>(), layout.width) << "\n";
+  } else {
+    print(request.name + ": events of the motion from the guess", EventTable(motion));
+    if (motion.contains("remark")) std::cout << Paragraph(motion["remark"].get<std::string>(), layout.width) << "\n";
+  }
+  if (document.contains("gradient")) {
+    print(request.name + ": loss " + NumberCell(document["loss"]).Display(12) + ", and its gradient",
+          GradientTable(request.problem, document["gradient"]));
+  } else {
+    std::cout << Paragraph("No loss: " + document["failed"].get<std::string>(), layout.width) << "\n";
+  }
+  print(request.name + ": solvers", RunsTable(results.reports));
+  print(request.name + ": solutions", SolutionTable(request.problem, results.reports));
+  print(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
+}
+
+// One file: the page with the document in it.
+void WritePage(const HybridRequest& request, const HybridResults& results) {
+  const std::string directory = OutputDirFromFlags();
+  if (directory.empty()) return;
+  Json document = results.document;
+  document["motion"] = DrawnMotion(request, request.problem.guess);
+  for (std::size_t i = 0; i < results.reports.size(); ++i) {
+    if (results.reports[i].losses.empty()) continue;
+    document["runs"][i]["motion"] = DrawnMotion(request, SolutionOf(request.problem, results.reports[i]));
+  }
+  std::string text = document.dump();
+  for (std::size_t at = 0; (at = text.find("</", at)) != std::string::npos; at += 3) text.replace(at, 2, "<\\/");
+  std::string page = kHybridPage;
+  const std::string place = "DOCUMENT";
+  page.replace(page.find(place), place.size(), text);
+  WriteTextFile(directory + "/report.html", page);
+  WriteTextFile(directory + "/result.json", results.document.dump(1) + "\n");
+}
+
+int ExitCode(const HybridResults& results) {
+  SolvedRuns solved;
+  for (const SolveReport& report : results.reports) {
+    SolvedRun& run = solved.runs.emplace_back();
+    run.report = report;
+  }
+  int code = SolveExitCode(solved);
+  for (const HybridAudit& audit : results.audits) {
+    const bool none = !audit.ok() && audit.verdict == Verdict::kUnknown;
+    if (none) std::cerr << "audit of " << audit.scheme << ": " << audit.reason << std::endl;
+    if (none || IsWrong(audit.verdict)) code = std::max(code, kAnswerFailed);
+  }
+  if (!results.document.contains("loss")) code = std::max(code, kAnswerFailed);
+  return code;
+}
+
+}  // namespace
+
+int RunHybridProgram(int argc, char** argv, const HybridProblem& problem, const HybridExtras& extras) {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  HybridRequest request{
+      .name = std::filesystem::path(argv[0]).filename().string(), .problem = problem, .extras = extras};
+  Program program = FindProgram("the programs of hybrid systems");
+  program.name = request.name;
+  return RunMain(argc, argv, program, [&] {
+    const InterruptGuard guard;
+    if (!ReadHybridRequest(arguments, &request)) return kDone;
+    const HybridResults results = Compute(request);
+    DoAll({[&] { WritePage(request, results); },
+           [&] {
+             if (FLAGS_json) {
+               PrintJson(results.document, Precision::kDouble);
+             } else {
+               PrintTables(request, results);
+             }
+           }});
+    if (!FLAGS_json && !OutputDirFromFlags().empty()) std::cerr << OutputDirFromFlags() << "/report.html" << std::endl;
+    return ExitCode(results);
+  });
+}
+
+}  // namespace saltus

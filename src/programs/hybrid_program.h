@@ -1,0 +1,62 @@
+// The main of the programs of hybrid systems:
+//
+//   int main(int argc, char** argv) { return saltus::RunHybridProgram(argc, argv, Hopper(), HopperProblem()); }
+//
+// simulates the guess, computes the loss with its gradient, runs solvers and audits a scheme, and writes tables, JSON
+// and a page. Beside what hybrid_system.h says, the system may have
+//
+//   template <typename Drawing>
+//   void Draw(int mode, double t, const double* x, const double* p, Drawing* drawing) const;
+//
+// which adds line segments and circles (HybridDrawing) of a state for the replay, and Step (audit/hybrid_audit.h), a
+// time-stepping scheme for --audit.
+#pragma once
+
+#include <array>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "saltus/audit/hybrid_audit.h"
+#include "saltus/hybrid/hybrid_problem.h"
+
+namespace saltus {
+
+// The picture of a state. Lengths are in the system's units; x points to the right, y up.
+class HybridDrawing {
+ public:
+  void Line(double x0, double y0, double x1, double y1) { lines_.push_back({x0, y0, x1, y1}); }
+  void Circle(double x, double y, double radius) { circles_.push_back({x, y, radius}); }
+
+  const std::vector<std::array<double, 4>>& lines() const { return lines_; }
+  const std::vector<std::array<double, 3>>& circles() const { return circles_; }
+
+ private:
+  std::vector<std::array<double, 4>> lines_;
+  std::vector<std::array<double, 3>> circles_;
+};
+
+// What a program's system has beside its functions; empty if it has none.
+struct HybridExtras {
+  std::function<void(int mode, double t, const double* x, const double* p, HybridDrawing* drawing)> draw;
+  std::shared_ptr<HybridScheme> scheme;
+};
+
+int RunHybridProgram(int argc, char** argv, const HybridProblem& problem, const HybridExtras& extras);
+
+// Precondition: problem.system is that of `system`.
+template <typename S>
+int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem& problem) {
+  HybridExtras extras;
+  if constexpr (requires(const double* x, HybridDrawing* drawing) { system.Draw(0, 0.0, x, x, drawing); }) {
+    extras.draw = [system](int mode, double t, const double* x, const double* p, HybridDrawing* drawing) {
+      system.Draw(mode, t, x, p, drawing);
+    };
+  }
+  if constexpr (requires(const double& t, const double* x, double* next) { system.Step(0, t, x, x, x, t, next); }) {
+    extras.scheme = std::make_shared<HybridSchemeOf<S>>(system);
+  }
+  return RunHybridProgram(argc, argv, problem, extras);
+}
+
+}  // namespace saltus
