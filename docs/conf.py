@@ -82,12 +82,18 @@ def keep_lines(app, what, name, obj, options, lines):  # pylint: disable=too-man
     """Shows the module's docstring, which is laid out for help(saltus), as plain text."""
     if what == "module":
         lines[:] = ["::", ""] + ["   " + line for line in inspect.getdoc(obj).split("\n")] + [""]
-    else:  # a * outside of ``code`` is one
-        lines[:] = ["``".join(part if k % 2 else re.sub(r"\*", r"\\*", part) for k, part in enumerate(line.split("``")))
+    else:  # a * or | outside of ``code`` is one
+        lines[:] = ["``".join(part if k % 2 else re.sub(r"[*|]", r"\\\g<0>", part) for k, part in enumerate(line.split("``")))
                     for line in lines]
 
 
+def drop_broken_script(app, pagename, templatename, context, doctree):  # pylint: disable=too-many-arguments
+    """Drops the script of Debian's furo, which is a module but is loaded as a plain script (site.css)."""
+    context["script_files"] = [file for file in context["script_files"] if not str(file).endswith("furo.js")]
+
+
 def setup(app):
+    app.connect("html-page-context", drop_broken_script, priority=900)
     app.add_html_math_renderer("mathml", (lambda self, node: show_math(self, node, inline=True), None), (show_math, None))
     app.connect("source-read", read_page)
     app.connect("autodoc-process-docstring", keep_lines, priority=900)  # after napoleon

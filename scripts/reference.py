@@ -385,7 +385,7 @@ def flag_tables(programs):
     parts = []
     for group, flags in programs.flags().items():
         rows = [[f"`--{flag}`", explanation,
-                 "all" if len(takes) == len(PROGRAMS) else ", ".join(KINDS.get(p) or code([p]) for p in takes)]
+                 ", ".join(KINDS.get(p) or code([p]) for p in sorted(takes, key=PROGRAMS.index))]
                 for flag, (explanation, takes) in flags.items()]
         parts.append(f"### {group}\n\n" + table(["flag", "meaning", "programs"], rows))
     return "\n\n".join(parts)

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 namespace saltus {
 namespace {
@@ -61,8 +62,11 @@ HybridInput HybridShooting::InputAt(std::span<const double> z) const {
 }
 
 std::vector<double> HybridShooting::DurationsAt(std::span<const double> z) const {
-  if (!problem_.free.duration) return {};
-  return std::vector<double>(problem_.guess.num_intervals, z.back() / problem_.guess.num_intervals);
+  if (!problem_.free.duration && problem_.guess.lengths.empty()) return {};
+  std::vector<double> times = InputAt(z).Times();
+  std::adjacent_difference(times.begin(), times.end(), times.begin());
+  times.erase(times.begin());
+  return times;
 }
 
 bool HybridShooting::Rollout(std::span<const double> z) {
@@ -70,21 +74,28 @@ bool HybridShooting::Rollout(std::span<const double> z) {
   why_.clear();
   stopped_ = stopped_ || (stop_ && stop_());
   if (stopped_) return false;
-  input_ = InputAt(z);
+  return RolloutOf(InputAt(z));
+}
+
+bool HybridShooting::RolloutOf(HybridInput input) {
+  input_ = std::move(input);
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
   if (!simulator_.Rollout(input_)) {
     why_ = simulator_.WhyFailed();
     return false;
   }
+  times_ = input_.Times();
   return FindPlaces();
 }
 
 bool HybridShooting::FindPlaces() {
   places_.clear();
+  constraint_places_.clear();
   int rows = 0;
   const std::vector<HybridEvent>& events = simulator_.events();
   for (const HybridTerm& term : problem_.terms) {
-    if (term.role != HybridTerm::Role::kCost) continue;
+    const bool is_cost = term.role == HybridTerm::Role::kCost;
+    std::vector<Place>& places = is_cost ? places_ : constraint_places_;
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
     if (term.at == HybridTerm::At::kEvent) {
@@ -97,7 +108,7 @@ bool HybridShooting::FindPlaces() {
                  std::to_string(state_size);
           return false;
         }
-        places_.push_back({&term, -1, static_cast<int>(i), state, events[i].time, -1});
+        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, -1});
       }
       continue;
     }
@@ -114,24 +125,29 @@ bool HybridShooting::FindPlaces() {
       }
       // Rows of intervals in another mode stay zero.
       if (counts && fits) {
-        const double time = input_.duration * node / input_.num_intervals;
-        places_.push_back({&term, at_end ? -1 : k, -1, state, time, rows});
+        places.push_back({&term, at_end ? -1 : k, -1, state, times_[node], rows});
       }
-      rows += count;
+      if (is_cost) rows += count;
     }
   }
   return true;
 }
 
-bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* values) const {
+std::vector<const double*> HybridShooting::BlocksOf(const Place& place, const double* length) const {
   const HybridTerm& term = *place.term;
-  const double length = input_.duration / input_.num_intervals;
   std::vector<const double*> blocks;
   if (term.with_state) blocks.push_back(place.state.data());
   if (term.with_control) blocks.push_back(input_.control.data() + place.interval * problem_.system.num_controls());
   if (term.with_parameters) blocks.push_back(input_.parameters.data());
   if (term.with_time) blocks.push_back(&place.time);
-  if (term.with_length) blocks.push_back(&length);
+  if (term.with_length) blocks.push_back(length);
+  return blocks;
+}
+
+bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* values) const {
+  const HybridTerm& term = *place.term;
+  const double length = place.interval >= 0 ? times_[place.interval + 1] - times_[place.interval] : 0;
+  const std::vector<const double*> blocks = BlocksOf(place, &length);
   const int rows = term.function->num_residuals();
   values->residuals.resize(rows);
   values->jacobians.clear();
@@ -140,6 +156,52 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
     if (with_jacobians) jacobians.push_back(values->jacobians.emplace_back(rows * size).data());
   }
   return term.function->Evaluate(blocks.data(), values->residuals.data(), with_jacobians ? jacobians.data() : nullptr);
+}
+
+bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
+  why_.clear();
+  *outcome = {};
+  if (!RolloutOf(input)) return false;
+  Values values;
+  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
+    for (const Place& place : *places) {
+      if (!ValuesAt(place, false, &values)) {
+        why_ = place.term->name + ": the function has no value";
+        return false;
+      }
+      for (const double r : values.residuals) {
+        if (place.term->role == HybridTerm::Role::kCost) {
+          outcome->loss += r * r;
+          continue;
+        }
+        const double violation = place.term->role == HybridTerm::Role::kEquality ? std::abs(r) : r;
+        if (!(violation <= outcome->violation)) {
+          outcome->violation = violation;
+          outcome->worst = place.term->name;
+        }
+      }
+    }
+  }
+  if (std::isfinite(outcome->loss) && !std::isnan(outcome->violation)) return true;
+  why_ = "the loss is not finite";
+  return false;
+}
+
+bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) const {
+  terms->clear();
+  Values values;
+  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
+    for (const Place& place : *places) {
+      if (!ValuesAt(place, true, &values)) return false;
+      TermAt& at =
+          terms->emplace_back(TermAt{place.term, place.interval, place.event, values.residuals, values.jacobians, {}});
+      const double length = place.interval >= 0 ? times_[place.interval + 1] - times_[place.interval] : 0;
+      const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
+      const std::vector<const double*> blocks = BlocksOf(place, &length);
+      for (std::size_t i = 0; i < blocks.size(); ++i) at.blocks.emplace_back(blocks[i], blocks[i] + sizes[i]);
+    }
+  }
+  return true;
 }
 
 bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
@@ -201,10 +263,10 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
         cotangent.event_times.resize(simulator_.events().size());
         cotangent.event_times[place.event] += by;
       } else {
-        by_duration += by * (place.interval >= 0 ? place.interval : input_.num_intervals) / input_.num_intervals;
+        by_duration += by * place.time / input_.duration;
       }
     }
-    if (term.with_length) by_duration += pull_back()[0] / input_.num_intervals;
+    if (term.with_length) by_duration += pull_back()[0] * PartOf(place.interval);
   }
   if (!std::isfinite(*loss)) {
     why_ = "the loss is not finite";
@@ -285,9 +347,9 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
     if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();
     if (term.with_parameters) all.middleCols(first_parameter, system.num_parameters()) += next();
     if (term.with_time) {
-      all.col(duration) += next() * (place.interval >= 0 ? 1.0 * place.interval / input_.num_intervals : 1.0);
+      all.col(duration) += next() * (place.time / input_.duration);
     }
-    if (term.with_length) all.col(duration) += next() / input_.num_intervals;
+    if (term.with_length) all.col(duration) += next() * PartOf(place.interval);
     for (std::size_t j = 0; j < columns.size(); ++j) {
       out.block(place.first_row, j, rows, 1) = all.col(columns[j]);
     }

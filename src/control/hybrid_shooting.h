@@ -40,6 +40,27 @@ class HybridShooting final : public ShootingFunction {
   int num_adjoints() const override { return num_adjoints_; }
 
   HybridInput InputAt(std::span<const double> z) const;
+
+  // The loss of any input of the system, and what it leaves of the constraints. False if it has none; WhyFailed() says
+  // why.
+  struct Outcome {
+    double loss = 0;
+    double violation = 0;  // the largest |r| of an equality, r of an inequality
+    std::string worst;     // the name of that term
+  };
+  bool Simulate(const HybridInput& input, Outcome* outcome);
+
+  // What the terms of the problem are at the last motion, for conditions of optimality: of each place where a term is
+  // evaluated, the residuals and their derivatives by what the term reads.
+  struct TermAt {
+    const HybridTerm* term = nullptr;
+    int interval = -1, event = -1;  // neither: the end
+    std::vector<double> residuals;
+    std::vector<std::vector<double>> jacobians;  // of the function's blocks, row-major
+    std::vector<std::vector<double>> blocks;     // what it reads
+  };
+  // False if a function has no value there.
+  bool EvaluateTerms(std::vector<TermAt>* terms) const;
   // The bounds of each variable, infinite where there are none.
   const std::vector<double>& lower() const { return lower_; }
   const std::vector<double>& upper() const { return upper_; }
@@ -60,8 +81,12 @@ class HybridShooting final : public ShootingFunction {
   };
 
   bool Rollout(std::span<const double> z);
-  // Every place of a cost. False if one has no meaning in this motion.
+  bool RolloutOf(HybridInput input);
+  // Every place of a term. False if one has no meaning in this motion.
   bool FindPlaces();
+  // The length of a control interval as a part of the duration.
+  double PartOf(int interval) const { return (times_[interval + 1] - times_[interval]) / input_.duration; }
+  std::vector<const double*> BlocksOf(const Place& place, const double* length) const;
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
 
   const HybridProblem problem_;
@@ -69,8 +94,9 @@ class HybridShooting final : public ShootingFunction {
   std::function<bool()> stop_;
   bool stopped_ = false;
   std::vector<double> guess_, lower_, upper_;
-  HybridInput input_;  // of the last rollout
-  std::vector<Place> places_;
+  HybridInput input_;          // of the last rollout
+  std::vector<double> times_;  // of its control intervals
+  std::vector<Place> places_, constraint_places_;
   int num_residuals_ = 0;
   std::string why_;
   int num_adjoints_ = 0;

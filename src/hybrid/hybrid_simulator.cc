@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "hybrid/motion_derivatives.h"
 #include "hybrid/rollout.h"
@@ -152,6 +153,10 @@ std::span<const double> HybridSimulator::StepState(int step) const {
   return {&tape.numbers[entry.x], static_cast<std::size_t>(impl_->system.state_size(entry.mode))};
 }
 
+bool HybridSimulator::IsReset(int step) const {
+  return impl_->run.tape().entries[step].kind == TapeEntry::Kind::kReset;
+}
+
 std::string HybridSimulator::WhyNotDifferentiable() const {
   const RolloutRun& run = impl_->run;
   std::string why = run.remark();
@@ -192,6 +197,18 @@ HybridSensitivity HybridSimulator::Sensitivity() {
   return impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
 }
 
+std::vector<double> HybridInput::Times() const {
+  std::vector<double> times(num_intervals + 1);
+  const double whole = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  double sum = 0;
+  for (int k = 0; k < num_intervals; ++k) {
+    times[k] = lengths.empty() ? duration * k / num_intervals : duration * (sum / whole);
+    if (!lengths.empty()) sum += lengths[k];
+  }
+  times.back() = duration;
+  return times;
+}
+
 std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system) {
   const auto found = [](const char* what, std::size_t count, std::size_t expected) {
     return std::string("found ") + std::to_string(count) + " numbers of the " + what + ", expected " +
@@ -212,6 +229,12 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
   const std::size_t controls = static_cast<std::size_t>(input.num_intervals) * system.num_controls();
   if (!input.control.empty() && input.control.size() != controls)
     return found("control", input.control.size(), controls);
+  if (!input.lengths.empty() && input.lengths.size() != static_cast<std::size_t>(input.num_intervals)) {
+    return found("lengths of the control intervals", input.lengths.size(), input.num_intervals);
+  }
+  for (const double length : input.lengths) {
+    if (!(length > 0) || !std::isfinite(length)) return "expected finite lengths of the control intervals above zero";
+  }
   if (!(input.duration > 0) || !std::isfinite(input.duration)) return "expected a finite duration above zero";
   if (!finite(input.initial)) return "the initial state is not finite";
   if (!finite(input.parameters)) return "a parameter is not finite";

@@ -85,7 +85,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         t += back.t;
       } else {
         integrator_.PullBack(x.data(), &back);
-        gradient.duration += (t + back.h) * (static_cast<double>(entry.node) / tape.num_nodes);
+        gradient.duration += (t + back.h) * tape.Fraction(entry.node);
         t = back.t - back.h;
       }
     }
@@ -139,10 +139,10 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
     const Eigen::RowVectorXd from = at.t;
     if (entry.kind == TapeEntry::Kind::kToNode) {
       at.h = -at.t;
-      at.h[columns - 1] += static_cast<double>(entry.node) / tape.num_nodes;
+      at.h[columns - 1] += tape.Fraction(entry.node);
       at.x = integrator_.PushForward(at);
       at.t = Eigen::RowVectorXd::Zero(columns);
-      at.t[columns - 1] = static_cast<double>(entry.node) / tape.num_nodes;
+      at.t[columns - 1] = tape.Fraction(entry.node);
       continue;
     }
     const TapeEntry& reset = (&entry)[1];

@@ -18,7 +18,7 @@ struct TapeEntry {
   int mode = 0;
   int guard = -1;
   int interval = 0;     // whose control acts
-  int node = 0;         // kToNode: number of the time of the grid, of the K n equal steps
+  int node = 0;         // kToNode: number of the time of the grid, of the K n steps
   int event = -1;       // kReset: number of the event
   double t = 0, h = 0;  // begins at t; kReset: h = 0
   std::size_t x = 0;    // where its state begins in MotionTape::numbers
@@ -29,11 +29,16 @@ struct MotionTape {
   std::vector<double> numbers;         // states, one after the other
   std::vector<std::size_t> intervals;  // the entry with which each control interval begins
   int num_nodes = 0;                   // K n
+  std::vector<double> fractions;       // times of the grid as parts of the duration; none: of K n equal steps
   int final_mode = 0;
   std::size_t final_state = 0;  // in numbers
 
+  double Fraction(int node) const {
+    return fractions.empty() ? static_cast<double>(node) / num_nodes : fractions[node];
+  }
   void Clear() {
     entries.clear();
+    fractions.clear();
     numbers.clear();
     intervals.clear();
   }

@@ -15,6 +15,7 @@ constexpr int kMostAtOnce = 100;       // transitions without time passing
 constexpr double kAccumulated = 1e-9;  // of the duration: intervals between events that shrink to a point
 constexpr int kShrinking = 8;          // intervals that tell
 constexpr std::size_t kMostTied = 4;
+constexpr double kAtJump = 1e-9;  // of a control interval: an event so near to its end is at it
 
 std::string Text(double value) {
   char text[32];
@@ -23,6 +24,25 @@ std::string Text(double value) {
 }
 
 }  // namespace
+
+int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin) {
+  if (input.control.empty() || input.num_intervals == 1) return -1;
+  int k = 0;
+  double begin = 0, length = input.duration / input.num_intervals;
+  if (input.lengths.empty()) {
+    k = static_cast<int>(std::round(time / length));
+    begin = k * length;
+  } else {
+    const std::vector<double> times = input.Times();
+    k = static_cast<int>(std::upper_bound(times.begin(), times.end(), time) - times.begin());
+    if (k > 0 && (k > input.num_intervals || time - times[k - 1] < times[k] - time)) --k;
+    begin = times[k];
+    length = k > 0 ? times[k] - times[k - 1] : length;
+  }
+  if (k <= 0 || k >= input.num_intervals || std::abs(time - begin) > margin * length) return -1;
+  const double* u = input.control.data() + static_cast<std::ptrdiff_t>(k) * num_controls;
+  return std::equal(u - num_controls, u, u) ? -1 : k;
+}
 
 RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
     : system_(system), functions_(system.functions()), options_(options), search_(system.functions()) {
@@ -46,8 +66,9 @@ bool RolloutRun::Refuse(const std::string& what) {
 void RolloutRun::Remark(const std::string& what) { remark_ += (remark_.empty() ? "" : "; ") + what; }
 
 FlowStep RolloutRun::StepFrom(double h) const {
-  const double* control =
-      input_->control.empty() ? zeros_.data() : input_->control.data() + interval_ * system_.num_controls();
+  const double* control = input_->control.empty() ? zeros_.data()
+                                                  : input_->control.data() +
+                                                        static_cast<std::ptrdiff_t>(interval_) * system_.num_controls();
   return {at_.mode, at_.t, h, at_.x.data(), control, input_->parameters.data()};
 }
 
@@ -89,6 +110,15 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   zeros_.assign(system_.num_controls(), 0.0);
   tape_.Clear();
   tape_.num_nodes = input.num_intervals * steps_;
+  if (!input.lengths.empty()) {
+    interval_ends_ = input.Times();
+    tape_.fractions = {0};
+    for (int k = 0; k < input.num_intervals; ++k) {
+      const double begin = interval_ends_[k], length = interval_ends_[k + 1] - begin;
+      for (int i = 1; i <= steps_; ++i) tape_.fractions.push_back((begin + length * i / steps_) / input.duration);
+      tape_.fractions.back() = k + 1 == input.num_intervals ? 1.0 : interval_ends_[k + 1] / input.duration;
+    }
+  }
   events_.clear();
   befores_.clear();
   afters_.clear();
@@ -220,7 +250,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
 
 // From at_ to a time of the grid, through all events on the way.
 bool RolloutRun::StepTo(int node) {
-  const double target = input_->duration * (static_cast<double>(node) / tape_.num_nodes);
+  const double target = input_->duration * tape_.Fraction(node);
   for (;;) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
@@ -315,16 +345,9 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   std::iota(order.begin(), order.end(), 0);
   if (input_->duration - at_.t <= at_once) {
     Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at the final time");
-  } else if (!input_->control.empty() && input_->num_intervals > 1) {
-    const double length = input_->duration / input_->num_intervals;
-    const double node = std::round(at_.t / length);
-    const int width = system_.num_controls(), k = static_cast<int>(node);
-    const double* u = input_->control.data();
-    if (k > 0 && k < input_->num_intervals && std::abs(at_.t - node * length) <= 1e-9 * length &&
-        !std::equal(u + (k - 1) * width, u + k * width, u + k * width)) {
-      Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at t = " + Text(at_.t) +
-             ", where the control jumps");
-    }
+  } else if (ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump) > 0) {
+    Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at t = " + Text(at_.t) +
+           ", where the control jumps");
   }
   const std::size_t events = events_.size();
   if (!Fire(first, false, true, false) || !Enter(Entry::kAfterReset, order, true)) return false;

@@ -17,6 +17,10 @@ enum class RolloutEnd {
   kRefused,    // what the user's functions return, or where the motion leads
 };
 
+// The control interval k > 0 that begins within `margin` of its length of `time`, if the control jumps there; -1 if
+// none does.
+int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin);
+
 class RolloutRun {
  public:
   RolloutRun(const HybridSystem& system, const HybridOptions& options);
@@ -68,7 +72,7 @@ class RolloutRun {
   const HybridOptions& options_;
   EventSearch search_;
   const HybridInput* input_ = nullptr;
-  std::vector<double> zeros_;
+  std::vector<double> zeros_, interval_ends_;
   int steps_ = 1, interval_ = 0;
   At at_;
   std::vector<double> next_state_, next_slope_;

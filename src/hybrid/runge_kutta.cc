@@ -2,81 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <type_traits>
 
 namespace saltus {
 namespace {
 
-constexpr int kStages = RungeKutta::kStages;
-constexpr double kRoot21 = 4.58257569495584000658804719372800849;
-
-constexpr double kA[kStages][kStages] = {
-    {},
-    {1.0 / 2},
-    {1.0 / 4, 1.0 / 4},
-    {1.0 / 7, (-7 - 3 * kRoot21) / 98, (21 + 5 * kRoot21) / 49},
-    {(11 + kRoot21) / 84, 0, (18 + 4 * kRoot21) / 63, (21 - kRoot21) / 252},
-    {(5 + kRoot21) / 48, 0, (9 + kRoot21) / 36, (-231 + 14 * kRoot21) / 360, (63 - 7 * kRoot21) / 80},
-    {(10 - kRoot21) / 42,
-     0,
-     (-432 + 92 * kRoot21) / 315,
-     (633 - 145 * kRoot21) / 90,
-     (-504 + 115 * kRoot21) / 70,
-     (63 - 13 * kRoot21) / 35},
-    {1.0 / 14, 0, 0, 0, (14 - 3 * kRoot21) / 126, (13 - 3 * kRoot21) / 63, 1.0 / 9},
-    {1.0 / 32, 0, 0, 0, (91 - 21 * kRoot21) / 576, 11.0 / 72, (-385 - 75 * kRoot21) / 1152, (63 + 13 * kRoot21) / 128},
-    {1.0 / 14,
-     0,
-     0,
-     0,
-     1.0 / 9,
-     (-733 - 147 * kRoot21) / 2205,
-     (515 + 111 * kRoot21) / 504,
-     (-51 - 11 * kRoot21) / 56,
-     (132 + 28 * kRoot21) / 245},
-    {0,
-     0,
-     0,
-     0,
-     (-42 + 7 * kRoot21) / 18,
-     (-18 + 28 * kRoot21) / 45,
-     (-273 - 53 * kRoot21) / 72,
-     (301 + 53 * kRoot21) / 72,
-     (28 - 28 * kRoot21) / 45,
-     (49 - 7 * kRoot21) / 18}};
-constexpr double kB[kStages] = {1.0 / 20, 0, 0, 0, 0, 0, 0, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
-constexpr double kC[kStages] = {0,
-                                0.5,
-                                0.5,
-                                (7 + kRoot21) / 14,
-                                (7 + kRoot21) / 14,
-                                0.5,
-                                (7 - kRoot21) / 14,
-                                (7 - kRoot21) / 14,
-                                0.5,
-                                (7 + kRoot21) / 14,
-                                1};
-
-// The coefficients that are not zero: those of b as row kStages.
-struct Term {
-  int stage;
-  double factor;
-};
-struct Row {
-  int count = 0;
-  std::array<Term, kStages> terms{};
-};
-constexpr std::array<Row, kStages + 1> MakeRows() {
-  std::array<Row, kStages + 1> rows{};
-  for (int i = 0; i <= kStages; ++i) {
-    for (int j = 0; j < kStages; ++j) {
-      const double factor = i < kStages ? kA[i][j] : kB[j];
-      if (factor != 0) rows[i].terms[rows[i].count++] = {j, factor};
-    }
-  }
-  return rows;
-}
-constexpr std::array<Row, kStages + 1> kRows = MakeRows();
-
+using namespace cooper_verner;
 // out = x + h sum of the row's slopes. kSize: the size of the state if the compiler shall know it, else 0.
 template <int kSize>
 inline void Combine(const Row& row, int size, double h, const double* x, const double* slopes, double* out) {
@@ -94,6 +25,27 @@ inline void Combine(const Row& row, int size, double h, const double* x, const d
       for (int k = 0; k < row.count; ++k) sum += row.terms[k].factor * slopes[row.terms[k].stage * n + i];
       out[i] = x[i] + h * sum;
     }
+  }
+}
+
+// Calls function(size) with the size of the state as a constant if it is small, else with 0.
+template <typename Function>
+void WithSize(int size, const Function& function) {
+  switch (size) {
+    case 1:
+      return function(std::integral_constant<int, 1>());
+    case 2:
+      return function(std::integral_constant<int, 2>());
+    case 3:
+      return function(std::integral_constant<int, 3>());
+    case 4:
+      return function(std::integral_constant<int, 4>());
+    case 5:
+      return function(std::integral_constant<int, 5>());
+    case 6:
+      return function(std::integral_constant<int, 6>());
+    default:
+      return function(std::integral_constant<int, 0>());
   }
 }
 
@@ -127,22 +79,7 @@ void RungeKutta::Step(const FlowStep& step, const double* slope, double* after) 
   const int n = functions_.layout().state_sizes[step.mode];
   double *slopes = slopes_.data(), *stage = stage_.data();
   std::copy_n(slope, n, slopes);
-  switch (n) {
-    case 1:
-      return StepOfSize<1>(functions_, step, n, slopes, stage, after);
-    case 2:
-      return StepOfSize<2>(functions_, step, n, slopes, stage, after);
-    case 3:
-      return StepOfSize<3>(functions_, step, n, slopes, stage, after);
-    case 4:
-      return StepOfSize<4>(functions_, step, n, slopes, stage, after);
-    case 5:
-      return StepOfSize<5>(functions_, step, n, slopes, stage, after);
-    case 6:
-      return StepOfSize<6>(functions_, step, n, slopes, stage, after);
-    default:
-      return StepOfSize<0>(functions_, step, n, slopes, stage, after);
-  }
+  WithSize(n, [&](auto size) { StepOfSize<decltype(size)::value>(functions_, step, n, slopes, stage, after); });
 }
 
 RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
@@ -153,16 +90,16 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.layout().state_sizes[step.mode];
   length_ = step.h;
-  for (int i = 0; i < kStages; ++i) {
-    Combine<0>(kRows[i], size_, step.h, step.x, slopes_.data(), stage_.data());
-    functions_.FlowJacobian(step.mode,
-                            step.t + kC[i] * step.h,
-                            stage_.data(),
-                            step.u,
-                            step.p,
-                            &slopes_[i * size_],
-                            const_cast<double*>(JacobianOfStage(i).data()));
-  }
+  WithSize(size_, [&](auto size) {
+    constexpr int kSize = decltype(size)::value;
+    const int n = kSize > 0 ? kSize : size_;
+    const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + num_parameters_ + num_controls_);
+    for (int i = 0; i < kStages; ++i) {
+      Combine<kSize>(kRows[i], n, step.h, step.x, slopes_.data(), stage_.data());
+      functions_.FlowJacobian(
+          step.mode, step.t + kC[i] * step.h, stage_.data(), step.u, step.p, &slopes_[i * n], &jacobians_[i * stride]);
+    }
+  });
 }
 
 void RungeKutta::ByLength(double* derivative) const {
@@ -185,22 +122,30 @@ void RungeKutta::ByLength(double* derivative) const {
 }
 
 void RungeKutta::PullBack(const double* after, Cotangent* out) const {
-  const int n = size_, columns = n + 1 + num_parameters_ + num_controls_;
+  WithSize(size_, [&](auto size) { PullBackOfSize<decltype(size)::value>(after, out); });
+}
+
+template <int kSize>
+void RungeKutta::PullBackOfSize(const double* after, Cotangent* out) const {
+  const int n = kSize > 0 ? kSize : size_, columns = n + 1 + num_parameters_ + num_controls_;
   double* of_slopes = cotangents_.data();
-  out->t = out->h = 0;
   std::fill_n(of_slopes, kStages * n, 0.0);
+  double by_t = 0, by_h = 0;
   // Adds the cotangent of x + h sum of the row's slopes.
   const auto add = [&](const Row& row, const double* cotangent) {
+    double sum = 0;
     for (int k = 0; k < row.count; ++k) {
       const Term& term = row.terms[k];
       const double* slope = &slopes_[term.stage * n];
       double *of_slope = of_slopes + term.stage * n, dot = 0;
+      const double factor = length_ * term.factor;
       for (int j = 0; j < n; ++j) {
         dot += cotangent[j] * slope[j];
-        of_slope[j] += length_ * term.factor * cotangent[j];
+        of_slope[j] += factor * cotangent[j];
       }
-      out->h += term.factor * dot;
+      sum += term.factor * dot;
     }
+    by_h += sum;
   };
   add(kRows[kStages], after);
   if (out->x != after) std::copy_n(after, n, out->x);
@@ -208,18 +153,21 @@ void RungeKutta::PullBack(const double* after, Cotangent* out) const {
   for (int i = kStages - 1; i >= 0; --i) {
     const double* jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns];
     const double* of_slope = of_slopes + i * n;
-    std::fill_n(of_stage, columns, 0.0);
-    for (int row = 0; row < n; ++row) {
-      for (int column = 0; column < columns; ++column)
+    for (int column = 0; column < columns; ++column) of_stage[column] = of_slope[0] * jacobian[column];
+    for (int row = 1; row < n; ++row) {
+      for (int column = 0; column < columns; ++column) {
         of_stage[column] += of_slope[row] * jacobian[row * columns + column];
+      }
     }
     for (int j = 0; j < n; ++j) out->x[j] += of_stage[j];
-    out->t += of_stage[n];
-    out->h += kC[i] * of_stage[n];
+    by_t += of_stage[n];
+    by_h += kC[i] * of_stage[n];
     for (int j = 0; j < num_parameters_; ++j) out->p[j] += of_stage[n + 1 + j];
     for (int j = 0; j < num_controls_; ++j) out->u[j] += of_stage[n + 1 + num_parameters_ + j];
     add(kRows[i], of_stage);
   }
+  out->t = by_t;
+  out->h = by_h;
 }
 
 RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {

@@ -9,11 +9,87 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
 
 namespace saltus {
+
+namespace cooper_verner {
+
+inline constexpr int kStages = 11;
+inline constexpr double kRoot21 = 4.58257569495584000658804719372800849;
+
+inline constexpr double kA[kStages][kStages] = {
+    {},
+    {1.0 / 2},
+    {1.0 / 4, 1.0 / 4},
+    {1.0 / 7, (-7 - 3 * kRoot21) / 98, (21 + 5 * kRoot21) / 49},
+    {(11 + kRoot21) / 84, 0, (18 + 4 * kRoot21) / 63, (21 - kRoot21) / 252},
+    {(5 + kRoot21) / 48, 0, (9 + kRoot21) / 36, (-231 + 14 * kRoot21) / 360, (63 - 7 * kRoot21) / 80},
+    {(10 - kRoot21) / 42,
+     0,
+     (-432 + 92 * kRoot21) / 315,
+     (633 - 145 * kRoot21) / 90,
+     (-504 + 115 * kRoot21) / 70,
+     (63 - 13 * kRoot21) / 35},
+    {1.0 / 14, 0, 0, 0, (14 - 3 * kRoot21) / 126, (13 - 3 * kRoot21) / 63, 1.0 / 9},
+    {1.0 / 32, 0, 0, 0, (91 - 21 * kRoot21) / 576, 11.0 / 72, (-385 - 75 * kRoot21) / 1152, (63 + 13 * kRoot21) / 128},
+    {1.0 / 14,
+     0,
+     0,
+     0,
+     1.0 / 9,
+     (-733 - 147 * kRoot21) / 2205,
+     (515 + 111 * kRoot21) / 504,
+     (-51 - 11 * kRoot21) / 56,
+     (132 + 28 * kRoot21) / 245},
+    {0,
+     0,
+     0,
+     0,
+     (-42 + 7 * kRoot21) / 18,
+     (-18 + 28 * kRoot21) / 45,
+     (-273 - 53 * kRoot21) / 72,
+     (301 + 53 * kRoot21) / 72,
+     (28 - 28 * kRoot21) / 45,
+     (49 - 7 * kRoot21) / 18}};
+inline constexpr double kB[kStages] = {1.0 / 20, 0, 0, 0, 0, 0, 0, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
+inline constexpr double kC[kStages] = {0,
+                                       0.5,
+                                       0.5,
+                                       (7 + kRoot21) / 14,
+                                       (7 + kRoot21) / 14,
+                                       0.5,
+                                       (7 - kRoot21) / 14,
+                                       (7 - kRoot21) / 14,
+                                       0.5,
+                                       (7 + kRoot21) / 14,
+                                       1};
+
+// The coefficients that are not zero: those of b as row kStages.
+struct Term {
+  int stage;
+  double factor;
+};
+struct Row {
+  int count = 0;
+  std::array<Term, kStages> terms{};
+};
+constexpr std::array<Row, kStages + 1> MakeRows() {
+  std::array<Row, kStages + 1> rows{};
+  for (int i = 0; i <= kStages; ++i) {
+    for (int j = 0; j < kStages; ++j) {
+      const double factor = i < kStages ? kA[i][j] : kB[j];
+      if (factor != 0) rows[i].terms[rows[i].count++] = {j, factor};
+    }
+  }
+  return rows;
+}
+inline constexpr std::array<Row, kStages + 1> kRows = MakeRows();
+
+}  // namespace cooper_verner
 
 // Where a step begins and how long it is.
 struct FlowStep {
@@ -26,7 +102,7 @@ struct FlowStep {
 
 class RungeKutta {
  public:
-  static constexpr int kStages = 11;
+  static constexpr int kStages = cooper_verner::kStages;
   static constexpr int kOrder = 8;
 
   explicit RungeKutta(const HybridFunctions& functions);
@@ -61,6 +137,8 @@ class RungeKutta {
  private:
   using ConstMatrixMap = Eigen::Map<const Matrix>;
   ConstMatrixMap JacobianOfStage(int stage) const;
+  template <int kSize>
+  void PullBackOfSize(const double* after, Cotangent* out) const;
 
   const HybridFunctions& functions_;
   int num_parameters_, num_controls_;

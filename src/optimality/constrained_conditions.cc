@@ -19,9 +19,9 @@
 #include <utility>
 #include <vector>
 
-#include "base/linear_algebra.h"
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
+#include "optimality/cone_conditions.h"
 #include "optimality/optimality_conditions.h"
 #include "simulate/costate_sweep.h"
 
@@ -32,143 +32,6 @@ constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
 
 constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
-constexpr int kMostNewtonSteps = 50;  // for the multipliers
-
-double Cross(const Vec2d& a, const Vec2d& b) { return a[0] * b[1] - a[1] * b[0]; }
-
-// Whether w lies between a and b, which span less than half of the plane.
-bool IsBetween(const Vec2d& a, const Vec2d& b, const Vec2d& w) {
-  const double turn = Cross(a, b);
-  return turn != 0 && Cross(a, w) * turn >= 0 && Cross(w, b) * turn >= 0;
-}
-
-// The cone of outward normals of the bounds at a force, in the plane: empty, a ray or what two rays span.
-class NormalCone {
- public:
-  void Add(const Vec2d& normal) { normals_.push_back(normal); }
-
-  // w less its projection on the cone, and the derivative by w.
-  void Residual(const Vec2d& w, Vec2d* residual, Eigen::Matrix2d* derivative) const {
-    *residual = w;
-    derivative->setIdentity();
-    if (normals_.empty()) return;
-    const auto [a, b] = Extremes();
-    if (IsBetween(a, b, w)) {
-      residual->setZero();
-      derivative->setZero();
-      return;
-    }
-    const Vec2d& nearest = a.dot(w) > b.dot(w) ? a : b;
-    if (nearest.dot(w) <= 0) return;
-    *residual -= nearest.dot(w) * nearest;
-    *derivative -= nearest * nearest.transpose();
-  }
-
- private:
-  std::pair<Vec2d, Vec2d> Extremes() const {
-    std::pair<Vec2d, Vec2d> widest = {normals_[0], normals_[0]};
-    for (const Vec2d& a : normals_) {
-      for (const Vec2d& b : normals_) {
-        if (a.dot(b) < widest.first.dot(widest.second)) widest = {a, b};
-      }
-    }
-    return widest;
-  }
-
-  std::vector<Vec2d> normals_;
-};
-
-// Conditions of optimality that are affine in unknown multipliers theta, each of which is to lie in a convex cone. The
-// distances from the cones are convex functions, so the theta that meets all conditions best is found by Newton's
-// method on their sum of squares.
-class ConeConditions {
- public:
-  explicit ConeConditions(int num_unknowns) : theta_(Eigen::VectorXd::Zero(num_unknowns)) {}
-
-  // `value`, whose derivative by theta is `columns`, is to be opposite to the cone.
-  void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, NormalCone cone) {
-    forces_.push_back({value, columns, std::move(cone)});
-  }
-  // A number that is to vanish, or to have the sign `allowed`.
-  void AddNumber(double value, const Eigen::RowVectorXd& columns, int allowed) {
-    numbers_.push_back({value, columns, allowed});
-  }
-
-  void Solve() {
-    for (int step = 0; step < kMostNewtonSteps && theta_.size() > 0; ++step) {
-      Eigen::VectorXd r;
-      Eigen::MatrixXd jacobian;
-      Evaluate(theta_, &r, &jacobian);
-      const Eigen::VectorXd by = LeastNormSolution(jacobian, -r);
-      double length = 1;
-      Eigen::VectorXd next;
-      for (; length > 1e-4; length *= 0.5) {
-        Evaluate(theta_ + length * by, &next, nullptr);
-        if (next.squaredNorm() < r.squaredNorm()) break;
-      }
-      if (!(next.squaredNorm() < r.squaredNorm())) break;
-      theta_ += length * by;
-      if (next.squaredNorm() > (1 - 1e-9) * r.squaredNorm()) break;
-    }
-  }
-
-  // The theta that Solve has found, and the residuals there: the largest distance of a force, and number i.
-  const Eigen::VectorXd& theta() const { return theta_; }
-  double LargestForce() const {
-    double largest = 0;
-    Vec2d residual;
-    Eigen::Matrix2d derivative;
-    for (const Planar& force : forces_) {
-      force.cone.Residual(-(force.value + force.columns * theta_), &residual, &derivative);
-      largest = std::max(largest, residual.norm());
-    }
-    return largest;
-  }
-  double Number(size_t i) const { return Left(numbers_[i], theta_); }
-  // Force i, as it was added, at theta.
-  Vec2d Force(size_t i) const { return forces_[i].value + forces_[i].columns * theta_; }
-
- private:
-  struct Planar {
-    Vec2d value;
-    Eigen::Matrix2Xd columns;
-    NormalCone cone;
-  };
-  struct Scalar {
-    double value;
-    Eigen::RowVectorXd columns;
-    int allowed;
-  };
-
-  static double Left(const Scalar& number, const Eigen::VectorXd& theta) {
-    const double value = number.value + number.columns.dot(theta.transpose());
-    return number.allowed * value > 0 ? 0.0 : value;
-  }
-
-  void Evaluate(const Eigen::VectorXd& theta, Eigen::VectorXd* r, Eigen::MatrixXd* jacobian) const {
-    const Eigen::Index rows = 2 * forces_.size() + numbers_.size();
-    r->resize(rows);
-    if (jacobian != nullptr) jacobian->setZero(rows, theta.size());
-    Eigen::Index row = 0;
-    Vec2d residual;
-    Eigen::Matrix2d derivative;
-    for (const Planar& force : forces_) {
-      force.cone.Residual(-(force.value + force.columns * theta), &residual, &derivative);
-      r->segment<2>(row) = residual;
-      if (jacobian != nullptr) jacobian->middleRows<2>(row) = -derivative * force.columns;
-      row += 2;
-    }
-    for (const Scalar& number : numbers_) {
-      (*r)[row] = Left(number, theta);
-      if (jacobian != nullptr && (*r)[row] != 0) jacobian->row(row) = number.columns;
-      ++row;
-    }
-  }
-
-  Eigen::VectorXd theta_;
-  std::vector<Planar> forces_;
-  std::vector<Scalar> numbers_;
-};
 
 // The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
 double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {

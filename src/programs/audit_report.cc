@@ -63,11 +63,9 @@ void AddMotions(const Request& request, const AuditReport& audit, HtmlReport* re
       replay, "The scene from its start under each contact model. A right motion does not make a right gradient.");
 }
 
-// The discs at the step from which on a gradient is wrong, and the normal of the contact.
-Panel WrongStepPanel(const Scene& scene, const ModelAudit& model, const ContactError& contact) {
-  MotionOptions options;
-  options.stop = InterruptGuard::GraceIsOver;
-  const Motion motion = SimulateMotion(scene, model.gradient.contact, StartOf(scene), options);
+// The discs at the step from which on a gradient is wrong, and the normal of the contact. Precondition: the motion has
+// a state.
+Panel WrongStepPanel(const Scene& scene, const ModelAudit& model, const ContactError& contact, const Motion& motion) {
   Panel panel = ScenePanel(scene, model.gradient.contact + ", step " + std::to_string(contact.first_step));
   panel.circles.clear();
   const size_t width = 4 * scene.bodies.size();
@@ -120,7 +118,11 @@ void AddWrongSteps(const Request& request, const AuditReport& audit, HtmlReport*
     if (contact == nullptr) continue;
     reasons.push_back("`" + model.gradient.contact + "`: " + model.Why());
     if (steps.size() == kMostWrongSteps || model.black_box || InterruptGuard::GraceIsOver()) continue;
-    steps.push_back(WrongStepPanel(request.scene, model, *contact));
+    MotionOptions options;
+    options.stop = InterruptGuard::GraceIsOver;
+    const Motion motion = SimulateMotion(request.scene, model.gradient.contact, StartOf(request.scene), options);
+    if (motion.times.empty()) continue;  // interrupted
+    steps.push_back(WrongStepPanel(request.scene, model, *contact, motion));
     Panel flow = PerturbedFlowPanel(request.scene, model.gradient.contact, *contact);
     if (!flow.series.front().x.empty()) flows.push_back(std::move(flow));
   }

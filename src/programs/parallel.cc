@@ -1,7 +1,5 @@
 #include "programs/parallel.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -93,16 +91,9 @@ void Work(Board* board) {
   board->changed.notify_all();
 }
 
-}  // namespace
-
-bool AskedToStop() {
-  if (!InterruptGuard::Interrupted()) return false;
-  static std::once_flag silent;  // several jobs ask at once
-  std::call_once(silent, [] { FLAGS_minloglevel = google::GLOG_FATAL; });
-  return true;
-}
-
-JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
+// Leaves in `thrown` what a job has thrown.
+JobsEnd Run(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job,
+            std::exception_ptr* thrown) {
   progress->UnitsDiffer();  // the gradient of one model and the audit of another, or solvers of seconds and of minutes
   const auto board = std::make_shared<Board>();
   board->job = job;
@@ -136,7 +127,7 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
   end.complete = done == static_cast<int64_t>(names.size());
   const std::string at_work = board->AtWork();
   end.abandoned = board->threads > 0;
-  const std::exception_ptr thrown = board->thrown;
+  *thrown = board->thrown;
   lock.unlock();
   for (std::thread& worker : workers) {
     if (end.abandoned) {
@@ -151,13 +142,26 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
               << " were done" << std::endl;
   }
   if (end.abandoned) EndWithoutWaiting();
+  return end;
+}
+
+}  // namespace
+
+bool AskedToStop() { return InterruptGuard::Interrupted(); }
+
+JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
+  std::exception_ptr thrown;
+  const JobsEnd end = Run(names, threads, progress, job, &thrown);
   if (thrown) std::rethrow_exception(thrown);
   return end;
 }
 
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
-  const JobsEnd end = RunJobsOrAbandon(names, threads, progress, job);
+  std::exception_ptr thrown;
+  const JobsEnd end = Run(names, threads, progress, job, &thrown);
+  // Before an exception takes down the frames whose objects the abandoned jobs use.
   if (end.abandoned) EndProgram(kAnswerFailed);
+  if (thrown) std::rethrow_exception(thrown);
   return end.complete;
 }
 

@@ -17,7 +17,7 @@ namespace saltus {
 using SayNote = std::function<void(const std::string& note)>;
 using Job = std::function<void(int index, const SayNote& say)>;
 
-// For jobs to ask: InterruptGuard::Interrupted(). Once it is so, Ceres' log no longer says that evaluations failed.
+// For jobs to ask: InterruptGuard::Interrupted().
 bool AskedToStop();
 
 struct JobsEnd {
@@ -34,7 +34,7 @@ struct JobsEnd {
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 // The same for jobs that use what does go away: if they do not come back, the process ends here, with the exit code of
-// a failed answer. True if all are done.
+// a failed answer, whatever another job has thrown. True if all are done.
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 template <typename Result>

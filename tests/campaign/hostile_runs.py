@@ -692,6 +692,7 @@ def main():
     parser.add_argument("--bin", default=os.path.join(source, "build/release/bin"), help="the folder of the programs")
     parser.add_argument("--source", default=source, help="the source tree, whose scenes are mutated")
     parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0, help="the number of the first run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--hang", type=float, default=60, help="s, after which a run is said to hang")
@@ -715,7 +716,7 @@ def main():
             shutil.rmtree(folder, ignore_errors=True)
         return index, run, outcome, violations
 
-    indices = [options.only] if options.only is not None else range(options.runs)
+    indices = [options.only] if options.only is not None else range(options.first, options.first + options.runs)
     counts, codes, bad, longest = {}, {}, 0, 0.0
     with concurrent.futures.ThreadPoolExecutor(max(1, options.jobs)) as pool:
         for index, run, outcome, violations in pool.map(one, indices):

@@ -1,11 +1,19 @@
 // Jobs of the programs on several threads.
 #include "programs/parallel.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
+#include <csignal>
+#include <iostream>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
+
+#include "base/interrupt.h"
+#include "programs/program.h"
 
 namespace saltus {
 namespace {
@@ -38,6 +46,26 @@ TEST(RunJobs, WhatAJobThrowsIsThrownWhenTheOthersAreDone) {
     if (i == 3) throw std::runtime_error("job 3");
   };
   EXPECT_THROW(RunJobs(Names(20), 4, &progress, job), std::runtime_error);
+}
+
+// Neither returns to its caller nor unwinds it: jobs that are abandoned use what stands there.
+TEST(RunJobs, EndsTheProcessIfOneJobThrowsAndAnotherDoesNotComeBack) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  const auto run = [] {
+    struct Caller {
+      ~Caller() { std::cerr << "unwound" << std::endl; }
+    };
+    std::signal(SIGINT, SIG_DFL);
+    const InterruptGuard guard;
+    const Caller caller;
+    Progress progress(ProgressMode::kNone, stderr, "jobs", 2);
+    RunJobs(Names(2), 2, &progress, [](int i, const SayNote&) {
+      if (i == 0) std::this_thread::sleep_for(std::chrono::hours(1));
+      raise(SIGINT);
+      throw std::runtime_error("job 1");
+    });
+  };
+  EXPECT_EXIT(run(), testing::ExitedWithCode(kAnswerFailed), testing::Not(testing::HasSubstr("unwound")));
 }
 
 }  // namespace

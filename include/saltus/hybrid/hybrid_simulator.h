@@ -37,8 +37,14 @@ struct HybridInput {
   std::vector<double> initial = {};     // state at time 0, of the size of that mode
   std::vector<double> parameters = {};  // P
   double duration = 0;                  // > 0
-  int num_intervals = 1;                // K > 0 equal intervals, on each of which the control is held
+  int num_intervals = 1;                // K > 0 intervals, on each of which the control is held
   std::vector<double> control = {};     // K x m, row-major; none: zeros
+  // K positive numbers, proportional to the lengths of the intervals; none: the intervals have equal lengths.
+  // Derivatives with respect to the duration keep the proportions.
+  std::vector<double> lengths = {};
+
+  // The times at which the control intervals begin, and the duration: K + 1 numbers.
+  std::vector<double> Times() const;
 };
 
 struct HybridOptions {
@@ -129,6 +135,8 @@ class HybridSimulator {
   double StepTime(int step) const;
   int StepMode(int step) const;
   std::span<const double> StepState(int step) const;
+  // Whether a step is the reset of the next event; it takes no time, and its state is that before the reset.
+  bool IsReset(int step) const;
 
   // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, ties, an
   // event at the start, at the final time or where the control jumps, a reset onto another guard.

@@ -60,7 +60,7 @@ class TimeSteppingStep {
   std::string_view Run() {
     in_.Solved([] { return std::array<double, 0>(); });
     const std::span<const double> found = in_.Solved([&] { return FindImpulses(); });
-    if (failed_) return "the impulses of a crowd are not found";
+    if (failed_) return "the impulses of the time-stepping fallback are not found";
     contacts_.clear();
     for (std::size_t pair = 0; pair < in_.candidates.size(); ++pair) {
       Contact contact = MeasureContact(static_cast<int>(pair));
@@ -288,9 +288,10 @@ class TimeSteppingStep {
       energy += 0.5 * mass * std::max(after.squaredNorm(), start.v.squaredNorm()) + mass * start.a.norm();
     }
     for (const Candidate& c : in_.candidates) {
-      if (GapAtEnd(c) < std::min(GapAtStart(c), 0.0) - kLargestOverlap) return "the discs of a crowd would overlap";
+      if (GapAtEnd(c) < std::min(GapAtStart(c), 0.0) - kLargestOverlap)
+        return "discs would overlap in the time-stepping fallback";
     }
-    return gain > kLargestGain * energy ? "a crowd would gain energy" : std::string_view();
+    return gain > kLargestGain * energy ? "the time-stepping fallback would gain energy" : std::string_view();
   }
 
   const StepInput<T>& in_;

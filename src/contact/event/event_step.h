@@ -125,7 +125,7 @@ class EventStep {
   // the accelerations from then on: for discs that move around each other until `latest` at most. The instant may be
   // that of an earlier event, whose sub-step begins again.
   void Settle(int q, const Instant<T>& at, const T& latest) {
-    if (in_.table >= 0) return changes_.Fail("discs press against each other while they slide on a table");
+    if (in_.table >= 0) return changes_.Fail("discs have active contacts with each other while they slide on a table");
     group_.Clear();
     Join(q, at);
     while (Grow(at)) continue;

@@ -80,7 +80,7 @@ struct LearnedEvents {
     void Into(std::span<State<T>> next) {
       int count = 0;
       while (count <= kMostEvents && TakeNext()) ++count;
-      if (count > kMostEvents) in_.Fail("impacts without end: learned events know no contacts that last");
+      if (count > kMostEvents) in_.Fail("impacts accumulate: learned events do not support sustained contacts");
       const T end(count > kMostEvents ? std::numeric_limits<double>::quiet_NaN() : in_.h);
       for (int i = 0; i < static_cast<int>(x_.size()); ++i) {
         const auto& disc = discs_[i];

@@ -1,7 +1,9 @@
 #include "solve/phases/augmented_lagrangian.h"
 
+#include <ceres/crs_matrix.h>
 #include <ceres/solver.h>
 
+#include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -82,6 +84,11 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     return cost;
   }
 
+  int num_equalities() const { return roles_.equalities; }
+  void ClearMultipliers() { std::fill(multipliers_.begin(), multipliers_.end(), 0.0); }
+  int num_constraints() const { return roles_.equalities + roles_.inequalities; }
+  void SetEqualityMultiplier(int row, double multiplier) { multipliers_[row] = multiplier; }
+
   double LargestMultiplier() const {
     double largest = 0;
     for (const double multiplier : multipliers_) largest = std::max(largest, std::abs(multiplier));
@@ -124,6 +131,62 @@ void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, con
   problem_.AddResidualBlock(weighted.release(), nullptr, blocks);
 }
 
+// Least |J_f^T f + J_c^T l| over l, with the rows f of costs and c of equalities.
+void AugmentedLagrangian::EstimateMultipliers() {
+  for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
+  weights_ = {1, 1};  // rows are those of the functions
+  std::vector<double> rows, gradient;
+  ceres::CRSMatrix jacobian;
+  if (!problem_.Evaluate({}, nullptr, &rows, nullptr, &jacobian)) return;
+  Eigen::VectorXd by_costs = Eigen::VectorXd::Zero(jacobian.num_cols);
+  std::vector<Eigen::Triplet<double>> entries;
+  int row = 0, equality = 0;
+  for (const auto& [function, blocks] : functions_) {
+    for (int i = 0; i < function->num_residuals(); ++i, ++row) {
+      const bool is_equality = i < function->num_equalities();
+      for (int k = jacobian.rows[row]; k < jacobian.rows[row + 1]; ++k) {
+        if (is_equality) {
+          entries.emplace_back(equality, jacobian.cols[k], jacobian.values[k]);
+        } else if (i >= function->num_constraints()) {
+          by_costs[jacobian.cols[k]] += rows[row] * jacobian.values[k];
+        }
+      }
+      equality += is_equality;
+    }
+  }
+  Eigen::SparseMatrix<double> equalities(equality, jacobian.num_cols);
+  equalities.setFromTriplets(entries.begin(), entries.end());
+  Eigen::SparseMatrix<double> normal = equalities * equalities.transpose();
+  for (int i = 0; i < equality; ++i) normal.coeffRef(i, i) *= 1 + 1e-12;
+  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
+  if (factors.info() != Eigen::Success) return;
+  const Eigen::VectorXd multipliers = -factors.solve(equalities * by_costs);
+  if (!multipliers.allFinite()) return;
+  int next = 0;
+  for (const auto& [function, blocks] : functions_) {
+    for (int i = 0; i < function->num_equalities(); ++i) function->SetEqualityMultiplier(i, multipliers[next++]);
+  }
+}
+
+std::vector<double> AugmentedLagrangian::Values() const {
+  std::vector<double*> blocks;
+  problem_.GetParameterBlocks(&blocks);
+  std::vector<double> values;
+  for (const double* block : blocks) values.insert(values.end(), block, block + problem_.ParameterBlockSize(block));
+  return values;
+}
+
+void AugmentedLagrangian::SetValues(const std::vector<double>& values) {
+  std::vector<double*> blocks;
+  problem_.GetParameterBlocks(&blocks);
+  auto next = values.begin();
+  for (double* block : blocks) {
+    const int size = problem_.ParameterBlockSize(block);
+    std::copy_n(next, size, block);
+    next += size;
+  }
+}
+
 double AugmentedLagrangian::Cost() const {
   double cost = 0;
   for (const auto& [function, blocks] : functions_) cost += function->Cost(blocks);
@@ -144,6 +207,7 @@ double AugmentedLagrangian::LargestWeight() const {
 }
 
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
+  const std::vector<double> start = std::isfinite(options.most_open) ? Values() : std::vector<double>();
   weights_ = {options.equality_weight, options.inequality_weight};
   Watch watch([&] { return !options.callback || options.callback(Cost()); });
   ceres::Solver::Options ceres_options;
@@ -155,6 +219,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   Summary result;
+  bool estimated = false;
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = kTolerances[std::min<size_t>(round, std::size(kTolerances) - 1)];
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
@@ -166,6 +231,17 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     result.usable = true;
     const double before = result.cost;
     result.violation = UpdateMultipliers(&result.cost);
+    if (round == 0 && !estimated && result.violation > options.most_open) {
+      estimated = true;
+      SetValues(start);
+      const Weights weights = weights_;
+      EstimateMultipliers();
+      weights_ = weights;
+      if (!watch.interrupted() && watch.iterations() < options.iterations) {
+        --round;
+        continue;
+      }
+    }
     if (options.after_round) options.after_round();
     result.interrupted = watch.interrupted();
     if (result.interrupted || watch.iterations() >= options.iterations) break;

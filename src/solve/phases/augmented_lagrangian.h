@@ -16,6 +16,7 @@
 #include <ceres/cost_function.h>
 #include <ceres/problem.h>
 
+#include <cmath>
 #include <functional>
 #include <memory>
 #include <string>
@@ -37,6 +38,10 @@ class AugmentedLagrangian {
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
     double tolerance = 1e-9;                                 // largest violation of a row
     double radius = 1e8;                                     // of the trust region at first, after the first solve
+    // If the first solve leaves a row open by more than this, it is repeated from the start, with those multipliers of
+    // equalities in the place of zero that leave least of the gradient there: costates, if the start meets the
+    // equalities.
+    double most_open = INFINITY;
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
@@ -67,9 +72,12 @@ class AugmentedLagrangian {
     double equality = 0, inequality = 0;
   };
 
+  void EstimateMultipliers();
   double Cost() const;
   double LargestWeight() const;
   double UpdateMultipliers(double* cost);
+  std::vector<double> Values() const;
+  void SetValues(const std::vector<double>& values);
 
   Weights weights_;
   ceres::Problem problem_;

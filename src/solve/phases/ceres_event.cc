@@ -1,11 +1,13 @@
 #include "solve/phases/ceres_event.h"
 
 #include "solve/phases/phase_attempt.h"
+#include "solve/phases/sequence_mending.h"
 
 namespace saltus {
 
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-  if (plan.HasTies() || plan.HasModes() || !plan.apart.empty()) return TryByTranscription(run, plan, start, may_go_on);
+  if (plan.HasTies() || plan.HasRegimes() || !plan.apart.empty())
+    return TryByTranscription(run, plan, start, may_go_on);
   PlanAttempt attempt;
   if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return attempt;
   const Scene& scene = run->scene();
@@ -23,7 +25,8 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   attempt.speeds = solution.speeds;
   attempt.converged = solution.minimum.converged;
   attempt.trial = std::move(solution.trial);
-  RollOut(scene, {}, plan, solution.intervals, &attempt);
+  const std::vector<OwnTerm> no_terms;
+  RollOut(DiscMotions(scene, no_terms), plan, solution.intervals, &attempt);
   // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
   if (attempt.converged && attempt.realized &&
       CertifyTrial(scene, attempt.trial).verdict == Certificate::Verdict::kNotStationary) {

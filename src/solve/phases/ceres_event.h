@@ -14,7 +14,6 @@
 #pragma once
 
 #include "saltus/solve/solver.h"
-#include "solve/phases/phase_plan.h"
 #include "solve/phases/phase_run.h"
 
 namespace saltus {

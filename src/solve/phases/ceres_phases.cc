@@ -7,6 +7,7 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/phase_transcription.h"
+#include "solve/phases/sequence_mending.h"
 
 namespace saltus {
 namespace {
@@ -60,7 +61,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
     return !left;
   };
   PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
-  const bool kinks = plan.HasTies() || plan.HasModes() || !plan.apart.empty();
+  const bool kinks = plan.HasTies() || plan.HasRegimes() || !plan.apart.empty();
   if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
     return attempt;
   if (attempt.converged) {
@@ -103,7 +104,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                                    request.terms,
                                    phases->cuts,
                                    phases->steps,
-                                   ForcesOf(scene, trial),
+                                   ControlOf(trial, scene.control_width()),
                                    apart,
                                    0,
                                    flight.get());

@@ -1,19 +1,190 @@
-// One solve along a plan by the transcription with a cost for every step (phase_transcription.h).
+// One solve along a plan by a transcription with a cost for every step, and the exact roll-out of what it finds.
+//
+// Run::Transcriber makes the transcriptions of a plan: of a scene PhaseTranscription, of a hybrid system
+// HybridTranscription.
 #pragma once
 
-#include "solve/phases/phase_transcription.h"
-#include "solve/phases/sequence_mending.h"
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "solve/phases/augmented_lagrangian.h"
+#include "solve/phases/phase_plan.h"
 
 namespace saltus {
 
-// The control that a transcription stands at, within its bounds and as long as the horizon, to the last bit.
-void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial);
+// Shares `steps` out over phases that end at `ends`, as a grid of equal steps would: none to those that are tied, at
+// least one to each other, and if possible two.
+std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const std::vector<bool>& empty);
+
+// `motions` simulates motions of the run, as Run::Transcriber does.
+template <typename Motions, typename Event, typename Motion>
+void SimulatePlan(const Motions& motions, const PlanOf<Event>& plan, PlanAttemptOf<Motion>* attempt) {
+  motions.Simulate(&attempt->trial);
+  std::vector<double> times;
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (plan.cuts[k]) times.push_back(attempt->times[k]);
+  }
+  attempt->realized = motions.IsRealized(attempt->trial, plan.Sequence(), times);
+}
+
+// Moves nodes to half of Motions::NodeMargin before the events that are meant to be there (after them, if it is
+// negative), where the exact model takes the event at the node. False if they are in place.
+template <typename Motions, typename Event, typename Motion>
+bool Snap(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
+          PlanAttemptOf<Motion>* attempt) {
+  Motion& trial = attempt->trial;
+  const double margin = motions.NodeMargin(trial);
+  std::vector<double> ends;
+  size_t event = 0;
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (plan.cuts[k]) attempt->times[k] = trial.exact.events[event++].time;
+    ends.push_back(attempt->times[k] - (plan.cuts[k] ? 0.5 * margin : 0.0));
+  }
+  ends.push_back(DurationOf(trial));
+  for (size_t k = plan.cuts.size(); k-- > 0;) {
+    if (plan.tied[k]) ends[k] = ends[k + 1];
+  }
+  bool moved = false;
+  std::vector<double> durations;
+  double begin = 0, old_end = 0;
+  for (size_t j = 0; j < steps.size(); ++j) {
+    if (steps[j] == 0) continue;
+    for (int k = 0; k < steps[j]; ++k) old_end += trial.durations[durations.size() + k];
+    moved = moved || std::abs(ends[j] - old_end) > 0.25 * std::abs(margin);
+    durations.insert(durations.end(), steps[j], (ends[j] - begin) / steps[j]);
+    begin = ends[j];
+  }
+  if (moved) trial.durations = std::move(durations);
+  return moved;
+}
 
 // The exact roll-out of attempt->trial, whose phases have so many steps: fills trial.exact, times and realized. What a
-// solve leaves of gaps moves impacts off their nodes, by far less than a step: these follow them.
-void RollOut(const Scene& scene, const std::vector<OwnTerm>& terms, const PhasePlan& plan,
-             const std::vector<int>& steps, PlanAttempt* attempt);
+// solve leaves of gaps moves events off their nodes, by far less than a step: these follow them.
+template <typename Motions, typename Event, typename Motion>
+void RollOut(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
+             PlanAttemptOf<Motion>* attempt) {
+  constexpr int kSnaps = 60;  // of events to nodes, at most
+  SimulatePlan(motions, plan, attempt);
+  for (int round = 0; round < kSnaps && attempt->realized && Snap(motions, plan, steps, attempt); ++round) {
+    SimulatePlan(motions, plan, attempt);
+  }
+}
 
-PlanAttempt TryByTranscription(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on);
+template <typename Run>
+class TranscribedPlan {
+ public:
+  using PhasePlan = PlanOf<typename Run::Event>;
+  using PlanStart = PlanStartOf<typename Run::Motion>;
+  using PlanAttempt = PlanAttemptOf<typename Run::Motion>;
+
+  TranscribedPlan(Run* run, const PhasePlan& plan, const PlanStart& start)
+      : run_(*run), plan_(plan), transcriber_(*run, plan, start), start_(start) {
+    std::vector<double> ends = start.times;
+    ends.push_back(transcriber_.duration());
+    empty_ = {false};
+    empty_.insert(empty_.end(), plan.tied.begin(), plan.tied.end());
+    const auto phases = std::count(empty_.begin(), empty_.end(), false);
+    if (phases <= run_.num_steps()) steps_ = ShareSteps(run_.num_steps(), ends, empty_);
+  }
+
+  PlanAttempt Try(const MayGoOn& may_go_on) {
+    PlanAttempt attempt;
+    if (steps_.empty()) return attempt;
+    for (const double margin : kMargins) {
+      const bool tied = plan_.HasTies();
+      if (tied && margin == 0) continue;
+      if (!Solve(margin, may_go_on, &attempt)) return attempt;
+      if (attempt.converged && IsUneven(attempt.times)) {
+        steps_ = ShareSteps(run_.num_steps(), attempt.times, empty_);
+        GoOnFrom(attempt);
+        if (!Solve(margin, may_go_on, &attempt)) return attempt;
+      }
+      if (!attempt.converged || (!TouchesApart(attempt) && (!tied || attempt.realized))) break;
+      GoOnFrom(attempt);
+    }
+    return attempt;
+  }
+
+ private:
+  static constexpr int kMostIterations = 400;  // of one solve
+  // Of the scale of gaps: by so much gaps stay open that must not close, and the earlier of events at the same time
+  // come early, until rounding does not decide any more what the roll-out does.
+  static constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
+
+  void GoOnFrom(const PlanAttempt& attempt) {
+    start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
+  }
+
+  // Some phase has become so long that its steps are too few.
+  bool IsUneven(const std::vector<double>& times) const {
+    double begin = 0;
+    for (size_t j = 0; j < steps_.size(); ++j) {
+      if (times[j] - begin > Run::kUneven * steps_[j] * times.back() / run_.num_steps()) return true;
+      begin = times[j];
+    }
+    return false;
+  }
+
+  // False if the start has no motion.
+  bool Solve(double margin, const MayGoOn& may_go_on, PlanAttempt* attempt) {
+    std::vector<double> overlaps(plan_.cuts.size());
+    int ties = 0;  // the earlier of events at the same time come earlier
+    for (size_t k = plan_.cuts.size(); k-- > 0;) {
+      ties = plan_.tied[k] ? ties + 1 : 0;
+      overlaps[k] = ties * margin;
+    }
+    const auto transcription = transcriber_.Make(start_, overlaps, steps_, margin);
+    if (transcription == nullptr) return false;
+    const auto read = [&] {
+      attempt->times = transcription->CutTimes();
+      attempt->times.push_back(transcription->Duration());
+      attempt->speeds = transcription->CutSpeeds();
+    };
+    bool left = false;
+    AugmentedLagrangian::Options options;
+    options.iterations = kMostIterations;
+    options.callback = [&](double cost) {
+      if (!run_.Record(cost)) return false;
+      read();
+      left = !may_go_on(attempt->times, attempt->speeds);
+      return !left;
+    };
+    const AugmentedLagrangian::Summary summary = transcription->Minimize(options);
+    read();
+    attempt->valid = true;
+    attempt->converged = summary.converged;
+    attempt->interrupted = summary.interrupted && !left;
+    attempt->jacobians += summary.jacobians;
+    transcriber_.TakeControl(*transcription, &attempt->trial);
+    RollOut(transcriber_, plan_, steps_, attempt);
+    attempt->violation = transcriber_.ViolationOf(attempt->trial);
+    return true;
+  }
+
+  // An event that must not happen has happened.
+  bool TouchesApart(const PlanAttempt& attempt) const {
+    const auto &met = attempt.trial.exact.contacts, planned = plan_.Sequence();
+    const auto& apart = transcriber_.apart();
+    return std::any_of(apart.begin(), apart.end(), [&](const auto& event) {
+      return std::count(met.begin(), met.end(), event) > std::count(planned.begin(), planned.end(), event);
+    });
+  }
+
+  Run& run_;
+  const PhasePlan& plan_;
+  typename Run::Transcriber transcriber_;
+  PlanStart start_;
+  std::vector<bool> empty_;  // by phase: without steps
+  std::vector<int> steps_;   // of each phase; none if there are too few
+};
+
+template <typename Run>
+PlanAttemptOf<typename Run::Motion> TryByTranscription(Run* run, const PlanOf<typename Run::Event>& plan,
+                                                       const PlanStartOf<typename Run::Motion>& start,
+                                                       const MayGoOn& may_go_on) {
+  return TranscribedPlan<Run>(run, plan, start).Try(may_go_on);
+}
 
 }  // namespace saltus

@@ -1,79 +1,167 @@
-// What a solve along a sequence of impacts is asked for, where it begins and what it finds.
+// What a solve along a given sequence of events is asked for, where it begins and what it finds; whatever the system.
+//
+// Solvers along sequences of events (phase_attempt.h, sequence_mending.h, search/phase_search.h) know a problem as a
+// run, a class Run with
+//
+//   Run::Event        what ends a phase: of discs a pair of them, of a hybrid system a guard of a mode. Comparable.
+//   Run::Motion       a control on intervals of any lengths, and its exact simulation:
+//                     control, durations, exact {ok, reason, loss, only_impacts, contacts (events in their order),
+//                     events (with their times)}
+//
+// and the functions that PhaseRun has (phase_run.h), which is the run of a scene of discs; that of a hybrid system is
+// HybridPhaseRun (hybrid_phases.h).
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <functional>
+#include <numeric>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "saltus/control/contact_sequence.h"
-#include "solve/phases/phase_solution.h"
+#include "saltus/solve/solver.h"
 
 namespace saltus {
 
 // What happens in which order.
-struct PhasePlan {
-  std::vector<std::optional<Candidate>> cuts;     // between phases: an impact, or the instant of the next via term
-  std::vector<bool> tied;                         // by cut: no time passes until the next one, or the final time
-  std::vector<std::optional<ContactMode>> modes;  // by cut: of an impact that is to slip or to stick
-  ContactSequence apart;                          // pairs that stay apart, by an inequality
-  bool only_violation = false;                    // hard terms as costs, and hardly any others
+template <typename Event>
+struct PlanOf {
+  std::vector<std::optional<Event>> cuts;   // between phases: an event; none: an instant that an objective names
+  std::vector<bool> tied;                   // by cut: no time passes until the next one, or the final time
+  std::vector<std::optional<int>> regimes;  // by cut: the regime in which the event is held, of discs a ContactMode
+  std::vector<Event> apart;                 // events that do not happen, by an inequality, but where they are cuts
+  bool only_violation = false;              // hard terms as costs, and hardly any others
 
-  ContactSequence Sequence() const;
-  bool HasTies() const;
-  bool HasModes() const;
-  bool operator==(const PhasePlan&) const = default;
+  std::vector<Event> Sequence() const {
+    std::vector<Event> sequence;
+    for (const auto& cut : cuts) {
+      if (cut) sequence.push_back(*cut);
+    }
+    return sequence;
+  }
+  bool HasTies() const { return std::find(tied.begin(), tied.end(), true) != tied.end(); }
+  bool HasRegimes() const {
+    return std::any_of(regimes.begin(), regimes.end(), [](const auto& regime) { return regime.has_value(); });
+  }
+  bool operator==(const PlanOf&) const = default;
 };
 
 // Where a solve along a plan begins.
-struct PlanStart {
+template <typename Motion>
+struct PlanStartOf {
   std::vector<double> times;  // s, of the cuts
-  Trial trial;                // a real motion, or one that a solve stood at when it left its sequence
+  Motion trial;               // a real motion, or one that a solve stood at when it left its sequence
 };
 
 // What a solve along a plan finds.
-struct PlanAttempt {
+template <typename Motion>
+struct PlanAttemptOf {
   bool valid = false;          // all else is filled
   std::vector<double> times;   // s, of the cuts as planned, and the final time
-  std::vector<double> speeds;  // of the cuts: the normal velocity, negative if closing; 0 of instants
-  Trial trial;
+  std::vector<double> speeds;  // of the cuts: the rate at which the gap closes, negative if it does; 0 of instants
+  Motion trial;
   bool converged = false;    // an optimum along the plan
   bool interrupted = false;  // by the user
-  bool realized = false;     // the exact roll-out has the plan's impacts and no others
-  double violation = 0;      // of hard constraints, on the exact roll-out, in the scene's units
+  bool realized = false;     // the exact roll-out has the plan's events and no others
+  double violation = 0;      // of hard constraints, on the exact roll-out
   int jacobians = 0;
 
-  bool feasible() const;  // realized, and within what may be left of hard constraints
+  bool feasible() const { return realized && violation <= kFeasible; }  // within what may be left of hard constraints
   double loss() const { return trial.exact.loss; }
 };
 
 // One solve along a plan. `may_go_on` is asked after each iteration with PlanAttempt's times and speeds, if the solver
 // can leave the plan on the way; where it says no, that is the end, and no interruption.
 using MayGoOn = std::function<bool(const std::vector<double>& times, const std::vector<double>& speeds)>;
-using TryPlan = std::function<PlanAttempt(const PhasePlan&, const PlanStart&, const MayGoOn& may_go_on)>;
+template <typename Run>
+using TryPlanOf = std::function<PlanAttemptOf<typename Run::Motion>(
+    const PlanOf<typename Run::Event>&, const PlanStartOf<typename Run::Motion>&, const MayGoOn& may_go_on)>;
 
-// The hard term that is missed most, and by how much in the scene's units. Precondition: trial.exact.ok.
-struct Miss {
-  double size = 0;
-  int body = 0;
-  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
-};
-Miss LargestMiss(const Scene& scene, const Trial& trial);
-// Its size; infinite if the trial has not run, or what must not touch has.
-double ViolationOf(const Scene& scene, const Trial& trial);
-// The same, or the largest distance of the control from its bounds, if that is more; 0 if the scene and the user state
-// no constraints, whatever the motion.
-double ViolationOfAll(const Scene& scene, const Trial& trial);
-// Whether the scene forbids the pair to touch.
-bool IsForbidden(const Scene& scene, const Candidate& c);
-double DurationOf(const Trial& trial);
-// Force k of a trial holds at its time. The trial must outlive it.
-std::function<double(int entry, double t)> ForcesOf(const Scene& scene, const Trial& trial);
+// For each event of a sequence the one of another sequence that it is, or -1: a longest common subsequence.
+template <typename Event>
+std::vector<int> LongestCommon(const std::vector<Event>& sequence, const std::vector<Event>& other) {
+  const int n = static_cast<int>(sequence.size()), m = static_cast<int>(other.size());
+  std::vector<std::vector<int>> length(n + 1, std::vector<int>(m + 1, 0));
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = m - 1; j >= 0; --j) {
+      length[i][j] = sequence[i] == other[j] ? 1 + length[i + 1][j + 1] : std::max(length[i + 1][j], length[i][j + 1]);
+    }
+  }
+  std::vector<int> found(n, -1);
+  for (int i = 0, j = 0; i < n && j < m;) {
+    if (sequence[i] == other[j]) {
+      found[i++] = j++;
+    } else if (length[i + 1][j] >= length[i][j + 1]) {
+      ++i;
+    } else {
+      ++j;
+    }
+  }
+  return found;
+}
 
-// In words: a plan; several in their order; the kinks of the loss that it holds on to; what the trial misses most.
-std::string NameOf(const Scene& scene, const PhasePlan& plan);
-std::string NamesOf(const Scene& scene, const std::vector<PhasePlan>& plans);
-std::string KinksOf(const Scene& scene, const PhasePlan& plan);
-std::string DescribeMiss(const Scene& scene, const Trial& trial);
+template <typename Motion>
+double DurationOf(const Motion& trial) {
+  return std::accumulate(trial.durations.begin(), trial.durations.end(), 0.0);
+}
+
+// Entry i of a row of `width` numbers of the trial's control holds at its time. The trial must outlive it.
+template <typename Motion>
+std::function<double(int entry, double t)> ControlOf(const Motion& trial, int width) {
+  std::vector<double> ends(trial.durations.size());
+  std::partial_sum(trial.durations.begin(), trial.durations.end(), ends.begin());
+  return [&trial, width, ends = std::move(ends)](int entry, double t) {
+    const size_t last = ends.size() - 1;
+    const size_t k = std::min<size_t>(std::upper_bound(ends.begin(), ends.end(), t) - ends.begin(), last);
+    return trial.control[k * width + entry];
+  };
+}
+
+inline constexpr int kMostSaddles = 5;  // left one after the other
+// Remarks for a person: that a saddle was left, and what came after.
+inline std::string DescribeSaddle(const std::string& then) {
+  return "left a saddle" + (then.empty() ? "" : "; " + then);
+}
+
+// ----------------------------------------------------------------------------------------------- merit of real motions
+
+inline constexpr double kHardlyBetter = 1e-9;  // relative, of losses
+
+// Line search from a motion towards another one whose control is known: the best motion met, if its merit is below that
+// of the first.
+template <typename Run>
+std::optional<typename Run::Motion> WalkTo(const Run& run, const typename Run::Motion& to,
+                                           const typename Run::Motion& from) {
+  constexpr int kHalvings = 8;
+  std::optional<typename Run::Motion> best;
+  double least = run.MeritOf(run.WithinBounds(from));
+  if (std::isfinite(least)) least -= kHardlyBetter * std::abs(least);
+  const int width = run.control_width();
+  double part = 1;
+  for (int i = 0; i <= kHalvings; ++i, part /= 2) {
+    typename Run::Motion between = to;
+    run.BlendStart(to, from, part, &between);
+    const auto before = ControlOf(from, width);
+    const double stretch = DurationOf(from) / DurationOf(to);
+    double begin = 0;
+    for (size_t k = 0; k < to.durations.size(); ++k) {
+      for (int entry = 0; entry < width; ++entry) {
+        double& u = between.control[k * width + entry];
+        u = part * u + (1 - part) * before(entry, stretch * (begin + 0.5 * to.durations[k]));
+      }
+      begin += to.durations[k];
+      between.durations[k] *= part + (1 - part) * stretch;
+    }
+    run.MoveWithin(&between);
+    run.Simulate(&between);
+    const double merit = run.MeritOf(between);
+    if (!(merit < least)) continue;
+    least = merit;
+    best = std::move(between);
+  }
+  return best;
+}
 
 }  // namespace saltus

@@ -1,31 +1,111 @@
 #include "solve/phases/phase_run.h"
 
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
 #include <utility>
 
-#include "solve/phases/phase_plan.h"
+#include "base/time_grid.h"
+#include "control/control_bounds.h"
+#include "simulate/impact.h"
+#include "saltus/control/objective.h"
 
 namespace saltus {
+namespace {
 
-StopRequest StopAfter(double seconds, const StopRequest& stop) {
-  using Clock = std::chrono::steady_clock;
-  if (seconds <= 0) return stop;
-  const auto time = std::chrono::duration<double>(std::min(seconds, 1e9));
-  return [stop, end = Clock::now() + std::chrono::duration_cast<Clock::duration>(time)] {
-    return (stop && stop()) || Clock::now() >= end;
+constexpr double kMissWeight = 1e3;   // of hard constraints beside the loss, in natural units
+constexpr double kNearBorder = 1e-2;  // of the sliding velocity between slip and stick
+
+// Of a plan without its first impacts.
+std::string NameFrom(const Scene& scene, const PhasePlan& plan, size_t first) {
+  const ContactSequence sequence = plan.Sequence();
+  std::string text = ContactSequenceToString(scene, {sequence.begin() + first, sequence.end()});
+  if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (!plan.regimes[k]) continue;
+    text += ", " + ContactSequenceToString(scene, {*plan.cuts[k]});
+    text += *plan.regimes[k] == static_cast<int>(ContactMode::kSlip) ? " slips" : " sticks";
+  }
+  for (const Candidate& pair : plan.apart) text += ", " + ContactSequenceToString(scene, {pair}) + " apart";
+  return text;
+}
+
+// Whether the scene forbids the pair to touch.
+bool IsForbidden(const Scene& scene, const Candidate& c) {
+  return std::find(scene.no_contact.begin(), scene.no_contact.end(), NoContact{c.a, c.b, c.plane}) !=
+         scene.no_contact.end();
+}
+
+// The hard term that is missed most, and by how much in the scene's units.
+struct Miss {
+  double size = 0;
+  int body = 0;
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+};
+Miss LargestMiss(const Scene& scene, const Trial& trial) {
+  Miss largest;
+  const Flight flight = FlightOf(scene, trial);
+  const auto consider = [&](const DiscStates& x, const auto& term) {
+    if constexpr (requires { term.IsOfSpin(); }) {
+      if (term.IsOfSpin()) {
+        const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
+        const double size = std::abs((angle ? x.angle : x.spin)[term.body] - term.target[0]);
+        if (size > largest.size) largest = {size, term.body, term.quantity};
+        return;
+      }
+    }
+    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
+    const double size = (q - term.target).norm();
+    if (size > largest.size) largest = {size, term.body, term.quantity};
   };
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.hard) consider(flight.end(), term);
+  }
+  for (const ViaTerm& term : scene.objective.via) {
+    if (term.hard) consider(flight.Before(term.time), term);
+  }
+  return largest;
+}
+
+double ViolationOf(const Scene& scene, const Trial& trial) {
+  if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
+  const ContactSequence& met = trial.exact.contacts;
+  if (std::any_of(met.begin(), met.end(), [&](const Candidate& c) { return IsForbidden(scene, c); })) {
+    return std::numeric_limits<double>::infinity();
+  }
+  return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
+}
+
+// The same, or the largest distance of the control from its bounds, if that is more; 0 if the scene and the user state
+// no constraints, whatever the motion.
+double ViolationOfAll(const Scene& scene, const Trial& trial) {
+  const bool any = scene.objective.HasConstraints() || !scene.no_contact.empty() || trial.own.violation > 0;
+  double largest = any ? ViolationOf(scene, trial) : 0;
+  std::vector<double> within = trial.control;
+  MoveWithinBounds(scene, within);
+  for (size_t i = 0; i < within.size(); ++i) largest = std::max(largest, std::abs(trial.control[i] - within[i]));
+  return largest;
+}
+
+}  // namespace
+
+double DiscMotions::ViolationOf(const Trial& trial) const { return saltus::ViolationOf(*scene_, trial); }
+
+double DiscMotions::NodeMargin(const Trial& trial) const {
+  return kNodeMargin * *std::min_element(trial.durations.begin(), trial.durations.end());
 }
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms, options.guess)) {}
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start)
-    : start_(std::chrono::steady_clock::now()),
+    : SequenceRun(solver, options),
+      DiscMotions(request.scene, request.terms),
       scene_(request.scene),
       terms_(request.terms),
-      options_(options),
       guess_(std::move(start)) {
   report_.contact = request.contact.name();
-  report_.solver = solver;
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }
 
@@ -51,36 +131,186 @@ std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
   return std::nullopt;
 }
 
-bool PhaseRun::Record(double loss) {
-  report_.losses.push_back(loss);
-  const int iteration = static_cast<int>(report_.losses.size()) - 1;
-  if (options_.stop && options_.stop()) interrupted_ = true;
-  if (options_.callback && !options_.callback(iteration, loss)) interrupted_ = true;
-  return !interrupted_;
+double PhaseRun::MeritOf(const Trial& trial) const {
+  if (!trial.exact.ok || !trial.exact.only_impacts) return std::numeric_limits<double>::infinity();
+  const double violation = ViolationOf(trial);
+  return trial.exact.loss + kMissWeight * violation * violation;
 }
 
-SolveReport PhaseRun::Refuse(Termination termination, std::string reason) {
-  SolveReport refused;
-  refused.contact = report_.contact;
-  refused.solver = report_.solver;
-  refused.termination = termination;
-  refused.reason = std::move(reason);
-  return refused;
+void PhaseRun::MoveWithin(Trial* trial) const { MoveWithinBounds(scene_, trial->control); }
+
+Trial PhaseRun::WithinBounds(Trial trial) const {
+  const std::vector<double> control = trial.control;
+  MoveWithin(&trial);
+  if (trial.control != control) Simulate(&trial);
+  return trial;
+}
+
+void PhaseRun::BlendStart(const Trial& to, const Trial& from, double part, Trial* between) const {
+  for (size_t j = 0; j < to.initial.size(); ++j) {
+    between->initial[j] = part * to.initial[j] + (1 - part) * InitialOf(scene_, from)[j];
+  }
+}
+
+void PhaseRun::PlanAlong(ContactSequence sequence, const Trial& trial, PhasePlan* plan,
+                         std::vector<double>* times) const {
+  std::erase_if(sequence, [&](const Candidate& c) { return IsForbidden(scene_, c); });
+  Scene scene = scene_;
+  scene.duration = DurationOf(trial);
+  const std::vector<double> impacts = GuessFrom(scene, FlightOf(scene, trial), sequence).times;
+  std::vector<double> instants;
+  for (const ViaTerm& via : scene_.objective.via) instants.push_back(via.time);
+  std::sort(instants.begin(), instants.end());
+  for (size_t k = 0, i = 0; k < impacts.size() || i < instants.size();) {
+    const bool impact = i == instants.size() || (k < impacts.size() && impacts[k] < instants[i]);
+    times->push_back(impact ? impacts[k] : instants[i]);
+    plan->cuts.push_back(impact ? std::optional(sequence[k]) : std::nullopt);
+    ++(impact ? k : i);
+  }
+}
+
+std::vector<std::pair<size_t, int>> PhaseRun::RegimesAtBorders(const PhasePlan& plan, const Trial& trial) const {
+  std::vector<std::pair<size_t, int>> regimes;
+  if (scene_.contact.friction == 0) return regimes;
+  const Flight flight = FlightOf(scene_, trial);
+  auto hit = flight.hits().begin();
+  for (size_t k = 0; k < plan.cuts.size(); ++k) {
+    if (!plan.cuts[k]) continue;
+    const Impact<double>& impact = (hit++)->impact;
+    const double most = MakeImpactConstants(scene_, *plan.cuts[k]).MostDrag() * std::abs(impact.speed);
+    if (plan.regimes[k] || std::abs(std::abs(impact.sliding) - most) > kNearBorder * most) continue;
+    for (const ContactMode mode : {ContactMode::kStick, ContactMode::kSlip}) {
+      regimes.emplace_back(k, static_cast<int>(mode));
+    }
+  }
+  return regimes;
+}
+
+bool PhaseRun::HasCertificate() const {
+  if (!terms_.empty() || scene_.optimize != Optimize::kControl) return false;
+  return scene_.objective.effort > 0 || scene_.control.IsBounded();
+}
+
+std::string PhaseRun::NameOf(const PhasePlan& plan) const { return NameFrom(scene_, plan, 0); }
+
+std::string PhaseRun::NamesOf(const std::vector<PhasePlan>& plans) const {
+  constexpr size_t kLong = 8;  // impacts, of which those are left out that the sequence before has too
+  std::string text;
+  for (size_t i = 0; i < plans.size(); ++i) {
+    const ContactSequence sequence = plans[i].Sequence();
+    size_t same = 0;
+    if (i > 0 && sequence.size() > kLong) {
+      const ContactSequence before = plans[i - 1].Sequence();
+      const auto [mine, other] = std::mismatch(sequence.begin(), sequence.end(), before.begin(), before.end());
+      same = std::min<size_t>(mine - sequence.begin(), sequence.size() - 1);
+    }
+    text += i > 0 ? "; " : "";
+    if (same > 0) text += "(" + std::to_string(same) + " the same) ";
+    text += NameFrom(scene_, plans[i], same);
+  }
+  return text;
+}
+
+std::string PhaseRun::KinksOf(const PhasePlan& plan) const {
+  std::string text;
+  const auto add = [&](const std::string& what) { text += (text.empty() ? "" : ", ") + what; };
+  for (const Candidate& pair : plan.apart) add(ContactSequenceToString(scene_, {pair}) + " just touch");
+  if (plan.HasTies()) add(plan.tied.back() ? "an impact is at the final time" : "impacts are at the same time");
+  if (plan.HasRegimes()) add("an impact is between slip and stick");
+  return text;
+}
+
+std::string PhaseRun::DescribeMiss(const Trial& trial) const {
+  const Miss miss = LargestMiss(scene_, trial);
+  if (trial.own.violation > miss.size) {
+    char part[40];
+    std::snprintf(part, sizeof part, "%.6g", trial.own.violation);
+    return std::string(part) + " of its scale, by " + trial.own.worst;
+  }
+  struct Unit {
+    double size;
+    const char* name;
+  };
+  const Unit units[] = {// by quantity
+                        {scene_.units.length, " m"},
+                        {scene_.units.speed(), " m/s"},
+                        {1, " rad"},
+                        {1 / scene_.units.time, " rad/s"}};
+  const Unit& unit = units[static_cast<int>(miss.quantity)];
+  char text[40];
+  std::snprintf(text, sizeof text, "%.6g", miss.size * unit.size);
+  return std::string(text) + unit.name + ", by " + scene_.bodies[miss.body].name;
 }
 
 SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termination, std::string reason) {
-  report_.termination = termination;
-  report_.reason = std::move(reason);
-  report_.initial_loss = report_.losses.front();
-  report_.final_loss = loss;
+  FinishReport(loss, termination, std::move(reason));
   report_.initial_violation = ViolationOfAll(scene_, guess_);
   report_.final_violation = ViolationOfAll(scene_, trial);
-  report_.iterations = static_cast<int>(report_.losses.size()) - 1;
   report_.initial_state = InitialOf(scene_, trial);
   report_.control = trial.control;
   report_.durations = trial.durations;
-  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   return std::move(report_);
+}
+
+PhaseRun::Transcriber::Transcriber(const PhaseRun& run, const PhasePlan& plan, const PlanStart& start)
+    : DiscMotions(scene_, run.terms()), run_(run), plan_(plan), scene_(run.scene()) {
+  if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
+  if (plan.only_violation) AimAtConstraints();
+  for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
+  apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
+}
+
+std::unique_ptr<PhaseTranscription> PhaseRun::Transcriber::Make(const PlanStart& start,
+                                                                const std::vector<double>& overlaps,
+                                                                const std::vector<int>& steps, double margin) const {
+  std::vector<PhaseCut> cuts;
+  for (size_t k = 0; k < plan_.cuts.size(); ++k) {
+    cuts.push_back({plan_.cuts[k], start.times[k], overlaps[k]});
+    if (plan_.regimes[k]) cuts.back().mode = static_cast<ContactMode>(*plan_.regimes[k]);
+  }
+  return std::make_unique<PhaseTranscription>(BeginningAs(start.trial, scene_),
+                                              run_.terms(),
+                                              std::move(cuts),
+                                              steps,
+                                              ControlOf(start.trial, scene_.control_width()),
+                                              apart_,
+                                              margin);
+}
+
+void PhaseRun::Transcriber::TakeControl(const PhaseTranscription& transcription, Trial* trial) const {
+  saltus::TakeControl(transcription, scene_, trial);
+}
+
+// In natural units, a force that matters costs far less than the misses that it mends.
+void PhaseRun::Transcriber::AimAtConstraints() {
+  constexpr double kEffort = 1e-6;
+  Objective only;
+  only.effort = kEffort * std::pow(scene_.duration, 3);
+  const auto add = [](const auto& terms, auto* out) {
+    for (auto term : terms) {
+      if (!term.hard) continue;
+      term.hard = false;
+      term.weight = 1;
+      out->push_back(term);
+    }
+  };
+  add(scene_.objective.terminal, &only.terminal);
+  add(scene_.objective.via, &only.via);
+  only.duration = scene_.objective.duration;
+  if (only.duration) only.duration->weight = 0;
+  scene_.objective = only;
+}
+
+void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial) {
+  transcription.Control(&trial->control, &trial->durations);
+  if (scene.optimize != Optimize::kControl) trial->initial = transcription.InitialState();
+  // A phase that vanished may be a little less than nothing.
+  for (double& duration : trial->durations) duration = std::max(duration, 1e-12 * scene.duration);
+  if (!scene.objective.duration) {
+    const double whole = DurationOf(*trial);
+    for (double& duration : trial->durations) duration *= scene.duration / whole;
+  }
+  MoveWithinBounds(scene, trial->control);  // multipliers leave about 1e-10 beyond
 }
 
 }  // namespace saltus

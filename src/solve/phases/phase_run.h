@@ -1,54 +1,141 @@
-// What the solvers on event phases do around their algorithm: time, simulate the initial guess, collect losses, ask the
-// callback, write the report.
+// The problems of solvers along sequences of impacts: a scene of discs as phase_plan.h wants a problem, and what such
+// solvers do around their algorithm: time, simulate the initial guess, collect losses, ask the callback, write the
+// report.
 #pragma once
 
-#include <algorithm>
-#include <chrono>
+#include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "saltus/solve/solver.h"
+#include "solve/phases/phase_plan.h"
 #include "solve/phases/phase_solution.h"
+#include "solve/phases/phase_transcription.h"
+#include "solve/phases/sequence_run.h"
 
 namespace saltus {
 
-// True when so many seconds are over (0: never), or when `stop` says so.
-StopRequest StopAfter(double seconds, const StopRequest& stop);
+using PhasePlan = PlanOf<Candidate>;
+using PlanStart = PlanStartOf<Trial>;
+using PlanAttempt = PlanAttemptOf<Trial>;
 
-class PhaseRun {
+// Exact motions of a scene, which must outlive this object as the terms must.
+class DiscMotions {
  public:
-  // The clock of the report starts here.
+  DiscMotions(const Scene& scene, const std::vector<OwnTerm>& terms) : scene_(&scene), terms_(&terms) {}
+
+  void Simulate(Trial* trial) const { saltus::Simulate(*scene_, *terms_, trial); }
+  bool IsRealized(const Trial& trial, const ContactSequence& sequence, const std::vector<double>& times) const {
+    return saltus::IsRealized(*scene_, trial.exact, sequence, times);
+  }
+  // What is left of hard terms in the scene's units or of a user's constraints; infinite if the trial has not run, or
+  // what must not touch has.
+  double ViolationOf(const Trial& trial) const;
+  // The exact model moves an impact that is a little after a node there.
+  double NodeMargin(const Trial& trial) const;
+
+ protected:
+  const Scene& motion_scene() const { return *scene_; }
+
+ private:
+  const Scene* scene_;
+  const std::vector<OwnTerm>* terms_;
+};
+
+class PhaseRun final : public SequenceRun, private DiscMotions {
+ public:
+  using Event = Candidate;
+  using Motion = Trial;
+  class Transcriber;
+  static constexpr double kUneven = 2;  // a step so many times the mean one is too long
+
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
   // From a motion in place of the initial guess.
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start);
 
   const Scene& scene() const { return scene_; }
-  const SolverOptions& options() const { return options_; }
   const std::vector<OwnTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
+  const std::optional<ContactSequence>& given_sequence() const { return options_.sequence; }
+  int num_steps() const { return scene_.steps; }
+  int control_width() const { return scene_.control_width(); }
   // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses what does not only have
   // impacts, the third an empty sequence too.
   std::optional<SolveReport> WhyNoMotion();
   std::optional<SolveReport> WhyNotStart();
   std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
 
-  // Appends the loss after another iteration. False if the callback wants to stop.
-  bool Record(double loss);
-  bool interrupted() const { return interrupted_; }
-  bool IsOutOfIterations() const { return static_cast<int>(report_.losses.size()) > std::max(1, options_.iterations); }
+  // Simulates the control of a trial.
+  using DiscMotions::Simulate;
+  using DiscMotions::ViolationOf;
+  // The loss, and what is left of hard constraints. Infinite if there is no motion, or one with other contacts.
+  double MeritOf(const Trial& trial) const;
+  // Moves the forces into their bounds; the second simulates what has changed.
+  void MoveWithin(Trial* trial) const;
+  Trial WithinBounds(Trial trial) const;
+  // Puts the start of `between` at a part of the way from one motion to another.
+  void BlendStart(const Trial& to, const Trial& from, double part, Trial* between) const;
 
-  SolveReport& report() { return report_; }
+  // The plan of a sequence, without forbidden impacts, and when its cuts are in a motion: in one of that sequence, or
+  // where pairs come nearest.
+  void PlanAlong(ContactSequence sequence, const Trial& trial, PhasePlan* plan, std::vector<double>* times) const;
+  // Whether its events can follow one another.
+  bool IsPossible(const PhasePlan&) const { return true; }
+  // The impacts that are nearly between slip and stick, with each of the two.
+  std::vector<std::pair<size_t, int>> RegimesAtBorders(const PhasePlan& plan, const Trial& trial) const;
+
+  // Whether the conditions of the certificate are those of this problem.
+  bool HasCertificate() const;
+  Certificate Certify(const Trial& trial) const { return CertifyTrial(scene_, trial); }
+  std::vector<Trial> LeaveSaddle(const Trial& trial, const Curvature& curvature) const {
+    return saltus::LeaveSaddle(scene_, trial, curvature);
+  }
+
+  // In words: a sequence; a plan; several in their order; the kinks of the loss that it holds on to; what the trial
+  // misses most; where the exact run departs from the sequence.
+  std::string NameOf(const ContactSequence& sequence) const { return ContactSequenceToString(scene_, sequence); }
+  std::string NameOf(const PhasePlan& plan) const;
+  std::string NamesOf(const std::vector<PhasePlan>& plans) const;
+  std::string KinksOf(const PhasePlan& plan) const;
+  std::string DescribeMiss(const Trial& trial) const;
+  std::string WhyNotRealized(const Trial& trial, const ContactSequence& sequence) const {
+    return saltus::WhyNotRealized(scene_, trial.exact, sequence);
+  }
+
   SolveReport Finish(const Trial& trial, double loss, Termination termination, std::string reason = {});
 
  private:
-  SolveReport Refuse(Termination termination, std::string reason);
-
-  std::chrono::steady_clock::time_point start_;
   const Scene& scene_;
   const std::vector<OwnTerm>& terms_;
-  const SolverOptions& options_;
   Trial guess_;
-  SolveReport report_;
-  bool interrupted_ = false;
 };
+
+// The transcriptions of one plan, and the motions of what they find.
+class PhaseRun::Transcriber : public DiscMotions {
+ public:
+  Transcriber(const PhaseRun& run, const PhasePlan& plan, const PlanStart& start);
+  Transcriber(const Transcriber&) = delete;  // motions refer to its scene
+
+  double duration() const { return scene_.duration; }
+  // Pairs that must not meet, but at the cuts.
+  const ContactSequence& apart() const { return apart_; }
+  std::unique_ptr<PhaseTranscription> Make(const PlanStart& start, const std::vector<double>& overlaps,
+                                           const std::vector<int>& steps, double margin) const;
+  void TakeControl(const PhaseTranscription& transcription, Trial* trial) const;
+
+ private:
+  void AimAtConstraints();
+
+  const PhaseRun& run_;
+  const PhasePlan& plan_;
+  Scene scene_;
+  ContactSequence apart_;
+};
+
+using TryPlan = TryPlanOf<PhaseRun>;
+
+// The control that a transcription stands at, within its bounds and as long as the horizon, to the last bit.
+void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial);
 
 }  // namespace saltus

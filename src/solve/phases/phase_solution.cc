@@ -10,6 +10,7 @@
 #include "simulate/flight.h"
 #include "solve/control_guess.h"
 #include "solve/hmp.h"
+#include "solve/phases/phase_plan.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
@@ -21,29 +22,6 @@ double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
   const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
   if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - contact_distance;
   return Separate<double>(x.p[c.a], x.p[c.b]).distance - contact_distance;
-}
-
-// For each impact of `sequence` the hit of the flight that it is, or -1: a longest common subsequence.
-std::vector<int> Align(const ContactSequence& sequence, const std::vector<Flight::Hit>& hits) {
-  const int n = static_cast<int>(sequence.size()), m = static_cast<int>(hits.size());
-  std::vector<std::vector<int>> length(n + 1, std::vector<int>(m + 1, 0));
-  for (int i = n - 1; i >= 0; --i) {
-    for (int j = m - 1; j >= 0; --j) {
-      length[i][j] =
-          sequence[i] == hits[j].contact ? 1 + length[i + 1][j + 1] : std::max(length[i + 1][j], length[i][j + 1]);
-    }
-  }
-  std::vector<int> hit(n, -1);
-  for (int i = 0, j = 0; i < n && j < m;) {
-    if (sequence[i] == hits[j].contact) {
-      hit[i++] = j++;
-    } else if (length[i + 1][j] >= length[i][j + 1]) {
-      ++i;
-    } else {
-      ++j;
-    }
-  }
-  return hit;
 }
 
 // When the pair is nearest inside (from, to).
@@ -154,7 +132,9 @@ Flight FlightOf(const Scene& scene, const Trial& trial) {
 
 PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence) {
   PhaseGuess guess;
-  const std::vector<int> hit = Align(sequence, flight.hits());
+  ContactSequence met;
+  for (const Flight::Hit& hit : flight.hits()) met.push_back(hit.contact);
+  const std::vector<int> hit = LongestCommon(sequence, met);
   const int n = static_cast<int>(sequence.size());
   guess.times.resize(n);
   for (int k = 0; k < n;) {
@@ -194,8 +174,6 @@ bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
   return Certify(scene, InitialState(scene), trial.control, trial.durations);
 }
-
-std::string DescribeSaddle(const std::string& then) { return "left a saddle" + (then.empty() ? "" : "; " + then); }
 
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
   constexpr int kLargest = 4, kLengths = 24;  // powers of two

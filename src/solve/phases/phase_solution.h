@@ -89,9 +89,6 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 // Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature.
 // Of those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
-inline constexpr int kMostSaddles = 5;  // left one after the other
-// Remarks for a person: that it was left, and what came after.
-std::string DescribeSaddle(const std::string& then);
 
 // Whether the exact run has these impacts, at these times, and no others.
 bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,

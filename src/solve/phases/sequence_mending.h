@@ -1,27 +1,448 @@
-// A local optimum over collision sequences near by, for any solver along one sequence.
+// A local optimum over sequences of events near by, for any solver along one sequence, by an active-set update of the
+// sequence.
 //
-// A sequence that is not that of an optimum shows: impacts come out of order, a phase shrinks to nothing, the two sides
-// of an impact approach each other no more, or the exact roll-out meets something else. Each of these says which
-// sequences are next, and each is a warm start (an active set, whose members are impacts):
+// A sequence that is not that of an optimum shows: events come out of order, a phase shrinks to nothing, the gap of an
+// event does not close any more, or the exact roll-out has other events. Each of these says which sequences are next,
+// and each is a warm start (an active set, whose members are events):
 //
-//   impacts out of order, or at the same time   swap them; or hold them at the same time
-//   an impact after the final time, or at it    hold it there; or drop it
-//   a graze                                     drop it, and keep its pair apart by an inequality
-//   an impact between slip and stick            slip; or stick: each by an inequality
-//   the roll-out meets something else           the sequence that it has; or keep that pair apart
+//   events out of order, or at the same time    swap them, or leave out both if they cannot be swapped; or hold them at
+//                                               the same time
+//   an event after the final time, or at it     hold it there; or leave it out
+//   a graze                                     leave it out, and keep its gap open by an inequality
+//   an event at the border of two regimes       hold it in either, by an inequality; of discs slip and stick
+//   the roll-out has another event              the sequence that it has; or keep that gap open
 //
-// Besides, wherever a solve leaves its sequence, exact roll-outs on the way from where it began to where it stands look
-// for a better real motion, whatever the sequence that it has: solves go on from there, each from a lower loss.
+// Besides, wherever a solve leaves its sequence, a line search by exact roll-outs from where it began to where it
+// stands looks for a better real motion, whatever the sequence that it has: solves go on from there, each from a lower
+// loss.
+//
+// It knows nothing of discs, modes or guards: see phase_plan.h for what it asks of a problem.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
 #include "solve/phases/phase_plan.h"
-#include "solve/phases/phase_run.h"
 
 namespace saltus {
+namespace mending {
+
+inline constexpr int kMostAttempts = 60;
+inline constexpr int kPatience = 5;           // attempts after which nothing better than an optimum is expected
+inline constexpr int kMostStarts = 5;         // of one plan
+inline constexpr double kBetterStart = 0.99;  // of the merit of an earlier one
+inline constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants to be none
+inline constexpr double kActive = 1e-6;       // ... or is none, at an optimum
+inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
+inline constexpr double kGrazes = 1e-4;       // of the scale of speeds, at which an event wants to be none
+
+// What is tried first.
+enum class Rank { kBetterMotion, kIndicated, kTie, kHold };
+
+}  // namespace mending
+
+template <typename Run>
+class SequenceUpdate {
+ public:
+  SequenceUpdate(Run* run, const TryPlanOf<Run>& try_plan) : run_(*run), try_(try_plan) {}
+
+  SolveReport Solve() {
+    const SolverOptions& options = run_.options();
+    const bool mends = options.search && !run_.given_sequence();
+    lowest_ = run_.WithinBounds(run_.guess());
+    if (!lowest_.exact.ok) lowest_ = run_.guess();
+    Add(TaskAlong(SequenceFor(run_.guess()), run_.guess()));
+    if (lowest_.control != run_.guess().control && lowest_.exact.only_impacts) {
+      Add(TaskAlong(SequenceFor(lowest_), lowest_));
+    }
+    for (int attempts = 0; attempts < mending::kMostAttempts && !interrupted_ && !run_.IsOutOfIterations();
+         ++attempts) {
+      if (HasOptimum() && idle_ >= mending::kPatience) tasks_.clear();
+      if (tasks_.empty()) LeaveSaddleOfBest();
+      if (tasks_.empty() && !best_) Restore();
+      if (tasks_.empty()) break;
+      const Task task = TakeNext();
+      if (MayTry(task)) Attempt(task, mends);
+    }
+    if (mends && !interrupted_ && !EndsWithBest()) TakeLowest();
+    return Report();
+  }
+
+ private:
+  using Event = typename Run::Event;
+  using Trial = typename Run::Motion;
+  using Sequence = std::vector<Event>;
+  using PhasePlan = PlanOf<Event>;
+  using PlanStart = PlanStartOf<Trial>;
+  using PlanAttempt = PlanAttemptOf<Trial>;
+  using Rank = mending::Rank;
+  struct Task {
+    PhasePlan plan;
+    PlanStart start;
+    Rank rank = Rank::kIndicated;
+  };
+
+  static bool Contains(const Sequence& events, const Event& event) {
+    return std::find(events.begin(), events.end(), event) != events.end();
+  }
+
+  bool HasOptimum() const { return best_ && best_->converged; }
+
+  // ------------------------------------------------------------------------------------------------- merit of motions
+
+  double Merit(const Trial& trial) const { return run_.MeritOf(trial); }
+
+  // A motion that meets the constraints is better than one that does not, whatever their losses.
+  void Meet(const Trial& trial) {
+    const bool meets = MeetsConstraints(trial), met = MeetsConstraints(lowest_);
+    if (meets == met ? Merit(trial) < Merit(lowest_) : meets) lowest_ = trial;
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ tasks
+
+  Sequence SequenceFor(const Trial& trial) const {
+    return run_.given_sequence() ? *run_.given_sequence() : trial.exact.contacts;
+  }
+
+  Task TaskAlong(Sequence sequence, const Trial& trial) const {
+    Task task;
+    task.start.trial = trial;
+    run_.PlanAlong(std::move(sequence), trial, &task.plan, &task.start.times);
+    task.plan.tied.assign(task.plan.cuts.size(), false);
+    task.plan.regimes.resize(task.plan.cuts.size());
+    return task;
+  }
+
+  // A plan is tried again only from better motions: than those from which it was, and than what came of it. It is held
+  // once.
+  bool MayTry(const Task& task) const {
+    const bool hold = task.rank == Rank::kHold;
+    const double merit = Merit(task.start.trial);
+    int starts = 0;
+    for (const Tried& tried : tried_) {
+      if (!(tried.plan == task.plan)) continue;
+      if (hold ? tried.held : ++starts >= mending::kMostStarts || !(merit < tried.merit)) return false;
+    }
+    return true;
+  }
+
+  void Add(Task task) {
+    if (run_.IsPossible(task.plan) && MayTry(task)) tasks_.push_back(std::move(task));
+  }
+
+  // The last one of the first rank.
+  Task TakeNext() {
+    const auto ahead = [](const Task& a, const Task& b) { return a.rank < b.rank; };
+    const auto next = std::prev(std::min_element(tasks_.rbegin(), tasks_.rend(), ahead).base());
+    Task task = std::move(*next);
+    tasks_.erase(next);
+    return task;
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- attempts
+
+  void Attempt(const Task& task, bool mends) {
+    bool left = false;
+    if (passed_.empty() || !(passed_.back() == task.plan)) passed_.push_back(task.plan);
+    const PlanAttempt attempt = try_(task.plan, task.start, [&](const auto& times, const auto& speeds) {
+      left = mends && task.rank != Rank::kHold && Leaves(task.plan, times, speeds);
+      return !left;
+    });
+    run_.report().evaluations += attempt.jacobians;
+    interrupted_ = attempt.interrupted;
+    if (!attempt.valid) return;
+    if (!left) {
+      last_ = attempt;
+      last_plan_ = task.plan;
+    }
+    Meet(attempt.trial);
+    Remember(task, attempt, left);
+    const bool better = attempt.feasible() && IsBetter(attempt);
+    idle_ = better ? 0 : idle_ + 1;
+    if (better) {
+      best_ = attempt;
+      best_plan_ = task.plan;
+      if (attempt.converged) std::erase_if(tasks_, [](const Task& other) { return other.rank >= Rank::kTie; });
+    }
+    if (!mends || interrupted_ || (attempt.feasible() && attempt.converged && !better)) return;
+    std::vector<Task> next = Moves(task, attempt, left);
+    for (size_t i = next.size(); i-- > 0;) Add(std::move(next[i]));
+    if (left && !HasOptimum()) tasks_.push_back({task.plan, task.start, Rank::kHold});
+  }
+
+  bool IsBetter(const PlanAttempt& attempt) const {
+    if (!best_) return true;
+    const double same = kHardlyBetter * std::abs(best_->loss());
+    if (attempt.converged && !best_->converged) return attempt.loss() <= best_->loss() + same;
+    return attempt.loss() < best_->loss() - same;
+  }
+
+  void Remember(const Task& task, const PlanAttempt& attempt, bool left) {
+    double merit = mending::kBetterStart * Merit(task.start.trial);
+    if (!left && attempt.converged) merit = attempt.feasible() ? attempt.loss() : -1;
+    tried_.push_back({task.plan, merit, task.rank == Rank::kHold});
+  }
+
+  static bool IsShort(const std::vector<double>& times, size_t k, double least) {
+    return times[k + 1] - times[k] <= least * times.back();
+  }
+
+  // Whether a solve is on its way out of its plan.
+  bool Leaves(const PhasePlan& plan, const std::vector<double>& times, const std::vector<double>& speeds) const {
+    for (size_t k = 0; k < plan.cuts.size(); ++k) {
+      if (!plan.tied[k] && IsShort(times, k, -mending::kOutOfOrder)) return true;
+      if (plan.cuts[k] && speeds[k] > mending::kGrazes) return true;
+    }
+    return false;
+  }
+
+  // What to go on with after a solve, best first.
+  std::vector<Task> Moves(const Task& task, const PlanAttempt& attempt, bool left) const {
+    std::vector<Task> moves;
+    const Trial& trial = attempt.trial;
+    if (!attempt.feasible()) {
+      if (const auto better = WalkTo(run_, trial, task.start.trial)) {
+        moves.push_back(WithApart(TaskAlong(better->exact.contacts, *better), task.plan.apart));
+        moves.back().rank = Rank::kBetterMotion;
+      }
+    }
+    // One that has not converged has gone astray, if nothing stopped it.
+    const bool trusted = left || attempt.converged || attempt.feasible();
+    const PlanStart start = trusted ? PlanStart{{attempt.times.begin(), attempt.times.end() - 1}, trial} : task.start;
+    DropGrazes(task.plan, attempt, start, &moves);
+    Reorder(task.plan, attempt, start, &moves);
+    SplitRegimes(task.plan, attempt, start, &moves);
+    if (!attempt.realized && std::isfinite(Merit(trial))) {
+      moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
+      for (const Event& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
+        if (Contains(task.plan.Sequence(), met) || Contains(task.plan.apart, met)) continue;
+        moves.push_back({task.plan, start});
+        moves.back().plan.apart.push_back(met);
+      }
+    }
+    return moves;
+  }
+
+  static Task WithApart(Task task, const Sequence& apart) {
+    const Sequence met = task.plan.Sequence();
+    for (const Event& event : apart) {
+      if (!Contains(met, event)) task.plan.apart.push_back(event);
+    }
+    return task;
+  }
+
+  static void Drop(size_t k, Task* task) {
+    task->plan.cuts.erase(task->plan.cuts.begin() + k);
+    task->plan.tied.erase(task->plan.tied.begin() + k);
+    task->plan.regimes.erase(task->plan.regimes.begin() + k);
+    task->start.times.erase(task->start.times.begin() + k);
+  }
+
+  void DropGrazes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
+                  std::vector<Task>* moves) const {
+    for (size_t k = 0; k < plan.cuts.size(); ++k) {
+      if (!plan.cuts[k] || attempt.speeds[k] < -mending::kGrazes) continue;
+      Task task{plan, start};
+      Drop(k, &task);
+      // Beside another one of the same event nothing keeps its gap open.
+      const bool beside =
+          (k > 0 && plan.cuts[k - 1] == plan.cuts[k]) || (k + 1 < plan.cuts.size() && plan.cuts[k + 1] == plan.cuts[k]);
+      if (!beside && !Contains(task.plan.apart, *plan.cuts[k])) task.plan.apart.push_back(*plan.cuts[k]);
+      moves->push_back(std::move(task));
+    }
+  }
+
+  void Reorder(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
+               std::vector<Task>* moves) const {
+    const double least = attempt.converged ? mending::kActive : mending::kVanished;
+    const size_t cuts = plan.cuts.size();
+    const std::vector<double>& times = attempt.times;
+    for (size_t k = 0; k + 1 < cuts; ++k) {
+      if (plan.tied[k] || !IsShort(times, k, least) || plan.cuts[k] == plan.cuts[k + 1]) continue;
+      Task task{plan, start};
+      std::swap(task.plan.cuts[k], task.plan.cuts[k + 1]);
+      std::swap(task.plan.regimes[k], task.plan.regimes[k + 1]);
+      task.plan.tied[k] = task.plan.tied[k + 1] = false;
+      if (!run_.IsPossible(task.plan)) {
+        Task without{plan, start};
+        Drop(k + 1, &without);
+        Drop(k, &without);
+        moves->push_back(std::move(without));
+      }
+      const double middle = 0.5 * (start.times[k] + start.times[k + 1]);
+      if (start.times[k] > start.times[k + 1]) {
+        std::swap(task.start.times[k], task.start.times[k + 1]);
+      } else if (plan.cuts[k] && plan.cuts[k + 1]) {
+        task.start.times[k] = task.start.times[k + 1] = middle;
+      }
+      moves->push_back(std::move(task));
+      if (!plan.cuts[k] || !plan.cuts[k + 1]) continue;
+      moves->push_back({plan, start, Rank::kTie});
+      moves->back().plan.tied[k] = true;
+      moves->back().start.times[k] = moves->back().start.times[k + 1] = middle;
+    }
+    // At the end, the later ones first.
+    Task task{plan, start};
+    while (!task.plan.cuts.empty() && task.plan.cuts.back() && !task.plan.tied.back()) {
+      const size_t k = task.plan.cuts.size() - 1;
+      if (times.back() - times[k] > least * times.back()) break;
+      moves->push_back(task);
+      moves->back().plan.tied[k] = true;
+      moves->back().start.times[k] = DurationOf(start.trial);
+      Drop(k, &task);
+      moves->push_back(task);
+    }
+    for (Task& move : *moves) MakeRise(&move.start.times, DurationOf(move.start.trial));
+  }
+
+  // Between two regimes the loss has a kink, which a solve that does not know of it never leaves.
+  void SplitRegimes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
+                    std::vector<Task>* moves) const {
+    if (attempt.converged || !attempt.realized) return;
+    for (const auto& [cut, regime] : run_.RegimesAtBorders(plan, attempt.trial)) {
+      moves->push_back({plan, start});
+      moves->back().plan.regimes[cut] = regime;
+    }
+  }
+
+  // Times that rise within [0, end].
+  static void MakeRise(std::vector<double>* times, double end) {
+    double least = 0;
+    for (double& time : *times) least = time = std::clamp(time, least, std::max(least, end));
+  }
+
+  // --------------------------------------------------------------------------------------------------------------- end
+
+  void LeaveSaddleOfBest() {
+    if (!HasOptimum() || saddles_ >= kMostSaddles) return;
+    if (!run_.HasCertificate()) return;
+    const Certificate certificate = run_.Certify(best_->trial);
+    if (!certificate.IsSaddle()) return;
+    ++saddles_;
+    const std::vector<Trial> aside = run_.LeaveSaddle(best_->trial, *certificate.curvature);
+    idle_ = 0;
+    for (size_t i = aside.size(); i-- > 0;) {
+      Meet(aside[i]);
+      if (!aside[i].exact.only_impacts) continue;
+      tasks_.push_back(TaskAlong(aside[i].exact.contacts, aside[i]));
+      tasks_.back().rank = Rank::kBetterMotion;
+    }
+  }
+
+  bool MeetsConstraints(const Trial& trial) const { return run_.ViolationOf(trial) <= kFeasible; }
+  bool IsOpen(const Trial& trial) const { return trial.exact.ok && !MeetsConstraints(trial); }
+
+  // The smallest miss of hard terms, whatever the loss, along the sequence of the motion that misses them least so far.
+  // If there is hardly any, everything is tried again from there.
+  void Restore() {
+    constexpr double kHardlyAny = 1e-3;  // in natural units
+    if (restored_ || !IsOpen(lowest_) || !std::isfinite(Merit(lowest_))) return;
+    restored_ = true;
+    Task task = TaskAlong(lowest_.exact.contacts, lowest_);
+    task.plan.only_violation = true;
+    const PlanAttempt attempt = try_(task.plan, task.start, [](const auto&, const auto&) { return true; });
+    interrupted_ = attempt.interrupted;
+    if (!attempt.valid || !(attempt.violation < run_.ViolationOf(lowest_))) return;
+    lowest_ = attempt.trial;
+    if (attempt.violation > kHardlyAny) return;
+    tried_.clear();
+    Add(TaskAlong(lowest_.exact.contacts, lowest_));
+  }
+
+  bool EndsWithBest() const {
+    return HasOptimum() && !(Merit(lowest_) < best_->loss() - kHardlyBetter * std::abs(best_->loss()));
+  }
+
+  // The best motion that was met may be an optimum along its own sequence, if events that appeared change nothing.
+  void TakeLowest() {
+    if (!run_.HasCertificate() || IsOpen(lowest_)) return;
+    if (!lowest_.exact.ok || !lowest_.exact.only_impacts) return;
+    const Certificate certificate = run_.Certify(lowest_);
+    if (!certificate.IsStationary() || certificate.IsSaddle()) return;
+    best_plan_ = TaskAlong(lowest_.exact.contacts, lowest_).plan;
+    if (passed_.empty() || !(passed_.back() == best_plan_)) passed_.push_back(best_plan_);
+    best_.emplace();
+    best_->trial = lowest_;
+    best_->valid = best_->converged = best_->realized = true;
+  }
+
+  SolveReport Report() {
+    std::string reason;
+    const Termination termination = Judge(&reason);
+    if (saddles_ > 0) reason = DescribeSaddle(reason);
+    if (passed_.size() > 1)
+      reason += (reason.empty() ? "sequences passed: " : "; sequences passed: ") + run_.NamesOf(passed_);
+    const Trial& result = termination == Termination::kConverged ? best_->trial : lowest_;
+    return run_.Finish(result, result.exact.loss, termination, std::move(reason));
+  }
+
+  Termination Judge(std::string* reason) {
+    if (interrupted_) return Termination::kInterrupted;
+    if (tried_.empty()) {
+      *reason = "no motion along " + run_.NameOf(passed_.front()) + " was found to start from";
+      return Termination::kFailed;
+    }
+    if (EndsWithBest()) {
+      Certify();
+      return Termination::kConverged;
+    }
+    if (HasOptimum()) {
+      *reason = "no optimum found is better than a motion that is none";
+    } else if (IsOpen(lowest_)) {
+      *reason = "no motion along " + run_.NameOf(lowest_.exact.contacts) +
+                " that meets all constraints was found; the least violation is " + run_.DescribeMiss(lowest_);
+    } else if (!best_ && last_ && !last_->realized) {
+      *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
+    }
+    if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
+    return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
+  }
+
+  // Beside the conditions of events at different times in between, whose gaps close: where the loss has a kink.
+  void Certify() {
+    if (!run_.HasCertificate()) return;
+    Certificate certificate = run_.Certify(best_->trial);
+    const bool kinks = best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty();
+    if (kinks && !certificate.IsStationary()) {
+      certificate = {};
+      certificate.reason =
+          run_.KinksOf(best_plan_) + ", where the loss has a kink: the conditions are those where it has none";
+    }
+    run_.report().certificate = std::move(certificate);
+  }
+
+  Run& run_;
+  const TryPlanOf<Run>& try_;
+  // A plan, and the merit below which another start is worth while.
+  struct Tried {
+    PhasePlan plan;
+    double merit;
+    bool held;
+  };
+  std::vector<Task> tasks_;
+  std::vector<Tried> tried_;
+  std::vector<PhasePlan> passed_;
+  std::optional<PlanAttempt> best_, last_;
+  PhasePlan best_plan_, last_plan_;
+  Trial lowest_;  // the best of all motions met
+  int saddles_ = 0;
+  bool restored_ = false;
+  int idle_ = 0;  // attempts since something better was found
+  bool interrupted_ = false;
+};
 
 // From the sequence that the options ask for, or that of the initial guess; a sequence that is given is not left, but
 // for that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has
 // its plan, and says in `reason` which sequences were passed.
-SolveReport SolveMending(PhaseRun* run, const TryPlan& try_plan);
+template <typename Run>
+SolveReport SolveMending(Run* run, const TryPlanOf<Run>& try_plan) {
+  return SequenceUpdate<Run>(run, try_plan).Solve();
+}
 
 }  // namespace saltus

@@ -6,6 +6,7 @@
 #include "scene/units.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
+#include "solve/phases/sequence_mending.h"
 #include "solve/shooting/single_shooting_solvers.h"
 
 namespace saltus {

@@ -7,6 +7,9 @@
 #include <cstdio>
 
 #include "control/hybrid_shooting.h"
+#include "hybrid/rollout.h"
+#include "solve/phases/hybrid_phases.h"
+#include "solve/search/hybrid_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 #include "solve/solve_run.h"
 
@@ -17,14 +20,9 @@ constexpr double kNearJump = 1e-3;  // of an interval: how near to a jump of the
 
 // The events that happen so near to a jump of the control that the solver may have stopped at the kink there.
 std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput& input) {
-  const int width = simulator.system().num_controls();
-  const double length = input.duration / input.num_intervals;
   std::string near;
   for (const HybridEvent& event : simulator.events()) {
-    const int k = static_cast<int>(std::round(event.time / length));
-    if (k <= 0 || k >= input.num_intervals || std::abs(event.time - k * length) > kNearJump * length) continue;
-    const double* u = input.control.data() + k * width;
-    if (std::equal(u - width, u, u)) continue;
+    if (ControlJumpNear(input, simulator.system().num_controls(), event.time, kNearJump) < 0) continue;
     char text[64];
     std::snprintf(text, sizeof text, "' has an event at t = %.8g, ", event.time);
     near += (near.empty() ? "" : "; ") + ("guard '" + simulator.system().GuardName(event.mode, event.guard)) + text +
@@ -146,6 +144,8 @@ const std::vector<HybridSolverEntry>& HybridSolvers() {
       {"gd", "gradient descent at a fixed rate", WhyNotShot, SolveByGradientDescent},
       {"ceres_lbfgs", "L-BFGS on the adjoint gradient", WhyNotLbfgs, SolveByLbfgs},
       {"ceres_lm", "Levenberg-Marquardt, states eliminated", WhyNotLm, SolveByLm},
+      {"ceres_phases", "phases between events, a cost for every step", WhyNotHybridPhases, SolveHybridByPhases},
+      {"mode_search", "search over sequences of events, by ceres_phases", WhyNotHybridPhases, SolveHybridByModeSearch},
   };
   return solvers;
 }

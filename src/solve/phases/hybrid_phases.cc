@@ -1,0 +1,405 @@
+#include "solve/phases/hybrid_phases.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "solve/phases/phase_attempt.h"
+#include "solve/phases/sequence_mending.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kMissWeight = 1e3;    // of constraints beside the loss, relative to its scale
+constexpr double kSameTime = 1e-6;     // of the duration
+constexpr double kNodeMargin = 2e-13;  // of the duration: nodes are by half of it behind the events that belong there
+constexpr int kFewestIntervals = 64;   // where no control or cost of intervals gives their number
+
+// The problem with as many intervals as phases need, where their number means nothing.
+HybridProblem WithIntervals(HybridProblem problem) {
+  const bool of_intervals = std::any_of(problem.terms.begin(), problem.terms.end(), [](const HybridTerm& term) {
+    return term.at == HybridTerm::At::kEachInterval;
+  });
+  HybridInput& guess = problem.guess;
+  const int width = problem.system.num_controls();
+  if (guess.control.empty()) guess.control.assign(static_cast<size_t>(guess.num_intervals) * width, 0.0);
+  if (!problem.free.control && !of_intervals && guess.num_intervals < kFewestIntervals) {
+    const std::vector<double> row(guess.control.begin(), guess.control.begin() + width);
+    guess.control.clear();
+    for (int k = 0; k < kFewestIntervals; ++k) guess.control.insert(guess.control.end(), row.begin(), row.end());
+    guess.num_intervals = kFewestIntervals;
+    guess.lengths.clear();
+  }
+  return problem;
+}
+
+}  // namespace
+
+// The transcriptions of one plan, and the motions of what they find.
+class HybridPhaseRun::Transcriber {
+ public:
+  Transcriber(const HybridPhaseRun& run, const PlanOf<ModeEvent>& plan, const PlanStartOf<HybridMotion>& start)
+      : run_(run), plan_(plan), duration_(DurationOf(start.trial)) {}
+
+  double duration() const { return duration_; }
+  const std::vector<ModeEvent>& apart() const { return plan_.apart; }
+
+  std::unique_ptr<HybridTranscription> Make(const PlanStartOf<HybridMotion>& start, const std::vector<double>& overlaps,
+                                            const std::vector<int>& steps, double margin) const {
+    HybridTranscription::Start from{
+        start.trial.initial, start.trial.parameters, start.times, ControlOf(start.trial, run_.control_width())};
+    from.times.push_back(run_.problem_.free.duration ? DurationOf(start.trial) : run_.problem_.guess.duration);
+    auto transcription = std::make_unique<HybridTranscription>(run_.problem_,
+                                                               run_.scales_,
+                                                               plan_,
+                                                               from,
+                                                               overlaps,
+                                                               steps,
+                                                               run_.shooting_->simulator().steps_per_interval(),
+                                                               margin);
+    return transcription->valid() ? std::move(transcription) : nullptr;
+  }
+
+  void TakeControl(const HybridTranscription& transcription, HybridMotion* motion) const {
+    transcription.Control(&motion->control, &motion->durations);
+    motion->initial = transcription.InitialState();
+    motion->parameters = transcription.Parameters();
+    // A phase that vanished may be a little less than nothing.
+    const double whole = transcription.Duration();
+    for (double& duration : motion->durations) duration = std::max(duration, 1e-12 * whole);
+    const double stretch = whole / DurationOf(*motion);
+    for (double& duration : motion->durations) duration *= stretch;
+    run_.MoveWithin(motion);  // multipliers leave about 1e-10 beyond
+  }
+
+  void Simulate(HybridMotion* motion) const { run_.Simulate(motion); }
+  double ViolationOf(const HybridMotion& motion) const { return run_.ViolationOf(motion); }
+  // The control of a phase acts until its event has happened.
+  double NodeMargin(const HybridMotion& motion) const { return -kNodeMargin * DurationOf(motion); }
+  bool IsRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence,
+                  const std::vector<double>& times) const {
+    if (!motion.exact.ok || !motion.exact.only_impacts || motion.exact.contacts != sequence) return false;
+    for (size_t k = 0; k < times.size(); ++k) {
+      if (std::abs(motion.exact.events[k].time - times[k]) > kSameTime * DurationOf(motion)) return false;
+    }
+    return true;
+  }
+
+ private:
+  const HybridPhaseRun& run_;
+  const PlanOf<ModeEvent>& plan_;
+  double duration_;
+};
+
+HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options,
+                               std::optional<HybridMotion> start, std::optional<std::vector<ModeEvent>> sequence)
+    : SequenceRun(solver, options),
+      problem_(WithIntervals(problem)),
+      shooting_(std::make_unique<HybridShooting>(problem_)),
+      sequence_(std::move(sequence)) {
+  const HybridInput& guess = problem_.guess;
+  guess_.control = guess.control;
+  const std::vector<double> times = guess.Times();
+  for (int k = 0; k < guess.num_intervals; ++k) guess_.durations.push_back(times[k + 1] - times[k]);
+  guess_.initial = guess.initial;
+  guess_.parameters = guess.parameters;
+  MoveWithin(&guess_);
+  Simulate(&guess_);
+  FindScales();
+  if (start) {
+    guess_ = std::move(*start);
+    Simulate(&guess_);
+  }
+  if (guess_.exact.ok) Record(guess_.exact.loss);
+}
+
+std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
+  if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
+  if (guess_.exact.only_impacts) return std::nullopt;
+  return Refuse(Termination::kNotApplicable,
+                "from the initial guess a guard grazes zero or has a transition at once; phases know events that take "
+                "their own time");
+}
+
+// Of the last motion.
+void HybridPhaseRun::FindScales() {
+  const HybridSystem& system = problem_.system;
+  const HybridSimulator& simulator = shooting_->simulator();
+  constexpr double kOfRate = 0.1;  // times the duration: a size that a rate makes
+  const double time = kOfRate * problem_.guess.duration;
+  for (int mode = 0; mode < system.num_modes(); ++mode) {
+    scales_.state.emplace_back(system.state_size(mode), 0.0);
+    scales_.guard.emplace_back(system.num_guards(mode), 0.0);
+  }
+  const std::vector<double> zeros(system.num_controls());
+  const double* p = problem_.guess.parameters.data();
+  std::vector<double> slope;
+  for (int step = 0; guess_.exact.ok && step < simulator.num_steps(); ++step) {
+    const int mode = simulator.StepMode(step);
+    const std::span<const double> x = simulator.StepState(step);
+    const double t = simulator.StepTime(step);
+    slope.resize(x.size());
+    system.functions().Flow(mode, t, x.data(), zeros.data(), p, slope.data());
+    for (size_t i = 0; i < x.size(); ++i) {
+      double& scale = scales_.state[mode][i];
+      scale = std::max({scale, std::abs(x[i]), time * std::abs(slope[i])});
+    }
+    for (int guard = 0; guard < system.num_guards(mode); ++guard) {
+      double rate = 0;
+      const double value = system.functions().GuardRate(mode, guard, t, x.data(), slope.data(), p, &rate);
+      scales_.guard[mode][guard] = std::max({scales_.guard[mode][guard], std::abs(value), time * std::abs(rate)});
+    }
+  }
+  for (auto* of_modes : {&scales_.state, &scales_.guard}) {
+    for (std::vector<double>& scales : *of_modes) {
+      for (double& scale : scales) {
+        if (!(scale > 0) || !std::isfinite(scale)) scale = 1;
+      }
+    }
+  }
+  if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;
+}
+
+HybridInput HybridPhaseRun::InputOf(const HybridMotion& motion) const {
+  return {.mode = problem_.guess.mode,
+          .initial = motion.initial,
+          .parameters = motion.parameters,
+          .duration = problem_.free.duration ? DurationOf(motion) : problem_.guess.duration,
+          .num_intervals = static_cast<int>(motion.durations.size()),
+          .control = motion.control,
+          .lengths = motion.durations};
+}
+
+void HybridPhaseRun::Simulate(HybridMotion* motion) const {
+  motion->exact = {};
+  HybridMotion::Exact& exact = motion->exact;
+  HybridShooting::Outcome outcome;
+  exact.ok = shooting_->Simulate(InputOf(*motion), &outcome);
+  const HybridSimulator& simulator = shooting_->simulator();
+  exact.events = simulator.events();
+  for (HybridEvent& event : exact.events) {
+    event.before = event.after = {};
+    exact.contacts.push_back({event.mode, event.guard, event.next_mode});
+    if (event.at_once) exact.only_impacts = false;
+  }
+  if (!simulator.grazings().empty()) exact.only_impacts = false;
+  if (!exact.ok) {
+    exact.reason = shooting_->WhyFailed();
+    return;
+  }
+  exact.loss = outcome.loss;
+  exact.violation = outcome.violation;
+  exact.worst = outcome.worst;
+}
+
+double HybridPhaseRun::ViolationOf(const HybridMotion& motion) const {
+  return motion.exact.ok && motion.exact.only_impacts ? motion.exact.violation : INFINITY;
+}
+
+double HybridPhaseRun::MeritOf(const HybridMotion& motion) const {
+  const double violation = ViolationOf(motion);
+  return motion.exact.loss + (violation > 0 ? kMissWeight * scales_.loss * violation * violation : 0.0);
+}
+
+void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
+  const HybridFree& free = problem_.free;
+  const auto clamp = [](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
+    if (!min.empty()) *value = std::max(*value, min[i]);
+    if (!max.empty()) *value = std::min(*value, max[i]);
+  };
+  const auto width = static_cast<size_t>(control_width());
+  for (size_t i = 0; free.control && i < motion->control.size(); ++i) {
+    clamp(&motion->control[i], free.control_min, free.control_max, i % width);
+  }
+  for (size_t i = 0; i < free.initial.size(); ++i) {
+    clamp(&motion->initial[free.initial[i]], free.initial_min, free.initial_max, i);
+  }
+  for (size_t i = 0; i < free.parameters.size(); ++i) {
+    clamp(&motion->parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+  }
+  if (!free.duration) return;
+  const double duration = DurationOf(*motion), within = std::clamp(duration, free.duration_min, free.duration_max);
+  if (within == duration) return;
+  for (double& length : motion->durations) length *= within / duration;
+}
+
+HybridMotion HybridPhaseRun::WithinBounds(HybridMotion motion) const {
+  const HybridMotion before = motion;
+  MoveWithin(&motion);
+  const bool same = motion.control == before.control && motion.initial == before.initial &&
+                    motion.parameters == before.parameters && motion.durations == before.durations;
+  if (!same) Simulate(&motion);
+  return motion;
+}
+
+void HybridPhaseRun::BlendStart(const HybridMotion& to, const HybridMotion& from, double part,
+                                HybridMotion* between) const {
+  for (size_t i = 0; i < to.initial.size(); ++i) {
+    between->initial[i] = part * to.initial[i] + (1 - part) * from.initial[i];
+  }
+  for (size_t i = 0; i < to.parameters.size(); ++i) {
+    between->parameters[i] = part * to.parameters[i] + (1 - part) * from.parameters[i];
+  }
+}
+
+bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
+  int mode = problem_.guess.mode;
+  for (const ModeEvent& event : sequence) {
+    if (event.mode != mode) return false;
+    mode = event.next_mode;
+  }
+  return std::all_of(problem_.terms.begin(), problem_.terms.end(), [&](const HybridTerm& term) {
+    if (term.at != HybridTerm::At::kEnd) return true;
+    const bool fits = !term.with_state || term.function->parameter_block_sizes()[0] == problem_.system.state_size(mode);
+    return fits && (term.mode < 0 || term.mode == mode);
+  });
+}
+
+void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion,
+                               PlanOf<ModeEvent>* plan, std::vector<double>* times) const {
+  const std::vector<int> found = LongestCommon(sequence, motion.exact.contacts);
+  const double duration = DurationOf(motion);
+  const size_t count = sequence.size();
+  times->resize(count);
+  for (size_t k = 0; k < count; ++k) plan->cuts.emplace_back(sequence[k]);
+  for (size_t k = 0; k < count;) {
+    if (found[k] >= 0) {
+      (*times)[k] = motion.exact.events[found[k]].time;
+      ++k;
+      continue;
+    }
+    size_t end = k;  // of a run of new events, which share the time between their neighbours
+    while (end < count && found[end] < 0) ++end;
+    const double from = k > 0 ? (*times)[k - 1] : 0.0;
+    const double to = end < count ? motion.exact.events[found[end]].time : duration;
+    for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
+    k = end;
+  }
+}
+
+std::string HybridPhaseRun::NameOf(const ModeEvent& event) const {
+  const HybridSystem& system = problem_.system;
+  return system.ModeName(event.mode) + "/" + system.GuardName(event.mode, event.guard);
+}
+
+std::string HybridPhaseRun::NameOf(const std::vector<ModeEvent>& sequence) const {
+  std::string text;
+  for (const ModeEvent& event : sequence) text += (text.empty() ? "" : ",") + NameOf(event);
+  return text.empty() ? "none" : text;
+}
+
+std::string HybridPhaseRun::NameOf(const PlanOf<ModeEvent>& plan) const {
+  std::string text = NameOf(plan.Sequence());
+  if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
+  for (const ModeEvent& event : plan.apart) text += ", without another " + NameOf(event);
+  return text;
+}
+
+std::string HybridPhaseRun::NamesOf(const std::vector<PlanOf<ModeEvent>>& plans) const {
+  std::string text;
+  for (const PlanOf<ModeEvent>& plan : plans) text += (text.empty() ? "" : "; ") + NameOf(plan);
+  return text;
+}
+
+std::string HybridPhaseRun::KinksOf(const PlanOf<ModeEvent>& plan) const {
+  std::string text;
+  const auto add = [&](const std::string& what) { text += (text.empty() ? "" : ", ") + what; };
+  for (const ModeEvent& event : plan.apart) add("the guard of " + NameOf(event) + " just reaches zero");
+  if (plan.HasTies()) add(plan.tied.back() ? "an event is at the final time" : "events are at the same time");
+  return text;
+}
+
+std::string HybridPhaseRun::DescribeMiss(const HybridMotion& motion) const {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.6g", motion.exact.violation);
+  return std::string(text) + ", of " + motion.exact.worst;
+}
+
+std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const {
+  if (!motion.exact.ok) return motion.exact.reason;
+  if (!motion.exact.only_impacts) return "a guard grazes zero or has a transition at once";
+  const std::string planned = NameOf(sequence), met = NameOf(motion.exact.contacts);
+  if (planned == met) return "along " + planned + " events come at other times than planned";
+  return "the optimum along " + planned + " is no motion of the system: its events are " + met;
+}
+
+Certificate HybridPhaseRun::Certify(const HybridMotion& motion) const {
+  return saltus::Certify(problem_, InputOf(motion));
+}
+
+// Steps of many lengths, to both sides along the direction.
+std::vector<HybridMotion> HybridPhaseRun::LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const {
+  constexpr int kLargest = 4, kLengths = 24;  // powers of two
+  double size = 1;
+  for (const double u : motion.control) size = std::max(size, std::abs(u));
+  std::vector<HybridMotion> better;
+  const double least = motion.exact.loss - 1e-12 * std::abs(motion.exact.loss);
+  for (int power = kLargest; power > kLargest - kLengths; --power) {
+    for (const double sign : {1.0, -1.0}) {
+      HybridMotion moved = motion;
+      for (size_t i = 0; i < std::min(moved.control.size(), curvature.direction.size()); ++i) {
+        moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
+      }
+      MoveWithin(&moved);
+      Simulate(&moved);
+      if (moved.exact.ok && moved.exact.loss < least) better.push_back(std::move(moved));
+    }
+  }
+  std::stable_sort(better.begin(), better.end(), [](const HybridMotion& a, const HybridMotion& b) {
+    return a.exact.loss < b.exact.loss;
+  });
+  std::vector<HybridMotion> best;  // of each sequence
+  for (HybridMotion& candidate : better) {
+    const auto same = [&](const HybridMotion& known) { return known.exact.contacts == candidate.exact.contacts; };
+    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
+  }
+  return best;
+}
+
+SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Termination termination,
+                                   std::string reason) {
+  FinishReport(loss, termination, std::move(reason));
+  report_.initial_violation = ViolationOf(guess_);
+  report_.final_violation = ViolationOf(motion);
+  report_.initial_state = motion.initial;
+  report_.control = motion.control;
+  report_.durations = motion.durations;
+  report_.parameters = motion.parameters;
+  HybridShooting::Outcome outcome;
+  if (shooting_->Simulate(InputOf(motion), &outcome)) {
+    report_.integration_error = shooting_->simulator().IntegrationError();
+  }
+  return std::move(report_);
+}
+
+std::string WhyNotHybridPhases(const HybridProblem& problem) {
+  const HybridFree& free = problem.free;
+  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
+    return "the problem leaves nothing to optimize";
+  }
+  if (free.control || problem.guess.control.empty()) return "";
+  const int width = problem.system.num_controls();
+  for (size_t i = width; i < problem.guess.control.size(); ++i) {
+    if (problem.guess.control[i] != problem.guess.control[i - width]) {
+      return "the problem has a control that changes on a given grid; intervals of phases move with the events";
+    }
+  }
+  return "";
+}
+
+SolveReport MendHybrid(HybridPhaseRun* run) {
+  return SolveMending<HybridPhaseRun>(
+      run, [run](const PlanOf<ModeEvent>& plan, const PlanStartOf<HybridMotion>& start, const MayGoOn& may_go_on) {
+        return TryByTranscription(run, plan, start, may_go_on);
+      });
+}
+
+SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options) {
+  HybridPhaseRun run("ceres_phases", problem, options);
+  if (auto refused = run.WhyNotStart()) return *refused;
+  return MendHybrid(&run);
+}
+
+}  // namespace saltus

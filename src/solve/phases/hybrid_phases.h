@@ -1,0 +1,109 @@
+// A problem of a hybrid system as solvers along sequences of events want it (phase_plan.h), and the first of these:
+// ceres_phases.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "control/hybrid_shooting.h"
+#include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/optimality/hybrid_certificate.h"
+#include "solve/phases/hybrid_transcription.h"
+#include "solve/phases/phase_plan.h"
+#include "solve/phases/sequence_run.h"
+
+namespace saltus {
+
+// A control on intervals of any lengths, an initial state and parameters, and their exact simulation.
+struct HybridMotion {
+  std::vector<double> control, durations, initial, parameters;
+  struct Exact {
+    bool ok = false;
+    std::string reason;  // if not ok
+    double loss = INFINITY;
+    double violation = 0;      // of constraints and bounds: the largest
+    std::string worst;         // the constraint that is violated most
+    bool only_impacts = true;  // every event takes its own time and crosses zero: no transitions at once, no grazing
+    std::vector<ModeEvent> contacts;
+    std::vector<HybridEvent> events;  // their states are not valid
+  } exact;
+};
+
+class HybridPhaseRun final : public SequenceRun {
+ public:
+  using Event = ModeEvent;
+  using Motion = HybridMotion;
+  class Transcriber;
+  static constexpr double kUneven = 1.25;  // a step so many times the mean one is too long
+
+  // Precondition: WhyNotHybridPhases(problem) is empty. From the guess of the problem, or another motion, which is
+  // simulated; along a sequence that is given, or that of the motion.
+  HybridPhaseRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options,
+                 std::optional<HybridMotion> start = std::nullopt,
+                 std::optional<std::vector<ModeEvent>> sequence = std::nullopt);
+
+  // With the intervals of this run's control.
+  const HybridProblem& problem() const { return problem_; }
+  const HybridMotion& guess() const { return guess_; }
+  const std::optional<std::vector<ModeEvent>>& given_sequence() const { return sequence_; }
+  const HybridScales& scales() const { return scales_; }
+  int num_steps() const { return problem_.guess.num_intervals; }
+  int control_width() const { return problem_.system.num_controls(); }
+  // Why there is nothing to start from, as a report; otherwise nothing.
+  std::optional<SolveReport> WhyNotStart();
+
+  void Simulate(HybridMotion* motion) const;
+  double ViolationOf(const HybridMotion& motion) const;
+  double MeritOf(const HybridMotion& motion) const;
+  void MoveWithin(HybridMotion* motion) const;
+  HybridMotion WithinBounds(HybridMotion motion) const;
+  void BlendStart(const HybridMotion& to, const HybridMotion& from, double part, HybridMotion* between) const;
+
+  // Times of events that the motion does not have lie between those of their neighbours, where the guard is smallest.
+  void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
+                 std::vector<double>* times) const;
+  // Whether each event is one of the mode that the event before it leads to, and the terms at the end apply there.
+  bool IsPossible(const PlanOf<ModeEvent>& plan) const { return IsPossible(plan.Sequence()); }
+  bool IsPossible(const std::vector<ModeEvent>& sequence) const;
+  std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {
+    return {};
+  }
+
+  bool HasCertificate() const { return true; }
+  Certificate Certify(const HybridMotion& motion) const;
+  std::vector<HybridMotion> LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const;
+
+  std::string NameOf(const ModeEvent& event) const;
+  std::string NameOf(const std::vector<ModeEvent>& sequence) const;
+  std::string NameOf(const PlanOf<ModeEvent>& plan) const;
+  std::string NamesOf(const std::vector<PlanOf<ModeEvent>>& plans) const;
+  std::string KinksOf(const PlanOf<ModeEvent>& plan) const;
+  std::string DescribeMiss(const HybridMotion& motion) const;
+  std::string WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const;
+
+  SolveReport Finish(const HybridMotion& motion, double loss, Termination termination, std::string reason = {});
+
+ private:
+  HybridInput InputOf(const HybridMotion& motion) const;
+  void FindScales();
+
+  HybridProblem problem_;
+  std::unique_ptr<HybridShooting> shooting_;
+  HybridScales scales_;
+  HybridMotion guess_;
+  std::optional<std::vector<ModeEvent>> sequence_;
+};
+
+// Why a problem has no phases; empty if it has.
+std::string WhyNotHybridPhases(const HybridProblem& problem);
+
+// Along the events of the initial guess, which are updated on the way (sequence_mending.h), with a cost for every step
+// (hybrid_transcription.h). Converged means: an optimum along its sequence, and the exact roll-out has these events and
+// violates no constraint. Precondition: WhyNotHybridPhases is empty.
+SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options);
+SolveReport MendHybrid(HybridPhaseRun* run);
+
+}  // namespace saltus

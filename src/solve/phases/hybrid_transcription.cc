@@ -1,0 +1,637 @@
+#include "solve/phases/hybrid_transcription.h"
+
+#include <ceres/cost_function.h>
+#include <ceres/manifold.h>
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <span>
+
+namespace saltus {
+namespace {
+
+using Matrix = RungeKutta::Matrix;
+
+// As of PhaseTranscription: steps of a phase along which open defects do not add up yet.
+constexpr int kShortPhase = 332;
+constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
+// Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
+// near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
+// of hybrid iLQR).
+constexpr double kFirstWeight = 10;
+constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
+constexpr double kCostOfViolation = 1e-3;  // of other costs, where only violations count
+
+// A time that is a part of the way between two blocks, or one block if `begin` is not one.
+struct TimeOf {
+  double part = 1;
+  bool one_block = true;
+
+  int num_blocks() const { return one_block ? 1 : 2; }
+  double At(double const* const* blocks) const {
+    return one_block ? blocks[0][0] : blocks[0][0] + part * (blocks[1][0] - blocks[0][0]);
+  }
+  // The derivative by block i.
+  double By(int i) const { return one_block ? 1 : i == 1 ? part : 1 - part; }
+};
+
+class Rows : public ceres::CostFunction {
+ protected:
+  Rows(int rows, std::vector<int> blocks) {
+    set_num_residuals(rows);
+    *mutable_parameter_block_sizes() = std::move(blocks);
+  }
+  // Writes `derivative`, scaled by row, into the Jacobian of a block, if that is asked for.
+  template <typename Derived>
+  static void Put(double** jacobians, int block, const Eigen::MatrixBase<Derived>& derivative) {
+    if (jacobians[block] == nullptr) return;
+    Eigen::Map<Matrix>(jacobians[block], derivative.rows(), derivative.cols()) = derivative;
+  }
+  bool AreFinite(const double* rows) const {
+    return std::all_of(rows, rows + num_residuals(), [](double row) { return std::isfinite(row); });
+  }
+};
+
+// The sizes that are not 0.
+std::vector<int> Joined(std::initializer_list<int> sizes) {
+  std::vector<int> joined;
+  for (const int size : sizes) {
+    if (size > 0) joined.push_back(size);
+  }
+  return joined;
+}
+
+// The defect of a step. Blocks: state, control and parameters if there are any, begin and end of the phase, next state.
+class StepRows final : public Rows {
+ public:
+  StepRows(const HybridFunctions& functions, RungeKutta* integrator, int mode, int index, int count,
+           std::vector<double> sizes)
+      : Rows(static_cast<int>(sizes.size()), Joined({functions.layout().state_sizes[mode],
+                                                     functions.layout().num_controls,
+                                                     functions.layout().num_parameters,
+                                                     1,
+                                                     1,
+                                                     functions.layout().state_sizes[mode]})),
+        functions_(functions),
+        integrator_(*integrator),
+        mode_(mode),
+        index_(index),
+        count_(count),
+        scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const int n = num_residuals(), m = functions_.layout().num_controls, P = functions_.layout().num_parameters;
+    const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
+    const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
+    const FlowStep step{mode_,
+                        begin + part * (end - begin),
+                        (end - begin) / count_,
+                        blocks[0],
+                        m > 0 ? blocks[of_control] : nullptr,
+                        P > 0 ? blocks[of_parameters] : nullptr};
+    Eigen::VectorXd slope(n), after(n);
+    functions_.Flow(mode_, step.t, step.x, step.u, step.p, slope.data());
+    integrator_.Step(step, slope.data(), after.data());
+    Eigen::Map<Eigen::VectorXd>(rows, n) =
+        scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
+    if (!AreFinite(rows)) return false;
+    if (jacobians == nullptr) return true;
+    integrator_.Linearize(step);
+    const int columns = n + 1 + P + m + 1;
+    RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
+                              Eigen::RowVectorXd::Zero(columns),
+                              Eigen::RowVectorXd::Zero(columns),
+                              Matrix::Zero(P, columns),
+                              Matrix::Zero(m, columns)};
+    seeds.x.leftCols(n).setIdentity();
+    seeds.t[n] = 1;
+    seeds.p.middleCols(n + 1, P).setIdentity();
+    seeds.u.middleCols(n + 1 + P, m).setIdentity();
+    seeds.h[columns - 1] = 1;
+    const Matrix by = -(scale_.asDiagonal() * integrator_.PushForward(seeds));
+    Put(jacobians, 0, by.leftCols(n));
+    if (m > 0) Put(jacobians, of_control, by.middleCols(n + 1 + P, m));
+    if (P > 0) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
+    Put(jacobians, times, (1 - part) * by.col(n) - by.col(columns - 1) / count_);
+    Put(jacobians, times + 1, part * by.col(n) + by.col(columns - 1) / count_);
+    Put(jacobians, times + 2, Matrix(scale_.asDiagonal()));
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  RungeKutta& integrator_;
+  int mode_, index_, count_;
+  Eigen::VectorXd scale_;
+};
+
+// offset + factor g. Blocks: state, parameters if there are any, and the time.
+class GuardRow final : public Rows {
+ public:
+  GuardRow(const HybridFunctions& functions, int mode, int guard, const TimeOf& time, double offset, double factor)
+      : Rows(1,
+             Joined(
+                 {functions.layout().state_sizes[mode], functions.layout().num_parameters, 1, time.one_block ? 0 : 1})),
+        functions_(functions),
+        mode_(mode),
+        guard_(guard),
+        time_(time),
+        offset_(offset),
+        factor_(factor) {}
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const int n = functions_.layout().state_sizes[mode_], P = functions_.layout().num_parameters;
+    const int times = 1 + (P > 0);
+    Eigen::RowVectorXd gradient(n + 1 + P);
+    const double* p = P > 0 ? blocks[1] : nullptr;
+    rows[0] = offset_ + factor_ * functions_.GuardGradient(
+                                      mode_, guard_, time_.At(blocks + times), blocks[0], p, gradient.data());
+    if (!AreFinite(rows)) return false;
+    if (jacobians == nullptr) return true;
+    Put(jacobians, 0, factor_ * gradient.head(n));
+    if (P > 0) Put(jacobians, 1, factor_ * gradient.tail(P));
+    for (int i = 0; i < time_.num_blocks(); ++i) {
+      Put(jacobians, times + i, factor_ * time_.By(i) * gradient.segment(n, 1));
+    }
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  int mode_, guard_;
+  TimeOf time_;
+  double offset_, factor_;
+};
+
+// The defect of a reset. Blocks: state before, parameters if there are any, time, state after.
+class ResetRows final : public Rows {
+ public:
+  ResetRows(const HybridFunctions& functions, const ModeEvent& event, const std::vector<double>& sizes)
+      : Rows(static_cast<int>(sizes.size()), Joined({functions.layout().state_sizes[event.mode],
+                                                     functions.layout().num_parameters,
+                                                     1,
+                                                     functions.layout().state_sizes[event.next_mode]})),
+        functions_(functions),
+        event_(event),
+        scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const std::vector<int>& states = functions_.layout().state_sizes;
+    const int n = states[event_.mode], after = num_residuals(), P = functions_.layout().num_parameters;
+    const int most = *std::max_element(states.begin(), states.end());
+    const int time = 1 + (P > 0);
+    Eigen::VectorXd x_plus(most);
+    Matrix jacobian(most, n + 1 + P);
+    const int next = functions_.ResetJacobian(event_.mode,
+                                              event_.guard,
+                                              blocks[time][0],
+                                              blocks[0],
+                                              P > 0 ? blocks[1] : nullptr,
+                                              x_plus.data(),
+                                              jacobian.data());
+    if (next != event_.next_mode) return false;
+    Eigen::Map<Eigen::VectorXd>(rows, after) =
+        scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[time + 1], after) - x_plus.head(after));
+    if (!AreFinite(rows)) return false;
+    if (jacobians == nullptr) return true;
+    const Matrix by = -(scale_.asDiagonal() * jacobian.topRows(after));
+    Put(jacobians, 0, by.leftCols(n));
+    if (P > 0) Put(jacobians, 1, by.rightCols(P));
+    Put(jacobians, time, by.col(n));
+    Put(jacobians, time + 1, Matrix(scale_.asDiagonal()));
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  ModeEvent event_;
+  Eigen::VectorXd scale_;
+};
+
+// A term of the problem. Blocks: state, control and parameters if it reads them; the time, or begin and end of the
+// phase, if it reads the time or the length.
+class TermRows final : public Rows {
+ public:
+  TermRows(const HybridTerm& term, const TimeOf& time, int intervals, double least, double scale)
+      : Rows(term.function->num_residuals(), Blocks(term, time)),
+        term_(term),
+        time_(time),
+        intervals_(intervals),
+        least_(least),
+        scale_(scale) {}
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const bool timed = term_.with_time || term_.with_length;
+    const int own = static_cast<int>(parameter_block_sizes().size()) - (timed ? time_.num_blocks() : 0);
+    double const* const* times = blocks + own;
+    double time = 0, length = 0;
+    bool grows = false;
+    if (timed) {
+      time = time_.At(times);
+      length = time_.one_block ? 0 : (times[1][0] - times[0][0]) / intervals_;
+      grows = length > least_;
+      length = std::max(length, least_);
+    }
+    std::vector<const double*> in(blocks, blocks + own);
+    if (term_.with_time) in.push_back(&time);
+    if (term_.with_length) in.push_back(&length);
+    const int count = num_residuals();
+    std::vector<double*> out(jacobians != nullptr ? in.size() : 0);
+    Eigen::VectorXd by_time(count), by_length(count);
+    for (int i = 0; i < own && jacobians != nullptr; ++i) out[i] = jacobians[i];
+    if (jacobians != nullptr && term_.with_time) out[own] = by_time.data();
+    if (jacobians != nullptr && term_.with_length) out.back() = by_length.data();
+    if (!term_.function->Evaluate(in.data(), rows, jacobians != nullptr ? out.data() : nullptr)) return false;
+    for (int i = 0; i < count; ++i) rows[i] *= scale_;
+    if (!AreFinite(rows)) return false;
+    if (jacobians == nullptr) return true;
+    for (int i = 0; i < own; ++i) {
+      if (jacobians[i] == nullptr) continue;
+      for (int j = 0; j < count * parameter_block_sizes()[i]; ++j) jacobians[i][j] *= scale_;
+    }
+    for (int i = 0; timed && i < time_.num_blocks(); ++i) {
+      Eigen::VectorXd by = Eigen::VectorXd::Zero(count);
+      if (term_.with_time) by += time_.By(i) * by_time;
+      if (term_.with_length && grows) by += (i == 1 ? 1.0 : -1.0) / intervals_ * by_length;
+      Put(jacobians, own + i, scale_ * by);
+    }
+    return true;
+  }
+
+ private:
+  static std::vector<int> Blocks(const HybridTerm& term, const TimeOf& time) {
+    std::vector<int> sizes = term.function->parameter_block_sizes();
+    sizes.resize(sizes.size() - term.with_time - term.with_length);
+    if (term.with_time || term.with_length) sizes.resize(sizes.size() + time.num_blocks(), 1);
+    return sizes;
+  }
+
+  const HybridTerm term_;
+  TimeOf time_;
+  int intervals_;
+  double least_, scale_;
+};
+
+// min - z and z - max of the components that have bounds, relative to their sizes.
+class BoundRows final : public Rows {
+ public:
+  struct Bound {
+    int component;
+    double sign, at, size;  // sign (z - at) <= 0
+  };
+  BoundRows(int block, std::vector<Bound> bounds)
+      : Rows(static_cast<int>(bounds.size()), {block}), bounds_(std::move(bounds)) {}
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    Matrix by = Matrix::Zero(num_residuals(), parameter_block_sizes()[0]);
+    for (size_t i = 0; i < bounds_.size(); ++i) {
+      const Bound& bound = bounds_[i];
+      rows[i] = bound.sign * (blocks[0][bound.component] - bound.at) / bound.size;
+      by(static_cast<int>(i), bound.component) = bound.sign / bound.size;
+    }
+    if (jacobians != nullptr) Put(jacobians, 0, by);
+    return true;
+  }
+
+ private:
+  std::vector<Bound> bounds_;
+};
+
+// (begin - end) / size <= 0.
+class LengthRow final : public Rows {
+ public:
+  explicit LengthRow(double size) : Rows(1, {1, 1}), size_(size) {}
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    rows[0] = (blocks[0][0] - blocks[1][0]) / size_;
+    for (int i = 0; jacobians != nullptr && i < 2; ++i) {
+      if (jacobians[i] != nullptr) jacobians[i][0] = (i == 0 ? 1 : -1) / size_;
+    }
+    return true;
+  }
+
+ private:
+  double size_;
+};
+
+// Of the components of a block, in the order of the bounds.
+std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const std::vector<double>& min,
+                                       const std::vector<double>& max) {
+  std::vector<BoundRows::Bound> bounds;
+  for (size_t i = 0; i < components.size(); ++i) {
+    const double low = min.empty() ? -INFINITY : min[i], high = max.empty() ? INFINITY : max[i];
+    const double size = std::isfinite(high - low) && high > low ? high - low : 1;
+    if (std::isfinite(low)) bounds.push_back({components[i], -1, low, size});
+    if (std::isfinite(high)) bounds.push_back({components[i], 1, high, size});
+  }
+  return bounds;
+}
+
+}  // namespace
+
+HybridTranscription::HybridTranscription(const HybridProblem& problem, const HybridScales& scales,
+                                         const PlanOf<ModeEvent>& plan, const Start& start,
+                                         const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
+                                         double margin)
+    : problem_(problem),
+      functions_(problem.system.functions()),
+      scales_(scales),
+      plan_(plan),
+      substeps_(substeps),
+      integrator_(functions_),
+      parameters_(start.parameters) {
+  CHECK_EQ(steps.size(), plan.cuts.size() + 1);
+  times_ = {0.0};
+  boundary_ = {0};
+  for (size_t j = 0; j < steps.size(); ++j) {
+    Phase phase;
+    phase.mode = j == 0 ? problem.guess.mode : plan.cuts[j - 1]->next_mode;
+    phase.intervals = steps[j];
+    phases_.push_back(phase);
+    if (steps[j] > 0) {
+      times_.push_back(start.times[j]);
+    } else {
+      times_.back() = start.times[j];
+    }
+    boundary_.push_back(static_cast<int>(times_.size()) - 1);
+  }
+  valid_ = Lay(start);
+  if (!valid_) return;
+  AddSteps();
+  HoldWhatIsGiven();
+  AddEvents(overlaps);
+  AddGuards(margin);
+  AddTerms();
+  AddBounds();
+}
+
+bool HybridTranscription::Lay(const Start& start) {
+  const int m = functions_.layout().num_controls;
+  std::vector<double> slope;
+  nodes_.push_back(start.initial);
+  for (int j = 0; j < num_phases(); ++j) {
+    Phase& phase = phases_[j];
+    const double begin = *Begin(j), length = *End(j) - begin;
+    const int count = phase.intervals * substeps_;
+    phase.first_node = static_cast<int>(nodes_.size()) - 1;
+    phase.first_control = static_cast<int>(controls_.size());
+    for (int k = 0; k < count; ++k) {
+      if (k % substeps_ == 0) {
+        const double middle = begin + (k / substeps_ + 0.5) * length / phase.intervals;
+        std::vector<double>& u = controls_.emplace_back(m);
+        for (int i = 0; i < m; ++i) u[i] = start.control(i, middle);
+      }
+      const std::vector<double>& x = nodes_.back();
+      const FlowStep step{phase.mode,
+                          begin + k * length / count,
+                          length / count,
+                          x.data(),
+                          controls_.back().data(),
+                          parameters_.data()};
+      slope.resize(x.size());
+      std::vector<double> next(x.size());
+      functions_.Flow(phase.mode, step.t, step.x, step.u, step.p, slope.data());
+      integrator_.Step(step, slope.data(), next.data());
+      nodes_.push_back(std::move(next));
+    }
+    phase.last_node = static_cast<int>(nodes_.size()) - 1;
+    if (j + 1 == num_phases()) break;
+    const ModeEvent& event = *plan_.cuts[j];
+    if (event.mode != phase.mode) return false;
+    const std::vector<int>& sizes = functions_.layout().state_sizes;
+    std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
+    const int next =
+        functions_.Reset(event.mode, event.guard, *End(j), nodes_.back().data(), parameters_.data(), after.data());
+    if (next != event.next_mode) return false;
+    after.resize(sizes[next]);
+    nodes_.push_back(std::move(after));
+  }
+  return std::all_of(nodes_.begin(), nodes_.end(), [](const std::vector<double>& x) {
+    return std::all_of(x.begin(), x.end(), [](double number) { return std::isfinite(number); });
+  });
+}
+
+void HybridTranscription::AddSteps() {
+  for (int j = 0; j < num_phases(); ++j) {
+    const Phase& phase = phases_[j];
+    const int count = phase.intervals * substeps_;
+    for (int k = 0; k < count; ++k) {
+      std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
+      if (!controls_.front().empty()) blocks.push_back(controls_[phase.first_control + k / substeps_].data());
+      if (!parameters_.empty()) blocks.push_back(parameters_.data());
+      blocks.insert(blocks.end(), {Begin(j), End(j), nodes_[phase.first_node + k + 1].data()});
+      lagrangian_.Add(
+          std::make_unique<StepRows>(functions_, &integrator_, phase.mode, k, count, scales_.state[phase.mode]),
+          {.equalities = static_cast<int>(scales_.state[phase.mode].size())},
+          blocks);
+    }
+  }
+}
+
+void HybridTranscription::HoldWhatIsGiven() {
+  ceres::Problem& ceres = lagrangian_.problem();
+  const auto hold = [&](std::vector<double>& block, const std::vector<int>& free) {
+    ceres.AddParameterBlock(block.data(), static_cast<int>(block.size()));
+    if (free.empty()) {
+      ceres.SetParameterBlockConstant(block.data());
+    } else if (free.size() < block.size()) {
+      std::vector<int> held;
+      for (int i = 0; i < static_cast<int>(block.size()); ++i) {
+        if (std::find(free.begin(), free.end(), i) == free.end()) held.push_back(i);
+      }
+      ceres.SetManifold(block.data(), new ceres::SubsetManifold(static_cast<int>(block.size()), held));
+    }
+  };
+  hold(nodes_.front(), problem_.free.initial);
+  if (!parameters_.empty()) hold(parameters_, problem_.free.parameters);
+  if (!problem_.free.control && !controls_.front().empty()) {
+    for (std::vector<double>& u : controls_) ceres.SetParameterBlockConstant(u.data());
+  }
+  ceres.SetParameterBlockConstant(&times_.front());
+  if (!problem_.free.duration) ceres.SetParameterBlockConstant(&times_.back());
+}
+
+void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
+  for (int j = 0; j + 1 < num_phases(); ++j) {
+    const ModeEvent& event = *plan_.cuts[j];
+    double *before = nodes_[phases_[j].last_node].data(), *after = nodes_[phases_[j + 1].first_node].data();
+    const bool with_parameters = !parameters_.empty();
+    std::vector<double*> blocks = {before};
+    if (with_parameters) blocks.push_back(parameters_.data());
+    blocks.push_back(End(j));
+    lagrangian_.Add(
+        std::make_unique<GuardRow>(
+            functions_, event.mode, event.guard, TimeOf{}, overlaps[j], 1 / scales_.guard[event.mode][event.guard]),
+        {.equalities = 1},
+        blocks);
+    blocks.push_back(after);
+    const std::vector<double>& sizes = scales_.state[event.next_mode];
+    lagrangian_.Add(
+        std::make_unique<ResetRows>(functions_, event, sizes), {.equalities = static_cast<int>(sizes.size())}, blocks);
+  }
+}
+
+// At the ends of steps; where the phase ends with an event, not of its guard.
+void HybridTranscription::AddGuards(double margin) {
+  for (int j = 0; j < num_phases(); ++j) {
+    const Phase& phase = phases_[j];
+    const int count = phase.intervals * substeps_;
+    for (int guard = 0; guard < functions_.layout().num_guards[phase.mode]; ++guard) {
+      const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
+        return event.mode == phase.mode && event.guard == guard;
+      });
+      const bool ends = j + 1 < num_phases() && plan_.cuts[j]->guard == guard;
+      for (int k = 1; k <= count - ends; ++k) {
+        std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
+        if (!parameters_.empty()) blocks.push_back(parameters_.data());
+        blocks.insert(blocks.end(), {Begin(j), End(j)});
+        lagrangian_.Add(std::make_unique<GuardRow>(functions_,
+                                                   phase.mode,
+                                                   guard,
+                                                   TimeOf{static_cast<double>(k) / count, false},
+                                                   apart ? margin : 0.0,
+                                                   -1 / scales_.guard[phase.mode][guard]),
+                        {.inequalities = 1},
+                        blocks);
+      }
+    }
+  }
+}
+
+void HybridTranscription::AddTerms() {
+  const double root = 1 / std::sqrt(scales_.loss);
+  const auto add = [&](const HybridTerm& term,
+                       int node,
+                       int control,
+                       const TimeOf& time,
+                       int intervals,
+                       const std::vector<double*>& times) {
+    std::vector<double*> blocks;
+    if (term.with_state) {
+      if (term.function->parameter_block_sizes()[0] != static_cast<int>(nodes_[node].size())) return;
+      blocks.push_back(nodes_[node].data());
+    }
+    if (term.with_control) blocks.push_back(controls_[control].data());
+    if (term.with_parameters) blocks.push_back(parameters_.data());
+    if (term.with_time || term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());
+    const int rows = term.function->num_residuals();
+    RowRoles roles;
+    double scale = 1;
+    if (term.role == HybridTerm::Role::kCost) {
+      scale = root * (plan_.only_violation ? kCostOfViolation : 1);
+    } else if (term.role == HybridTerm::Role::kInequality) {
+      roles.inequalities = rows;
+    } else if (!plan_.only_violation) {
+      roles.equalities = rows;
+    }
+    lagrangian_.Add(std::make_unique<TermRows>(term, time, intervals, LeastLength(), scale), roles, blocks);
+  };
+  for (const HybridTerm& term : problem_.terms) {
+    if (term.at == HybridTerm::At::kEnd) {
+      add(term, phases_.back().last_node, -1, {}, 1, {End(num_phases() - 1)});
+      continue;
+    }
+    for (int j = 0; j < num_phases(); ++j) {
+      const Phase& phase = phases_[j];
+      if (term.at == HybridTerm::At::kEvent) {
+        if (j + 1 == num_phases() || plan_.cuts[j]->mode != term.mode || plan_.cuts[j]->guard != term.guard) continue;
+        add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
+        continue;
+      }
+      if (term.mode >= 0 && term.mode != phase.mode) continue;
+      for (int k = 0; k < phase.intervals; ++k) {
+        add(term,
+            phase.first_node + k * substeps_,
+            phase.first_control + k,
+            {static_cast<double>(k) / phase.intervals, false},
+            phase.intervals,
+            {Begin(j), End(j)});
+      }
+    }
+  }
+}
+
+void HybridTranscription::AddBounds() {
+  for (int j = 0; j < num_phases(); ++j) {
+    if (phases_[j].intervals == 0) continue;
+    lagrangian_.Add(std::make_unique<LengthRow>(problem_.guess.duration), {.inequalities = 1}, {Begin(j), End(j)});
+  }
+  const HybridFree& free = problem_.free;
+  const auto add = [&](double* block,
+                       int size,
+                       const std::vector<int>& components,
+                       const std::vector<double>& min,
+                       const std::vector<double>& max) {
+    std::vector<BoundRows::Bound> bounds = BoundsOf(components, min, max);
+    const int rows = static_cast<int>(bounds.size());
+    if (rows > 0)
+      lagrangian_.Add(std::make_unique<BoundRows>(size, std::move(bounds)), {.inequalities = rows}, {block});
+  };
+  std::vector<int> all(functions_.layout().num_controls);
+  std::iota(all.begin(), all.end(), 0);
+  for (std::vector<double>& u : controls_) {
+    if (free.control) add(u.data(), static_cast<int>(u.size()), all, free.control_min, free.control_max);
+  }
+  add(nodes_.front().data(), static_cast<int>(nodes_.front().size()), free.initial, free.initial_min, free.initial_max);
+  add(parameters_.data(),
+      static_cast<int>(parameters_.size()),
+      free.parameters,
+      free.parameters_min,
+      free.parameters_max);
+  if (free.duration) add(&times_.back(), 1, {0}, {free.duration_min}, {free.duration_max});
+}
+
+double HybridTranscription::LeastLength() const {
+  int intervals = 0;
+  for (const Phase& phase : phases_) intervals += phase.intervals;
+  return kLeastLength * problem_.guess.duration / intervals;
+}
+
+AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
+  int steps = 0;
+  for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
+  const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
+  options.equality_weight = kFirstWeight * length;
+  options.most_open = kMostOpen;
+  options.radius *= length * length;
+  if (options.callback) {
+    options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
+  }
+  AugmentedLagrangian::Summary summary = lagrangian_.Minimize(options);
+  summary.cost *= scales_.loss;
+  return summary;
+}
+
+std::vector<double> HybridTranscription::CutTimes() const {
+  std::vector<double> times;
+  for (size_t k = 0; k < plan_.cuts.size(); ++k) times.push_back(times_[boundary_[k + 1]]);
+  return times;
+}
+
+std::vector<double> HybridTranscription::CutSpeeds() const {
+  std::vector<double> speeds, slope;
+  for (int j = 0; j + 1 < num_phases(); ++j) {
+    const ModeEvent& event = *plan_.cuts[j];
+    const std::vector<double>& x = nodes_[phases_[j].last_node];
+    const int control = std::max(phases_[j].first_control + phases_[j].intervals - 1, 0);
+    const double t = times_[boundary_[j + 1]];
+    slope.resize(x.size());
+    functions_.Flow(event.mode, t, x.data(), controls_[control].data(), parameters_.data(), slope.data());
+    double rate = 0;
+    functions_.GuardRate(event.mode, event.guard, t, x.data(), slope.data(), parameters_.data(), &rate);
+    speeds.push_back(rate * problem_.guess.duration / scales_.guard[event.mode][event.guard]);
+  }
+  return speeds;
+}
+
+void HybridTranscription::Control(std::vector<double>* control, std::vector<double>* durations) const {
+  control->clear();
+  durations->clear();
+  for (const std::vector<double>& u : controls_) control->insert(control->end(), u.begin(), u.end());
+  for (int j = 0; j < num_phases(); ++j) {
+    const int intervals = phases_[j].intervals;
+    durations->insert(durations->end(), intervals, (times_[boundary_[j + 1]] - times_[boundary_[j]]) / intervals);
+  }
+}
+
+}  // namespace saltus

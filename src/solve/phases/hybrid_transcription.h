@@ -1,0 +1,109 @@
+// A motion of a hybrid system through a given sequence of events as a constrained least squares problem in which every
+// step of the integration is a cost.
+//
+// The events divide [0, T] into phases of free length, each of equal control intervals, each of equal steps of the
+// Runge-Kutta method. Unknown are the times of the events and T, the states before and after every step and every
+// reset, the controls, the parameters. With h = (end - begin) / (number of steps of the phase), the rows are
+//
+//   step        x_{k+1} - F(x_k, u, p, t_k, h) = 0
+//   event       g(t, x-, p) = 0 and x+ - R(t, x-, p) = 0 at the end of a phase
+//   guards      g >= 0 at every node inside a phase
+//   bounds      of controls, parameters, initial state, T, and of the lengths of phases
+//   terms       those of the problem, at the nodes that they name
+//
+// Events happen only between phases, so every function is smooth. Rows are divided by the sizes of what they are of
+// (HybridScales), as the augmented Lagrangian wants rows of order one.
+#pragma once
+
+#include <deque>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "hybrid/runge_kutta.h"
+#include "saltus/hybrid/hybrid_problem.h"
+#include "solve/phases/augmented_lagrangian.h"
+#include "solve/phases/phase_plan.h"
+
+namespace saltus {
+
+// An event of a guard in a mode, whose reset leads to a mode.
+struct ModeEvent {
+  int mode = 0, guard = 0, next_mode = 0;
+  bool operator==(const ModeEvent&) const = default;
+};
+
+// Sizes of states and guards over a motion, by mode, and of its loss.
+struct HybridScales {
+  std::vector<std::vector<double>> state, guard;
+  double loss = 1;
+};
+
+class HybridTranscription {
+ public:
+  struct Start {
+    std::vector<double> initial, parameters;
+    std::vector<double> times;                               // of the cuts, rising, and the final time
+    std::function<double(int component, double t)> control;  // held on intervals around t
+  };
+
+  // `steps` has the number of control intervals of each phase, one more than the plan has cuts; a phase of none has no
+  // length. `substeps` steps of the integration make an interval. Nodes start on the motion from the start in which the
+  // resets happen at the times of the cuts, whatever the guards. By `overlaps`, relative to the sizes of the guards,
+  // events come early; by `margin` the guards of events of plan.apart stay above zero inside phases. The problem must
+  // outlive this object. Precondition: some phase has steps.
+  HybridTranscription(const HybridProblem& problem, const HybridScales& scales, const PlanOf<ModeEvent>& plan,
+                      const Start& start, const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
+                      double margin);
+  HybridTranscription(const HybridTranscription&) = delete;
+
+  // Whether the motion that the nodes start on is finite and has the modes of the plan.
+  bool valid() const { return valid_; }
+
+  AugmentedLagrangian::Summary Minimize(AugmentedLagrangian::Options options);
+
+  std::vector<double> CutTimes() const;
+  // The rates of the guards before the events, negative if they fall, times the duration, relative to their sizes.
+  std::vector<double> CutSpeeds() const;
+  double Duration() const { return times_.back(); }
+  const std::vector<double>& InitialState() const { return nodes_.front(); }
+  const std::vector<double>& Parameters() const { return parameters_; }
+  // One row an interval, and the intervals' lengths.
+  void Control(std::vector<double>* control, std::vector<double>* durations) const;
+
+ private:
+  struct Phase {
+    int mode = 0, intervals = 0;
+    int first_node = 0, last_node = 0;  // before the first step, after the last one
+    int first_control = 0;
+  };
+
+  int num_phases() const { return static_cast<int>(phases_.size()); }
+  double* Begin(int phase) { return &times_[boundary_[phase]]; }
+  double* End(int phase) { return &times_[boundary_[phase + 1]]; }
+  bool Lay(const Start& start);
+  void AddSteps();
+  void AddEvents(const std::vector<double>& overlaps);
+  void AddGuards(double margin);
+  void AddTerms();
+  void AddBounds();
+  void HoldWhatIsGiven();
+  double LeastLength() const;
+
+  const HybridProblem& problem_;
+  const HybridFunctions& functions_;
+  HybridScales scales_;
+  const PlanOf<ModeEvent> plan_;
+  const int substeps_;
+  RungeKutta integrator_;
+  bool valid_ = false;
+  std::vector<Phase> phases_;
+  std::vector<double> times_;              // 0, of the cuts, T
+  std::vector<int> boundary_;              // of each phase and after the last one: which of the times
+  std::deque<std::vector<double>> nodes_;  // states; that at the start is the first
+  std::vector<std::vector<double>> controls_;
+  std::vector<double> parameters_;
+  AugmentedLagrangian lagrangian_;
+};
+
+}  // namespace saltus

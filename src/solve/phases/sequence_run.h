@@ -1,0 +1,43 @@
+// What every solver along sequences of events does around its algorithm: time, collect losses, ask the callback, write
+// the report.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <string>
+#include <string_view>
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// True when so many seconds are over (0: never), or when `stop` says so.
+StopRequest StopAfter(double seconds, const StopRequest& stop);
+
+// The clock, the losses and the report of a solver along sequences of events.
+class SequenceRun {
+ public:
+  // The clock of the report starts here. `options` must outlive this object.
+  SequenceRun(std::string_view solver, const SolverOptions& options);
+
+  const SolverOptions& options() const { return options_; }
+  // Appends the loss after another iteration. False if the callback wants to stop.
+  bool Record(double loss);
+  bool interrupted() const { return interrupted_; }
+  bool IsOutOfIterations() const { return static_cast<int>(report_.losses.size()) > std::max(1, options_.iterations); }
+  SolveReport& report() { return report_; }
+
+ protected:
+  SolveReport Refuse(Termination termination, std::string reason) const;
+  // Of a run that ends with a loss; all but the motion and what it misses.
+  void FinishReport(double loss, Termination termination, std::string reason);
+
+  const SolverOptions& options_;
+  SolveReport report_;
+  bool interrupted_ = false;
+
+ private:
+  std::chrono::steady_clock::time_point start_;
+};
+
+}  // namespace saltus

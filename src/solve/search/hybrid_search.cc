@@ -1,0 +1,239 @@
+#include "solve/search/hybrid_search.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/random.h"
+#include "saltus/solve/hybrid_solver.h"
+#include "solve/phases/hybrid_phases.h"
+#include "solve/search/search_solve.h"
+#include "solve/search/sequence_search.h"
+
+namespace saltus {
+namespace {
+
+constexpr int kIterationsUpdating = 1000;
+constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
+constexpr int kIterationsShooting = 30;  // from random starts
+constexpr size_t kMostNeighbours = 200;
+
+using Sequence = std::vector<ModeEvent>;
+using Finding = FindingOf<HybridMotion>;
+
+// What is searched, for SequenceSearch.
+class HybridSearch {
+ public:
+  using Run = HybridPhaseRun;
+  static constexpr char kLeftOut[] = "neighbours beyond the first 200";
+
+  explicit HybridSearch(const HybridPhaseRun& run, const HybridProblem& problem)
+      : run_(run), problem_(problem), events_(AllEvents()) {}
+
+  RelaxedOptima<HybridPhaseRun> SolveRelaxed(const SolverOptions&) const { return {}; }
+
+  std::optional<HybridMotion> BeginAtRandom(std::uint64_t seed, int number) const {
+    const HybridFree& free = run_.problem().free;
+    Random random(seed * 1000003 + number);
+    HybridMotion motion = run_.guess();
+    motion.exact = {};
+    const int width = run_.control_width();
+    const double duration = DurationOf(motion);
+    if (free.control) {
+      const std::vector<double> sizes = ControlSizes();
+      for (int i = 0; i < width; ++i) {
+        const double mean = random.Symmetric() * sizes[i], slope = random.Symmetric() * sizes[i];
+        double begin = 0;
+        for (size_t k = 0; k < motion.durations.size(); ++k) {
+          const double place = 2 * (begin + 0.5 * motion.durations[k]) / duration - 1;
+          motion.control[k * width + i] = number == 0 ? 0 : mean + place * slope;
+          begin += motion.durations[k];
+        }
+      }
+    }
+    const auto draw = [&](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
+      const double part = random.Uniform(0, 1);
+      const bool bounded = !min.empty() && !max.empty() && std::isfinite(max[i] - min[i]);
+      const double size = std::max(1.0, std::abs(*value));
+      *value = bounded ? min[i] + part * (max[i] - min[i]) : *value + (2 * part - 1) * size;
+    };
+    for (size_t i = 0; i < free.initial.size(); ++i) {
+      draw(&motion.initial[free.initial[i]], free.initial_min, free.initial_max, i);
+    }
+    for (size_t i = 0; i < free.parameters.size(); ++i) {
+      draw(&motion.parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+    }
+    return motion;
+  }
+
+  std::vector<Sequence> NeighboursOf(const HybridMotion& motion, bool* left_out) const {
+    const Sequence& sequence = motion.exact.contacts;
+    std::vector<Sequence> neighbours;
+    const auto add = [&](Sequence next) {
+      if (next == sequence || !run_.IsPossible(next)) return;
+      if (std::find(neighbours.begin(), neighbours.end(), next) == neighbours.end()) {
+        neighbours.push_back(std::move(next));
+      }
+    };
+    for (const size_t removed : {1, 2}) {
+      for (size_t i = 0; i + removed <= sequence.size(); ++i) {
+        Sequence next = sequence;
+        next.erase(next.begin() + i, next.begin() + i + removed);
+        add(std::move(next));
+      }
+    }
+    for (size_t i = 0; i <= sequence.size(); ++i) {
+      for (const ModeEvent& event : events_) {
+        Sequence with = sequence;
+        with.insert(with.begin() + i, event);
+        if (i < sequence.size()) {
+          Sequence other = sequence;
+          other[i] = event;
+          add(std::move(other));
+        }
+        add(with);
+        for (const ModeEvent& second : events_) {
+          if (second.mode != event.next_mode || event.mode == event.next_mode) continue;
+          Sequence both = with;
+          both.insert(both.begin() + i + 1, second);
+          add(std::move(both));
+        }
+      }
+    }
+    *left_out = neighbours.size() > kMostNeighbours;
+    if (*left_out) neighbours.resize(kMostNeighbours);
+    return neighbours;
+  }
+
+  Finding SolveFrom(const SearchStartOf<HybridPhaseRun>& start, double most_work, const SolverOptions& options) const {
+    SolverOptions own;
+    own.stop = options.stop;
+    own.search = options.search;
+    own.iterations =
+        IterationsWithin(most_work, WorkBySteps(), start.sequence ? kIterationsAlong : kIterationsUpdating);
+    Finding finding;
+    HybridMotion from = start.trial;
+    if (start.shoot) finding.shooting = Shoot(most_work, options, &from);
+    HybridPhaseRun run("mode_search", problem_, own, std::move(from), start.sequence);
+    if (auto refused = run.WhyNotStart()) {
+      finding.report = std::move(*refused);
+      return finding;
+    }
+    finding.report = MendHybrid(&run);
+    HybridMotion& motion = finding.trial;
+    motion = {
+        finding.report.control, finding.report.durations, finding.report.initial_state, finding.report.parameters, {}};
+    run.Simulate(&motion);
+    return finding;
+  }
+
+  double WorkOf(const Finding& finding) const {
+    return finding.report.evaluations * WorkBySteps() + finding.shooting * WorkByRollout();
+  }
+  double LossForUser(double loss) const { return loss; }
+
+  LocalOptimum OptimumOf(const HybridMotion& motion) const {
+    LocalOptimum found{{}, motion.exact.loss, {}};
+    for (const HybridEvent& event : motion.exact.events) {
+      found.sequence.push_back({event.mode, event.guard, false});
+      found.times.push_back(event.time);
+    }
+    return found;
+  }
+
+ private:
+  // Every guard, with the mode that its reset leads to from the first state of a motion in that mode.
+  Sequence AllEvents() const {
+    const HybridSystem& system = problem_.system;
+    Sequence events = run_.guess().exact.contacts;
+    const auto known = [&](int mode, int guard) {
+      return std::any_of(events.begin(), events.end(), [&](const ModeEvent& event) {
+        return event.mode == mode && event.guard == guard;
+      });
+    };
+    const std::vector<int>& sizes = system.layout().state_sizes;
+    std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
+    for (int mode = 0; mode < system.num_modes(); ++mode) {
+      std::vector<double> x(system.state_size(mode), 1.0);
+      if (mode == problem_.guess.mode) x = problem_.guess.initial;
+      for (int guard = 0; guard < system.num_guards(mode); ++guard) {
+        if (known(mode, guard)) continue;
+        const int next =
+            system.functions().Reset(mode, guard, 0, x.data(), problem_.guess.parameters.data(), after.data());
+        if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
+      }
+    }
+    Sequence distinct;
+    for (const ModeEvent& event : events) {
+      if (std::find(distinct.begin(), distinct.end(), event) == distinct.end()) distinct.push_back(event);
+    }
+    return distinct;
+  }
+
+  // Of each control: within its bounds, or what changes the state by its size within the duration.
+  std::vector<double> ControlSizes() const {
+    const HybridProblem& problem = run_.problem();
+    const HybridInput& guess = problem.guess;
+    const int m = run_.control_width(), n = static_cast<int>(guess.initial.size()),
+              P = static_cast<int>(guess.parameters.size()), columns = n + 1 + P + m;
+    std::vector<double> xdot(n), jacobian(n * columns), sizes(m, 1.0);
+    const std::vector<double> zeros(m);
+    problem.system.functions().FlowJacobian(
+        guess.mode, 0, guess.initial.data(), zeros.data(), guess.parameters.data(), xdot.data(), jacobian.data());
+    for (int c = 0; c < m; ++c) {
+      double size = 0;
+      for (int i = 0; i < n; ++i) {
+        const double by = std::abs(jacobian[i * columns + n + 1 + P + c]) * guess.duration;
+        if (by > 0) size = std::max(size, run_.scales().state[guess.mode][i] / by);
+      }
+      if (size > 0 && std::isfinite(size)) sizes[c] = size;
+      const HybridFree& free = problem.free;
+      if (!free.control_min.empty() && std::isfinite(free.control_min[c])) {
+        sizes[c] = std::min(sizes[c], std::abs(free.control_min[c]));
+      }
+      if (!free.control_max.empty() && std::isfinite(free.control_max[c])) {
+        sizes[c] = std::min(sizes[c], std::abs(free.control_max[c]));
+      }
+    }
+    return sizes;
+  }
+
+  // Brings a motion near the targets, with equalities as costs and without inequalities. Returns the gradients
+  // computed.
+  int Shoot(double most_work, const SolverOptions& options, HybridMotion* motion) const {
+    HybridProblem relaxed = run_.problem();
+    std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
+    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
+    relaxed.guess.control = motion->control;
+    relaxed.guess.initial = motion->initial;
+    relaxed.guess.parameters = motion->parameters;
+    SolverOptions own;
+    own.stop = options.stop;
+    own.iterations = IterationsWithin(most_work, WorkByRollout(), kIterationsShooting);
+    const SolveReport report = Solve("ceres_lm", relaxed, own);
+    if (!report.losses.empty()) {
+      motion->control = report.control;
+      motion->initial = report.initial_state;
+      motion->parameters = report.parameters;
+      if (!report.durations.empty()) motion->durations = report.durations;
+    }
+    return report.evaluations;
+  }
+
+  // As SearchOptions::work.
+  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
+  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
+
+  const HybridPhaseRun& run_;
+  const HybridProblem& problem_;
+  const Sequence events_;
+};
+
+}  // namespace
+
+SolveReport SolveHybridByModeSearch(const HybridProblem& problem, const SolverOptions& options) {
+  HybridPhaseRun run("mode_search", problem, options);
+  if (auto refused = run.WhyNotStart()) return *refused;
+  return SequenceSearch(&run, HybridSearch(run, problem)).Search();
+}
+
+}  // namespace saltus

@@ -1,0 +1,310 @@
+// A search over sequences of events by solves that update their sequence (sequence_mending.h), whatever the system.
+//
+// The solves begin from
+//
+//   the initial guess
+//   the best motion of a relaxed problem, if there is one, and the sequences of its other optima
+//   motions at random
+//
+// and go on along the neighbours of the best optimum, whose sequences have one event inserted, removed or replaced,
+// each from that optimum, until none is better.
+//
+// Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried.
+// Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
+// many. Solves are looked at in one order, whatever the threads (task_line.h).
+//
+// Problem is what is searched (of a scene in phase_search.cc, of a hybrid system in hybrid_search.cc):
+//
+//   Run                                        as of phase_plan.h
+//   SolveRelaxed(options)                      the optima of the relaxed problem
+//   BeginAtRandom(seed, number)                a motion, or nothing if there is nothing to be drawn
+//   NeighboursOf(trial, &left_out)             the sequences
+//   SolveFrom(start, most_work, options)       one solve; called by several threads at the same time
+//   WorkOf(finding), LossForUser(loss), OptimumOf(trial), kLeftOut
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "base/parallel_for.h"
+#include "saltus/solve/solver.h"
+#include "solve/phases/sequence_run.h"
+#include "solve/search/task_line.h"
+
+namespace saltus {
+
+// Where a solve begins: a motion, or what is to be made one by shooting; along a sequence, or that of the motion.
+template <typename Run>
+struct SearchStartOf {
+  typename Run::Motion trial;
+  bool shoot = false;
+  std::optional<std::vector<typename Run::Event>> sequence = std::nullopt;
+};
+
+template <typename Motion>
+struct FindingOf {
+  Motion trial;
+  SolveReport report;
+  int shooting = 0;  // gradients of the solve by shooting before it
+};
+
+template <typename Run>
+struct RelaxedOptima {
+  std::optional<typename Run::Motion> best;
+  std::vector<std::pair<double, std::vector<typename Run::Event>>> others;  // their losses and sequences, best first
+  bool is_bound = false;  // what is left out only makes a sequence dearer
+  int evaluations = 0;
+  double work = 0;
+};
+
+// In words: the optimum that a search ends with, of all that it has found.
+std::string BestOf(size_t optima);
+
+namespace sequence_search {
+
+inline constexpr double kShareRelaxed = 0.3;     // of the limits, for the problem without constraints
+inline constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
+inline constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
+
+}  // namespace sequence_search
+
+template <typename Problem>
+class SequenceSearch {
+ public:
+  SequenceSearch(typename Problem::Run* run, const Problem& problem)
+      : run_(*run), problem_(problem), options_(run->options()) {
+    options_.stop = StopAfter(options_.search_options.seconds, run->options().stop);
+    searched_.complete = true;
+  }
+
+  SolveReport Search() {
+    SolveAll({{run_.guess(), false, run_.given_sequence()}});
+    if (!options_.search) return Report();
+    std::vector<Start> along;
+    SolveAll(FirstStarts(&along));
+    SolveAll(std::move(along));
+    while (!end_ && best_) {
+      std::vector<Start> neighbours = NeighboursOfBest();
+      if (neighbours.empty()) break;
+      SolveAll(std::move(neighbours));
+    }
+    return Report();
+  }
+
+ private:
+  using Trial = typename Problem::Run::Motion;
+  using Sequence = std::vector<typename Problem::Run::Event>;
+  using Start = SearchStartOf<typename Problem::Run>;
+  using Finding = FindingOf<Trial>;
+
+  // What is solved next, and the work that it may take (SearchOptions::work).
+  struct Draw {
+    const Start* start;
+    double most_work;
+  };
+  // What a limit ends.
+  enum class End { kInterrupt, kTime, kWork, kIterations };
+
+  bool Stopped() const { return options_.stop && options_.stop(); }
+  double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().losses.front(); }
+
+  void Leave(const std::string& why) {
+    searched_.complete = false;
+    if (left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- starts
+
+  std::vector<Start> FirstStarts(std::vector<Start>* along) {
+    std::vector<Start> starts;
+    SearchRelaxed(&starts, along);
+    for (int i = 0; i < options_.search_options.starts && !Stopped(); ++i) {
+      std::optional<Trial> trial = problem_.BeginAtRandom(options_.search_options.seed, i);
+      if (!trial) break;
+      starts.push_back({std::move(*trial), true});
+    }
+    searched_.starts = 1 + static_cast<int>(starts.size());
+    return starts;
+  }
+
+  void SearchRelaxed(std::vector<Start>* starts, std::vector<Start>* along) {
+    if (end_) return;
+    SolverOptions own = options_;
+    own.callback = nullptr;
+    own.status = nullptr;
+    own.sequence.reset();
+    own.guess.reset();
+    own.search_options.seconds *= sequence_search::kShareRelaxed;
+    own.search_options.work *= sequence_search::kShareRelaxed;
+    RelaxedOptima<typename Problem::Run> found = problem_.SolveRelaxed(own);
+    run_.report().evaluations += found.evaluations;
+    searched_.work += found.work;
+    if (!found.best) return;
+    starts->push_back({*found.best, false});
+    // Those that are dearer without constraints already are no use, where these only make them dearer.
+    const bool prunes = best_ && found.is_bound && MeetsConstraints(best_->trial);
+    for (auto& [loss, sequence] : found.others) {
+      if (along->size() == sequence_search::kMostRelaxedOptima || (prunes && !(loss < BestLoss()))) break;
+      if (sequence != found.best->exact.contacts) along->push_back({*found.best, false, std::move(sequence)});
+    }
+  }
+
+  std::vector<Start> NeighboursOfBest() {
+    const Trial& trial = best_->trial;
+    if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), trial.exact.contacts) > 0)
+      return {};
+    expanded_.push_back(trial.exact.contacts);
+    bool left_out = false;
+    std::vector<Start> starts;
+    for (Sequence& next : problem_.NeighboursOf(trial, &left_out)) {
+      if (std::count(tried_.begin(), tried_.end(), next) > 0) continue;
+      starts.push_back({trial, false, std::move(next)});
+    }
+    if (left_out) Leave(Problem::kLeftOut);
+    return starts;
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- solves
+
+  void SolveAll(const std::vector<Start>& starts) {
+    auto next = starts.begin();
+    TaskLine<Draw, Finding> line;
+    line.draw = [&]() -> std::optional<Draw> {
+      if (Stopped()) EndByStop();
+      if (end_ || next == starts.end()) return std::nullopt;
+      const double most_work = options_.search_options.work;
+      if (most_work > 0 && searched_.work >= most_work) {
+        end_ = End::kWork;
+        return std::nullopt;
+      }
+      const double left = most_work > 0 ? most_work - searched_.work : std::numeric_limits<double>::infinity();
+      if (drawn_++ < options_.iterations) return Draw{&*next++, left};
+      end_ = End::kIterations;
+      return std::nullopt;
+    };
+    line.solve = [this](const Draw& draw) {
+      return Stopped() ? Finding{} : problem_.SolveFrom(*draw.start, draw.most_work, options_);
+    };
+    line.look = [this](const Draw& draw, Finding finding) {
+      if (finding.report.solver.empty()) return EndByStop();  // not begun
+      if (const auto& sequence = draw.start->sequence) {
+        tried_.push_back(*sequence);
+        AddIfNew(*sequence, &searched_along_);
+      }
+      Look(std::move(finding));
+      if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
+    };
+    line.WorkOff(NumThreads(options_.threads));
+    if (Stopped()) EndByStop();
+  }
+
+  void EndByStop() {
+    const StopRequest& interrupt = run_.options().stop;
+    end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
+  }
+
+  void Look(Finding finding) {
+    ++solves_;
+    run_.report().evaluations += finding.report.evaluations + finding.shooting;
+    searched_.work += problem_.WorkOf(finding);
+    if (run_.options().status) {
+      run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
+                            std::to_string(problem_.LossForUser(BestLoss())));
+    }
+    const Trial& trial = finding.trial;
+    const bool optimal = finding.report.termination == Termination::kConverged;
+    if (trial.exact.ok) AddIfNew(trial.exact.contacts, &searched_along_);
+    if (!trial.exact.ok) {
+      if (!best_) KeepReason(finding.report);
+      return;
+    }
+    if (optimal) Keep(trial);
+    if (!best_ || IsBetter(finding)) {
+      best_ = std::move(finding);
+    }
+  }
+
+  bool MeetsConstraints(const Trial& trial) const { return run_.ViolationOf(trial) <= kFeasible; }
+
+  static void AddIfNew(const Sequence& sequence, std::vector<Sequence>* sequences) {
+    if (std::count(sequences->begin(), sequences->end(), sequence) == 0) sequences->push_back(sequence);
+  }
+
+  // Optima that meet all constraints come before what does not.
+  bool IsBetter(const Finding& finding) const {
+    const bool mine = MeetsConstraints(finding.trial), other = MeetsConstraints(best_->trial);
+    if (mine != other) return mine;
+    const double merit = run_.MeritOf(finding.trial), least = run_.MeritOf(best_->trial);
+    if (merit < least - sequence_search::kSameLoss * std::abs(least)) return true;
+    const auto converged = [](const Finding& f) { return f.report.termination == Termination::kConverged; };
+    return merit < least + sequence_search::kSameLoss * std::abs(least) && converged(finding) && !converged(*best_);
+  }
+
+  void KeepReason(const SolveReport& report) {
+    if (reason_.empty()) reason_ = report.reason;
+  }
+
+  void Keep(const Trial& trial) {
+    LocalOptimum found = problem_.OptimumOf(trial);
+    for (const LocalOptimum& known : optima_) {
+      const double difference = std::abs(known.loss - found.loss);
+      if (known.sequence == found.sequence && difference <= sequence_search::kSameLoss * std::abs(found.loss)) return;
+    }
+    optima_.push_back(std::move(found));
+  }
+
+  // -------------------------------------------------------------------------------------------------------------- end
+
+  SolveReport Report() {
+    if (end_ == End::kIterations) Leave("the limit of iterations");
+    if (end_ == End::kWork) Leave("the limit of work");
+    if (end_ == End::kTime) Leave("the limit of time");
+    if (end_ == End::kInterrupt) searched_.complete = false;
+    std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
+    searched_.sequences = static_cast<int>(searched_along_.size());
+    const size_t found = optima_.size();
+    run_.report().optima = std::move(optima_);
+    if (options_.search) run_.report().searched = searched_;
+    const std::string limits = left_.empty() ? "" : "; not complete: " + left_;
+    if (!best_) {
+      const Trial& guess = run_.guess();
+      const Termination none = end_ == End::kInterrupt ? Termination::kInterrupted : Termination::kNoProgress;
+      return run_.Finish(guess, guess.exact.loss, none, reason_ + limits);
+    }
+    SolveReport& best = best_->report;
+    const bool converged = best.termination == Termination::kConverged;
+    run_.report().certificate = std::move(best.certificate);
+    if (auto& certificate = run_.report().certificate; certificate && converged) {
+      certificate->sequences_searched = searched_.sequences;
+      if (options_.search && end_ != End::kInterrupt) certificate->scope = Certificate::Scope::kBestOfSearched;
+    }
+    Termination end = best.termination;
+    if (end_ == End::kInterrupt) end = Termination::kInterrupted;
+    if (end_ == End::kIterations) end = Termination::kIterationLimit;
+    const Trial trial = best_->trial;
+    const std::string sequence = run_.NameOf(trial.exact.contacts);
+    const std::string reason = converged ? BestOf(found) + ", along " + sequence : best.reason;
+    return run_.Finish(trial, trial.exact.loss, end, reason + limits);
+  }
+
+  typename Problem::Run& run_;
+  const Problem& problem_;
+  SolverOptions options_;  // with its own limits
+  std::optional<Finding> best_;
+  std::vector<LocalOptimum> optima_;
+  std::vector<Sequence> tried_;           // that were given to a solve
+  std::vector<Sequence> searched_along_;  // these, and those that solves have ended with
+  std::vector<Sequence> expanded_;        // whose neighbours are tried
+  std::string reason_;                    // why nothing was found
+  std::string left_;                      // what limits have kept it from
+  Searched searched_;
+  int drawn_ = 0, solves_ = 0;
+  std::optional<End> end_;
+};
+
+}  // namespace saltus
