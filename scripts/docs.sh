@@ -1,14 +1,19 @@
 #!/usr/bin/env bash
-# usage: scripts/docs.sh [output folder]
+# usage: scripts/docs.sh [--check] [output folder]
 # Builds the documentation into a site that opens from disk: the pages of docs/, the Python module and, by Doxygen, the
-# headers of C++. The folder is build/docs/html unless given. With the module in build/release its docstrings of compiled
-# classes are there too.
+# headers of C++. The folder is build/docs/html unless given. If the module is in build/release, the site has the docstrings
+# of its compiled classes too. --check looks for broken links and wrong HTML in the site.
 set -euo pipefail
+check=
+if [[ ${1:-} == --check ]]; then
+  check=yes
+  shift
+fi
 output=${1:+$(realpath -m -- "$1")}
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 output=${output:-$PWD/build/docs/html}
 
-scripts/install_packages.sh python3-sphinx python3-myst-parser furo doxygen
+scripts/install_packages.sh python3-sphinx python3-myst-parser furo doxygen ${check:+linkchecker tidy}
 work=$PWD/build/docs
 rm -rf "$work"
 mkdir -p "$work/doxygen/cpp"
@@ -41,4 +46,10 @@ for build in build/release; do
 done
 PYTHONPATH=${python:-$PWD/python} SALTUS_PYTHON=$python SALTUS_DOXYGEN=$work/doxygen PYTHONDONTWRITEBYTECODE=1 \
   /usr/bin/python3 -m sphinx -q -W --keep-going -b html -d "$work/doctrees" docs "$output"
+if [[ $check ]]; then
+  linkchecker --no-robots --no-warnings "$output/index.html" | tail -2
+  # Of the theme's own markup, labels around blocks are reported; MathML is unknown to tidy.
+  find "$output" -name '*.html' -not -path "$output/cpp/*" -print0 | xargs -0 -n 1 tidy -q -e --drop-empty-elements no 2>&1 |
+    grep -vE '<(/?m[a-z]+|/?label|/?button|/?nav)>|proprietary' && exit 1
+fi
 echo "The documentation: $output/index.html"

@@ -159,7 +159,7 @@ TEST(TorqueControl, SolversByClosedArcsRefuse) {
 TEST(TorqueControl, PhasesRefuseAModelThatTurnsOtherThanLinearly) {
   const SolveReport report = Solve("ceres_phases", {RestToRest(20, /*hard=*/false), "pbd_brax"}, {});
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
-  EXPECT_THAT(report.reason, HasSubstr("does not turn discs linearly"));
+  EXPECT_THAT(report.reason, HasSubstr("does not change rotations linearly"));
 }
 
 }  // namespace

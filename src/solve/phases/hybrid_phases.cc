@@ -119,8 +119,8 @@ std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
   if (guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
-                "from the initial guess a guard grazes zero or has a transition at once; phases know events that take "
-                "their own time");
+                "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
+                "distinct times only");
 }
 
 // Of the last motion.
