@@ -193,6 +193,8 @@ HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report) 
   if (!report.control.empty()) input.control = report.control;
   if (!report.durations.empty()) {
     input.duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+    input.num_intervals = static_cast<int>(report.durations.size());
+    input.lengths = report.durations;
   }
   return input;
 }
@@ -210,9 +212,8 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   item["integration_error"] = NumberToJson(report.integration_error);
   const HybridInput solution = SolutionOf(problem, report);
   item["solution"] = HybridInputToJson(problem.system, solution);
-  item["durations"] = NumbersToJson(
-      report.durations.empty() ? std::vector<double>(solution.num_intervals, solution.duration / solution.num_intervals)
-                               : report.durations);
+  const std::vector<double> times = solution.Times();
+  for (int k = 0; k < solution.num_intervals; ++k) item["durations"].push_back(NumberToJson(times[k + 1] - times[k]));
   HybridSimulator simulator(problem.system, problem.integration);
   const bool ok = simulator.Rollout(solution);
   item["motion"] = HybridMotionToJson(simulator, solution, ok, states);
@@ -229,6 +230,19 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
     certificate["curvature"] = {{"kind", CurvatureToString(found.curvature->kind)},
                                 {"smallest", NumberToJson(found.curvature->smallest)}};
   }
+  if (found.gradient) certificate["gradient"] = NumberToJson(*found.gradient);
+  Json events = Json::array();
+  for (const ImpactCertificate& event : found.impacts) {
+    events.push_back({{"time", NumberToJson(event.time)},
+                      {"mode", event.a},
+                      {"guard", event.b},
+                      {"rate", NumberToJson(-event.speed)},
+                      {"multiplier", NumberToJson(event.multiplier)},
+                      {"costate_jump", NumberToJson(event.jump)},
+                      {"hamiltonian", NumberToJson(event.hamiltonian)},
+                      {"on_node", event.on_node}});
+  }
+  certificate["events"] = std::move(events);
   item["certificate"] = std::move(certificate);
   return item;
 }

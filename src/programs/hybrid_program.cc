@@ -128,6 +128,7 @@ void Resample(int intervals, HybridInput* guess, int width) {
     guess->control = std::move(control);
   }
   guess->num_intervals = intervals;
+  guess->lengths.clear();
 }
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {

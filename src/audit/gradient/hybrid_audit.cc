@@ -230,6 +230,7 @@ class SchemeRun {
 
 std::string WhyNotAudited(const HybridProblem& problem) {
   if (std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) return wrong;
+  if (!problem.guess.lengths.empty()) return "the control intervals have lengths of their own, expected equal ones";
   bool any = false;
   for (const HybridTerm& term : problem.terms) {
     if (term.role != HybridTerm::Role::kCost)
