@@ -440,7 +440,8 @@ def schema_rows(schema, part, path=""):
         elif "const" in described:
             kind = f"`{described['const']}`"
         elif "oneOf" in described:
-            kind = " or ".join(choice["type"] for choice in described["oneOf"])
+            parts = [schema["$defs"].get(choice.get("$ref", "").rsplit("/", 1)[-1], choice) for choice in described["oneOf"]]
+            kind = " or ".join(part["type"] for part in parts)
         else:
             kind = described.get("type", "object")
             kind = " or ".join(kind) if isinstance(kind, list) else kind

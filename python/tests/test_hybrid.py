@@ -243,7 +243,7 @@ def located(mode, x, u, p, h):
 
 def test_audit_of_a_scheme():
     problem = ball_problem(costs=[saltus.terminal([1, 0])])
-    wrong = saltus.audit(problem, step=semi_implicit, steps=40, name="euler", width_sweep=True)
+    wrong = saltus.audit(problem, step=semi_implicit, steps=40, name="euler")
     assert wrong.verdict in ("wrong", "wrong sign")
     assert wrong.first_wrong.guard == "ground"
     assert wrong.first_wrong.step == int(0.55720308415835660801 / (2 / 40))

@@ -1,6 +1,7 @@
 // Memory for the temporaries of a step: handed out in a row, released all at once, and kept for the next step.
 #pragma once
 
+#include <any>
 #include <cstddef>
 #include <memory>
 #include <memory_resource>
@@ -13,6 +14,14 @@ class ScratchMemory final : public std::pmr::memory_resource {
  public:
   // Takes back everything that was handed out.
   void Release();
+
+  // An object that Release() does not touch, made when first asked for: what a step keeps for the next one. All users
+  // of one memory ask for the same type.
+  template <typename T>
+  T& Kept() {
+    if (!kept_.has_value()) kept_ = T();
+    return std::any_cast<T&>(kept_);
+  }
 
  private:
   struct Block {
@@ -29,6 +38,7 @@ class ScratchMemory final : public std::pmr::memory_resource {
   std::vector<Block> blocks_;  // one, unless a step has needed more; the last is in use
   std::byte* next_ = nullptr;  // what is free of the last block
   std::size_t left_ = 0;
+  std::any kept_;
 };
 
 }  // namespace saltus

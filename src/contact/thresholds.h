@@ -5,6 +5,8 @@
 // of the solvers, <name>_test. Without brackets it limits work only.
 #pragma once
 
+#include <cstddef>
+
 #include "base/time_grid.h"  // kNodeMargin: events this close to the end of a step belong to the next one
 
 namespace saltus::internal {
@@ -89,6 +91,7 @@ inline constexpr double kSystemAlike = 1e-6;  // difference of directions that s
 inline constexpr double kSystemRemainder = 1e-15;  // of the right side: the iteration ends [contact_system]
 inline constexpr double kSystemConverged = 1e-10;  // of the right side: the residual is rounding [contact_system]
 inline constexpr int kSystemMostCorrections = 30;
+inline constexpr std::size_t kSystemKeptFactors = 4;  // factorizations that are kept for the next step
 
 // Impulses of the fallback (solvers/impulse_qp.h); speeds are of the largest that is given.
 inline constexpr double kQpConverged = 1e-13;   // change of a sweep, or violation [impulse_qp]

@@ -5,8 +5,8 @@
 //   residuals   those of the terminal terms at x_K, and sqrt(effort dt) u_k
 //
 // The objective is a set of cost functions: sums of squares whose halves Ceres minimizes, so that the loss is twice the
-// cost. Ceres has no equality constraints: solvers decide how the defects are closed, and add the costs for it (StepCost,
-// step_cost.h).
+// cost. Ceres has no equality constraints: solvers decide how the defects are closed, and add the costs for it
+// (StepCost, step_cost.h).
 #pragma once
 
 #include <ceres/cost_function.h>

@@ -1,6 +1,6 @@
-// What the closed forms are made of: real roots and minima of polynomials, parabolas, the impulse of a collision, and the
-// time of a collision with its derivatives. What has derivatives is templated on the scalar T (double, or a ceres::Jet of
-// any width).
+// What the closed forms are made of: real roots and minima of polynomials, parabolas, the impulse of a collision, and
+// the time of a collision with its derivatives. What has derivatives is templated on the scalar T (double, or a
+// ceres::Jet of any width).
 #pragma once
 
 #include <cmath>

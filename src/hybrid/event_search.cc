@@ -38,16 +38,15 @@ double MinimumOf(const GapPolynomial& g, double h) {
 }  // namespace
 
 EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {
-  const std::vector<int>& sizes = functions.layout().state_sizes;
-  const int most = *std::max_element(sizes.begin(), sizes.end());
+  const int most = functions.most_states();
   state_.resize(most);
   slope_.resize(most);
-  gradient_.resize(most + 1 + functions.layout().num_parameters);
+  gradient_.resize(most + 1 + functions.layout().num_parameters + functions.layout().num_controls);
 }
 
-GuardValue EventSearch::At(int mode, int guard, double t, const double* x, const double* slope, const double* p) const {
+GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard) const {
   GuardValue at;
-  at.value = functions_.GuardRate(mode, guard, t, x, slope, p, &at.rate);
+  at.value = functions_.GuardRate(step.mode, guard, step.t, step.x, slope, step.u, step.p, &at.rate);
   return at;
 }
 
@@ -55,26 +54,30 @@ GuardValue EventSearch::After(const FlowStep& step, const double* slope, int gua
   FlowStep part = step;
   part.h = s;
   integrator_.Step(part, slope, state_.data());
-  functions_.Flow(step.mode, step.t + s, state_.data(), step.u, step.p, slope_.data());
-  return At(step.mode, guard, step.t + s, state_.data(), slope_.data(), step.p);
+  part.t += s;
+  part.x = state_.data();
+  functions_.Flow(step.mode, part.t, part.x, step.u, step.p, slope_.data());
+  return At(part, slope_.data(), guard);
 }
 
-double EventSearch::Scale(int mode, int guard, double t, const double* x, const double* p) {
-  functions_.GuardGradient(mode, guard, t, x, p, gradient_.data());
-  const int n = functions_.layout().state_sizes[mode];
-  double scale = std::abs(gradient_[n] * t);
-  for (int i = 0; i < n; ++i) scale += std::abs(gradient_[i] * x[i]);
-  for (int i = 0; i < functions_.layout().num_parameters; ++i) scale += std::abs(gradient_[n + 1 + i] * p[i]);
+double EventSearch::Scale(const FlowStep& step, int guard) {
+  functions_.GuardGradient(step.mode, guard, step.t, step.x, step.u, step.p, gradient_.data());
+  const int n = functions_.state_size(step.mode), num_parameters = functions_.layout().num_parameters;
+  double scale = std::abs(gradient_[n] * step.t);
+  for (int i = 0; i < n; ++i) scale += std::abs(gradient_[i] * step.x[i]);
+  for (int i = 0; i < num_parameters; ++i) scale += std::abs(gradient_[n + 1 + i] * step.p[i]);
+  for (int i = 0; i < functions_.layout().num_controls; ++i) {
+    scale += std::abs(gradient_[n + 1 + num_parameters + i] * step.u[i]);
+  }
   return scale;
 }
 
 EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard) {
-  const GuardValue now = At(step.mode, guard, step.t, step.x, slope, step.p);
-  const double scale = Scale(step.mode, guard, step.t, step.x, step.p);
-  double rate_scale = std::abs(gradient_[functions_.layout().state_sizes[step.mode]]);
-  for (int i = 0; i < functions_.layout().state_sizes[step.mode]; ++i) {
-    rate_scale += std::abs(gradient_[i] * slope[i]);
-  }
+  const GuardValue now = At(step, slope, guard);
+  const double scale = Scale(step, guard);
+  const int n = functions_.state_size(step.mode);
+  double rate_scale = std::abs(gradient_[n]);
+  for (int i = 0; i < n; ++i) rate_scale += std::abs(gradient_[i] * slope[i]);
   double at_zero = kAtZero * (scale + std::abs(now.rate) * step.h);
   if (now.value > at_zero) return Standing::kArmed;
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);
@@ -87,7 +90,10 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   int last = 0;
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
     const double value = After(step, slope, guard, s).value;
-    const double noise = kNoise * Scale(step.mode, guard, step.t + s, state_.data(), step.p) + std::abs(now.value);
+    FlowStep then = step;
+    then.t += s;
+    then.x = state_.data();
+    const double noise = kNoise * Scale(then, guard) + std::abs(now.value);
     const int sign = value > noise ? 1 : value < -noise ? -1 : 0;
     if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kFalling;
     last = sign;
@@ -134,7 +140,7 @@ EventSearch::Found EventSearch::Locate(const FlowStep& step, const double* slope
   at = at_best;
   // A minimum that is below zero by rounding alone.
   const double depth = curvature > 0 ? 0.5 * at.rate * at.rate / curvature : std::numeric_limits<double>::infinity();
-  if (depth <= kGrazes * (Scale(step.mode, guard, step.t, step.x, step.p) + curvature * step.h * step.h)) {
+  if (depth <= kGrazes * (Scale(step, guard) + curvature * step.h * step.h)) {
     return {Found::What::kGrazing, s};
   }
   return {Found::What::kEvent, s};
@@ -151,7 +157,7 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     const GapPolynomial cubic = Hermite(begin, end, h);
     double s = MinimumOf(cubic, h);
     if (cubic(s) > kNearZero * std::min(begin.value, end.value)) return {};
-    const double noise = kGrazes * (Scale(step.mode, guard, step.t, step.x, step.p) + std::abs(curvature) * h * h);
+    const double noise = kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
     double low = 0, high = h;  // the rate is negative at low, positive at high
     GuardValue at;
     for (int i = 0; i < kMostIterations; ++i) {

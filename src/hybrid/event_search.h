@@ -21,7 +21,8 @@ class EventSearch {
  public:
   explicit EventSearch(const HybridFunctions& functions);
 
-  GuardValue At(int mode, int guard, double t, const double* x, const double* slope, const double* p) const;
+  // At the beginning of a step, whose slope is given.
+  GuardValue At(const FlowStep& step, const double* slope, int guard) const;
 
   // How a guard stands on entry into a mode at step.t, step.x. The length of the step is one over which guards of
   // interest change.
@@ -37,8 +38,9 @@ class EventSearch {
   Found Find(const FlowStep& step, const double* slope, int guard, bool armed, const GuardValue& begin,
              const GuardValue& end);
 
-  // The size of a guard's terms, of which rounding errors are a part: sum |g_x x| + |g_t t| + sum |g_p p|.
-  double Scale(int mode, int guard, double t, const double* x, const double* p);
+  // The size of a guard's terms, of which rounding errors are a part: sum |g_x x| + |g_t t| + sum |g_p p| + sum |g_u
+  // u|.
+  double Scale(const FlowStep& step, int guard);
 
   RungeKutta& integrator() { return integrator_; }
 

@@ -15,6 +15,7 @@ namespace {
 
 constexpr int kFewestSteps = 16;            // of a motion
 constexpr int kMostSteps = 1 << 20;         // of a motion
+constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
 constexpr double kRoundingOfMotion = 1e-7;  // below this, an error that more steps do not lower is rounding
 
 }  // namespace
@@ -47,7 +48,10 @@ class HybridSimulator::Impl {
     const int mode = run.tape().final_mode, n = system.state_size(mode);
     const double *at = &run.tape().numbers[run.tape().final_state],
                  *other = &finer.tape().numbers[finer.tape().final_state];
+    double largest = 0;
+    for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(at[i]));
     for (int i = 0; i < n; ++i) {
+      if (std::abs(at[i] - other[i]) <= kRounding * largest) continue;
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : run.tape().entries) {
         if (entry.mode == mode) size = std::max(size, std::abs(run.tape().numbers[entry.x + i]));
@@ -245,15 +249,14 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
 std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int guard, double t,
                                     std::span<const double> x, std::span<const double> u, std::span<const double> p) {
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  const HybridLayout& layout = system.layout();
-  const int n = layout.state_sizes[mode], columns = n + 1 + layout.num_parameters;
-  const int most = *std::max_element(layout.state_sizes.begin(), layout.state_sizes.end());
-  std::vector<double> after(most), reset(most * columns), gradient(columns), out(most), in(n);
+  const int n = system.state_size(mode), columns = n + 1 + system.num_parameters();
   const HybridFunctions& f = system.functions();
-  const int next = f.ResetJacobian(mode, guard, t, x.data(), p.data(), after.data(), reset.data());
+  const int most = f.most_states();
+  std::vector<double> after(most), reset(most * columns), gradient(columns + system.num_controls()), out(most), in(n);
+  const int next = f.ResetJacobian(mode, guard, t, x.data(), u.data(), p.data(), after.data(), reset.data());
   CHECK(next >= 0 && next < system.num_modes());
-  const int rows = layout.state_sizes[next];
-  f.GuardGradient(mode, guard, t, x.data(), p.data(), gradient.data());
+  const int rows = system.state_size(next);
+  f.GuardGradient(mode, guard, t, x.data(), u.data(), p.data(), gradient.data());
   f.Flow(mode, t, x.data(), u.data(), p.data(), in.data());
   f.Flow(next, t, after.data(), u.data(), p.data(), out.data());
   const Eigen::Map<const Matrix> R(reset.data(), rows, columns);

@@ -20,15 +20,15 @@ int Before(const std::vector<int>& numbers, int mode) {
 
 }  // namespace
 
-std::string HybridSystem::ModeName(int mode) const {
+std::string HybridFunctions::ModeName(int mode) const {
   return NameOr(layout().mode_names, mode, "mode " + std::to_string(mode));
 }
 
-std::string HybridSystem::GuardName(int mode, int guard) const {
+std::string HybridFunctions::GuardName(int mode, int guard) const {
   return NameOr(layout().guard_names, Before(layout().num_guards, mode) + guard, "guard " + std::to_string(guard));
 }
 
-std::string HybridSystem::StateName(int mode, int component) const {
+std::string HybridFunctions::StateName(int mode, int component) const {
   return NameOr(layout().state_names, Before(layout().state_sizes, mode) + component, Indexed("x", component));
 }
 

@@ -16,11 +16,10 @@ void AddTo(std::vector<double>* sum, const std::vector<double>& addend) {
 
 MotionDerivatives::MotionDerivatives(const HybridSystem& system)
     : system_(system), integrator_(system.functions()), zeros_(system.num_controls()) {
-  const std::vector<int>& sizes = system.layout().state_sizes;
-  const int most = *std::max_element(sizes.begin(), sizes.end());
+  const int most = system.functions().most_states();
   state_.resize(most);
   by_length_.resize(most);
-  guard_.resize(most + 1 + system.num_parameters());
+  guard_.resize(most + 1 + system.num_parameters() + system.num_controls());
   reset_.resize(most * (most + 1 + system.num_parameters()));
 }
 
@@ -28,6 +27,16 @@ FlowStep MotionDerivatives::StepOf(const HybridInput& input, const MotionTape& t
   const double* u =
       input.control.empty() ? zeros_.data() : input.control.data() + entry.interval * system_.num_controls();
   return {entry.mode, entry.t, entry.h, &tape.numbers[entry.x], u, input.parameters.data()};
+}
+
+// Evaluates the Jacobian of an entry without a length into reset_; returns the mode that it leads to.
+int MotionDerivatives::Map(const TapeEntry& entry, const FlowStep& step) {
+  const HybridFunctions& f = system_.functions();
+  if (entry.kind == TapeEntry::Kind::kReset) {
+    return f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
+  }
+  f.ProjectJacobian(entry.mode, step.x, step.p, state_.data(), reset_.data());
+  return entry.mode;
 }
 
 HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const MotionTape& tape,
@@ -46,11 +55,14 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
     const TapeEntry& entry = tape.entries[i];
     const FlowStep step = StepOf(input, tape, entry);
     const int n = system_.state_size(entry.mode);
-    if (entry.kind == TapeEntry::Kind::kReset) {
-      if (!cotangent.after.empty() && !cotangent.after[entry.event].empty()) AddTo(&x, cotangent.after[entry.event]);
-      if (!cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
+    const bool resets = entry.kind == TapeEntry::Kind::kReset;
+    if (resets || entry.kind == TapeEntry::Kind::kProjection) {
+      if (resets && !cotangent.after.empty() && !cotangent.after[entry.event].empty()) {
+        AddTo(&x, cotangent.after[entry.event]);
+      }
+      if (resets && !cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
       const int columns = n + 1 + num_parameters;
-      f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.p, state_.data(), reset_.data());
+      Map(entry, step);
       std::vector<double> before(n);
       for (std::size_t row = 0; row < x.size(); ++row) {
         const double* jacobian = &reset_[row * columns];
@@ -59,7 +71,9 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         for (int j = 0; j < num_parameters; ++j) gradient.parameters[j] += x[row] * jacobian[n + 1 + j];
       }
       x = std::move(before);
-      if (!cotangent.before.empty() && !cotangent.before[entry.event].empty()) AddTo(&x, cotangent.before[entry.event]);
+      if (resets && !cotangent.before.empty() && !cotangent.before[entry.event].empty()) {
+        AddTo(&x, cotangent.before[entry.event]);
+      }
     } else {
       integrator_.Linearize(step);
       RungeKutta::Cotangent back{x.data(),
@@ -70,7 +84,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
       if (entry.kind == TapeEntry::Kind::kToEvent) {
         // The next entry is its reset, at the state and time where the guard is zero.
         const TapeEntry& at = tape.entries[i + 1];
-        f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.p, guard_.data());
+        f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.u, step.p, guard_.data());
         integrator_.ByLength(by_length_.data());
         double along = t, rate = guard_[n];
         for (int j = 0; j < n; ++j) {
@@ -80,7 +94,8 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         const double multiplier = -along / rate;
         for (int j = 0; j < n; ++j) x[j] += multiplier * guard_[j];
         t += multiplier * guard_[n];
-        for (int j = 0; j < num_parameters; ++j) gradient.parameters[j] += multiplier * guard_[n + 1 + j];
+        for (int j = 0; j < num_parameters; ++j) back.p[j] += multiplier * guard_[n + 1 + j];
+        for (int j = 0; j < num_controls; ++j) back.u[j] += multiplier * guard_[n + 1 + num_parameters + j];
         integrator_.PullBack(x.data(), &back);
         t += back.t;
       } else {
@@ -123,12 +138,13 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
     }
     const FlowStep step = StepOf(input, tape, entry);
     const int n = system_.state_size(entry.mode);
-    if (entry.kind == TapeEntry::Kind::kReset) {
-      const int next = f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.p, state_.data(), reset_.data());
+    if (entry.kind == TapeEntry::Kind::kReset || entry.kind == TapeEntry::Kind::kProjection) {
+      const int next = Map(entry, step);
       const int rows = system_.state_size(next);
       const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
       Matrix after = jacobian.leftCols(n) * at.x + jacobian.col(n) * at.t + jacobian.rightCols(num_parameters) * at.p;
       at.x = std::move(after);
+      if (entry.kind == TapeEntry::Kind::kProjection) continue;
       out.after[entry.event].assign(at.x.data(), at.x.data() + at.x.size());
       out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
       continue;
@@ -146,14 +162,16 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
       continue;
     }
     const TapeEntry& reset = (&entry)[1];
-    f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.p, guard_.data());
-    const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters);
+    f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.u, step.p, guard_.data());
+    const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters + num_controls);
     integrator_.ByLength(by_length_.data());
     const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);
     at.h = Eigen::RowVectorXd::Zero(columns);
     const Matrix fixed = integrator_.PushForward(at);  // for a fixed length
     const double rate = guard.head(n) * by_length + guard[n];
-    at.h = -(guard.head(n) * fixed + guard[n] * at.t + guard.tail(num_parameters) * at.p) / rate;
+    at.h = -(guard.head(n) * fixed + guard[n] * at.t + guard.segment(n + 1, num_parameters) * at.p +
+             guard.tail(num_controls) * at.u) /
+           rate;
     at.x = fixed + by_length * at.h;
     at.t = from + at.h;
   }

@@ -27,6 +27,7 @@ class MotionDerivatives {
                                 const std::vector<HybridEvent>& events);
 
  private:
+  int Map(const TapeEntry& entry, const FlowStep& step);
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 
   const HybridSystem& system_;

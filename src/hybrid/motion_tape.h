@@ -13,6 +13,7 @@ struct TapeEntry {
     kToNode,   // a step to a time of the grid, which is a fixed part of the duration
     kToEvent,  // a step to where a guard is zero
     kReset,
+    kProjection,  // onto the equations of the mode
   };
   Kind kind = Kind::kToNode;
   int mode = 0;

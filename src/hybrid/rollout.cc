@@ -46,9 +46,7 @@ int ControlJumpNear(const HybridInput& input, int num_controls, double time, dou
 
 RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
     : system_(system), functions_(system.functions()), options_(options), search_(system.functions()) {
-  const HybridLayout& layout = system.layout();
-  const int most = *std::max_element(layout.state_sizes.begin(), layout.state_sizes.end());
-  const int most_guards = *std::max_element(layout.num_guards.begin(), layout.num_guards.end());
+  const int most = functions_.most_states(), most_guards = functions_.most_guards();
   for (std::vector<double>* numbers : {&at_.x, &at_.slope, &next_state_, &next_slope_}) numbers->resize(most);
   at_.guards.resize(most_guards);
   at_.armed.resize(most_guards);
@@ -63,7 +61,9 @@ bool RolloutRun::Refuse(const std::string& what) {
   return false;
 }
 
-void RolloutRun::Remark(const std::string& what) { remark_ += (remark_.empty() ? "" : "; ") + what; }
+void RolloutRun::Remark(const std::string& what) {
+  if (!what.empty()) remark_ += (remark_.empty() ? "" : "; ") + what;
+}
 
 FlowStep RolloutRun::StepFrom(double h) const {
   const double* control = input_->control.empty() ? zeros_.data()
@@ -100,8 +100,33 @@ bool RolloutRun::UpdateSlope() {
 
 void RolloutRun::UpdateGuards() {
   for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
-    at_.guards[guard] = search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+    at_.guards[guard] = search_.At(StepFrom(0), at_.slope.data(), guard);
   }
+}
+
+// The control has jumped: the motion goes on in the mode that the system's functions say.
+bool RolloutRun::SwitchControl() {
+  const FlowStep here = StepFrom(0);
+  const int next = functions_.ModeUnder(at_.mode, here.t, here.x, here.u, here.p);
+  if (next < 0) {
+    return Refuse("there is no mode under the control that begins in " + Where() + ": " +
+                  functions_.WhyNoMode(at_.mode, -1, here.t, here.x, here.u, here.p));
+  }
+  if (next != at_.mode) {
+    at_.mode = next;
+    return Enter(Entry::kAfterReset, {}, true);
+  }
+  if (!UpdateSlope()) return false;
+  UpdateGuards();
+  return true;
+}
+
+// Puts the state onto the equations of its mode.
+bool RolloutRun::Project() {
+  Record(TapeEntry::Kind::kProjection, 0);
+  functions_.Project(at_.mode, at_.x.data(), input_->parameters.data(), next_state_.data());
+  std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
+  return UpdateSlope();
 }
 
 RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
@@ -140,10 +165,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
       const bool jumps = interval_ != (node - 1) / steps_;
       interval_ = (node - 1) / steps_;
       tape_.intervals.push_back(tape_.entries.size());
-      if (jumps && system_.num_controls() > 0) {
-        goes_on = UpdateSlope();
-        if (goes_on) UpdateGuards();
-      }
+      if (jumps && system_.num_controls() > 0) goes_on = SwitchControl();
     }
     goes_on = goes_on && StepTo(node);
   }
@@ -177,8 +199,7 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
     const auto num_guards = static_cast<std::size_t>(system_.num_guards(at_.mode));
     for (std::size_t place = 0; place < num_guards; ++place) {
       const int guard = order.size() == num_guards ? order[place] : static_cast<int>(place);
-      const GuardValue& value = at_.guards[guard] =
-          search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+      const GuardValue& value = at_.guards[guard] = search_.At(ahead, at_.slope.data(), guard);
       if (!std::isfinite(value.value)) {
         return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
       }
@@ -190,6 +211,9 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
                       ") at the start, in " + Where());
       }
       if (due >= 0) continue;
+      if (standing == EventSearch::Standing::kBehind && value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) {
+        continue;
+      }
       if (standing != EventSearch::Standing::kBehind && standing != EventSearch::Standing::kFalling) continue;
       due = guard;
       located = standing == EventSearch::Standing::kFalling;
@@ -208,8 +232,10 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
 bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   const int mode = at_.mode;
   const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
-  const double rate = search_.At(mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data()).rate;
+  const FlowStep here = StepFrom(0);
+  const double rate = search_.At(here, at_.slope.data(), guard).rate;
   if (record) {
+    Remark(functions_.WhyNoDerivative(mode, guard, here.t, here.x, here.u, here.p));
     if (with_step) {
       Record(TapeEntry::Kind::kToEvent, 0);
       tape_.entries.back().guard = guard;
@@ -220,9 +246,12 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
     befores_.push_back(tape_.entries.back().x);
   }
   std::fill(next_state_.begin(), next_state_.end(), std::numeric_limits<double>::quiet_NaN());
-  const int next = functions_.Reset(mode, guard, at_.t, at_.x.data(), input_->parameters.data(), next_state_.data());
+  const int next = functions_.Reset(mode, guard, here.t, here.x, here.u, here.p, next_state_.data());
   if (next < 0 || next >= system_.num_modes()) {
     if (record) befores_.pop_back();
+    if (const std::string why = functions_.WhyNoMode(mode, guard, here.t, here.x, here.u, here.p); !why.empty()) {
+      return Refuse(what() + "leads to no mode: " + why);
+    }
     return Refuse(what() + "leads to mode " + std::to_string(next) + ", expected 0 to " +
                   std::to_string(system_.num_modes() - 1));
   }
@@ -255,7 +284,10 @@ bool RolloutRun::StepTo(int node) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data());
-    functions_.Flow(at_.mode, target, next_state_.data(), step.u, step.p, next_slope_.data());
+    FlowStep end = step;
+    end.t = target;
+    end.x = next_state_.data();
+    functions_.Flow(end.mode, end.t, end.x, end.u, end.p, next_slope_.data());
     for (int i = 0; i < n; ++i) {
       if (std::isfinite(next_state_[i]) && std::isfinite(next_slope_[i])) continue;
       why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
@@ -263,8 +295,7 @@ bool RolloutRun::StepTo(int node) {
       return false;
     }
     for (int guard = 0; guard < num_guards; ++guard) {
-      next_guards_[guard] =
-          search_.At(at_.mode, guard, target, next_state_.data(), next_slope_.data(), input_->parameters.data());
+      next_guards_[guard] = search_.At(end, next_slope_.data(), guard);
       if (std::isfinite(next_guards_[guard].value)) continue;
       return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
     }
@@ -272,8 +303,8 @@ bool RolloutRun::StepTo(int node) {
     if (due.guard < 0 && node == tape_.num_nodes) {
       // An event so shortly after the end that rounding decides is one at the end.
       for (int guard = 0; guard < num_guards && due.guard < 0; ++guard) {
-        const GuardValue& end = next_guards_[guard];
-        if (at_.armed[guard] && end.rate < 0 && end.value <= -end.rate * kAtOnce * input_->duration)
+        const GuardValue& last = next_guards_[guard];
+        if (at_.armed[guard] && last.rate < 0 && last.value <= -last.rate * kAtOnce * input_->duration)
           due = {guard, step.h};
       }
     }
@@ -286,6 +317,7 @@ bool RolloutRun::StepTo(int node) {
     at_.t = target;
     std::swap(at_.x, next_state_);
     std::swap(at_.slope, next_slope_);
+    if (functions_.Projects(at_.mode) && !Project()) return false;
     for (int guard = 0; guard < num_guards; ++guard) {
       at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
       at_.guards[guard] = next_guards_[guard];
@@ -331,8 +363,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const double at_once = kAtOnce * input_->duration;
   for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
     if (guard == due.guard || !at_.armed[guard]) continue;
-    const GuardValue value =
-        search_.At(at_.mode, guard, at_.t, at_.x.data(), at_.slope.data(), input_->parameters.data());
+    const GuardValue value = search_.At(StepFrom(0), at_.slope.data(), guard);
     if (value.rate < 0 && std::abs(value.value) <= -value.rate * at_once) tied.push_back(guard);
   }
   int first = due.guard;
@@ -403,6 +434,7 @@ void RolloutRun::TryOrders(const std::vector<int>& guards) {
 // Whether the events accumulate at a point before the end: the intervals between them, or those over two, have become
 // tiny and shrink geometrically. The point is Aitken's extrapolation, exact for a geometric sequence.
 bool RolloutRun::Accumulates() {
+  if (functions_.EndsAccumulations()) return false;
   const auto count = static_cast<int>(events_.size());
   for (int period = 1; period <= 2; ++period) {
     if (count < (kShrinking + 2) * period) continue;

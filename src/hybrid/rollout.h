@@ -51,6 +51,8 @@ class RolloutRun {
   };
   enum class Entry { kStart, kAfterReset };
 
+  bool SwitchControl();
+  bool Project();
   bool StepTo(int node);
   bool Enter(Entry entry, const std::vector<int>& order, bool record);
   bool Fire(int guard, bool with_step, bool record, bool at_once);

@@ -66,8 +66,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
     : functions_(functions),
       num_parameters_(functions.layout().num_parameters),
       num_controls_(functions.layout().num_controls) {
-  const std::vector<int>& sizes = functions.layout().state_sizes;
-  const int most = *std::max_element(sizes.begin(), sizes.end());
+  const int most = functions.most_states();
   stage_.resize(most);
   slopes_.resize(kStages * most);
   cotangents_.resize(kStages * most);
@@ -76,7 +75,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
 }
 
 void RungeKutta::Step(const FlowStep& step, const double* slope, double* after) {
-  const int n = functions_.layout().state_sizes[step.mode];
+  const int n = functions_.state_size(step.mode);
   double *slopes = slopes_.data(), *stage = stage_.data();
   std::copy_n(slope, n, slopes);
   WithSize(n, [&](auto size) { StepOfSize<decltype(size)::value>(functions_, step, n, slopes, stage, after); });
@@ -88,7 +87,7 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 }
 
 void RungeKutta::Linearize(const FlowStep& step) {
-  size_ = functions_.layout().state_sizes[step.mode];
+  size_ = functions_.state_size(step.mode);
   length_ = step.h;
   WithSize(size_, [&](auto size) {
     constexpr int kSize = decltype(size)::value;

@@ -1,5 +1,5 @@
-// Statistics of a fit: which parameters the data determine and how well, which samples are outliers, and what was learned
-// of the law of impact or of event functions.
+// Statistics of a fit: which parameters the data determine and how well, which samples are outliers, and what was
+// learned of the law of impact or of event functions.
 #pragma once
 
 #include "identify/fit.h"

@@ -120,7 +120,8 @@ std::vector<Program> MakePrograms() {
        true},
       {"saltus_sweep",
        "Computes many points of some options, and prints one row of CSV for each",
-       {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] [--solver=LIST|none]"},
+       {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] "
+        "[--solver=LIST|none]"},
        {{"Points", {"sweep=POINTS", "program=COMMAND", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
         kScene,
         kModelsAndSimulators,

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "contact/event/event_group.h"
+#include "simulate/typed_scene.h"
 
 namespace saltus {
 namespace {
@@ -22,25 +23,9 @@ constexpr double kNoComponent = 1e-9;
 // The discs of a scene at its start, as a step sees them.
 template <int kRotation>
 struct Start {
-  explicit Start(const Scene& scene) {
-    for (const Body& body : scene.bodies) {
-      const double inverse_mass = body.fixed ? 0.0 : 1 / body.mass;
-      bodies.push_back({body.mass, inverse_mass, body.radius, body.fixed});
-      if (body.Spins()) bodies.back().inverse_inertia = 1 / body.MomentOfInertia();
-    }
-    for (WallPart& part : WallPartsOf(scene)) {
-      if (part.pocket && in.num_pockets++ == 0) in.first_pocket = static_cast<int>(planes.size());
-      planes.push_back(part.wall);
-      extents.push_back(std::move(part.extent));
-    }
-    force.assign(bodies.size(), Vec2d(0, 0));
+  explicit Start(const Scene& scene)
+      : typed(scene, scene.dt()), in(typed.Input()), force(typed.bodies.size(), Vec2d(0, 0)) {
     for (int i = 0; i < scene.num_controlled(); ++i) force[scene.control.bodies[i]] = scene.control.initial[i];
-    in.h = scene.dt();
-    in.gravity = scene.gravity;
-    in.contact = {scene.contact.restitution, scene.contact.friction, scene.contact.stiffness, scene.contact.damping};
-    in.bodies = bodies;
-    in.planes = planes;
-    in.extents = extents;
     in.force = force;
     in.scratch = &scratch;
     for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -54,33 +39,32 @@ struct Start {
 
   Approach Measure(const Candidate& c) const {
     const auto motion = [&](int i) { return internal::Motion{discs[i].p, discs[i].v, discs[i].a}; };
-    if (c.plane) return MeasureApproach(motion(c.a), planes[c.b], in.ContactDistance(c));
+    if (c.plane) return MeasureApproach(motion(c.a), in.planes[c.b], in.ContactDistance(c));
     return MeasureApproach(motion(c.a), motion(c.b), in.ContactDistance(c));
   }
   // Whether the normal turns as the two move along each other.
-  bool Bends(const Candidate& c) const { return !c.plane || planes[c.b].curved(); }
+  bool Bends(const Candidate& c) const { return !c.plane || in.planes[c.b].curved(); }
   Vec2d Normal(const Candidate& c) const {
     return SeparationAt(in, c, [&](int i) { return discs[i].p; }).normal;
   }
 
+  const TypedScene<double> typed;
+  StepInput<double> in;
   std::pmr::monotonic_buffer_resource scratch;  // what a step keeps until its end
-  std::vector<BodyConstants<double>> bodies;
-  std::vector<Wall<double>> planes;
-  std::vector<WallExtent> extents;
   std::vector<Vec2d> force;
   std::vector<internal::EventDisc<double, kRotation>> discs;
   std::vector<Candidate> touching;
-  StepInput<double> in{};
 
  private:
   // Discs in order of their left ends, so that only those whose widths meet are looked at.
   void FindTouching() {
+    const std::span<const BodyConstants<double>> bodies = in.bodies;
     const int n = static_cast<int>(bodies.size());
     const auto add = [&](const Candidate& c) {
       if (in.IsPocket(c)) return;
-      if (c.plane && !extents[c.b].Covers(discs[c.a].p, internal::kSeam)) return;
+      if (c.plane && !in.extents[c.b].Covers(discs[c.a].p, internal::kSeam)) return;
       const double gap = Measure(c).gap;
-      const bool behind = c.plane && !extents[c.b].endless && gap <= -bodies[c.a].radius;
+      const bool behind = c.plane && !in.extents[c.b].endless && gap <= -bodies[c.a].radius;
       if (gap <= internal::kContactGap && !behind) touching.push_back(c);
     };
     const auto left = [&](int i) { return discs[i].p[0] - bodies[i].radius; };
@@ -94,7 +78,8 @@ struct Start {
         const int j = order[l];
         if (!bodies[i].fixed || !bodies[j].fixed) add({std::min(i, j), std::max(i, j)});
       }
-      for (int plane = 0; plane < static_cast<int>(planes.size()) && !bodies[i].fixed; ++plane) add({i, plane, true});
+      for (int plane = 0; plane < static_cast<int>(in.planes.size()) && !bodies[i].fixed; ++plane)
+        add({i, plane, true});
     }
   }
 };
@@ -103,7 +88,7 @@ struct Start {
 template <int kRotation>
 class Sides {
  public:
-  explicit Sides(const Start<kRotation>& start) : start_(start), missing_(start.bodies.size()) {}
+  explicit Sides(const Start<kRotation>& start) : start_(start), missing_(start.in.bodies.size()) {}
 
   // There is no derivative for changes of `quantity` that move a against b along -direction.
   void AddOneSided(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
@@ -120,7 +105,7 @@ class Sides {
   std::vector<OneSided> All() const {
     std::vector<OneSided> all;
     for (int i = 0; i < static_cast<int>(missing_.size()); ++i) {
-      if (start_.bodies[i].fixed) continue;
+      if (start_.in.bodies[i].fixed) continue;
       for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
         for (int k = 0; k < 2; ++k) {
           const auto& [below, above] = missing_[i].at[static_cast<int>(quantity)][k];
@@ -171,7 +156,7 @@ bool Couples(const Start<kRotation>& start, const Group<kRotation>& group, const
              const ContactOf<kRotation>& pushing) {
   const Candidate &m = start.touching[measured.pair], &p = start.touching[pushing.pair];
   double shared = 0;
-  const auto meet = [&](int i, int j, double sign) { shared += i == j ? sign * start.bodies[i].inverse_mass : 0; };
+  const auto meet = [&](int i, int j, double sign) { shared += i == j ? sign * start.in.bodies[i].inverse_mass : 0; };
   meet(m.a, p.a, 1);
   if (!p.plane) meet(m.a, p.b, -1);
   if (!m.plane) meet(m.b, p.a, -1);

@@ -95,18 +95,6 @@ LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* l
   return {free.pa * p + free.va * v, free.va * change};
 }
 
-// One disc under a force, a torque if there is one, and no gravity.
-template <typename T, typename H>
-StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>& force, const T* torque = nullptr) {
-  StepInput<T, H> in{};
-  in.h = h;
-  in.gravity = Vec2<Base<T>>::Zero();
-  in.bodies = {&body, 1};
-  in.force = {&force, 1};
-  if (torque != nullptr) in.torque = {torque, 1};
-  return in;
-}
-
 // The Jacobian of the model's free flight over h, at a state whose numbers are all `offset`. Not a number where it is
 // not isotropic, or turns discs with the motion.
 template <typename S, int kRotation>

@@ -198,24 +198,14 @@ class IslandDerivative {
     }
     torque_.clear();
     for (const S torque : in.torque) torque_.emplace_back(torque);
+    jets_.ShareScene(in);
     jets_.torque = torque_;
-    jets_.h = in.h;
-    jets_.gravity = in.gravity;
     jets_.contact.restitution.a = in.contact.restitution;
     jets_.contact.friction.a = in.contact.friction;
     jets_.contact.stiffness.a = in.contact.stiffness;
     jets_.contact.damping.a = in.contact.damping;
     jets_.bodies = bodies_;
-    jets_.planes = in.planes;
-    jets_.extents = in.extents;
-    jets_.table = in.table;
-    jets_.first_pocket = in.first_pocket;
-    jets_.num_pockets = in.num_pockets;
-    jets_.slowing = in.slowing;
     jets_.force = force_;
-    jets_.candidates = in.candidates;
-    jets_.scratch = in.scratch;
-    jets_.solved = in.solved;
   }
 
   // Sets the derivatives of the variables of a pass to `one` in their directions.
@@ -284,21 +274,12 @@ class IslandDerivative {
     for (std::size_t i = 0; kRotation == kSpin && i < n; ++i) {
       vary(bodies[i].inverse_inertia, in.bodies[i].inverse_inertia);
     }
-    const StepInput<Taped> taped{.h = in.h,
-                                 .gravity = in.gravity,
-                                 .contact = contact,
-                                 .bodies = bodies,
-                                 .planes = in.planes,
-                                 .force = force,
-                                 .candidates = in.candidates,
-                                 .scratch = in.scratch,
-                                 .solved = in.solved,
-                                 .extents = in.extents,
-                                 .table = in.table,
-                                 .first_pocket = in.first_pocket,
-                                 .num_pockets = in.num_pockets,
-                                 .slowing = in.slowing,
-                                 .torque = torque};
+    StepInput<Taped> taped{};
+    taped.ShareScene(in);
+    taped.contact = contact;
+    taped.bodies = bodies;
+    taped.force = force;
+    taped.torque = torque;
     const std::span<const double> recalled = Resting::NumbersOf(in);
     std::vector<double> solved(recalled.begin(), recalled.end());  // before the step adds to them
     if (in.solved != nullptr) in.solved->Rewind();

@@ -183,21 +183,13 @@ class Stepper {
   }
 
   StepInput<S> Input() {
-    return {.h = scene_.h,
-            .gravity = scene_.gravity,
-            .contact = scene_.contact,
-            .bodies = scene_.bodies,
-            .planes = scene_.planes,
-            .force = force_,
-            .candidates = candidates_,
-            .scratch = &scratch_,
-            .tie_order = tie_order_,
-            .extents = scene_.extents,
-            .table = scene_.table,
-            .first_pocket = scene_.first_pocket,
-            .num_pockets = scene_.num_pockets,
-            .slowing = scene_.slowing,
-            .torque = torque_};
+    StepInput<S> in = scene_.Input();
+    in.force = force_;
+    in.candidates = candidates_;
+    in.scratch = &scratch_;
+    in.tie_order = tie_order_;
+    in.torque = torque_;
+    return in;
   }
 
   // `next` has free flight and gets the step.

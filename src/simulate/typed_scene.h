@@ -42,6 +42,22 @@ struct TypedScene {
 
   int num_bodies() const { return static_cast<int>(bodies.size()); }
 
+  // The part of a step's input that is the same in every step. It refers to this object.
+  StepInput<S> Input() const {
+    StepInput<S> in{};
+    in.h = h;
+    in.gravity = gravity;
+    in.contact = contact;
+    in.bodies = bodies;
+    in.planes = planes;
+    in.extents = extents;
+    in.table = table;
+    in.first_pocket = first_pocket;
+    in.num_pockets = num_pockets;
+    in.slowing = slowing;
+    return in;
+  }
+
   S h;              // s
   Vec2<S> gravity;  // m/s^2
   ContactConstants<S> contact;

@@ -213,7 +213,8 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
     std::string command, message;
   } cases[] = {
       {"saltus_audit --iterations=5" + Scene("two_balls"),
-       "--iterations is not a flag of saltus_audit, but of the problems' programs, the programs of hybrid systems, saltus_solve and saltus_sweep"},
+       "--iterations is not a flag of saltus_audit, but of the problems' programs, the programs of hybrid systems, "
+       "saltus_solve and saltus_sweep"},
       {"saltus_audit --flagfile=" + file + Scene("two_balls"), "--iterations is not a flag of saltus_audit"},
       {"saltus_solve --given=x.json" + Scene("two_balls"),
        "--given is not a flag of saltus_solve, but of saltus_audit"},

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <memory_resource>
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/internal/contact_step.h"
@@ -97,6 +98,40 @@ TEST_F(SolveRecordTest, ALinearizationSolvesOnceInAllItsPasses) {
   simulator->Linearize(x, force, /*with_parameters=*/true, &linearization);
   ASSERT_EQ(linearization.islands.size(), 1u);
   EXPECT_EQ(solves, 2);  // that of the step, and one for the passes
+}
+
+TEST(SolveRecord, AStepThatAsksFromAnotherPlaceRecallsNothing) {
+  SolveRecord record;
+  std::pmr::monotonic_buffer_resource scratch;
+  StepInput<double> in{};
+  in.solved = &record;
+  in.scratch = &scratch;
+  int solved = 0;
+  const auto one = [&] {
+    return in.Solved([&] {
+      ++solved;
+      return std::array{1.0};
+    })[0];
+  };
+  const auto two = [&] {
+    return in.Solved([&] {
+      ++solved;
+      return std::array{5.0, 2.0};
+    })[1];
+  };
+  EXPECT_EQ(one() + two(), 3);
+  EXPECT_EQ(solved, 2);
+  record.Rewind();
+  EXPECT_EQ(one() + two(), 3);
+  EXPECT_EQ(solved, 2);
+  record.Rewind();
+  EXPECT_EQ(two(), 2);  // the record begins with the vector of the other place
+  EXPECT_EQ(solved, 3);
+  EXPECT_EQ(one(), 1);  // and what followed it was replaced
+  EXPECT_EQ(solved, 4);
+  record.Rewind();
+  EXPECT_EQ(two() + one(), 3);
+  EXPECT_EQ(solved, 4);
 }
 
 }  // namespace

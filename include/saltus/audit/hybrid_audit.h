@@ -39,8 +39,8 @@ class HybridScheme {
   virtual int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) = 0;
 };
 
-// A step of `function`, and its Jacobian by central differences if that is not null, or by one-sided ones beside a jump of
-// the state. Returns what HybridScheme::Step returns.
+// A step of `function`, and its Jacobian by central differences if that is not null, or by one-sided ones beside a jump
+// of the state. Returns what HybridScheme::Step returns.
 using StepFunction = std::function<int(const SchemeStep&, double* next, std::string* error)>;
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
                    double* jacobian, std::string* error);
@@ -87,7 +87,8 @@ struct HybridAuditOptions {
   int steps = 100;  // of the scheme over the duration, at least; rounded up to a multiple of the control intervals
   RefinementOptions refinement = {};
   bool width_sweep = false;  // also where the exact gradient exists
-  WidthSweepOptions widths = {};
+  // The loss jumps where an event moves to another step: differences over a few steps scatter more than those of discs.
+  WidthSweepOptions widths = {.per_decade = 4, .largest = 400, .wide_from = 20, .wide_to = 200};
   StopRequest stop = nullptr;
 };
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <memory_resource>
+#include <source_location>
 #include <span>
 #include <string_view>
 #include <vector>
@@ -106,20 +107,38 @@ struct StepInput {
   S slowing = S(0);                          // m/s^2, by which it slows them
   std::span<const T> torque = {};            // N m, on the discs; none if empty
 
-  // The numbers that solve() returns, or has returned when this step was taken before; until the end of the step. They
-  // may depend on values only.
+  // The numbers that solve() returns, or that it returned at this place when the step was taken before; valid until the
+  // end of the step. They may depend on values only.
   template <typename Solve>
-  std::span<const double> Solved(const Solve& solve) const {
+  std::span<const double> Solved(const Solve& solve,
+                                 const std::source_location& place = std::source_location::current()) const {
     const auto keep = [&](std::span<const double> numbers) {
       const std::span<double> kept = Array<double>(numbers.size());
       std::copy(numbers.begin(), numbers.end(), kept.begin());
       return kept;
     };
-    if (solved != nullptr && !solved->AtEnd()) return keep(solved->Next());
+    if (solved != nullptr && solved->Has(place)) return keep(solved->Next());
     const auto& found = solve();
     const std::span<const double> numbers(found.data(), static_cast<std::size_t>(found.size()));
-    if (solved != nullptr) solved->Append(numbers);
+    if (solved != nullptr) solved->Append(place, numbers);
     return keep(numbers);
+  }
+
+  // Takes over from the same step in another scalar all that derivatives are not taken by: everything but the constants
+  // of the contacts and of the discs, the forces and the torques.
+  template <typename U>
+  void ShareScene(const StepInput<U>& in) {
+    h = in.h;
+    gravity = in.gravity;
+    planes = in.planes;
+    candidates = in.candidates;
+    scratch = in.scratch;
+    solved = in.solved;
+    extents = in.extents;
+    table = in.table;
+    first_pocket = in.first_pocket;
+    num_pockets = in.num_pockets;
+    slowing = in.slowing;
   }
 
   // Uninitialized memory for n numbers, until the end of the step.

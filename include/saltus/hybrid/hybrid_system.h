@@ -56,17 +56,18 @@ class HybridSystem {
   const HybridFunctions& functions() const { return *functions_; }
   const HybridLayout& layout() const { return functions_->layout(); }
 
-  int num_modes() const { return static_cast<int>(layout().state_sizes.size()); }
+  // So far, of a system that creates modes as a motion meets them.
+  int num_modes() const { return functions_->num_modes(); }
   int num_controls() const { return layout().num_controls; }
   int num_parameters() const { return layout().num_parameters; }
   // Precondition: 0 <= mode < num_modes().
-  int state_size(int mode) const { return layout().state_sizes[mode]; }
-  int num_guards(int mode) const { return layout().num_guards[mode]; }
+  int state_size(int mode) const { return functions_->state_size(mode); }
+  int num_guards(int mode) const { return functions_->num_guards(mode); }
 
   // Their names, or "mode 0", "guard 0", "x[0]", "u[0]" and "p[0]" where the system has none.
-  std::string ModeName(int mode) const;
-  std::string GuardName(int mode, int guard) const;
-  std::string StateName(int mode, int component) const;
+  std::string ModeName(int mode) const { return functions_->ModeName(mode); }
+  std::string GuardName(int mode, int guard) const { return functions_->GuardName(mode, guard); }
+  std::string StateName(int mode, int component) const { return functions_->StateName(mode, component); }
   std::string ControlName(int component) const;
   std::string ParameterName(int component) const;
 

@@ -24,10 +24,25 @@ namespace saltus {
 // The engine is compiled for models with 0 to this many numbers of rotation state per disc.
 inline constexpr int kMostRotation = 3;
 
+// A step of one disc under a force and, unless it is null, a torque. The input refers to its arguments.
+template <typename T, typename H>
+StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>& force, const T* torque = nullptr,
+                         const Vec2<Base<T>>& gravity = Vec2<Base<T>>::Zero()) {
+  StepInput<T, H> in{};
+  in.h = h;
+  in.gravity = gravity;
+  in.bodies = {&body, 1};
+  in.force = {&force, 1};
+  if (torque != nullptr) in.torque = {torque, 1};
+  return in;
+}
+
 // Free flight of one disc over a number of steps, each under a force and a torque of its own.
 template <typename S>
 struct FlightInput {
-  StepInput<S> step;  // one disc; `force` and `torque` are set by the flight
+  S h;              // s, length of a step
+  Vec2<S> gravity;  // m/s^2
+  BodyConstants<S> body;
   int steps = 0;
   const S* force = nullptr;         // [u_x u_y] of the first step, N; null: no force
   const S* turn = nullptr;          // torque / radius of the first step, N; null: no torque
@@ -117,19 +132,14 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
     saltus::FreeFlight(model_, in, x, next);
   }
   void Fly(const FlightInput<S>& flight, State* at) const override {
-    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to.
-    const BodyConstants<S> body = flight.step.bodies[0];
+    // These are copies: for all that the compiler knows, writing a state could change what the spans refer to.
+    const BodyConstants<S> body = flight.body;
     const std::ptrdiff_t stride = flight.stride, state_stride = flight.state_stride;
     const S *u = flight.force, *turn = flight.turn;
     const int steps = flight.steps;
     Vec2<S> force = Vec2<S>::Zero();
     S torque = S(0);
-    StepInput<S> in{};
-    in.h = flight.step.h;
-    in.gravity = flight.step.gravity;
-    in.bodies = {&body, 1};
-    in.force = {&force, 1};
-    if (turn != nullptr) in.torque = {&torque, 1};
+    const StepInput<S> in = LoneDisc(flight.h, body, force, turn != nullptr ? &torque : nullptr, flight.gravity);
     State x = *at;
     for (int j = 0; j < steps; ++j) {
       if (u != nullptr) {

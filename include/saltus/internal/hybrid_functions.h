@@ -29,30 +29,77 @@ struct HybridLayout {
 
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
 // the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
+//
+// Modes may be created as a motion meets them: such functions override what is said of modes here, and their layout has
+// one mode, with the size of all states and the largest number of guards.
 class HybridFunctions {
  public:
   virtual ~HybridFunctions() = default;
   const HybridLayout& layout() const { return layout_; }
+
+  // Of modes. A mode that a reset has returned exists from then on. Precondition: 0 <= mode < num_modes().
+  virtual int num_modes() const { return static_cast<int>(layout_.state_sizes.size()); }
+  virtual int state_size(int mode) const { return layout_.state_sizes[mode]; }
+  virtual int num_guards(int mode) const { return layout_.num_guards[mode]; }
+  virtual std::string ModeName(int mode) const;
+  virtual std::string GuardName(int mode, int guard) const;
+  virtual std::string StateName(int mode, int component) const;
+  // Of any mode.
+  int most_states() const { return *std::max_element(layout_.state_sizes.begin(), layout_.state_sizes.end()); }
+  int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 
   virtual void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const = 0;
   // And by [x t p u]: n x (n + 1 + P + m).
   virtual void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
                             double* jacobian) const = 0;
 
-  virtual double Guard(int mode, int guard, double t, const double* x, const double* p) const = 0;
-  // And its derivative by time along xdot.
-  virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
-                           double* rate) const = 0;
-  // And its derivative by [x t p]: n + 1 + P numbers.
-  virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+  virtual double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const = 0;
+  // And its derivative by time along xdot, under a control that is held.
+  virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
+                           const double* p, double* rate) const = 0;
+  // And its derivative by [x t p u]: n + 1 + P + m numbers.
+  virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                double* gradient) const = 0;
 
-  // Returns the next mode. x_plus has room for the largest state of any mode; what a reset into a mode with a smaller
-  // state leaves is not read.
-  virtual int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const = 0;
+  // Returns the next mode, which may depend on the control; the state after the reset does not. A negative number:
+  // there is none, and WhyNoMode says why. x_plus has room for the largest state of any mode; what a reset into a mode
+  // with a smaller state leaves is not read.
+  virtual int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                    double* x_plus) const = 0;
   // And by [x t p]: (size of the next mode's state) x (n + 1 + P), with room for the largest.
-  virtual int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
-                            double* jacobian) const = 0;
+  virtual int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                            double* x_plus, double* jacobian) const = 0;
+  // Why a reset returns a negative number, or with guard -1 ModeUnder.
+  virtual std::string WhyNoMode(int /*mode*/, int /*guard*/, double /*t*/, const double* /*x*/, const double* /*u*/,
+                                const double* /*p*/) const {
+    return "";
+  }
+  // Why a reset has no derivative there, or only one-sided ones; empty if it has one.
+  virtual std::string WhyNoDerivative(int /*mode*/, int /*guard*/, double /*t*/, const double* /*x*/,
+                                      const double* /*u*/, const double* /*p*/) const {
+    return "";
+  }
+
+  // The mode in which a motion goes on from the state x when its control jumps to u; a negative number if there is
+  // none.
+  virtual int ModeUnder(int mode, double /*t*/, const double* /*x*/, const double* /*u*/, const double* /*p*/) const {
+    return mode;
+  }
+
+  // Whether the states of a mode satisfy equations (as those of closed contacts), from which errors of the integration
+  // lead away. The engine then projects the state onto them after each step.
+  virtual bool Projects(int /*mode*/) const { return false; }
+  virtual void Project(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/) const {}
+  // And by [x t p]: n x (n + 1 + P).
+  virtual void ProjectJacobian(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/,
+                               double* /*jacobian*/) const {}
+
+  // Whether a guard that a reset leaves below zero, and that rises, waits until it is above zero in the place of an
+  // event.
+  virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
+
+  // Whether the resets themselves end an accumulation of events (Zeno behaviour).
+  virtual bool EndsAccumulations() const { return false; }
 
  protected:
   explicit HybridFunctions(HybridLayout layout) : layout_(std::move(layout)) {}
@@ -86,11 +133,11 @@ class HybridFunctionsOf final : public HybridFunctions {
     });
   }
 
-  double Guard(int mode, int guard, double t, const double* x, const double* p) const override {
+  double Guard(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p) const override {
     return system_.Guard(mode, guard, t, x, p);
   }
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
-                   double* rate) const override {
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* /*u*/,
+                   const double* p, double* rate) const override {
     using Rate = ceres::Jet<double, 1>;
     std::array<Rate, kMostStates> at;
     for (int i = 0; i < S::kStateSizes[mode]; ++i) {
@@ -105,9 +152,10 @@ class HybridFunctionsOf final : public HybridFunctions {
     *rate = value.v[0];
     return value.a;
   }
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
                        double* gradient) const override {
     double value = 0;
+    std::fill_n(gradient + S::kStateSizes[mode] + 1 + S::kNumParameters, S::kNumControls, 0.0);
     InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
       const std::array<Jet, 1> out = {system_.Guard(mode, guard, v.t, v.x.data(), v.p.data())};
       Unpack(out, 1, first, width, columns, &value, gradient);
@@ -115,11 +163,12 @@ class HybridFunctionsOf final : public HybridFunctions {
     return value;
   }
 
-  int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const override {
+  int Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
+            double* x_plus) const override {
     return system_.Reset(mode, guard, t, x, p, x_plus);
   }
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
-                    double* jacobian) const override {
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
+                    double* x_plus, double* jacobian) const override {
     int next = 0;
     InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;

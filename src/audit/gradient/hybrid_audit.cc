@@ -14,13 +14,15 @@
 namespace saltus {
 namespace {
 
-constexpr double kSmall = 0.01;    // error of a segment that is not named
-constexpr double kStays = 0.25;    // part of an error that is left with kFiner times the steps, if it stays
-constexpr int kFiner = 8;          //
-constexpr double kSmooth = 0.05;   // of a first difference, the second one where the state does not jump
-constexpr int kAttempts = 2;       // narrower differences of a step,
-constexpr double kNarrower = 30;   // each by so much
-constexpr int kMostVariables = 8;  // of each part, in a width sweep
+constexpr double kSmall = 0.01;        // error of a segment that is not named
+constexpr double kStays = 0.25;        // part of an error that is left with kFiner times the steps, if it stays
+constexpr int kFiner = 8;              //
+constexpr double kSmooth = 0.05;       // of a first difference, the second one where the state does not jump
+constexpr int kAttempts = 2;           // narrower differences of a step,
+constexpr double kNarrower = 30;       // each by so much
+constexpr double kSweptSteps = 16000;  // of a width sweep, so that a width of many steps is small beside the motion,
+constexpr double kSweptPart = 0.1;     // and at most this part of the budget of a level
+constexpr int kMostVariables = 8;      // of each part, in a width sweep
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
@@ -389,7 +391,10 @@ std::vector<HybridAudit::Part> PartsOf(const HybridProblem& problem, const Hybri
 
 void SweepWidthsOf(const HybridProblem& problem, const HybridAuditOptions& options, SchemeRun* run,
                    HybridAudit* audit) {
-  const int per_interval = options.widths.refine * audit->steps / problem.guess.num_intervals + 1;
+  // Not a multiple, so that an event on the grid is not on the refined one again.
+  const double swept = std::min(kSweptSteps, kSweptPart * options.refinement.budget);
+  const int steps = std::max(options.widths.refine * audit->steps, static_cast<int>(swept));
+  const int per_interval = steps / problem.guess.num_intervals + 1;
   const double h = problem.guess.duration / (per_interval * problem.guess.num_intervals);
   WidthSweepStudy& study = audit->widths.emplace();
   double loss = 0;

@@ -146,6 +146,7 @@ class EventChanges {
     const bool again = motion_.disc(c.a).kick > 0 || (!c.plane && motion_.disc(c.b).kick > 0);
     const ContactMode mode = ApplyImpact(c, pressed, plastic);
     if (again) RemoveRounding(c, Value(at.time));
+    queue_.pair(q).met = Value(at.time);
     SlideBoth(c);
     CountImpact(q);
     Report(c, mode, at.time, ContactKind::kImpact);
@@ -204,11 +205,12 @@ class EventChanges {
     }
     return impact.mode;
   }
-  // After impacts at the same time, which share a disc of c: the rounding of positions has turned the normals of pairs
-  // that touch. A closing speed that comes from this alone would cause another impact, whose derivatives are those of
-  // no order of the impacts. It is taken away, from values only.
+  // After an impact that shares a disc of c with impacts at the same time: the rounding of positions has turned their
+  // normals. A closing speed that comes from this alone would cause a second impact of the same pair, whose derivatives
+  // are those of no order of the impacts. It is taken away, from values only.
   void RemoveRounding(const Candidate& c, double time) {
     motion_.ForEachPairBeside(c, [&](int q) {
+      if (time - queue_.pair(q).met > kNodeMargin * in_.h) return;
       const Candidate& d = motion_.CandidateOf(q);
       const double turning = std::abs(Value(TurningDistance(in_, d, T(in_.ContactDistance(d)))));
       const double kick = motion_.disc(d.a).kick + (d.plane ? 0.0 : motion_.disc(d.b).kick);

@@ -352,12 +352,14 @@ class EventGroup {
       if (!c.plane) Reset(c.b);
       forces_.push_back(contact.force);
     }
+    const bool many = forces_.size() > std::size_t{kMostDenseRows};
     return SolveRestingForces(Value(in_.contact.friction),
                               rows_.inverse_mass(),
                               acceleration_,
                               forces_,
                               turning_,
-                              iteration_limited_ && forces_.size() >= std::size_t{kManyDiscs});
+                              iteration_limited_ && forces_.size() >= std::size_t{kManyDiscs},
+                              many ? KeptFactors(in_.scratch) : nullptr);
   }
 
   void Measure(Contact* contact) const {

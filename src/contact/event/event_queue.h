@@ -78,11 +78,15 @@ struct EventPair {
   double next = kNever;  // s, its next event
   PairState state = PairState::kFree;
   PairTurning turning = PairTurning::kNone;
+  // For the order of events at the same time; both outlast a change of the state.
+  bool precedes = false;   // when its forces were last found, sliding was to end
+  bool waits = false;      // when it was last predicted, it was to wait
   int passed = -1;         // number of the event since which its touching needs nothing
   int released = -1;       // number of the event that last ended its contact
   int impacts = 0;         // in this step, once there are kManyImpacts
   int meetings = 0;        // impacts in this step
   int reported_mode = -1;  // of the last report as a sustained contact
+  double met = -kNever;    // s, its last impact
   double tied = -kNever;   // s, when it was last found in a tie
 
   bool closed() const { return IsClosed(state); }
@@ -190,6 +194,7 @@ class EventQueue {
     EventPair& pair = pairs_[q];
     if (pair.closed()) return;
     pair.Change(PairChange::kPredicted, PairState::kFree);
+    pair.waits = false;
     const Candidate& c = motion_.CandidateOf(q);
     if (motion_.IsOut(c)) {
       pair.next = kNever;
@@ -213,7 +218,8 @@ class EventQueue {
       const bool matters = approach.PushedTogether() || approach.speed < -kStillSpeed;
       if (matters && pair.passed != motion_.LastDisc(c).event) {
         pair.next = now;
-        if (Repetitions(q) > kRepeatedImpacts) pair.Change(PairChange::kPredicted, PairState::kWaiting);
+        pair.waits = Repetitions(q) > kRepeatedImpacts;
+        if (pair.waits) pair.Change(PairChange::kPredicted, PairState::kWaiting);
         return;
       }
       ignore_start = true;
@@ -234,8 +240,7 @@ class EventQueue {
 
   // Of two events at the same time. The end of sliding comes before the end of the sub-step that was cut there.
   bool Precedes(int q, int other) const {
-    const PairState state = pairs_[q].state;
-    return state == PairState::kStopping || (pairs_[other].state == PairState::kWaiting && state == PairState::kFree);
+    return pairs_[q].precedes || (pairs_[other].waits && pairs_[q].state == PairState::kFree);
   }
   // Whether the next event of pair r is an impact, or that its disc reaches a pocket, at `time` but for rounding.
   bool MayPrecede(int r, double time) const {
@@ -243,7 +248,7 @@ class EventQueue {
     const double wait = pairs_[r].next - time;
     if (pairs_[r].closed() || motion_.IsTable(c) || !(wait <= kTieTime * in_.h)) return false;
     const double speed = motion_.ApproachAt(c, time).speed;
-    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingOfSteps * (1 + motion_.SizeAt(c, time)) &&
+    return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingGap * (1 + motion_.SizeAt(c, time)) &&
            Value(motion_.LastTime(c)) <= time;
   }
 

@@ -89,7 +89,7 @@ Roots SignChanges(const double* c, int degree, double horizon) {
   return roots;
 }
 
-// As below, of a quartic.
+// First closing of a quartic.
 double FirstClosingOfQuartic(const GapPolynomial& g, double horizon, bool ignore_start) {
   std::array<double, kDegree> derivative;
   for (int k = 1; k <= kDegree; ++k) derivative[k - 1] = k * g.c[k];
@@ -106,32 +106,12 @@ double FirstClosingOfQuartic(const GapPolynomial& g, double horizon, bool ignore
   return kNever;
 }
 
-// What was asked, and the answer. Where a pile stirs, the same pairs are asked again and again.
-struct Answer {
-  std::array<double, 5> c{};
-  double horizon = -1;
-  bool ignore_start = false;
-  double closing = kNever;
-
-  bool Is(const GapPolynomial& g, double of_horizon, bool ignoring) const {
-    return horizon == of_horizon && ignore_start == ignoring && c == g.c;
-  }
-};
-constexpr std::size_t kKept = 4;  // of the thread's last
-
 }  // namespace
 
 double FirstClosing(const GapPolynomial& g, double horizon, bool ignore_start) {
   if (StaysApart(g, horizon)) return kNever;
   if (g.c[3] == 0 && g.c[4] == 0) return FirstClosingOfQuadratic(g.c[2], g.c[1], g.c[0], horizon, ignore_start);
-  static thread_local std::array<Answer, kKept> kept;
-  static thread_local std::size_t oldest = 0;
-  for (const Answer& answer : kept) {
-    if (answer.Is(g, horizon, ignore_start)) return answer.closing;
-  }
-  const double closing = FirstClosingOfQuartic(g, horizon, ignore_start);
-  kept[oldest++ % kKept] = {g.c, horizon, ignore_start, closing};
-  return closing;
+  return FirstClosingOfQuartic(g, horizon, ignore_start);
 }
 
 }  // namespace saltus

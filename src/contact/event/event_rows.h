@@ -8,12 +8,19 @@
 #include <type_traits>
 #include <vector>
 
+#include "base/scratch_memory.h"
 #include "contact/event/event_disc.h"
 #include "contact/solvers/contact_system.h"
 #include "saltus/contact/step_input.h"
 #include "saltus/internal/taped.h"
 
 namespace saltus::internal {
+
+// The factorizations that the owner of a step keeps for the next one, if it does.
+inline ContactSystem::Cache* KeptFactors(std::pmr::memory_resource* scratch) {
+  auto* const memory = dynamic_cast<ScratchMemory*>(scratch);
+  return memory != nullptr ? &memory->Kept<ContactSystem::Cache>() : nullptr;
+}
 
 template <typename T, int kRotation = 0>
 class ForceRows {
@@ -115,7 +122,7 @@ class ForceRows {
   };
 
   void SolveAsSystem() {
-    system_ = std::make_shared<const ContactSystem>(sides_, inverse_mass_, system_.get());
+    system_ = std::make_shared<const ContactSystem>(sides_, inverse_mass_, system_.get(), KeptFactors(in_.scratch));
     SetForces(system_);
   }
 

@@ -172,6 +172,7 @@ class EventStep {
                    : contact.mode == ContactMode::kStick ? PairTurning::kRolling
                                                          : PairTurning::kSliding;
     pair.passed = at.event;
+    pair.precedes = false;
     if (contact.closed || contact.stopped) ReportSustained(contact, at.time);
     if (!contact.closed) return pair.Change(PairChange::kSettled, PairState::kFree);
     const double now = Value(at.time), end = sub_step > 0 ? now + sub_step : kNever;
@@ -194,6 +195,7 @@ class EventStep {
         state = PairState::kStopping;
       }
     }
+    pair.precedes = state == PairState::kStopping;
     pair.Change(PairChange::kSettled, state);
   }
 

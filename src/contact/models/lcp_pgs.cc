@@ -9,22 +9,8 @@ GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const 
   updates_.reserve(static_cast<std::size_t>(sweeps) * n);
   for (int sweep = 0; sweep < sweeps; ++sweep) {
     for (int i = 0; i < n; ++i) {
-      double rest = b[i];
-      for (int j = 0; j < n; ++j) {
-        if (j != i) rest -= A_[i * n + j] * x_[j];
-      }
-      const double y = rest / A_[i * n + i];
-      Update update{SweepClass::kFree, x_[i]};
-      if (i < num_normals_) {
-        if (!(y > 0)) update.kind = SweepClass::kOff;
-        x_[i] = y > 0 ? y : 0;
-      } else {
-        const double bound = friction_ * x_[i - num_normals_];
-        if (y > bound) update.kind = SweepClass::kUpper;
-        if (y < -bound) update.kind = SweepClass::kLower;
-        x_[i] = y > bound ? bound : y < -bound ? -bound : y;
-      }
-      updates_.push_back(update);
+      const double overwritten = x_[i];
+      updates_.push_back({UpdateRow<double>(A_, b, friction_, num_normals_, i, x_), overwritten});
     }
   }
 }

@@ -27,6 +27,28 @@ namespace saltus {
 // How an update of the sweeps ended.
 enum class SweepClass : char { kFree, kOff, kUpper, kLower };
 
+// One update of a row of A x = b with all others held, within its bounds: of the normals, rows [0, num_normals), and of
+// tangents, row num_normals + i with normal i.
+template <typename T>
+SweepClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction, int num_normals, int i,
+                     std::span<T> x) {
+  const int n = static_cast<int>(b.size());
+  T rest = b[i];
+  for (int j = 0; j < n; ++j) {
+    if (j != i) rest -= A[i * n + j] * x[j];
+  }
+  const T y = Divide(rest, A[i * n + i]);
+  if (i < num_normals) {
+    const bool free = y > 0.0;
+    x[i] = free ? y : T(0.0);
+    return free ? SweepClass::kFree : SweepClass::kOff;
+  }
+  const T bound = friction * x[i - num_normals];
+  const auto kind = y > bound ? SweepClass::kUpper : y < -bound ? SweepClass::kLower : SweepClass::kFree;
+  x[i] = kind == SweepClass::kUpper ? bound : kind == SweepClass::kLower ? T(-bound) : y;
+  return kind;
+}
+
 // Projected Gauss-Seidel on values, with what its reverse needs.
 class GaussSeidelSweeps {
  public:
@@ -140,27 +162,10 @@ struct LcpPgsOf {
       }
     } else {
       for (int sweep = 0; sweep < sweeps; ++sweep) {
-        for (int i = 0; i < n; ++i) Update(in, group, A, b, i, &x);
+        for (int i = 0; i < n; ++i) UpdateRow<T>(A, b, in.contact.friction, group.num_contacts(), i, x);
       }
     }
     return x;
-  }
-
-  template <typename T>
-  static void Update(const StepInput<T>& in, const Group<T>& group, const std::pmr::vector<T>& A,
-                     const std::pmr::vector<T>& b, int i, std::pmr::vector<T>* x) {
-    const int n = group.size();
-    T rest = b[i];
-    for (int j = 0; j < n; ++j) {
-      if (j != i) rest -= A[i * n + j] * (*x)[j];
-    }
-    const T y = Divide(rest, A[i * n + i]);
-    if (group.IsNormal(i)) {
-      (*x)[i] = y > 0.0 ? y : T(0.0);
-      return;
-    }
-    const T bound = in.contact.friction * (*x)[group.NormalOf(i)];
-    (*x)[i] = y > bound ? bound : y < -bound ? T(-bound) : y;
   }
 
   template <typename T>

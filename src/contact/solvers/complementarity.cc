@@ -101,19 +101,19 @@ std::optional<Eigen::VectorXd> SolveByLemke(const Eigen::MatrixXd& M, const Eige
 
 // Unknowns are the normal forces of all contacts and, for each that does not slide, its tangential forces to the left
 // and to the right and the acceleration at which it begins to slide.
-std::optional<Eigen::VectorXd> SolveFrictionalLcp(double friction, const Eigen::MatrixXd& responses,
+std::optional<Eigen::VectorXd> SolveFrictionalLcp(std::span<const double> friction, const Eigen::MatrixXd& responses,
                                                   const Eigen::VectorXd& given, std::span<const int> sliding) {
   const int n = static_cast<int>(sliding.size());
   std::vector<int> resting;
   for (int k = 0; k < n; ++k) {
-    if (sliding[k] == 0 && friction > 0) resting.push_back(k);
+    if (sliding[k] == 0 && friction[k] > 0) resting.push_back(k);
   }
   const int size = n + 3 * static_cast<int>(resting.size());
   if (size > internal::kMostComplementaryRows) return std::nullopt;
   Eigen::MatrixXd forces = Eigen::MatrixXd::Zero(2 * n, size);  // of unknowns
   for (int k = 0; k < n; ++k) {
     forces(2 * k, k) = 1;
-    forces(2 * k + 1, k) = -friction * sliding[k];
+    forces(2 * k + 1, k) = -friction[k] * sliding[k];
   }
   for (int i = 0; i < static_cast<int>(resting.size()); ++i) {
     forces(2 * resting[i] + 1, n + 3 * i) = -1;
@@ -133,7 +133,7 @@ std::optional<Eigen::VectorXd> SolveFrictionalLcp(double friction, const Eigen::
     constant[left] = -given[2 * k + 1];
     constant[right] = given[2 * k + 1];
     matrix(left, speed) = matrix(right, speed) = 1;
-    matrix(speed, k) = friction;
+    matrix(speed, k) = friction[k];
     matrix(speed, left) = matrix(speed, right) = -1;
   }
   const std::optional<Eigen::VectorXd> found = SolveByLemke(matrix, constant, internal::kLemkePivotsPerRow * size);

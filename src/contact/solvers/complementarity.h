@@ -44,10 +44,11 @@ std::optional<Eigen::VectorXd> SolveByLemke(const Eigen::MatrixXd& M, const Eige
 //
 //   0 <= f_n  _|_  b_n >= 0,   |f_t| <= mu f_n,   b = R f + a
 //
-// and f_t against the sign in `sliding` or, where that is 0, against the motion that would begin. `responses` is R,
-// `given` is a, of the same order as the forces. Returns std::nullopt if no forces are found, or if the problem has
-// more than kMostComplementaryRows rows (thresholds.h): one for each contact, three more for each that does not slide.
-std::optional<Eigen::VectorXd> SolveFrictionalLcp(double friction, const Eigen::MatrixXd& responses,
+// and f_t against the sign in `sliding` or, where that is 0, against the motion that would begin. `friction` has mu of
+// each contact, `responses` is R, `given` is a, of the same order as the forces. Returns std::nullopt if no forces are
+// found, or if the problem has more than kMostComplementaryRows rows (thresholds.h): one for each contact, three more
+// for each that does not slide.
+std::optional<Eigen::VectorXd> SolveFrictionalLcp(std::span<const double> friction, const Eigen::MatrixXd& responses,
                                                   const Eigen::VectorXd& given, std::span<const int> sliding);
 
 }  // namespace saltus

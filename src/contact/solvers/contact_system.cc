@@ -56,8 +56,8 @@ struct ContactSystem::Factors {
 };
 
 ContactSystem::ContactSystem(std::span<const ContactRow> rows, std::span<const double> inverse_mass,
-                             const ContactSystem* like)
-    : rows_(rows.begin(), rows.end()) {
+                             const ContactSystem* like, Cache* cache)
+    : rows_(rows.begin(), rows.end()), cache_(cache) {
   std::vector<int> number(inverse_mass.size(), -1);
   const auto renumber = [&](int& disc) {
     if (disc >= 0 && inverse_mass[disc] == 0) disc = -1;
@@ -103,6 +103,25 @@ void ContactSystem::Subtract(bool transposed, std::span<const double> x, std::sp
   }
 }
 
+void ContactSystem::FindFactors() const {
+  if (cache_ == nullptr) return Factor();
+  std::vector<Cache::Known>& known = cache_->known_;
+  const auto same = [](const ContactRow& r, const ContactRow& s) {
+    return r.a == s.a && r.b == s.b && r.measured == s.measured && r.push == s.push;
+  };
+  const auto found = std::ranges::find_if(known, [&](const Cache::Known& system) {
+    return std::ranges::equal(system.rows, rows_, same) && std::ranges::equal(system.inverse_mass, inverse_mass_);
+  });
+  if (found == known.end()) {
+    Factor();
+    if (known.size() == internal::kSystemKeptFactors) known.pop_back();
+    known.insert(known.begin(), {rows_, inverse_mass_, factors_});
+  } else {
+    factors_ = found->factors;
+    std::rotate(known.begin(), found, found + 1);
+  }
+}
+
 void ContactSystem::Factor() const {
   const int n = static_cast<int>(rows_.size());
   std::vector<std::vector<int>> rows_of(inverse_mass_.size());
@@ -135,7 +154,7 @@ void ContactSystem::Factor() const {
 
 bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
   if (Largest(x) == 0) return true;
-  if (factors_ == nullptr) Factor();
+  if (factors_ == nullptr) FindFactors();
   if (!factors_->regular) return false;
   const auto n = static_cast<Eigen::Index>(x.size());
   const double given = Largest(x);

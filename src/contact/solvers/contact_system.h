@@ -35,9 +35,13 @@ void PseudoInvert(int n, std::span<double> matrix);
 // where that does not converge, by the dense pseudo-inverse.
 class ContactSystem {
  public:
+  // The factorizations of the last few systems, for those that are the same to the bit: the system of a group that
+  // rests is the same in every step. It must outlive the systems that it is given to; of one thread.
+  class Cache;
+
   // `like`, if given, shares its factorization if its rows are nearly the same. inverse_mass as of Coupling().
   ContactSystem(std::span<const ContactRow> rows, std::span<const double> inverse_mass,
-                const ContactSystem* like = nullptr);
+                const ContactSystem* like = nullptr, Cache* cache = nullptr);
 
   // Overwrites x, one number for each row, with A^+ x, or with A^+^T x. Returns whether the sparse iteration converged.
   bool Solve(std::span<double> x) const { return SolveAs(false, x); }
@@ -54,13 +58,26 @@ class ContactSystem {
   void SolveDense(bool transposed, std::span<double> x) const;
   // y -= A x, or A^T x.
   void Subtract(bool transposed, std::span<const double> x, std::span<double> y) const;
+  void FindFactors() const;
   void Factor() const;
 
   std::vector<ContactRow> rows_;      // with numbers of discs in the system, -1 if it does not move
   std::vector<double> inverse_mass_;  // by these numbers
   bool symmetric_ = true;
+  Cache* cache_ = nullptr;
   mutable std::shared_ptr<Factors> factors_;  // found when first needed
   mutable std::vector<double> dense_;         // likewise
+};
+
+class ContactSystem::Cache {
+ private:
+  friend class ContactSystem;
+  struct Known {
+    std::vector<ContactRow> rows;
+    std::vector<double> inverse_mass;
+    std::shared_ptr<Factors> factors;
+  };
+  std::vector<Known> known_;  // the latest first
 };
 
 }  // namespace saltus

@@ -61,10 +61,10 @@ using Modes = std::pmr::vector<Mode>;
 class RowSolver {
  public:
   RowSolver(std::span<const ContactRow> rows, std::span<const double> inverse_mass,
-            std::span<const double> turn_mobility) {
+            std::span<const double> turn_mobility, ContactSystem::Cache* cache) {
     const int n = static_cast<int>(rows.size());
     if (n > kMostDenseRows && turn_mobility.empty()) {
-      system_.emplace(rows, inverse_mass);
+      system_.emplace(rows, inverse_mass, /*like=*/nullptr, cache);
       return;
     }
     const auto decompose = [&](auto matrix) {
@@ -102,12 +102,13 @@ class RowSolver {
 class ForceSolver {
  public:
   ForceSolver(double friction, std::span<const double> inverse_mass, const Accelerations& of,
-              std::span<RestingContact> contacts, bool iteration_limited)
+              std::span<RestingContact> contacts, bool iteration_limited, ContactSystem::Cache* cache)
       : friction_(friction),
         inverse_mass_(inverse_mass),
         of_(of),
         contacts_(contacts),
         iteration_limited_(iteration_limited),
+        cache_(cache),
         given_(of, memory_.get()) {}
 
   RestingForces Run() {
@@ -281,7 +282,7 @@ class ForceSolver {
       return Dot(rows[i].measured, RelativeAcceleration(c, under.view())) + (tangential ? 0.0 : c.turning);
     };
     if (n > 0) {
-      const RowSolver solver(rows, inverse_mass_, TurnMobility(memory.get()));
+      const RowSolver solver(rows, inverse_mass_, TurnMobility(memory.get()), cache_);
       std::pmr::vector<double> change(n, memory.get());
       // The second pass is for what rounding leaves of the first.
       for (int pass = 0; pass < 2; ++pass) {
@@ -399,7 +400,8 @@ class ForceSolver {
       without[2 * k + 1] = Dot(Perpendicular(contacts_[k].normal), relative);
       sliding[k] = contacts_[k].sliding;
     }
-    const std::optional<Eigen::VectorXd> forces = SolveFrictionalLcp(friction_, Responses(), without, sliding);
+    const std::optional<Eigen::VectorXd> forces =
+        SolveFrictionalLcp(std::vector<double>(n, friction_), Responses(), without, sliding);
     if (!forces) return false;
     std::vector<Mode> modes(n);
     for (int k = 0; k < n; ++k) {
@@ -417,6 +419,7 @@ class ForceSolver {
   const Accelerations of_;                      // under the forces of the contacts
   const std::span<RestingContact> contacts_;
   const bool iteration_limited_;
+  ContactSystem::Cache* const cache_;
   LocalMemory memory_;
   const KeptAccelerations given_;  // without forces
 };
@@ -424,9 +427,9 @@ class ForceSolver {
 }  // namespace
 
 RestingForces SolveRestingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
-                                 std::span<RestingContact> contacts, std::span<double> turning,
-                                 bool iteration_limited) {
-  return ForceSolver(friction, inverse_mass, {acceleration, turning}, contacts, iteration_limited).Run();
+                                 std::span<RestingContact> contacts, std::span<double> turning, bool iteration_limited,
+                                 ContactSystem::Cache* cache) {
+  return ForceSolver(friction, inverse_mass, {acceleration, turning}, contacts, iteration_limited, cache).Run();
 }
 
 }  // namespace saltus

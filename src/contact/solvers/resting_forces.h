@@ -22,6 +22,7 @@
 
 #include <span>
 
+#include "contact/solvers/contact_system.h"
 #include "saltus/scene/geometry.h"
 
 namespace saltus {
@@ -61,9 +62,10 @@ inline double RimAcceleration(const RestingContact& c, std::span<const double> t
 // Overwrites the forces of the contacts, and `acceleration` (per disc, m/s^2) with that under these forces; likewise
 // `turning`, the angular accelerations (rad/s^2), which is empty if no disc spins. Unless they are found, all of these
 // are unspecified. inverse_mass: per disc, 1/kg; 0 if it does not move. With `iteration_limited`, only a few pivots are
-// tried for many contacts. Where discs spin, f_t acts and t.b is measured at the points of contact.
+// tried for many contacts. Where discs spin, f_t acts and t.b is measured at the points of contact. `cache`, if given,
+// keeps factorizations.
 RestingForces SolveRestingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                                  std::span<RestingContact> contacts, std::span<double> turning = {},
-                                 bool iteration_limited = false);
+                                 bool iteration_limited = false, ContactSystem::Cache* cache = nullptr);
 
 }  // namespace saltus

@@ -8,8 +8,8 @@
 
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
-#include "simulate/impact.h"
 #include "saltus/control/objective.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 namespace {

@@ -309,8 +309,9 @@ double Distance(const Ends& a, const Ends& b) {
   return largest;
 }
 
-// At each number of steps the gradient is that of differences from both sides or, at kinks, from one.
-void ExpectDifferences(const AtOnce& row, const std::vector<int>& all_steps) {
+// At each number of steps the gradient is that of differences from both sides or, at kinks, from one. With `any_order`,
+// rounding may decide the order of the events: at fewer entries than listed the gradient is then the slope to neither.
+void ExpectDifferences(const AtOnce& row, const std::vector<int>& all_steps, bool any_order = false) {
   SCOPED_TRACE(row.name);
   const int size = 4 * row.scene.num_bodies();
   std::vector<std::array<Ends, 2>> slopes;
@@ -340,7 +341,11 @@ void ExpectDifferences(const AtOnce& row, const std::vector<int>& all_steps) {
       }
     }
     EXPECT_THAT(kinks, ::testing::UnorderedElementsAreArray(row.kinks)) << steps << " steps";
-    EXPECT_THAT(neither, ::testing::UnorderedElementsAreArray(row.neither)) << steps << " steps";
+    if (any_order) {
+      EXPECT_THAT(neither, ::testing::IsSubsetOf(row.neither)) << steps << " steps";
+    } else {
+      EXPECT_THAT(neither, ::testing::UnorderedElementsAreArray(row.neither)) << steps << " steps";
+    }
   }
 }
 
@@ -353,7 +358,8 @@ TEST(EventAtOnce, OnNodesOfManyGrids) {
   std::vector<int> steps;
   for (int even = 2; even <= 600; even += 2) steps.push_back(even);
   for (int even = 700; even <= 3000; even += 100) steps.push_back(even);
-  for (const AtOnce& row : {StopAndHit(), LandingAndHit(), GroundAndDisc()}) ExpectDifferences(row, steps);
+  for (const AtOnce& row : {StopAndHit(), LandingAndHit(), GroundAndDisc()})
+    ExpectDifferences(row, steps, /*any_order=*/true);
 }
 
 }  // namespace

@@ -101,7 +101,7 @@ TEST(EventPiles, AStackStays) {
   }
 }
 
-// Its contacts depend on each other: which of them press is not unique, how the discs move is.
+// Its contacts are redundant: which of them are active is not unique, the motion of the discs is.
 TEST(EventPiles, APileStays) {
   for (const double friction : {0.0, 0.5}) {
     EventRun run(Pile(8, friction, 0.2, 20));

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "contact/event/event_queue.h"
 #include "contact/event/event_run.h"
 #include "contact/random_scene.h"
 #include "saltus/simulate/events.h"
@@ -24,6 +25,25 @@ Scene Dropped(double restitution, double friction, double speed, double duration
   scene.contact.restitution = restitution;
   scene.contact.friction = friction;
   return scene;
+}
+
+// A closed pair changes by its release only, and to free flight; forces close a pair; prediction never does.
+TEST(PairStates, TransitionsOfTheTable) {
+  using internal::PairChange, internal::PairState;
+  int transitions = 0;
+  for (int from = 0; from < internal::kNumPairStates; ++from) {
+    for (int to = 0; to < internal::kNumPairStates; ++to) {
+      const auto f = static_cast<PairState>(from), t = static_cast<PairState>(to);
+      const bool was_closed = internal::IsClosed(f), closes = internal::IsClosed(t);
+      EXPECT_EQ(IsTransition(f, PairChange::kPredicted, t), !was_closed && !closes) << from << " " << to;
+      EXPECT_EQ(IsTransition(f, PairChange::kSettled, t), !was_closed && t != PairState::kWaiting) << from << " " << to;
+      EXPECT_EQ(IsTransition(f, PairChange::kReleased, t), was_closed && t == PairState::kFree) << from << " " << to;
+      for (const auto change : {PairChange::kPredicted, PairChange::kSettled, PairChange::kReleased}) {
+        transitions += IsTransition(f, change, t);
+      }
+    }
+  }
+  EXPECT_EQ(transitions, std::ssize(internal::kPairTransitions)) << "a transition is listed twice";
 }
 
 TEST(EventRest, ADroppedBallComesToRestAndStays) {

@@ -1,5 +1,5 @@
-// Discs pressed against what bends, with friction, under the event-driven model: against an integration of the angle,
-// and differences.
+// Discs that rest on curved walls and on each other, with friction, under the event-driven model: against an
+// integration of the angle, and differences.
 #include <gtest/gtest.h>
 
 #include <algorithm>

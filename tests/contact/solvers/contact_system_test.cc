@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <random>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -138,6 +139,32 @@ TEST(ContactSystem, BorrowsAFactorizationOfNearlyTheSame) {
   // Others have one of their own.
   for (std::size_t i = 0; i < stack.rows.size(); i += 2) stack.rows[i].measured = stack.rows[i].push = {0.6, -0.8};
   ExpectAsDense(stack, ContactSystem(stack.rows, stack.inverse_mass, &first), 1e-10);
+}
+
+// A cache keeps the factors of the last systems: of those that are the same to the bit only.
+TEST(ContactSystem, DoesNotDependOnWhatWasSolvedBefore) {
+  ContactSystem::Cache cache;
+  const auto solve = [](const Pile& pile, ContactSystem::Cache* kept) {
+    std::vector<double> x = Measured(pile, 1, false);
+    EXPECT_TRUE(ContactSystem(pile.rows, pile.inverse_mass, /*like=*/nullptr, kept).Solve(x));
+    return x;
+  };
+  const auto nearly = [](double turned, double heavier) {
+    Pile pile(6);
+    pile.inverse_mass[0] /= 1 + heavier;
+    for (ContactRow& row : pile.rows) {
+      const double angle = std::atan2(row.measured[1], row.measured[0]) + turned;
+      row.measured = row.push = Vec2d(std::cos(angle), std::sin(angle));
+    }
+    return pile;
+  };
+  for (int turn = 0; turn < 3; ++turn) {
+    for (const auto& [turned, heavier] : std::vector<std::pair<double, double>>{
+             {0, 0}, {1e-9, 0}, {0, 0}, {1e-3, 0}, {1e-3, 1e-3}, {0, 1e-3}, {0, 1e-9}, {2e-3, 0}, {2e-3, 1}, {0, 0}}) {
+      const Pile pile = nearly(turned, heavier);
+      EXPECT_EQ(solve(pile, &cache), solve(pile, nullptr)) << turned << " " << heavier;
+    }
+  }
 }
 
 }  // namespace

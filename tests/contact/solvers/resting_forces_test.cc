@@ -79,9 +79,9 @@ TEST(RestingForces, OfAStackOfGrowingMasses) {
   }
 }
 
-// A disc that slides along a floor and a wall: the friction of each presses it against the other, f = m g + mu^2 f on
+// A disc that slides along a floor and a wall: the friction of each pushes it into the other, f = m g + mu^2 f on
 // the floor. From mu = 1 on it is jammed.
-TEST(RestingForces, JamWhereFrictionPressesADiscAgainstBothWalls) {
+TEST(RestingForces, JamWhereFrictionPushesADiscIntoBothWalls) {
   const std::vector<double> inverse_mass = {0.5};
   for (const double friction : {0.3, 0.9, 1.1, 3.0}) {
     const std::vector<Vec2d> given = {Vec2d(0, -9.8)};
@@ -232,8 +232,8 @@ TEST(RestingForces, OfContactsThatDependOnEachOther) {
   ExpectConditions(friction, inverse_mass, given, contacts, acceleration, 1e-9);
 }
 
-// Out of a pile that settles: sweeps and changes of one guess after the other go in circles.
-TEST(RestingForces, WhereGuessesGoInCircles) {
+// From a pile that settles: sweeps and changes of one mode after the other go in circles.
+TEST(RestingForces, WherePivotsGoInCircles) {
   struct Given {
     int a, b;
     Vec2d normal;

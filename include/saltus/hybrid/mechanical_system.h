@@ -1,0 +1,173 @@
+// Mechanical systems with contacts in generalized coordinates: which contacts are closed, stick or slide, the impulses
+// of impacts, detachment and stick-slip are found by the library.
+//
+//   M(q) dv/dt = h(t, q, v, u) + sum_i (N_i^T f_n,i + T_i^T f_t,i),   dq/dt = v,   gap phi_i(q) >= 0
+//
+// with N = dphi/dq and T = dgamma/dq of a tangential coordinate gamma. A system is a struct with constants and
+// functions that are templates on the scalar T:
+//
+//   struct BouncingRod {                          // SI units; members are constants of the system
+//     static constexpr int kNumCoordinates = 3;   // n: q = [x y th]
+//     static constexpr int kNumControls = 0;
+//     static constexpr int kNumParameters = 2;    // e, mu
+//     static constexpr int kNumContacts = 1;
+//
+//     // M, n x n, symmetric and positive definite.
+//     template <typename T> void Mass(const T* q, const T* p, T* M) const;
+//     // h, n numbers: all forces but those of contacts, and minus the terms of M dv/dt that are quadratic in v.
+//     template <typename T> void Force(const T& t, const T* q, const T* v, const T* u, const T* p, T* h) const;
+//     template <typename T> T Gap(int contact, const T* q, const T* p) const;
+//     // Only of systems with friction: gamma.
+//     template <typename T> T Slide(int contact, const T* q, const T* p) const;
+//     template <typename T> T Friction(int contact, const T* p) const;     // mu >= 0, constant along a motion
+//     template <typename T> T Restitution(int contact, const T* p) const;  // e in [0, 1]
+//   };
+//   MechanicalSystem rod{BouncingRod()};
+//   HybridSimulator simulator(rod.hybrid());
+//
+// Where the tangential velocity is not the rate of a coordinate (as of bodies that roll on each other),
+// `SlideRow(contact, q, p, T* row)` gives the row T itself in the place of Slide. Gap and gamma must have the same
+// metric: if the gap is a distance times c(q), so is gamma. `T Reach(contact, q, p)`, if there is one, is above zero
+// while a closed contact stays on what its gap is measured from, such as an edge. Optional names: std::array<const
+// char*, n> kContactNames, kCoordinateNames, kControlNames, kParameterNames. Beside `double` and ceres::Jet, T is a
+// type with the arithmetic, comparisons and elementary functions of a Jet that takes numbers of type double as
+// constants.
+//
+// The hybrid system has the state [q v]. Its modes are created as a motion meets them; the name of a mode has a letter
+// for each contact: 'o' open, 'n' closed without friction, '+' or '-' closed and sliding with v_t > 0 or < 0, 's'
+// sticking. Events:
+//
+//   hit    the gap of an open contact reaches zero       impact, and what stays closed by the accelerations after it
+//   off    the normal force reaches zero                 the contact opens
+//   stop   the sliding velocity reaches zero             sticks if friction can hold it, else slides the other way
+//   end    Reach falls through zero                      the contact opens
+//   break  the tangential force reaches mu f_n           slides against the force that friction gave
+//   jam    N M^-1 (N^T -+ mu T^T) reaches zero           none: see below
+//
+// Impacts. Newton's law with Coulomb's law at the end of the impact (Moreau 1988; Glocker, Set-Valued Force Laws):
+//
+//   v+ = v + M^-1 (N^T p_n + T^T p_t),   v_n+ = -e v_n,   -p_t in mu p_n Sgn(v_t+)
+//
+// or Poisson's law in a phase of compression and one of expansion (Pfeiffer and Glocker). Contacts that are closed and
+// those that hit at the same instant, and are coupled by M^-1, take part: each has p = 0 and v_n+ > -e v_n, or
+// v_n+ = -e v_n and p_n >= 0. A contact with v_n+ = 0 is closed or opens by the complementarity problem of the
+// accelerations, 0 <= f_n _|_ a_n >= 0 with Coulomb's law, which is solved at the start, after impacts, at jumps of the
+// control and where sliding stops. If it has no solution or several that differ (Painleve; Genot and Brogliato 1999),
+// or an impact has, the motion ends there with a reason.
+//
+// Bounces that accumulate: a contact that is pressed on and rebounds with less than `rest_speed` closes in that
+// impact, whose restitution is zero. The state then has an error of the third order in this speed.
+//
+// Closed contacts are put back onto their equations after each step of the integration.
+#pragma once
+
+#include <concepts>
+#include <memory>
+#include <span>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/internal/mechanical_functions.h"
+
+namespace saltus {
+
+class MechanicalHybrid;
+
+struct MechanicalOptions {
+  enum class Law { kNewton, kPoisson } law = Law::kNewton;
+  // A contact that is pressed on and would rebound with less than this closes, in units of the gap per time.
+  double rest_speed = 1e-5;
+};
+
+// One impact of a motion.
+struct MechanicalImpact {
+  struct Contact {
+    int contact = 0;
+    // 'o': takes no impulse; 'n': without friction; 's', '+', '-': sticks or slides at the end of the impact.
+    char status = 'o';
+    double normal_before = 0, normal_after = 0;          // v_n
+    double tangential_before = 0, tangential_after = 0;  // v_t; zero without friction
+    double normal_impulse = 0, tangential_impulse = 0;
+  };
+  double time = 0;
+  std::vector<Contact> contacts;  // those that hit or are coupled with these
+  double energy = 0;              // gained: of a loss less than zero
+  // Its restitution is zero because bounces accumulate; they would have ended at about accumulates_at.
+  bool ends_bouncing = false;
+  double accumulates_at = 0;
+  // Several contacts that hit at the same instant and are coupled: the state depends on the order of the impacts, of
+  // which this is none, and has no derivative. v after the simultaneous impact and, for two contacts, after impacts in
+  // sequence, beginning with the first and with the second, until none approaches; |W_ij| / sqrt(W_ii W_jj).
+  bool simultaneous = false;
+  std::vector<double> together, first_first, second_first;
+  double coupling = 0;
+};
+
+// What a motion of a mechanical system went through.
+struct MechanicalReport {
+  std::vector<MechanicalImpact> impacts;
+  double slowest_impact = 0;       // smallest |v_n| before an impact, of contacts that hit; infinite if there is none
+  double largest_gain = 0;         // of energy, at an impact
+  std::vector<int> energy_gains;   // impacts that gain energy beyond rounding errors: of Newton's law with friction
+  std::vector<int> accumulations;  // impacts at which bounces end
+};
+
+// A solution of the problem of accelerations: a status for each contact (letters as of modes), and normal and
+// tangential forces.
+struct ContactForces {
+  std::string status;
+  std::vector<double> normal, tangential;
+};
+
+class MechanicalSystem {
+ public:
+  template <typename S>
+  requires(!std::derived_from<std::remove_cvref_t<S>, MechanicalSystem> &&
+           requires(const S& s, const double* q) {
+             s.Gap(0, q, q);
+           }) explicit MechanicalSystem(S system, MechanicalOptions options = {})
+      : MechanicalSystem(std::make_shared<MechanicalFunctionsOf<S>>(std::move(system)), options) {}
+  explicit MechanicalSystem(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options = {});
+
+  // Copies share the modes.
+  const HybridSystem& hybrid() const { return hybrid_; }
+  const MechanicalFunctions& functions() const;
+  const MechanicalOptions& options() const;
+
+  // The mode with a letter for each contact. Precondition: as many letters as contacts, each a status that the contact
+  // can have.
+  int Mode(const std::string& status) const;
+
+  // The mode in which a motion starts from x = [q v] under control u. Contacts with a gap of zero that do not approach
+  // or part are closed or not by the accelerations. mode -1: there is none, and `why` says why.
+  struct Start {
+    int mode = -1;
+    std::string why;
+  };
+  Start FindMode(std::span<const double> x, std::span<const double> u, std::span<const double> p, double t = 0) const;
+  // All solutions of the problem of accelerations at x, over the contacts with a gap of zero that do not approach or
+  // part; more than one, or none, is a case of Painleve.
+  std::vector<ContactForces> ClosedContacts(std::span<const double> x, std::span<const double> u,
+                                            std::span<const double> p, double t = 0) const;
+  // Forces and accelerations in a mode.
+  struct Motion {
+    std::vector<double> acceleration, normal, tangential;  // of each coordinate, of each contact
+  };
+  Motion MotionIn(int mode, std::span<const double> x, std::span<const double> u, std::span<const double> p,
+                  double t = 0) const;
+  // The impact at x when contact `contact` of a mode has a gap of zero and approaches.
+  MechanicalImpact ImpactAt(int mode, int contact, std::span<const double> x, std::span<const double> u,
+                            std::span<const double> p, double t = 0) const;
+
+  // Of the last rollout of a simulator of hybrid().
+  MechanicalReport Examine(const HybridSimulator& simulator, const HybridInput& input) const;
+
+ private:
+  std::shared_ptr<const MechanicalHybrid> modes_;
+  HybridSystem hybrid_;
+};
+
+}  // namespace saltus

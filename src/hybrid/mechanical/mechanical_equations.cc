@@ -1,0 +1,358 @@
+#include "hybrid/mechanical/mechanical_equations.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace saltus {
+namespace {
+
+using Jet = MechanicalEquations::Jet;
+using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
+
+constexpr double kRedundant = 1e-10;  // pivots of rows that depend on others, of the largest
+constexpr int kMostCorrections = 10;  // of a projection
+
+template <typename S>
+std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
+  std::vector<TimeJet<S>> path(n);
+  for (int i = 0; i < n; ++i) path[i] = {q[i], v[i], a != nullptr ? a[i] : S(0.0)};
+  return path;
+}
+template <typename S>
+std::vector<TimeJet<S>> Constant(int n, const S* p) {
+  return Path<S>(n, p, std::vector<S>(n, S(0.0)).data(), nullptr);
+}
+
+// The solution for each column, in place.
+void SolveColumns(const LeastNormSolver& solver, Block* right) {
+  Eigen::VectorXd column(right->rows());
+  for (int j = 0; j < right->cols(); ++j) {
+    column = right->col(j);
+    solver.Solve(column, column);
+    right->col(j) = column;
+  }
+}
+
+}  // namespace
+
+MechanicalEquations::MechanicalEquations(const MechanicalFunctions& functions)
+    : f_(functions),
+      n_(functions.layout().num_coordinates),
+      num_u_(functions.layout().num_controls),
+      num_p_(functions.layout().num_parameters) {}
+
+Block MechanicalEquations::Directions(const Jets& jets) {
+  Block block(static_cast<Eigen::Index>(jets.size()), kWidth);
+  for (std::size_t i = 0; i < jets.size(); ++i) block.row(static_cast<Eigen::Index>(i)) = jets[i].v.transpose();
+  return block;
+}
+
+std::vector<MechanicalEquations::Row> MechanicalEquations::RowsOf(const std::vector<ClosedContact>& closed) {
+  std::vector<Row> rows;
+  for (const ClosedContact& contact : closed) {
+    if (contact.status != 'S') rows.push_back({contact.contact, false});
+  }
+  for (const ClosedContact& contact : closed) {
+    if (contact.status == 's' || contact.status == 'S') rows.push_back({contact.contact, true});
+  }
+  return rows;
+}
+
+void MechanicalEquations::RowOf(const Row& row, const Jet* q, const Jet* p, Jet* out) const {
+  if (row.tangential && f_.has_rows()) return f_.SlideRow(row.contact, q, p, out);
+  std::vector<TimeJet<Jet>> path = Constant(n_, q), constant = Constant(num_p_, p);
+  for (int j = 0; j < n_; ++j) {
+    path[j].rate = Jet(1.0);
+    out[j] = row.tangential ? f_.Slide(row.contact, path.data(), constant.data()).rate
+                            : f_.Gap(row.contact, path.data(), constant.data()).rate;
+    path[j].rate = Jet(0.0);
+  }
+}
+
+Eigen::RowVectorXd MechanicalEquations::RowAt(const Row& row, const Point& at) const {
+  Eigen::RowVectorXd out(n_);
+  if (row.tangential && f_.has_rows()) {
+    f_.SlideRow(row.contact, at.q, at.p, out.data());
+    return out;
+  }
+  Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_);
+  for (int first = 0; first < n_; first += kWidth) {
+    const int width = std::min(kWidth, n_ - first);
+    for (int j = 0; j < width; ++j) q[first + j].v[j] = 1;
+    const Jet value =
+        row.tangential ? f_.Slide(row.contact, q.data(), p.data()) : f_.Gap(row.contact, q.data(), p.data());
+    for (int j = 0; j < width; ++j) {
+      out[first + j] = value.v[j];
+      q[first + j].v[j] = 0;
+    }
+  }
+  return out;
+}
+
+double MechanicalEquations::GapScale(int contact, const Point& at) const {
+  return RowAt({contact, false}, at).cwiseAbs().dot(Eigen::Map<const Eigen::RowVectorXd>(at.q, n_).cwiseAbs());
+}
+
+// value: nothing; rate: the velocity along the row; second: the acceleration.
+template <typename S>
+TimeJet<S> MechanicalEquations::Along(const Row& row, const std::vector<TimeJet<S>>& q, const S* v, const S* a,
+                                      const std::vector<TimeJet<S>>& p) const {
+  if (!row.tangential) return f_.Gap(row.contact, q.data(), p.data());
+  if (!f_.has_rows()) return f_.Slide(row.contact, q.data(), p.data());
+  std::vector<TimeJet<S>> entries(n_);
+  f_.SlideRow(row.contact, q.data(), p.data(), entries.data());
+  TimeJet<S> along(0.0);
+  for (int j = 0; j < n_; ++j) {
+    along.rate += entries[j].value * v[j];
+    along.second += entries[j].rate * v[j];
+    if (a != nullptr) along.second += entries[j].value * a[j];
+  }
+  return along;
+}
+
+double MechanicalEquations::RateAlong(const Row& row, const double* q, const double* v, const double* p) const {
+  return Along<double>(row, Path<double>(n_, q, v, nullptr), v, nullptr, Constant(num_p_, p)).rate;
+}
+double MechanicalEquations::SecondAlong(const Row& row, const double* q, const double* v, const double* a,
+                                        const double* p) const {
+  return Along<double>(row, Path(n_, q, v, a), v, a, Constant(num_p_, p)).second;
+}
+Jet MechanicalEquations::RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const {
+  return Along<Jet>(row, Path<Jet>(n_, q, v, nullptr), v, nullptr, Constant(num_p_, p)).rate;
+}
+Jet MechanicalEquations::SecondAlong(const Row& row, const Jet* q, const Jet* v, const double* a, const Jet* p) const {
+  const Jets fixed(a, a + n_);
+  return Along<Jet>(row, Path(n_, q, v, fixed.data()), v, fixed.data(), Constant(num_p_, p)).second;
+}
+
+MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed,
+                                                          const Point& at) const {
+  System system;
+  Eigen::MatrixXd mass(n_, n_);
+  f_.Mass(at.q, at.p, mass.data());  // symmetric: the order of rows and columns does not matter
+  system.mass.compute(mass);
+  system.rows = RowsOf(closed);
+  const auto r = static_cast<Eigen::Index>(system.rows.size());
+  if (r == 0) return system;
+  system.G.resize(r, n_);
+  for (Eigen::Index i = 0; i < r; ++i) system.G.row(i) = RowAt(system.rows[i], at);
+  system.F = system.G.transpose();
+  Eigen::Index column = 0;  // of the normals, which come first
+  for (const ClosedContact& contact : closed) {
+    if (const int sign = SlidingSign(contact.status); sign != 0) {
+      system.F.col(column) -=
+          f_.Friction(contact.contact, at.p) * sign * RowAt({contact.contact, true}, at).transpose();
+    }
+    if (contact.status != 'S') ++column;
+  }
+  system.mobile_F = system.mass.solve(system.F);
+  system.contact.emplace(Multiply(system.G, system.mobile_F), kRedundant);
+  return system;
+}
+
+Eigen::VectorXd MechanicalEquations::Force(const Point& at) const {
+  Eigen::VectorXd h(n_);
+  f_.Force(at.t, at.q, at.v, at.u, at.p, h.data());
+  return h;
+}
+
+void MechanicalEquations::Accelerate(const System& system, const Point& at, Eigen::VectorXd* a,
+                                     Eigen::VectorXd* force) const {
+  *a = system.mass.solve(Force(at));
+  const auto r = static_cast<Eigen::Index>(system.rows.size());
+  force->resize(r);
+  if (r == 0) return;
+  Eigen::VectorXd right(r);
+  for (Eigen::Index i = 0; i < r; ++i) right[i] = -SecondAlong(system.rows[i], at.q, at.v, a->data(), at.p);
+  system.contact->Solve(right, *force);
+  *a += system.mobile_F * *force;
+}
+
+MechanicalEquations::Seeds MechanicalEquations::SeedColumns(const Point& at, int first) const {
+  Seeds seeds;
+  int column = -first;
+  const auto seed = [&](double value) {
+    Jet jet(value);
+    if (column >= 0 && column < kWidth) jet.v[column] = 1;
+    ++column;
+    return jet;
+  };
+  for (int i = 0; i < n_; ++i) seeds.q.push_back(seed(at.q[i]));
+  for (int i = 0; i < n_; ++i) seeds.v.push_back(seed(at.v[i]));
+  seeds.t = seed(at.t);
+  for (int i = 0; i < num_p_; ++i) seeds.p.push_back(seed(at.p[i]));
+  for (int i = 0; i < num_u_; ++i) seeds.u.push_back(seed(at.u[i]));
+  return seeds;
+}
+
+MechanicalEquations::Seeds MechanicalEquations::SeedDirection(const Point& at, const double* xdot) const {
+  Seeds seeds;
+  for (int i = 0; i < n_; ++i) seeds.q.emplace_back(at.q[i]).v[0] = xdot[i];
+  for (int i = 0; i < n_; ++i) seeds.v.emplace_back(at.v[i]).v[0] = xdot[n_ + i];
+  seeds.t = Jet(at.t);
+  seeds.t.v[0] = 1;
+  seeds.p = Jets(at.p, at.p + num_p_);
+  seeds.u = Jets(at.u, at.u + num_u_);
+  return seeds;
+}
+
+void MechanicalEquations::SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential,
+                                          const Seeds& seeds, Jet* residual) const {
+  Jets row(n_);
+  RowOf({contact, false}, seeds.q.data(), seeds.p.data(), row.data());
+  for (int j = 0; j < n_; ++j) residual[j] -= normal * row[j];
+  if (sliding == 0 && tangential == nullptr) return;
+  const Jet along = tangential != nullptr
+                        ? *tangential
+                        : static_cast<double>(-sliding) * normal * f_.Friction(contact, seeds.p.data());
+  RowOf({contact, true}, seeds.q.data(), seeds.p.data(), row.data());
+  for (int j = 0; j < n_; ++j) residual[j] -= along * row[j];
+}
+
+void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds,
+                                         const Eigen::VectorXd& force, Jet* residual) const {
+  Eigen::Index normals = 0;
+  for (const ClosedContact& contact : closed) normals += contact.status != 'S' ? 1 : 0;
+  Eigen::Index normal = 0, sticking = normals;
+  for (const ClosedContact& contact : closed) {
+    const Jet f_n(contact.status != 'S' ? force[normal++] : 0.0);
+    const bool sticks = contact.status == 's' || contact.status == 'S';
+    const Jet f_t(sticks ? force[sticking++] : 0.0);
+    SubtractContact(contact.contact, f_n, SlidingSign(contact.status), sticks ? &f_t : nullptr, seeds, residual);
+  }
+}
+
+// From M da - F df = -momentum and G da = -rows.
+MechanicalEquations::Derivative MechanicalEquations::Solve(const System& system, const Jets& momentum,
+                                                           const Jets& rows) const {
+  Derivative out;
+  out.motion = system.mass.solve(-Directions(momentum));
+  out.force.resize(static_cast<Eigen::Index>(rows.size()), kWidth);
+  if (rows.empty()) return out;
+  out.force = -Directions(rows) - system.G * out.motion;
+  SolveColumns(*system.contact, &out.force);
+  out.motion += system.mobile_F * out.force;
+  return out;
+}
+
+MechanicalEquations::Derivative MechanicalEquations::AccelerationDerivative(const System& system,
+                                                                            const std::vector<ClosedContact>& closed,
+                                                                            const Seeds& seeds,
+                                                                            const Eigen::VectorXd& a,
+                                                                            const Eigen::VectorXd& force) const {
+  const MechanicalPoint<Jet> at = seeds.point();
+  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), h(n_), rows;
+  f_.Mass(at.q, at.p, mass.data());
+  f_.Force(at.t, at.q, at.v, at.u, at.p, h.data());
+  for (int i = 0; i < n_; ++i) {
+    momentum[i] = -h[i];
+    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * a[j];
+  }
+  SubtractForces(closed, seeds, force, momentum.data());
+  for (const Row& row : system.rows) rows.push_back(SecondAlong(row, at.q, at.v, a.data(), at.p));
+  return Solve(system, momentum, rows);
+}
+
+MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const System& system,
+                                                                      const std::vector<ClosedContact>& closed,
+                                                                      const Seeds& seeds, const Eigen::VectorXd& v_plus,
+                                                                      const Eigen::VectorXd& force,
+                                                                      const std::vector<char>& has_restitution,
+                                                                      const std::vector<KnownImpulse>& known) const {
+  const MechanicalPoint<Jet> at = seeds.point();
+  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), rows;
+  f_.Mass(at.q, at.p, mass.data());
+  for (int i = 0; i < n_; ++i) {
+    momentum[i] = Jet(0.0);
+    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * (v_plus[j] - at.v[j]);
+  }
+  SubtractForces(closed, seeds, force, momentum.data());
+  for (const KnownImpulse& impulse : known) {
+    SubtractContact(impulse.contact, impulse.normal, impulse.sliding, nullptr, seeds, momentum.data());
+  }
+  const Jets after(v_plus.data(), v_plus.data() + n_);
+  for (std::size_t i = 0; i < system.rows.size(); ++i) {
+    const Row& row = system.rows[i];
+    Jet rate = RateAlong(row, at.q, after.data(), at.p);
+    if (!row.tangential && has_restitution[i] != 0) {
+      rate += f_.Restitution(row.contact, at.p) * RateAlong(row, at.q, at.v, at.p);
+    }
+    rows.push_back(rate);
+  }
+  return Solve(system, momentum, rows);
+}
+
+void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, double* q, double* v,
+                                  const double* p) const {
+  std::vector<ClosedContact> normals = closed;
+  for (ClosedContact& contact : normals) contact.status = 'n';
+  const auto k = static_cast<Eigen::Index>(closed.size());
+  const Point at{0, q, v, nullptr, p};
+  Eigen::VectorXd gaps(k);
+  double last = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < kMostCorrections; ++i) {
+    for (Eigen::Index c = 0; c < k; ++c) gaps[c] = -Gap(closed[c].contact, at);
+    const double size = gaps.cwiseAbs().maxCoeff();
+    if (size == 0 || !(size < 0.5 * last)) break;
+    last = size;
+    const System system = Assemble(normals, at);
+    system.contact->Solve(gaps, gaps);
+    Eigen::Map<Eigen::VectorXd>(q, n_) += system.mobile_F * gaps;
+  }
+  std::vector<ClosedContact> held = closed;
+  for (ClosedContact& contact : held) {
+    if (contact.status != 's') contact.status = 'n';
+  }
+  const System system = Assemble(held, at);
+  Eigen::Map<Eigen::VectorXd> velocity(v, n_);
+  Eigen::VectorXd rates = -(system.G * velocity);
+  system.contact->Solve(rates, rates);
+  velocity += system.mobile_F * rates;
+}
+
+void MechanicalEquations::ProjectDerivative(const std::vector<ClosedContact>& closed, const Seeds& seeds,
+                                            const Point& at, Block* q, Block* v) const {
+  const auto k = static_cast<Eigen::Index>(closed.size());
+  std::vector<ClosedContact> normals = closed, held = closed;
+  for (ClosedContact& contact : normals) contact.status = 'n';
+  for (ClosedContact& contact : held) {
+    if (contact.status != 's') contact.status = 'n';
+  }
+  *q = Directions(seeds.q);
+  const System system = Assemble(normals, at);
+  Block gaps(k, kWidth);
+  for (Eigen::Index i = 0; i < k; ++i) {
+    gaps.row(i) = -f_.Gap(closed[i].contact, seeds.q.data(), seeds.p.data()).v.transpose();
+  }
+  SolveColumns(*system.contact, &gaps);
+  *q += system.mobile_F * gaps;
+  Seeds moved = seeds;
+  for (int i = 0; i < n_; ++i) moved.q[i].v = q->row(i).transpose();
+  const System rates = Assemble(held, at);
+  Block speeds(static_cast<Eigen::Index>(rates.rows.size()), kWidth);
+  for (Eigen::Index i = 0; i < speeds.rows(); ++i) {
+    speeds.row(i) = -RateAlong(rates.rows[i], moved.q.data(), moved.v.data(), moved.p.data()).v.transpose();
+  }
+  SolveColumns(*rates.contact, &speeds);
+  *v = Directions(seeds.v) + rates.mobile_F * speeds;
+}
+
+// With x = M^-1 N^T and y = M^-1 F held, N y + x^T F - x^T M y has the value and the derivative of N M^-1 F.
+Jet MechanicalEquations::Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const {
+  const System system = Assemble({contact}, at);
+  const Eigen::VectorXd x = system.mass.solve(system.G.transpose()), y = system.mobile_F;
+  Jets normal(n_), tangent(n_), mass(static_cast<std::size_t>(n_) * n_);
+  RowOf({contact.contact, false}, seeds.q.data(), seeds.p.data(), normal.data());
+  RowOf({contact.contact, true}, seeds.q.data(), seeds.p.data(), tangent.data());
+  f_.Mass(seeds.q.data(), seeds.p.data(), mass.data());
+  const Jet slip = f_.Friction(contact.contact, seeds.p.data()) * static_cast<double>(SlidingSign(contact.status));
+  Jet sum(0.0);
+  for (int i = 0; i < n_; ++i) {
+    sum += normal[i] * (y[i] + x[i]) - x[i] * slip * tangent[i];
+    for (int j = 0; j < n_; ++j) sum -= x[i] * y[j] * mass[i * n_ + j];
+  }
+  return sum;
+}
+
+}  // namespace saltus

@@ -1,0 +1,139 @@
+// The equations of motion and of impact of a mechanical system with closed contacts, and their derivatives.
+//
+//   M a = h + F f,     G a + c = 0,     F = [N^T - mu sigma T^T of sliding contacts, N^T, T^T of the others]
+//
+// where G has the rows N of all closed contacts and T of those that stick, and c are the accelerations that come from
+// the turning of these rows. Derivatives follow from the implicit function theorem: with a and f as they are, the
+// residuals of both equations are evaluated on Jets.
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <optional>
+#include <vector>
+
+#include "base/linear_algebra.h"
+#include "saltus/internal/mechanical_functions.h"
+
+namespace saltus {
+
+// Where the functions of a mechanical system are evaluated.
+template <typename T>
+struct MechanicalPoint {
+  T t{};
+  const T *q = nullptr, *v = nullptr, *u = nullptr, *p = nullptr;
+};
+
+// A contact that is closed. Status: 'n' without friction, '+' or '-' sliding with v_t > 0 or < 0, 's' sticking; in the
+// expansion of Poisson's law also 'S', which sticks under a normal impulse that is known.
+struct ClosedContact {
+  int contact = 0;
+  char status = 'n';
+};
+
+// The sign of v_t of a sliding contact, else 0.
+inline int SlidingSign(char status) { return status == '+' ? 1 : status == '-' ? -1 : 0; }
+
+class MechanicalEquations {
+ public:
+  using Jet = MechanicalFunctions::Jet;
+  static constexpr int kWidth = MechanicalFunctions::kWidth;
+  using Point = MechanicalPoint<double>;
+  using Jets = std::vector<Jet>;
+
+  explicit MechanicalEquations(const MechanicalFunctions& functions);
+
+  const MechanicalFunctions& functions() const { return f_; }
+  int n() const { return n_; }
+
+  // A row of G: the normal of a contact or its tangent.
+  struct Row {
+    int contact = 0;
+    bool tangential = false;
+  };
+  static std::vector<Row> RowsOf(const std::vector<ClosedContact>& closed);
+
+  // M, factorized, and the matrices of closed contacts at (q, p).
+  struct System {
+    Eigen::LLT<Eigen::MatrixXd> mass;
+    std::vector<Row> rows;
+    Eigen::MatrixXd G, F, mobile_F;          // r x n, n x r, M^-1 F
+    std::optional<LeastNormSolver> contact;  // of G M^-1 F; none without rows
+  };
+  System Assemble(const std::vector<ClosedContact>& closed, const Point& at) const;
+  // Whether the mass matrix is positive definite.
+  static bool IsRegular(const System& system) { return system.mass.info() == Eigen::Success; }
+
+  Eigen::RowVectorXd RowAt(const Row& row, const Point& at) const;
+  // The first or second time derivative of a gap, or the velocity or acceleration along a tangent, on a path with this
+  // velocity and acceleration.
+  double RateAlong(const Row& row, const double* q, const double* v, const double* p) const;
+  double SecondAlong(const Row& row, const double* q, const double* v, const double* a, const double* p) const;
+  double Gap(int contact, const Point& at) const { return f_.Gap(contact, at.q, at.p); }
+  // sum |N_j q_j|: the size of the terms of a gap, of which rounding errors are a part.
+  double GapScale(int contact, const Point& at) const;
+
+  Eigen::VectorXd Force(const Point& at) const;
+  // Accelerations and forces.
+  void Accelerate(const System& system, const Point& at, Eigen::VectorXd* a, Eigen::VectorXd* force) const;
+
+  // Jets of all that a point consists of, seeded with some of the columns of [q v t p u], or with one direction.
+  struct Seeds {
+    Jets q, v, p, u;
+    Jet t;
+    MechanicalPoint<Jet> point() const { return {t, q.data(), v.data(), u.data(), p.data()}; }
+  };
+  Seeds SeedColumns(const Point& at, int first) const;
+  Seeds SeedDirection(const Point& at, const double* xdot) const;
+  static Eigen::Matrix<double, Eigen::Dynamic, kWidth> Directions(const Jets& jets);
+  int num_columns(bool with_control) const { return 2 * n_ + 1 + num_p_ + (with_control ? num_u_ : 0); }
+
+  // The derivatives of accelerations and forces by the seeds.
+  struct Derivative {
+    Eigen::Matrix<double, Eigen::Dynamic, kWidth> motion, force;
+  };
+  Derivative AccelerationDerivative(const System& system, const std::vector<ClosedContact>& closed, const Seeds& seeds,
+                                    const Eigen::VectorXd& a, const Eigen::VectorXd& force) const;
+  // The same of an impact, M (v+ - v) = F f + known impulses with G v+ = -E G v. Closed contacts without a restitution
+  // in it have e = 0.
+  struct KnownImpulse {
+    int contact = 0;
+    Jet normal;
+    int sliding = 0;  // sign of v_t, against which friction acts
+  };
+  Derivative ImpactDerivative(const System& system, const std::vector<ClosedContact>& closed, const Seeds& seeds,
+                              const Eigen::VectorXd& v_plus, const Eigen::VectorXd& force,
+                              const std::vector<char>& has_restitution,
+                              const std::vector<KnownImpulse>& known = {}) const;
+
+  // Moves q and v onto phi = 0 and G v = 0.
+  void Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p) const;
+  // The derivative of a projection that moves them by no more than rounding errors.
+  void ProjectDerivative(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Point& at,
+                         Eigen::Matrix<double, Eigen::Dynamic, kWidth>* q,
+                         Eigen::Matrix<double, Eigen::Dynamic, kWidth>* v) const;
+
+  // N M^-1 (N^T - mu sigma T^T) of a sliding contact: where it is not positive, no force or several keep it closed.
+  Jet Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const;
+
+  Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
+
+ private:
+  Jet SecondAlong(const Row& row, const Jet* q, const Jet* v, const double* a, const Jet* p) const;
+  void RowOf(const Row& row, const Jet* q, const Jet* p, Jet* out) const;
+  template <typename S>
+  TimeJet<S> Along(const Row& row, const std::vector<TimeJet<S>>& q, const S* v, const S* a,
+                   const std::vector<TimeJet<S>>& p) const;
+  // Subtracts what a contact with this normal force, which sticks under a tangential force or slides, does.
+  void SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential, const Seeds& seeds,
+                       Jet* residual) const;
+  // Subtracts F f from `residual`.
+  void SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Eigen::VectorXd& force,
+                      Jet* residual) const;
+  Derivative Solve(const System& system, const Jets& momentum, const Jets& rows) const;
+
+  const MechanicalFunctions& f_;
+  const int n_, num_u_, num_p_;
+};
+
+}  // namespace saltus

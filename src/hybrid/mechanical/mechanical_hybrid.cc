@@ -1,0 +1,873 @@
+#include "hybrid/mechanical/mechanical_hybrid.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdio>
+#include <mutex>
+#include <numeric>
+#include <utility>
+
+namespace saltus {
+namespace {
+
+constexpr double kAtZero = 1e-11;     // of a gap that another contact's impact finds at zero, of the size of its terms
+constexpr double kTouches = 1e-9;     // of gaps and speeds at the start, likewise
+constexpr double kUncoupled = 1e-12;  // |W_ij| / sqrt(W_ii W_jj) that is rounding
+constexpr double kRests = 1e-10;      // speeds that are zero, of the size of their terms
+constexpr double kMostHeld = 10;      // speeds of contacts that close together, of rest_speed
+constexpr double kNearly = 1e-9;      // distance to another branch of an impact that is none, relative
+
+using What = MechanicalHybrid::Guarded::What;
+
+HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
+  HybridLayout layout{.num_controls = mechanical.num_controls, .num_parameters = mechanical.num_parameters};
+  layout.state_sizes = {2 * mechanical.num_coordinates};
+  layout.num_guards = {std::max(4 * mechanical.num_contacts, 1)};
+  for (const std::string& name : mechanical.coordinate_names) layout.state_names.push_back(name);
+  for (const std::string& name : mechanical.coordinate_names) layout.state_names.push_back("d" + name);
+  layout.control_names = mechanical.control_names;
+  layout.parameter_names = mechanical.parameter_names;
+  return layout;
+}
+
+// Systems are told apart by numbers, as an address may be that of one that has gone.
+int NextId() {
+  static std::atomic<int> next = 0;
+  return next++;
+}
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+// Groups of contacts that are coupled by W.
+std::vector<std::vector<int>> GroupsOf(const Eigen::MatrixXd& W) {
+  const int k = static_cast<int>(W.rows()) / 2;
+  std::vector<int> group(k);
+  std::iota(group.begin(), group.end(), 0);
+  for (int i = 0; i < k; ++i) {
+    for (int j = 0; j < i; ++j) {
+      bool coupled = false;
+      for (int a = 0; a < 2; ++a) {
+        for (int b = 0; b < 2; ++b) {
+          const int row = 2 * i + a, column = 2 * j + b;
+          coupled = coupled || std::abs(W(row, column)) > kUncoupled * std::sqrt(W(row, row) * W(column, column));
+        }
+      }
+      if (!coupled || group[i] == group[j]) continue;
+      std::replace(group.begin(), group.end(), group[i], group[j]);
+    }
+  }
+  std::vector<std::vector<int>> groups;
+  for (int number = 0; number < k; ++number) {
+    std::vector<int> members;
+    for (int i = 0; i < k; ++i) {
+      if (group[i] == number) members.push_back(i);
+    }
+    if (!members.empty()) groups.push_back(std::move(members));
+  }
+  return groups;
+}
+
+// The problem of some of the contacts.
+ContactProblem Restricted(const ContactProblem& problem, const std::vector<int>& members) {
+  const auto k = static_cast<Eigen::Index>(members.size());
+  ContactProblem out;
+  out.W.resize(2 * k, 2 * k);
+  out.given.resize(2 * k);
+  for (Eigen::Index i = 0; i < k; ++i) {
+    for (Eigen::Index j = 0; j < k; ++j) {
+      out.W.block<2, 2>(2 * i, 2 * j) = problem.W.block<2, 2>(2 * members[i], 2 * members[j]);
+    }
+    out.given.segment<2>(2 * i) = problem.given.segment<2>(2 * members[i]);
+    out.friction.push_back(problem.friction[members[i]]);
+    out.has_friction.push_back(problem.has_friction[members[i]]);
+    out.sliding.push_back(problem.sliding[members[i]]);
+    if (!problem.floor.empty()) out.floor.push_back(problem.floor[members[i]]);
+  }
+  return out;
+}
+
+std::vector<ClosedContact> ClosedIn(const std::string& status) {
+  std::vector<ClosedContact> closed;
+  for (std::size_t i = 0; i < status.size(); ++i) {
+    if (status[i] != 'o') closed.push_back({static_cast<int>(i), status[i]});
+  }
+  return closed;
+}
+
+}  // namespace
+
+MechanicalHybrid::MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options)
+    : HybridFunctions(LayoutOf(functions->layout())),
+      functions_(std::move(functions)),
+      options_(options),
+      equations_(*functions_),
+      id_(NextId()) {
+  ModeOf(std::string(functions_->layout().num_contacts, 'o'));
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Modes.
+
+int MechanicalHybrid::num_modes() const {
+  std::shared_lock lock(mutex_);
+  return static_cast<int>(modes_.size());
+}
+
+const MechanicalHybrid::Mode& MechanicalHybrid::ModeAt(int mode) const {
+  std::shared_lock lock(mutex_);
+  return modes_[mode];
+}
+
+bool MechanicalHybrid::IsStatus(const std::string& status) const {
+  if (static_cast<int>(status.size()) != functions_->layout().num_contacts) return false;
+  for (std::size_t i = 0; i < status.size(); ++i) {
+    const std::string can = HasFriction(static_cast<int>(i)) ? "o+-s" : "on";
+    if (can.find(status[i]) == std::string::npos) return false;
+  }
+  return true;
+}
+
+int MechanicalHybrid::ModeOf(const std::string& status) const {
+  {
+    std::shared_lock lock(mutex_);
+    if (const auto found = known_.find(status); found != known_.end()) return found->second;
+  }
+  CHECK(IsStatus(status)) << "no contacts of this system have the status '" << status << "'";
+  Mode mode{.status = status, .closed = ClosedIn(status), .guards = {}};
+  for (int i = 0; i < static_cast<int>(status.size()); ++i) {
+    const std::vector<char>& has_reach = functions_->layout().has_reach;
+    if (status[i] != 'o' && !has_reach.empty() && has_reach[i] != 0) mode.guards.push_back({What::kEnd, i});
+    switch (status[i]) {
+      case 'o':
+        mode.guards.push_back({What::kHit, i});
+        break;
+      case 's':
+        mode.guards.push_back({What::kOff, i});
+        mode.guards.push_back({What::kBreakBack, i});
+        mode.guards.push_back({What::kBreakOn, i});
+        break;
+      default:
+        mode.guards.push_back({What::kOff, i});
+        if (status[i] == 'n') break;
+        mode.guards.push_back({What::kStop, i});
+        mode.guards.push_back({What::kJam, i});
+    }
+  }
+  std::unique_lock lock(mutex_);
+  const auto [place, is_new] = known_.emplace(status, static_cast<int>(modes_.size()));
+  if (is_new) modes_.push_back(std::move(mode));
+  return place->second;
+}
+
+std::string MechanicalHybrid::ContactName(int contact) const {
+  const std::vector<std::string>& names = functions_->layout().contact_names;
+  return names.empty() ? "contact " + std::to_string(contact) : names[contact];
+}
+
+std::string MechanicalHybrid::GuardName(int mode, int guard) const {
+  const Guarded& guarded = ModeAt(mode).guards[guard];
+  const auto name = [&]() -> std::string {
+    switch (guarded.what) {
+      case What::kHit:
+        return "hit";
+      case What::kOff:
+        return "off";
+      case What::kStop:
+        return "stop";
+      case What::kBreakBack:
+        return "break-";
+      case What::kBreakOn:
+        return "break+";
+      case What::kEnd:
+        return "end";
+      default:
+        return "jam";
+    }
+  };
+  return ContactName(guarded.contact) + " " + name();
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Problems of contacts.
+
+ContactProblem MechanicalHybrid::ProblemOf(const std::vector<int>& contacts, const Point& at) const {
+  ContactProblem problem;
+  const auto k = static_cast<Eigen::Index>(contacts.size());
+  const int n = equations_.n();
+  Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(2 * k, n);
+  for (Eigen::Index i = 0; i < k; ++i) {
+    rows.row(2 * i) = equations_.RowAt({contacts[i], false}, at);
+    const bool frictional = HasFriction(contacts[i]);
+    if (frictional) rows.row(2 * i + 1) = equations_.RowAt({contacts[i], true}, at);
+    problem.friction.push_back(frictional ? functions_->Friction(contacts[i], at.p) : 0.0);
+    problem.has_friction.push_back(frictional);
+    problem.sliding.push_back(0);
+  }
+  const MechanicalEquations::System system = equations_.Assemble({}, at);
+  problem.W = Multiply(rows, system.mass.solve(rows.transpose()));
+  problem.given = rows * Eigen::Map<const Eigen::VectorXd>(at.v, n);
+  return problem;
+}
+
+std::vector<ContactSolution> MechanicalHybrid::SolveAccelerations(const Closing& closing, const Point& at) const {
+  const auto k = static_cast<Eigen::Index>(closing.contacts.size());
+  ContactProblem problem = ProblemOf(closing.contacts, at);
+  problem.sliding = closing.sliding;
+  const MechanicalEquations::System system = equations_.Assemble({}, at);
+  const Eigen::VectorXd a = system.mass.solve(equations_.Force(at));
+  for (Eigen::Index i = 0; i < k; ++i) {
+    problem.given[2 * i] = equations_.SecondAlong({closing.contacts[i], false}, at.q, at.v, a.data(), at.p);
+    if (!problem.has_friction[i]) continue;
+    problem.given[2 * i + 1] = equations_.SecondAlong({closing.contacts[i], true}, at.q, at.v, a.data(), at.p);
+  }
+  std::vector<ContactSolution> all = {{std::string(closing.contacts.size(), 'o'), Eigen::VectorXd::Zero(2 * k)}};
+  for (const std::vector<int>& group : GroupsOf(problem.W)) {
+    std::vector<ContactSolution> joined;
+    for (const ContactSolution& solution : SolveContactProblem(Restricted(problem, group))) {
+      for (ContactSolution other : all) {
+        for (std::size_t i = 0; i < group.size(); ++i) {
+          other.status[group[i]] = solution.status[i];
+          other.force.segment<2>(2 * group[i]) = solution.force.segment<2>(2 * static_cast<Eigen::Index>(i));
+        }
+        joined.push_back(std::move(other));
+      }
+    }
+    all = std::move(joined);
+  }
+  return all;
+}
+
+std::string MechanicalHybrid::Close(const std::string& before, const Closing& closing, const Point& at,
+                                    std::string* why) const {
+  std::string status = before;
+  if (closing.contacts.empty()) return status;
+  const std::vector<ContactSolution> all = SolveAccelerations(closing, at);
+  if (all.size() == 1) {
+    for (std::size_t i = 0; i < closing.contacts.size(); ++i) status[closing.contacts[i]] = all[0].status[i];
+    return status;
+  }
+  *why = all.empty() ? "painleve_inconsistent: no accelerations satisfy the conditions of "
+                     : "painleve_indeterminate: " + std::to_string(all.size()) + " accelerations satisfy those of ";
+  for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
+    *why += (i > 0 ? ", '" : "'") + ContactName(closing.contacts[i]) + "'";
+  }
+  if (closing.contacts.size() == 1 && closing.sliding[0] != 0) {
+    const ClosedContact contact{closing.contacts[0], closing.sliding[0] > 0 ? '+' : '-'};
+    const MechanicalEquations::System system = equations_.Assemble({contact}, at);
+    const Eigen::VectorXd a = equations_.Assemble({}, at).mass.solve(equations_.Force(at));
+    *why += "; A = " + Text((system.G * system.mobile_F)(0, 0)) +
+            ", b = " + Text(equations_.SecondAlong({contact.contact, false}, at.q, at.v, a.data(), at.p));
+  }
+  for (const ContactSolution& solution : all) {
+    *why += "; '" + solution.status + "' with normal force";
+    for (Eigen::Index i = 0; i < solution.force.size(); i += 2) *why += " " + Text(solution.force[i]);
+  }
+  return "";
+}
+
+MechanicalHybrid::Closing MechanicalHybrid::Touching(const Point& at, std::string* why) const {
+  Closing closing;
+  const Eigen::Map<const Eigen::RowVectorXd> v(at.v, equations_.n());
+  for (int i = 0; i < functions_->layout().num_contacts; ++i) {
+    const double gap = equations_.Gap(i, at), at_zero = kTouches * equations_.GapScale(i, at);
+    if (gap > at_zero) continue;
+    if (gap < -at_zero) {
+      *why = "contact '" + ContactName(i) + "' penetrates, its gap is " + Text(gap);
+      continue;
+    }
+    const Eigen::RowVectorXd normal = equations_.RowAt({i, false}, at);
+    if (std::abs(normal.dot(v)) > kTouches * normal.cwiseAbs().dot(v.cwiseAbs())) continue;
+    int sign = 0;
+    if (HasFriction(i)) {
+      const Eigen::RowVectorXd tangent = equations_.RowAt({i, true}, at);
+      const double speed = tangent.dot(v);
+      if (std::abs(speed) > kTouches * tangent.cwiseAbs().dot(v.cwiseAbs())) sign = speed > 0 ? 1 : -1;
+    }
+    closing.contacts.push_back(i);
+    closing.sliding.push_back(sign);
+  }
+  return closing;
+}
+
+MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode) const {
+  Closing closing;
+  for (const ClosedContact& contact : mode.closed) {
+    closing.contacts.push_back(contact.contact);
+    closing.sliding.push_back(SlidingSign(contact.status));
+  }
+  return closing;
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Impacts.
+
+MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, const Point& at) const {
+  Impact impact = HitWith(mode, contact, at, Restitution::kOwn);
+  if (!impact.why.empty()) return impact;
+  // Bounces that accumulate.
+  bool slow = false, fast = false;
+  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
+    if (!impact.rebounds[i]) continue;
+    (after[2 * static_cast<Eigen::Index>(i)] < options_.rest_speed ? slow : fast) = true;
+  }
+  if (!slow || fast) return impact;
+  // Where contacts are hit in turn, an impact of one parts the others: all of them close together.
+  for (const Restitution restitution : {Restitution::kNone, Restitution::kNoneAndHeld}) {
+    Impact plastic = HitWith(mode, contact, at, restitution);
+    bool closes = plastic.why.empty();
+    for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
+      if (impact.rebounds[i]) closes = plastic.next[impact.contacts[i]] != 'o';
+    }
+    if (!closes) continue;
+    plastic.ends_bouncing = true;
+    return plastic;
+  }
+  return impact;
+}
+
+Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse,
+                                        const Point& at) const {
+  const int n = equations_.n();
+  Eigen::VectorXd momentum = Eigen::VectorXd::Zero(n);
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const auto row = static_cast<Eigen::Index>(2 * i);
+    momentum += impulse[row] * equations_.RowAt({contacts[i], false}, at).transpose();
+    if (HasFriction(contacts[i])) {
+      momentum += impulse[row + 1] * equations_.RowAt({contacts[i], true}, at).transpose();
+    }
+  }
+  return Eigen::Map<const Eigen::VectorXd>(at.v, n) + equations_.Assemble({}, at).mass.solve(momentum);
+}
+
+MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
+                                                   Restitution law) const {
+  const bool plastic = law != Restitution::kOwn;
+  // Contacts that are closed, and those that hit as well.
+  std::vector<int> candidates = {contact};
+  for (int i = 0; i < functions_->layout().num_contacts; ++i) {
+    if (i == contact) continue;
+    if (mode.status[i] == 'o') {
+      if (std::abs(equations_.Gap(i, at)) > kAtZero * equations_.GapScale(i, at)) continue;
+      if (!(equations_.RateAlong({i, false}, at.q, at.v, at.p) < 0)) continue;
+    }
+    candidates.push_back(i);
+  }
+  std::sort(candidates.begin(), candidates.end());
+  ContactProblem problem = ProblemOf(candidates, at);
+  Impact impact;
+  std::vector<int> members;
+  for (const std::vector<int>& group : GroupsOf(problem.W)) {
+    const bool hit = std::any_of(group.begin(), group.end(), [&](int i) { return candidates[i] == contact; });
+    if (hit) members = group;
+  }
+  for (const int member : members) impact.contacts.push_back(candidates[member]);
+  problem = Restricted(problem, members);
+  const auto k = static_cast<Eigen::Index>(members.size());
+  impact.W = problem.W;
+  impact.before = problem.given;
+  std::vector<double> restitution;
+  for (Eigen::Index i = 0; i < k; ++i) {
+    const bool hits = mode.status[impact.contacts[i]] == 'o';
+    impact.hits.push_back(hits);
+    impact.restores.push_back(hits && !plastic);
+    restitution.push_back(hits && !plastic ? functions_->Restitution(impact.contacts[i], at.p) : 0.0);
+  }
+  const bool poisson = options_.law == MechanicalOptions::Law::kPoisson;
+  if (!poisson) {
+    for (Eigen::Index i = 0; i < k; ++i) problem.given[2 * i] *= 1 + restitution[i];
+  }
+  std::vector<ContactSolution> solutions;
+  if (law == Restitution::kNoneAndHeld) {
+    if (!(impact.before(Eigen::seq(0, Eigen::last, 2)).cwiseAbs().maxCoeff() < kMostHeld * options_.rest_speed)) {
+      impact.why = "faster than what is held";
+      return impact;
+    }
+    solutions.push_back(HoldContacts(problem));
+  } else {
+    solutions = SolveContactProblem(problem);
+  }
+  const auto refuse = [&]() {
+    impact.why = solutions.empty() ? "no_solution: no impulses satisfy the law of impact of"
+                                   : "several_solutions: impulses that differ satisfy the law of impact of";
+    for (const int i : impact.contacts) impact.why += " '" + ContactName(i) + "'";
+    for (const ContactSolution& solution : solutions) impact.why += "; '" + solution.status + "'";
+    return impact;
+  };
+  if (solutions.size() != 1) return refuse();
+  impact.status = solutions[0].status;
+  impact.impulse = solutions[0].force;
+  impact.v_plus = Moved(impact.contacts, impact.impulse, at);
+  if (poisson && std::any_of(restitution.begin(), restitution.end(), [](double e) { return e > 0; })) {
+    if (k > kMostTriedContacts) {
+      impact.why =
+          "Poisson's law is not supported for more than " + std::to_string(kMostTriedContacts) + " coupled contacts";
+      return impact;
+    }
+    impact.compressed = impact.status;
+    impact.compression = impact.impulse;
+    impact.v_compressed = impact.v_plus;
+    problem.given = impact.before + impact.W * impact.compression;
+    for (Eigen::Index i = 0; i < k; ++i) problem.floor.push_back(restitution[i] * impact.compression[2 * i]);
+    solutions = SolveContactProblem(problem);
+    if (solutions.size() != 1) return refuse();
+    impact.status = solutions[0].status;
+    impact.impulse += solutions[0].force;
+    impact.v_plus = Moved(impact.contacts, impact.impulse, at);
+  }
+  // What closes.
+  impact.next = mode.status;
+  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  Closing closing;
+  std::vector<char> takes_part(mode.status.size(), 0);
+  for (Eigen::Index i = 0; i < k; ++i) {
+    const int number = impact.contacts[i];
+    takes_part[number] = 1;
+    impact.rebounds.push_back(restitution[i] > 0 &&
+                              (poisson ? impact.status[i] != 'o' && after[2 * i] > 0 : impact.status[i] != 'o'));
+    impact.next[number] = 'o';
+    const double speed = impact.W.row(2 * i).cwiseAbs().dot(impact.impulse.cwiseAbs());
+    const bool parts = impact.status[i] == 'o' ? after[2 * i] > kRests * speed : impact.rebounds[i] != 0;
+    if (parts) continue;
+    closing.contacts.push_back(number);
+    int sign = SlidingSign(impact.status[i]);
+    if ((impact.status[i] == 'o' || impact.status[i] == 'n') && problem.has_friction[i]) {
+      const double slip = after[2 * i + 1];
+      const double size = impact.W.row(2 * i + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
+      if (mode.status[number] != 's' || std::abs(slip) > kRests * size) sign = slip > 0 ? 1 : -1;
+    }
+    closing.sliding.push_back(sign);
+  }
+  for (const ClosedContact& other : mode.closed) {
+    if (takes_part[other.contact] != 0) continue;
+    closing.contacts.push_back(other.contact);
+    closing.sliding.push_back(SlidingSign(other.status));
+  }
+  Point then = at;
+  then.v = impact.v_plus.data();
+  impact.next = Close(impact.next, closing, then, &impact.why);
+  return impact;
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// The functions of a hybrid system.
+
+void MechanicalHybrid::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
+  const Point at = PointAt(t, x, u, p);
+  const ClosedMotion motion = MotionOf(ModeAt(mode), at, nullptr);
+  const int n = equations_.n();
+  std::copy_n(at.v, n, xdot);
+  std::copy_n(motion.a.data(), n, xdot + n);
+}
+
+void MechanicalHybrid::FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                                    double* jacobian) const {
+  const Point at = PointAt(t, x, u, p);
+  const Mode& of = ModeAt(mode);
+  ClosedMotion motion = MotionOf(of, at, nullptr);
+  const int n = equations_.n(), columns = equations_.num_columns(true);
+  std::copy_n(at.v, n, xdot);
+  std::copy_n(motion.a.data(), n, xdot + n);
+  std::fill_n(jacobian, n * columns, 0.0);
+  for (int i = 0; i < n; ++i) jacobian[i * columns + n + i] = 1;
+  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
+    const MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, first);
+    const MechanicalEquations::Derivative derivative =
+        equations_.AccelerationDerivative(motion.system, of.closed, seeds, motion.a, motion.force);
+    const int width = std::min(MechanicalEquations::kWidth, columns - first);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < width; ++j) jacobian[(n + i) * columns + first + j] = derivative.motion(i, j);
+    }
+  }
+}
+
+bool MechanicalHybrid::NeedsForces(const Guarded& guarded) {
+  return guarded.what == What::kOff || guarded.what == What::kBreakBack || guarded.what == What::kBreakOn;
+}
+
+MechanicalHybrid::ClosedMotion MechanicalHybrid::MotionOf(const Mode& mode, const Point& at,
+                                                          const MechanicalEquations::Seeds* seeds) const {
+  ClosedMotion motion{.system = equations_.Assemble(mode.closed, at), .a = {}, .force = {}, .derivative = {}};
+  equations_.Accelerate(motion.system, at, &motion.a, &motion.force);
+  if (seeds != nullptr) {
+    motion.derivative = equations_.AccelerationDerivative(motion.system, mode.closed, *seeds, motion.a, motion.force);
+  }
+  return motion;
+}
+
+MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded& guarded, const Point& at,
+                                                 const MechanicalEquations::Seeds& seeds,
+                                                 const ClosedMotion* motion) const {
+  const int contact = guarded.contact;
+  const auto force = [&](std::size_t row) {
+    Jet jet(motion->force[static_cast<Eigen::Index>(row)]);
+    jet.v = motion->derivative.force.row(static_cast<Eigen::Index>(row)).transpose();
+    return jet;
+  };
+  // Of the rows of the contact.
+  std::size_t normal = 0, tangential = mode.closed.size();
+  for (std::size_t i = 0; i < mode.closed.size(); ++i) {
+    if (mode.closed[i].contact == contact) {
+      normal = i;
+      break;
+    }
+    if (mode.closed[i].status == 's') ++tangential;
+  }
+  switch (guarded.what) {
+    case What::kHit:
+      return functions_->Gap(contact, seeds.q.data(), seeds.p.data());
+    case What::kOff:
+      return force(normal);
+    case What::kStop:
+      return static_cast<double>(SlidingSign(mode.status[contact])) *
+             equations_.RateAlong({contact, true}, seeds.q.data(), seeds.v.data(), seeds.p.data());
+    case What::kEnd:
+      return functions_->Reach(contact, seeds.q.data(), seeds.p.data());
+    case What::kBreakBack:
+      return functions_->Friction(contact, seeds.p.data()) * force(normal) - force(tangential);
+    case What::kBreakOn:
+      return functions_->Friction(contact, seeds.p.data()) * force(normal) + force(tangential);
+    default:
+      return equations_.Pressability(mode.closed[normal], seeds, at);
+  }
+}
+
+// Guards are evaluated, and resets begin, at the state that is on the equations of the mode: errors of the integration
+// lead away from these within a step.
+MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at) const {
+  OnMode on;
+  if (mode.closed.empty()) {
+    on.at = at;
+    return on;
+  }
+  const int n = equations_.n();
+  on.x.assign(at.q, at.q + n);
+  on.x.insert(on.x.end(), at.v, at.v + n);
+  equations_.Project(mode.closed, on.x.data(), on.x.data() + n, at.p);
+  on.at = PointAt(at.t, on.x.data(), at.u, at.p);
+  return on;
+}
+
+double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const {
+  double rate = 0;
+  const std::vector<double> still(2 * equations_.n(), 0.0);
+  return GuardRate(mode, guard, t, x, still.data(), u, p, &rate);
+}
+
+double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
+                                   const double* p, double* rate) const {
+  const Mode& of = ModeAt(mode);
+  const Guarded& guarded = of.guards[guard];
+  if (of.closed.empty()) {
+    *rate = equations_.RateAlong({guarded.contact, false}, x, xdot, p);
+    return equations_.Gap(guarded.contact, PointAt(t, x, u, p));
+  }
+  const AtOnce& all = GuardsAt(of, mode, PointAt(t, x, u, p), xdot);
+  *rate = all.rates[guard];
+  return all.values[guard];
+}
+
+// The guards of a mode with closed contacts, at a point and along a direction. The engine asks for one after the other.
+const MechanicalHybrid::AtOnce& MechanicalHybrid::GuardsAt(const Mode& mode, int number, const Point& at,
+                                                           const double* xdot) const {
+  static thread_local AtOnce last;
+  static thread_local std::vector<double> key;
+  const int n = equations_.n();
+  const MechanicalLayout& layout = functions_->layout();
+  key.clear();
+  key.push_back(static_cast<double>(number));
+  key.push_back(at.t);
+  key.insert(key.end(), at.q, at.q + n);
+  key.insert(key.end(), at.v, at.v + n);
+  key.insert(key.end(), xdot, xdot + 2 * n);
+  key.insert(key.end(), at.u, at.u + layout.num_controls);
+  key.insert(key.end(), at.p, at.p + layout.num_parameters);
+  if (last.system == id_ && last.key == key) return last;
+  const OnMode on = Projected(mode, at);
+  const MechanicalEquations::Seeds seeds = equations_.SeedDirection(on.at, xdot);
+  const ClosedMotion motion = MotionOf(mode, on.at, &seeds);
+  last.system = id_;
+  last.key.swap(key);
+  last.values.clear();
+  last.rates.clear();
+  for (const Guarded& guarded : mode.guards) {
+    Jet value;
+    if (guarded.what == Guarded::What::kHit) {
+      value = Jet(equations_.Gap(guarded.contact, on.at));
+      value.v[0] = equations_.RateAlong({guarded.contact, false}, on.at.q, xdot, on.at.p);
+    } else {
+      value = GuardJet(mode, guarded, on.at, seeds, &motion);
+    }
+    last.values.push_back(value.a);
+    last.rates.push_back(value.v[0]);
+  }
+  return last;
+}
+
+double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                                       double* gradient) const {
+  const Mode& of = ModeAt(mode);
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const Guarded& guarded = of.guards[guard];
+  const int columns = equations_.num_columns(true);
+  double value = 0;
+  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
+    const MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, first);
+    ClosedMotion motion;
+    if (NeedsForces(guarded)) motion = MotionOf(of, on.at, &seeds);
+    const Jet jet = GuardJet(of, guarded, on.at, seeds, &motion);
+    value = jet.a;
+    for (int j = 0; j < std::min(MechanicalEquations::kWidth, columns - first); ++j) gradient[first + j] = jet.v[j];
+  }
+  return value;
+}
+
+// The status of all contacts after an event; empty if there is none, and then `why` says why.
+std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+                                         std::string* why) const {
+  std::string next = mode.status;
+  switch (guarded.what) {
+    case What::kHit:
+      *impact = Hit(mode, guarded.contact, at);
+      *why = impact->why;
+      return impact->next;
+    case What::kOff:
+    case What::kEnd:
+      next[guarded.contact] = 'o';
+      return next;
+    case What::kBreakBack:
+      next[guarded.contact] = '-';
+      return next;
+    case What::kBreakOn:
+      next[guarded.contact] = '+';
+      return next;
+    case What::kStop: {
+      // Others may stop with it, as the corners of one body.
+      Closing closing = ClosedOf(mode);
+      const Eigen::Map<const Eigen::RowVectorXd> v(at.v, equations_.n());
+      for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
+        if (closing.sliding[i] == 0) continue;
+        const Eigen::RowVectorXd tangent = equations_.RowAt({closing.contacts[i], true}, at);
+        const bool stops = closing.contacts[i] == guarded.contact ||
+                           std::abs(tangent.dot(v)) <= kRests * tangent.cwiseAbs().dot(v.cwiseAbs());
+        if (stops) closing.sliding[i] = 0;
+      }
+      return Close(next, closing, at, why);
+    }
+    default:
+      *why = "jammed: the acceleration under a normal force at contact '" + ContactName(guarded.contact) +
+             "', which slides, is zero (Painleve)";
+      return "";
+  }
+}
+
+int MechanicalHybrid::Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                            double* x_plus) const {
+  const Mode& of = ModeAt(mode);
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const int n = equations_.n();
+  Impact impact;
+  std::string why;
+  const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
+  if (!why.empty()) return -1;
+  std::copy_n(on.at.q, n, x_plus);
+  std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
+  return ModeOf(next);
+}
+
+int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                                    double* x_plus, double* jacobian) const {
+  const Mode& of = ModeAt(mode);
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const int n = equations_.n(), columns = equations_.num_columns(false);
+  Impact impact;
+  std::string why;
+  const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
+  if (!why.empty()) return -1;
+  std::copy_n(on.at.q, n, x_plus);
+  std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
+  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
+    MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, first);
+    Block q, v;
+    if (of.closed.empty()) {
+      q = equations_.Directions(seeds.q);
+      v = equations_.Directions(seeds.v);
+    } else {
+      equations_.ProjectDerivative(of.closed, seeds, on.at, &q, &v);
+      for (int i = 0; i < n; ++i) {
+        seeds.q[i].v = q.row(i).transpose();
+        seeds.v[i].v = v.row(i).transpose();
+      }
+    }
+    if (impact.v_plus.size() > 0) v = ImpactDerivative(impact, seeds, on.at);
+    CopyColumns(q, v, first, columns, jacobian);
+  }
+  return ModeOf(next);
+}
+
+// Columns of the Jacobian of a state, of which `first` is the first.
+void MechanicalHybrid::CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const {
+  const int n = equations_.n();
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < std::min(MechanicalEquations::kWidth, columns - first); ++j) {
+      jacobian[i * columns + first + j] = q(i, j);
+      jacobian[(n + i) * columns + first + j] = v(i, j);
+    }
+  }
+}
+
+// The derivative of v+.
+MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
+                                                           const MechanicalEquations::Seeds& seeds,
+                                                           const Point& at) const {
+  const bool poisson = impact.v_compressed.size() > 0;
+  // Of one stage: contacts whose impulses are unknown in it, with these, and what is known.
+  struct Stage {
+    std::vector<ClosedContact> closed;
+    std::vector<char> has_restitution;
+    std::vector<MechanicalEquations::KnownImpulse> known;
+    Eigen::VectorXd force;
+  };
+  const auto stage_of =
+      [&](const std::string& status, const Eigen::VectorXd& impulse, bool restitution, const std::vector<Jet>& floors) {
+        Stage stage;
+        std::vector<double> normals, tangents;
+        for (std::size_t i = 0; i < status.size(); ++i) {
+          const double p_n = impulse[2 * static_cast<Eigen::Index>(i)],
+                       p_t = impulse[2 * static_cast<Eigen::Index>(i) + 1];
+          const int contact = impact.contacts[i];
+          const bool at_floor = status[i] == 'o' || status[i] == 'P' || status[i] == 'M' || status[i] == 'S';
+          if (at_floor && !floors.empty()) {
+            stage.known.push_back({contact, floors[i], status[i] == 'P' ? 1 : status[i] == 'M' ? -1 : 0});
+          }
+          if (at_floor && status[i] != 'S') continue;
+          stage.closed.push_back({contact, status[i]});
+          if (!at_floor) {
+            normals.push_back(p_n);
+            stage.has_restitution.push_back(restitution && impact.restores[i] != 0);
+          }
+          if (status[i] == 's' || status[i] == 'S') tangents.push_back(p_t);
+        }
+        normals.insert(normals.end(), tangents.begin(), tangents.end());
+        stage.force = Eigen::Map<const Eigen::VectorXd>(normals.data(), static_cast<Eigen::Index>(normals.size()));
+        return stage;
+      };
+  const auto derivative_of =
+      [&](const Stage& stage, const MechanicalEquations::Seeds& before, const Eigen::VectorXd& v_plus) {
+        return equations_.ImpactDerivative(equations_.Assemble(stage.closed, at),
+                                           stage.closed,
+                                           before,
+                                           v_plus,
+                                           stage.force,
+                                           stage.has_restitution,
+                                           stage.known);
+      };
+  if (!poisson) {
+    return derivative_of(stage_of(impact.status, impact.impulse, true, {}), seeds, impact.v_plus).motion;
+  }
+  const Stage compression = stage_of(impact.compressed, impact.compression, false, {});
+  const MechanicalEquations::Derivative compressed = derivative_of(compression, seeds, impact.v_compressed);
+  MechanicalEquations::Seeds between = seeds;
+  for (int i = 0; i < equations_.n(); ++i) {
+    between.v[i] = Jet(impact.v_compressed[i]);
+    between.v[i].v = compressed.motion.row(i).transpose();
+  }
+  std::vector<Jet> floors;
+  Eigen::Index normal = 0;
+  for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
+    Jet impulse(0.0);
+    if (impact.compressed[i] != 'o') {
+      impulse = Jet(compression.force[normal]);
+      impulse.v = compressed.force.row(normal++).transpose();
+    }
+    floors.push_back(impact.restores[i] != 0 ? impulse * functions_->Restitution(impact.contacts[i], seeds.p.data())
+                                             : Jet(0.0));
+  }
+  return derivative_of(
+             stage_of(impact.status, impact.impulse - impact.compression, false, floors), between, impact.v_plus)
+      .motion;
+}
+
+std::string MechanicalHybrid::WhyNoMode(int mode, int guard, double t, const double* x, const double* u,
+                                        const double* p) const {
+  const Mode& of = ModeAt(mode);
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  std::string why;
+  if (guard < 0) {
+    Close(of.status, ClosedOf(of), on.at, &why);
+  } else {
+    Impact impact;
+    NextStatus(of, of.guards[guard], on.at, &impact, &why);
+  }
+  return why;
+}
+
+std::string MechanicalHybrid::WhyNoDerivative(int mode, int guard, double t, const double* x, const double* u,
+                                              const double* p) const {
+  const Mode& of = ModeAt(mode);
+  if (of.guards[guard].what != Guarded::What::kHit) return "";
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const Impact impact = Hit(of, of.guards[guard].contact, on.at);
+  if (!impact.why.empty()) return "";
+  std::string names, boundary;
+  int hits = 0;
+  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
+    const auto row = static_cast<Eigen::Index>(2 * i);
+    if (impact.hits[i] != 0) {
+      ++hits;
+      names += (names.empty() ? "'" : ", '") + ContactName(impact.contacts[i]) + "'";
+    }
+    // How far the end of the impact is from another branch.
+    const double speeds = impact.W.row(row + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
+    const double bound = functions_->Friction(impact.contacts[i], p) * impact.impulse[row];
+    const bool at_bound =
+        impact.status[i] == 's' && bound - std::abs(impact.impulse[row + 1]) <= kNearly * std::abs(impact.impulse[row]);
+    const bool at_rest = SlidingSign(impact.status[i]) != 0 && std::abs(after[row + 1]) <= kNearly * speeds;
+    if (at_bound || at_rest) {
+      boundary += (boundary.empty() ? "" : "; ") + ("the impact of '" + ContactName(impact.contacts[i])) +
+                  "' is at the boundary between sticking and sliding";
+    }
+  }
+  if (hits > 1) {
+    boundary += std::string(boundary.empty() ? "" : "; ") + "contacts " + names +
+                " hit at the same instant and are coupled (simultaneous)";
+  }
+  return boundary;
+}
+
+int MechanicalHybrid::ModeUnder(int mode, double t, const double* x, const double* u, const double* p) const {
+  const Mode& of = ModeAt(mode);
+  if (of.closed.empty()) return mode;
+  std::string why;
+  const std::string next = Close(of.status, ClosedOf(of), PointAt(t, x, u, p), &why);
+  return why.empty() ? ModeOf(next) : -1;
+}
+
+void MechanicalHybrid::Project(int mode, const double* x, const double* p, double* x_plus) const {
+  const int n = equations_.n();
+  std::copy_n(x, 2 * n, x_plus);
+  equations_.Project(ModeAt(mode).closed, x_plus, x_plus + n, p);
+}
+
+void MechanicalHybrid::ProjectJacobian(int mode, const double* x, const double* p, double* x_plus,
+                                       double* jacobian) const {
+  const int columns = equations_.num_columns(false);
+  Project(mode, x, p, x_plus);
+  const std::vector<double> no_control(functions_->layout().num_controls, 0.0);
+  const Point at = PointAt(0, x_plus, no_control.data(), p);
+  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
+    Block q, v;
+    equations_.ProjectDerivative(ModeAt(mode).closed, equations_.SeedColumns(at, first), at, &q, &v);
+    CopyColumns(q, v, first, columns, jacobian);
+  }
+}
+
+}  // namespace saltus

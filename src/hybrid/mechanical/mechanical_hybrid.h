@@ -1,0 +1,173 @@
+// A mechanical system with contacts as a hybrid system whose modes are created as a motion meets them.
+#pragma once
+
+#include <deque>
+#include <map>
+#include <memory>
+#include <shared_mutex>
+#include <string>
+#include <vector>
+
+#include "hybrid/mechanical/contact_problem.h"
+#include "hybrid/mechanical/mechanical_equations.h"
+#include "saltus/hybrid/mechanical_system.h"
+#include "saltus/internal/hybrid_functions.h"
+
+namespace saltus {
+
+class MechanicalHybrid final : public HybridFunctions {
+ public:
+  using Point = MechanicalEquations::Point;
+
+  MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options);
+
+  const MechanicalFunctions& mechanics() const { return *functions_; }
+  const MechanicalEquations& equations() const { return equations_; }
+  const MechanicalOptions& options() const { return options_; }
+
+  struct Guarded {
+    enum class What {
+      kHit,        // the gap
+      kOff,        // f_n
+      kStop,       // sigma v_t
+      kBreakBack,  // mu f_n - f_t, behind which the contact slides with v_t < 0
+      kBreakOn,    // mu f_n + f_t, behind which it slides with v_t > 0
+      kEnd,        // the end of what the gap is measured from
+      kJam,        // N M^-1 (N^T - mu sigma T^T)
+    } what = What::kHit;
+    int contact = 0;
+  };
+  struct Mode {
+    std::string status;
+    std::vector<ClosedContact> closed;
+    std::vector<Guarded> guards;
+  };
+  // Modes are never removed.
+  const Mode& ModeAt(int mode) const;
+  // The number of the mode with this status, which is created if there is none.
+  int ModeOf(const std::string& status) const;
+  // Whether it is a status of contacts of this system.
+  bool IsStatus(const std::string& status) const;
+
+  // What an impact does. It happens in stages, each of which is linear: one, or of Poisson's law two.
+  struct Impact {
+    std::string why;            // there is none; the rest is empty
+    std::vector<int> contacts;  // that take part
+    std::vector<char> hits;     // of these: not closed before
+    std::string status;         // of these, at the end of the impact
+    Eigen::VectorXd impulse;    // of these, normal and tangential in turn
+    Eigen::VectorXd v_plus;
+    Eigen::MatrixXd W;           // as in ContactProblem
+    Eigen::VectorXd before;      // v_n and v_t of these, in turn
+    std::vector<char> restores;  // of these: its restitution counts
+    std::vector<char> rebounds;  // of these: v_n+ > 0, as its restitution is
+    bool ends_bouncing = false;
+    std::string next;  // status of all contacts after it
+    // Of Poisson's law: what compression has left.
+    std::string compressed;
+    Eigen::VectorXd compression, v_compressed;
+  };
+  Impact Hit(const Mode& mode, int contact, const Point& at) const;
+
+  // A point on the equations of a mode.
+  struct OnMode {
+    Point at;
+    std::vector<double> x;  // that `at` refers to, if it has been moved
+  };
+  OnMode Projected(const Mode& mode, const Point& at) const;
+
+  // The velocities after impulses of contacts, normal and tangential in turn.
+  Eigen::VectorXd Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse, const Point& at) const;
+
+  // Solutions of the problem of accelerations over contacts that neither approach nor part, by their signs of v_t:
+  // one for each independent group is joined with those of the others. Of several, all are returned.
+  struct Closing {
+    std::vector<int> contacts, sliding;
+  };
+  std::vector<ContactSolution> SolveAccelerations(const Closing& closing, const Point& at) const;
+  // The status of all contacts after `before`, of which those in `closing` close or open; empty if there is none or
+  // several, and then `why` says why.
+  std::string Close(const std::string& before, const Closing& closing, const Point& at, std::string* why) const;
+  // The contacts at x that have a gap of zero and neither approach nor part. `why`: of a contact that penetrates.
+  Closing Touching(const Point& at, std::string* why) const;
+
+  Point PointAt(double t, const double* x, const double* u, const double* p) const {
+    return {t, x, x + equations_.n(), u, p};
+  }
+  std::string ContactName(int contact) const;
+
+  int num_modes() const override;
+  int state_size(int) const override { return 2 * equations_.n(); }
+  int num_guards(int mode) const override { return static_cast<int>(ModeAt(mode).guards.size()); }
+  std::string ModeName(int mode) const override { return ModeAt(mode).status; }
+  std::string GuardName(int mode, int guard) const override;
+  std::string StateName(int /*mode*/, int component) const override { return HybridFunctions::StateName(0, component); }
+
+  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
+  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
+                    double* jacobian) const override;
+  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
+                   double* rate) const override;
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
+                       double* gradient) const override;
+  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
+            double* x_plus) const override;
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
+                    double* jacobian) const override;
+  std::string WhyNoMode(int mode, int guard, double t, const double* x, const double* u,
+                        const double* p) const override;
+  std::string WhyNoDerivative(int mode, int guard, double t, const double* x, const double* u,
+                              const double* p) const override;
+  int ModeUnder(int mode, double t, const double* x, const double* u, const double* p) const override;
+  bool Projects(int mode) const override { return !ModeAt(mode).closed.empty(); }
+  void Project(int mode, const double* x, const double* p, double* x_plus) const override;
+  void ProjectJacobian(int mode, const double* x, const double* p, double* x_plus, double* jacobian) const override;
+  bool WaitsBehind(int mode, int guard) const override {
+    return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
+  }
+  bool EndsAccumulations() const override { return true; }
+
+ private:
+  using Jet = MechanicalEquations::Jet;
+  using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
+
+  bool HasFriction(int contact) const { return functions_->layout().has_friction[contact] != 0; }
+  // W and the velocities or accelerations of contacts, as in ContactProblem.
+  ContactProblem ProblemOf(const std::vector<int>& contacts, const Point& at) const;
+  // Of contacts that hit: their own; none; none, and all contacts that take part are held closed, without friction.
+  enum class Restitution { kOwn, kNone, kNoneAndHeld };
+  Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
+  Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
+  // The guard and its derivatives by the seeds; `closed_motion` is the derivative of the accelerations, if it is
+  // needed.
+  struct ClosedMotion {
+    MechanicalEquations::System system;
+    Eigen::VectorXd a, force;
+    MechanicalEquations::Derivative derivative;
+  };
+  struct AtOnce {
+    int system = -1;
+    std::vector<double> key, values, rates;
+  };
+  const AtOnce& GuardsAt(const Mode& mode, int number, const Point& at, const double* xdot) const;
+  void CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const;
+  static bool NeedsForces(const Guarded& guarded);
+  ClosedMotion MotionOf(const Mode& mode, const Point& at, const MechanicalEquations::Seeds* seeds) const;
+  Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
+               const ClosedMotion* motion) const;
+  std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+                         std::string* why) const;
+  // Whether what a mode says of closed contacts holds at a jump of the control.
+  Closing ClosedOf(const Mode& mode) const;
+
+  const std::shared_ptr<const MechanicalFunctions> functions_;
+  const MechanicalOptions options_;
+  const MechanicalEquations equations_;
+  const int id_;
+  mutable std::shared_mutex mutex_;
+  mutable std::deque<Mode> modes_;            // under mutex_; the elements do not move
+  mutable std::map<std::string, int> known_;  // under mutex_
+};
+
+}  // namespace saltus
