@@ -10,7 +10,6 @@
 #include "convert.h"
 #include "programs/identify.h"
 #include "programs/identify_input.h"
-#include "programs/identify_input.h"
 
 namespace saltus::python {
 namespace {
