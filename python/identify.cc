@@ -10,7 +10,7 @@
 #include "convert.h"
 #include "programs/identify.h"
 #include "programs/identify_input.h"
-#include "programs/recording_npz.h"
+#include "programs/identify_input.h"
 
 namespace saltus::python {
 namespace {

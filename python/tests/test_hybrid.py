@@ -131,6 +131,22 @@ def test_answer_of_the_tutorial_is_a_local_minimum():
     assert len(run.events) == 2
 
 
+def test_phases_of_free_duration():
+    """The ball of hybrid iLQR: 2.195888610303352 in continuous time, at least 2.197662650662964 on 50 equal intervals."""
+    problem = saltus.HybridProblem(ball(), mode="flight", initial=[4, 0], parameters=[9.8, 0.7], duration=1.0,
+                                   control=np.zeros((50, 1)))
+    problem.costs = [saltus.terminal([1, 0], weight=100), saltus.effort(1 / 32)]
+    run = saltus.solve(problem, solver="ceres_phases", optimize=["control"])
+    assert run.termination == "converged"
+    assert 2.195888610303352 < run.loss < 2.197662650662964
+    assert run.control.shape == (50, 1) and run.durations.shape == (50,)
+    assert_allclose(run.durations.sum(), 1, rtol=1e-12)
+    assert np.ptp(run.durations) > 1e-4
+    assert [event[2] for event in run.events] == ["ground"]
+    assert_allclose(run.events[0][0], 0.697936180950424916, atol=1e-3)
+    assert run.certificate.verdict == "stationary"
+
+
 def test_every_function_has_its_derivative():
     """Values and derivatives of what may be called, against differences of the same function of numbers."""
     functions = {

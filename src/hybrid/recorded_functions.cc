@@ -523,38 +523,41 @@ void RecordedSystem::FlowJacobian(int mode, double t, const double* x, const dou
                               jacobian);
 }
 
-double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* p) const {
+double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* /*u*/,
+                             const double* p) const {
   double value = 0;
   transition(mode, guard).guard.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, &value);
   return value;
 }
 
-double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
-                                 double* rate) const {
+double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
+                                 const double* p, double* rate) const {
   Memory memory;
-  double* gradient = memory.Of(size(mode) + 1 + num_parameters());
-  const double value = GuardGradient(mode, guard, t, x, p, gradient);
+  double* gradient = memory.Of(size(mode) + 1 + num_parameters() + layout().num_controls);
+  const double value = GuardGradient(mode, guard, t, x, u, p, gradient);
   *rate = gradient[size(mode)];
   for (int i = 0; i < size(mode); ++i) *rate += gradient[i] * xdot[i];
   return value;
 }
 
-double RecordedSystem::GuardGradient(int mode, int guard, double t, const double* x, const double* p,
-                                     double* gradient) const {
+double RecordedSystem::GuardGradient(int mode, int guard, double t, const double* x, const double* /*u*/,
+                                     const double* p, double* gradient) const {
   double value = 0;
   const RecordedFunction& function = transition(mode, guard).guard;
   function.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, function.num_inputs(), &value, gradient);
+  std::fill_n(gradient + function.num_inputs(), layout().num_controls, 0.0);
   return value;
 }
 
-int RecordedSystem::Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const {
+int RecordedSystem::Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
+                          double* x_plus) const {
   const Transition& of = transition(mode, guard);
   of.reset.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, x_plus);
   return of.next_mode;
 }
 
-int RecordedSystem::ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
-                                  double* jacobian) const {
+int RecordedSystem::ResetJacobian(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
+                                  double* x_plus, double* jacobian) const {
   const Transition& of = transition(mode, guard);
   of.reset.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, of.reset.num_inputs(), x_plus, jacobian);
   return of.next_mode;

@@ -137,13 +137,14 @@ class RecordedSystem final : public HybridFunctions {
   void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
   void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
                     double* jacobian) const override;
-  double Guard(int mode, int guard, double t, const double* x, const double* p) const override;
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
                    double* rate) const override;
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                        double* gradient) const override;
-  int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const override;
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
+            double* x_plus) const override;
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
                     double* jacobian) const override;
 
  private:

@@ -392,8 +392,14 @@ class HybridConditions {
     const int most = *std::max_element(sizes.begin(), sizes.end());
     VectorXd after(most);
     Matrix reset(most, columns);
-    functions_.ResetJacobian(
-        event.mode, event.guard, event.time, event.before.data(), input_.parameters.data(), after.data(), reset.data());
+    functions_.ResetJacobian(event.mode,
+                             event.guard,
+                             event.time,
+                             event.before.data(),
+                             nullptr,
+                             input_.parameters.data(),
+                             after.data(),
+                             reset.data());
     const VectorXd costate_after = *costate;
     const Eigen::RowVectorXd by = costate->transpose() * reset.topRows(costate->size());
     VectorXd before = by.head(n).transpose();
@@ -401,13 +407,13 @@ class HybridConditions {
     sweep->parameters += by.tail(P).transpose();
     sweep->parameters_size += by.tail(P).transpose().cwiseAbs();
     if (multiplier == k) {
-      Eigen::RowVectorXd guard(columns);
+      Eigen::RowVectorXd guard(columns + system_.num_controls());
       functions_.GuardGradient(
-          event.mode, event.guard, event.time, event.before.data(), input_.parameters.data(), guard.data());
+          event.mode, event.guard, event.time, event.before.data(), nullptr, input_.parameters.data(), guard.data());
       before += guard.head(n).transpose();
       by_time += guard[n];
-      sweep->parameters += guard.tail(P).transpose();
-      sweep->parameters_size += guard.tail(P).transpose().cwiseAbs();
+      sweep->parameters += guard.segment(n + 1, P).transpose();
+      sweep->parameters_size += guard.segment(n + 1, P).transpose().cwiseAbs();
     }
     *costate = std::move(before);
     add(true);
@@ -598,6 +604,11 @@ Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
   if (std::string wrong = WhatIsWrongWith(input, problem.system); !wrong.empty()) {
     Certificate certificate;
     certificate.reason = wrong;
+    return certificate;
+  }
+  if (problem.system.functions().CreatesModes()) {
+    Certificate certificate;
+    certificate.reason = "the system creates its modes as a motion meets them";
     return certificate;
   }
   return HybridConditions(problem, input).Run();

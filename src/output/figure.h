@@ -1,7 +1,9 @@
-// Line and scatter figures, trajectories included, drawn by gnuplot as SVG and PNG.
+// Line and scatter figures, maps and scenes to scale: drawn by gnuplot as SVG and PNG files, and by the viewer in
+// pages.
 #pragma once
 
 #include <array>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -28,7 +30,7 @@ struct Series {
   std::vector<double> y;
   std::string colour = "#000000";
   Dash dash = Dash::kSolid;
-  Marker marker = Marker::kNone;  // on a line a few points are marked, without a line all
+  Marker marker = Marker::kNone;  // on a line of more than 40 points a few are marked, else all
   bool line = true;
   double width = 2;  // of the line, pixels
 
@@ -60,14 +62,6 @@ struct Rectangle {
   std::string colour = "#000000";
 };
 
-struct LineSegment {
-  std::array<double, 2> from = {0, 0};
-  std::array<double, 2> to = {0, 0};
-  std::string colour = "#000000";
-  double width = 1.5;
-  bool arrow = false;
-};
-
 // Solid ground: everything on the side of `point` that `normal` points away from.
 struct SolidHalfPlane {
   std::array<double, 2> point = {0, 0};
@@ -83,7 +77,6 @@ struct Panel {
   std::vector<ReferenceLine> reference_lines;
   std::vector<Rectangle> rectangles;
   std::vector<Circle> circles;
-  std::vector<LineSegment> segments;
   std::vector<SolidHalfPlane> half_planes;
   std::vector<Outline> outlines;
 };
@@ -100,17 +93,15 @@ struct Figure {
   Legend legend = Legend::kRight;
 };
 
-// The figure as an <svg> element that scales with its surroundings. Its ids begin with `id_prefix` (letters, digits,
-// '-',
-// '_'), so that figures with different prefixes may stand in one page. An error if gnuplot is missing or fails.
-// Preconditions, here and below: at least one panel, x and y of each series have the same length.
-StatusOr<std::string> RenderSvg(const Figure& figure, std::string_view id_prefix,
-                                const std::string& gnuplot = "gnuplot");
+// The bytes of an SVG file, or of a PNG file twice as wide as the figure's width in pixels. An error if gnuplot is
+// missing or fails. Preconditions, here and below: at least one panel, x and y of each series have the same length.
+enum class FigureFormat { kSvg, kPng };
+StatusOr<std::string> RenderFigure(const Figure& figure, FigureFormat format, const std::string& gnuplot = "gnuplot");
 
-// The figure as the bytes of a PNG file, twice as wide as the figure's width in pixels.
-StatusOr<std::string> RenderPng(const Figure& figure, const std::string& gnuplot = "gnuplot");
-
-// Writes both; an empty path means neither is wanted there. Ids are prefixed with the SVG file's name.
+// Writes both; an empty path means neither is wanted there.
 Status WriteFigure(const Figure& figure, const std::string& svg_path, const std::string& png_path);
+
+// As the viewer of pages (page/plot.js) reads it, numbers with six significant digits.
+nlohmann::ordered_json FigureToJson(const Figure& figure);
 
 }  // namespace saltus

@@ -15,4 +15,9 @@ struct Outline {
   Solid solid = Solid::kNeither;
 };
 
+inline const char* SolidName(Outline::Solid solid) {
+  constexpr const char* kNames[] = {"neither", "inside", "outside"};
+  return kNames[static_cast<int>(solid)];
+}
+
 }  // namespace saltus

@@ -8,6 +8,17 @@
 
 namespace saltus {
 
+std::string_view DashName(Dash dash) {
+  static constexpr std::string_view kNames[] = {"solid", "dashed", "dotted", "dashdotted"};
+  return kNames[static_cast<int>(dash)];
+}
+
+std::string_view MarkerName(Marker marker) {
+  static constexpr std::string_view kNames[] = {
+      "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare", "cross"};
+  return kNames[static_cast<int>(marker)];
+}
+
 const std::vector<ModelStyle>& ModelStyles() {
   static const std::vector<ModelStyle> styles = {
       {"analytic", "#000000", Dash::kDashed, Marker::kNone},

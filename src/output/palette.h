@@ -12,8 +12,15 @@
 namespace saltus {
 
 enum class Dash { kSolid, kDashed, kDotted, kDashDotted };
+inline constexpr int kNumDashes = 4;
+
+// "solid", "dashed", "dotted" or "dashdotted".
+std::string_view DashName(Dash dash);
 
 enum class Marker { kNone, kCircle, kSquare, kTriangle, kTriangleDown, kDiamond, kOpenCircle, kOpenSquare, kCross };
+
+// "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare" or "cross".
+std::string_view MarkerName(Marker marker);
 
 struct ModelStyle {
   std::string_view model;

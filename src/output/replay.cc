@@ -7,9 +7,6 @@
 #include <cstdint>
 #include <cstring>
 #include <nlohmann/json.hpp>
-#include <set>
-
-#include "output/table.h"
 
 namespace saltus {
 namespace {
@@ -20,7 +17,6 @@ constexpr double kPositionQuantum = 1e-7;  // of the drawing's size
 constexpr double kOtherQuantum = 1e-6;     // of the largest velocity or force
 constexpr double kAngleQuantum = 1e-5;     // rad
 constexpr size_t kMostTouches = 20000;     // of a motion; more are not seen
-constexpr size_t kMostNamed = 6;           // in words
 
 std::string Base64(const std::vector<uint8_t>& bytes) {
   static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -78,32 +74,6 @@ const char* KindName(ReplayWall::Kind kind) {
       return "circle";
     case ReplayWall::Kind::kTable:
       return "table";
-  }
-  return "";
-}
-
-const char* SolidName(Outline::Solid solid) {
-  switch (solid) {
-    case Outline::Solid::kNeither:
-      return "neither";
-    case Outline::Solid::kInside:
-      return "inside";
-    case Outline::Solid::kOutside:
-      return "outside";
-  }
-  return "";
-}
-
-const char* DashName(Dash dash) {
-  switch (dash) {
-    case Dash::kSolid:
-      return "solid";
-    case Dash::kDashed:
-      return "dashed";
-    case Dash::kDotted:
-      return "dotted";
-    case Dash::kDashDotted:
-      return "dashdotted";
   }
   return "";
 }
@@ -184,77 +154,11 @@ Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double 
                : Pack(motion.torques, motion.pushed.size(), {kOtherQuantum * Largest(motion.torques, 0, 1)})}};
 }
 
-// JSON that may stand in a script element: nothing in it can end that.
-std::string InScript(const Json& json) {
-  std::string text;
-  for (const char c : json.dump(-1, ' ', false, Json::error_handler_t::replace)) {
-    if (c == '<') {
-      text += "\\u003c";
-    } else {
-      text += c;
-    }
-  }
-  return text;
-}
-
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", value);
-  return text;
-}
-
-std::string Count(size_t count, const std::string& noun) {
-  return std::to_string(count) + " " + noun + (count == 1 ? "" : "s");
-}
-
-// "striker meets target at 0.69 s, ..."
-std::string DescribeTouches(const Replay& replay, const ReplayMotion& motion) {
-  std::string text;
-  size_t named = 0;
-  for (const ReplayTouch& touch : motion.touches) {
-    if (named == kMostNamed) break;
-    text += named++ == 0 ? "" : ", ";
-    text += replay.discs[touch.a].name + " meets " +
-            (touch.wall ? replay.walls[touch.b].name : replay.discs[touch.b].name) + " at " + Number(touch.begin) +
-            " s";
-  }
-  if (named == 0) return "nothing touches";
-  return text +
-         (motion.touches.size() > named ? ", and " + std::to_string(motion.touches.size() - named) + " more" : "");
-}
-
-std::string DescribeEnd(const Replay& replay, const ReplayMotion& motion) {
-  std::string text;
-  const size_t width = 4 * replay.discs.size(), last = motion.states.size() - width;
-  size_t named = 0;
-  for (size_t i = 0; i < replay.discs.size() && named < kMostNamed; ++i) {
-    if (replay.discs[i].fixed) continue;
-    text += (named++ == 0 ? "" : ", ") + replay.discs[i].name + " at (" + Number(motion.states[last + 4 * i]) + ", " +
-            Number(motion.states[last + 4 * i + 1]) + ") m";
-  }
-  return text;
-}
-
 }  // namespace
 
-std::string DescribeReplay(const Replay& replay) {
-  const auto planes = std::count_if(replay.walls.begin(), replay.walls.end(), [](const ReplayWall& wall) {
-    return wall.kind == ReplayWall::Kind::kHalfPlane;
-  });
-  const size_t walls = static_cast<size_t>(planes) + replay.outlines.size();
-  std::string text = Count(replay.discs.size(), "disc") + (walls == 0 ? "" : " and " + Count(walls, "wall"));
-  for (const ReplayMotion& motion : replay.motions) {
-    text += ". " + motion.label + ", " + Number(motion.times.back()) + " s: " + DescribeTouches(replay, motion);
-    const std::string end = DescribeEnd(replay, motion);
-    if (!end.empty()) text += "; at the end " + end;
-  }
-  return text + ".";
-}
-
-std::string ReplayContent(const Replay& replay) {
+Json ReplayToJson(const Replay& replay) {
   CHECK(!replay.discs.empty() && !replay.motions.empty());
-  Json data = {{"summary", DescribeReplay(replay)},
-               {"discs", Json::array()},
+  Json data = {{"discs", Json::array()},
                {"walls", Json::array()},
                {"outlines", Json::array()},
                {"targets", replay.targets},
@@ -279,8 +183,7 @@ std::string ReplayContent(const Replay& replay) {
   for (const ReplayMotion& motion : replay.motions) {
     data["motions"].push_back(MotionToJson(motion, replay.discs.size(), size, speed));
   }
-  return "<script type=\"application/json\">" + InScript(data) + "</script>\n<div class=\"replay-here\"><p>" +
-         EscapeHtml(DescribeReplay(replay)) + "</p></div>";
+  return data;
 }
 
 }  // namespace saltus

@@ -1,12 +1,13 @@
-// Motions of discs that a reader plays in a web page: what is drawn, and the element that carries it.
+// Motions of discs that a reader plays in a page.
 //
-// The data stand in the page as JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
+// The data are JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
 // velocities and forces 1e-6 of the largest, of angles 1e-5 rad); each column is written as its second differences,
 // which free flight makes 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where
 // discs fly, at most 4 or so where they do not. Times are written in full.
 #pragma once
 
 #include <array>
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <vector>
 
@@ -64,11 +65,7 @@ struct Replay {
   std::vector<ReplayMotion> motions;
 };
 
-// What it shows, in a sentence or some: for those who do not see it, and where no script runs.
-std::string DescribeReplay(const Replay& replay);
-
-// The inside of <figure class="replay">: the data, and the place where the script (replay_page.h) puts the player.
 // Preconditions: at least one disc and one motion, sizes as stated.
-std::string ReplayContent(const Replay& replay);
+nlohmann::ordered_json ReplayToJson(const Replay& replay);
 
 }  // namespace saltus

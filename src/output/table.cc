@@ -9,28 +9,14 @@
 #include <cstdio>
 #include <functional>
 
-#include "base/file.h"
-#include "output/cards.h"
-
 namespace saltus {
 namespace {
 
 constexpr size_t kLongText = 40;  // characters from which a cell is a sentence rather than a word
 
 std::string_view AnsiColour(Tone tone) {
-  switch (tone) {
-    case Tone::kPlain:
-      return "";
-    case Tone::kGood:
-      return "\033[32m";
-    case Tone::kWarning:
-      return "\033[33m";
-    case Tone::kBad:
-      return "\033[31m";
-    case Tone::kMuted:
-      return "\033[2m";
-  }
-  return "";
+  static constexpr std::string_view kCodes[] = {"", "\033[32m", "\033[33m", "\033[31m", "\033[2m"};
+  return kCodes[static_cast<int>(tone)];
 }
 
 std::string Pad(const std::string& text, size_t width, bool right) {
@@ -96,32 +82,11 @@ std::string CsvLine(const std::vector<std::string>& fields) {
   return line + '\n';
 }
 
-// Long names break behind an underscore, not anywhere.
-std::string Breakable(const std::string& name) {
-  std::string html;
-  for (const char c : EscapeHtml(name)) {
-    html += c;
-    if (c == '_') html += "<wbr>";
-  }
-  return html;
-}
-
 }  // namespace
 
 std::string_view ToneName(Tone tone) {
-  switch (tone) {
-    case Tone::kPlain:
-      return "";
-    case Tone::kGood:
-      return "good";
-    case Tone::kWarning:
-      return "warning";
-    case Tone::kBad:
-      return "bad";
-    case Tone::kMuted:
-      return "muted";
-  }
-  return "";
+  static constexpr std::string_view kNames[] = {"", "good", "warning", "bad", "muted"};
+  return kNames[static_cast<int>(tone)];
 }
 
 std::string Cell::Display(int significant_digits) const {
@@ -193,55 +158,30 @@ std::string Table::ToCsv() const {
   return text;
 }
 
-std::string Table::ToHtml() const {
-  const std::vector<TextColumn> shown = MeasureText();
-  std::vector<size_t> least;
-  for (const TextColumn& column : shown) least.push_back(column.least);
-  const auto open = [](const std::string& tag, const std::string& classes) {
-    return "<" + tag + (classes.empty() ? "" : " class=\"" + classes + "\"") + ">";
-  };
-  const auto alignment = [](const TextColumn& column) { return std::string(column.right ? "number" : ""); };
-  std::string html = open("table", internal::CardsClass(least)) + "\n<thead><tr>";
-  for (const TextColumn& column : shown) {
-    html += open("th scope=\"col\"", alignment(column)) + EscapeHtml(columns_[column.index].header) + "</th>";
+std::vector<size_t> Table::ColumnsWithContent() const {
+  std::vector<size_t> shown;
+  for (size_t j = 0; j < columns_.size(); ++j) {
+    const bool empty = std::all_of(rows_.begin(), rows_.end(), [&](const auto& row) { return row[j].Exact().empty(); });
+    if (j < keys_ || !empty || rows_.empty()) shown.push_back(j);
   }
-  html += "</tr></thead>\n<tbody>\n";
-  for (size_t i = 0; i < rows_.size(); ++i) {
-    html += "<tr>";
-    for (const TextColumn& column : shown) {
-      const size_t j = column.index;
-      const std::string text = Display(i, j);
-      std::string classes = alignment(column);
-      const std::string_view length = DisplayWidth(text) > kLongText ? "long" : "";
-      const std::string_view key = j < keys_ ? "key" : "";
-      for (const std::string_view name : {ToneName(rows_[i][j].tone()), length, key}) {
-        if (!name.empty()) classes += (classes.empty() ? "" : " ") + std::string(name);
-      }
-      const std::string label = " data-label=\"" + EscapeHtml(columns_[j].header) + "\"";
-      html += open("td" + label, classes) + (key.empty() ? EscapeHtml(text) : Breakable(text)) + "</td>";
-    }
-    html += "</tr>\n";
-  }
-  return html + "</tbody>\n</table>\n";
+  return shown;
 }
 
 std::vector<Table::TextColumn> Table::MeasureText() const {
   std::vector<TextColumn> columns;
-  for (size_t j = 0; j < columns_.size(); ++j) {
+  for (const size_t j : ColumnsWithContent()) {
     TextColumn column{.index = j, .right = IsNumeric(j)};
     const std::string& header = columns_[j].header;
     column.natural = std::max<size_t>(Widest(header, "\n"), 1);
     column.least = std::max<size_t>(Widest(header, " \n"), 1);
-    bool empty = true;
     for (size_t i = 0; i < rows_.size(); ++i) {
       const std::string text = Display(i, j);
       const size_t natural = Widest(text, "\n");
       const size_t readable = natural > kLongText ? kSentence : std::min(natural, j < keys_ ? kName : kPhrase);
       column.natural = std::max(column.natural, natural);
       column.least = std::max({column.least, readable, column.right ? natural : Widest(text, " \n")});
-      empty &= text.empty();
     }
-    if (j < keys_ || !empty || rows_.empty()) columns.push_back(column);
+    columns.push_back(column);
   }
   return columns;
 }
@@ -347,32 +287,6 @@ Table Table::Transposed(std::string corner, size_t keys) const {
     table.AddRow(std::move(row));
   }
   return table;
-}
-
-std::string EscapeHtml(std::string_view text) {
-  std::string escaped;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        escaped += "&amp;";
-        break;
-      case '<':
-        escaped += "&lt;";
-        break;
-      case '>':
-        escaped += "&gt;";
-        break;
-      case '"':
-        escaped += "&quot;";
-        break;
-      case '\'':
-        escaped += "&#39;";
-        break;
-      default:
-        escaped += c;
-    }
-  }
-  return escaped;
 }
 
 std::string Format(const char* format, double value) {

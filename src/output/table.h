@@ -1,4 +1,4 @@
-// Tables: built once, written as Markdown, CSV, HTML or text that fits a terminal.
+// Tables: built once, written as Markdown, CSV or text that fits a terminal, and shown in pages.
 #pragma once
 
 #include <concepts>
@@ -14,10 +14,10 @@
 
 namespace saltus {
 
-// What a cell says beyond its value: a colour on a terminal, a class in HTML.
+// What a cell says beyond its value: a colour on a terminal and in pages.
 enum class Tone { kPlain, kGood, kWarning, kBad, kMuted };
 
-// "good", "warning", "bad", "muted", or "" for a plain one: the class in HTML.
+// "good", "warning", "bad", "muted", or "" for a plain one.
 std::string_view ToneName(Tone tone);
 
 // Text, a number, or nothing.
@@ -78,15 +78,20 @@ class Table {
   const std::vector<Column>& columns() const { return columns_; }
   const std::vector<std::vector<Cell>>& rows() const { return rows_; }
 
+  size_t keys() const { return keys_; }
+
+  // A column without text is a column of numbers, aligned to the right.
+  bool IsNumeric(size_t column) const;
+  // A cell for a person.
+  std::string Display(size_t row, size_t column) const;
+  // The keys, and the other columns that are not empty in every row.
+  std::vector<size_t> ColumnsWithContent() const;
+
   // GitHub-flavoured Markdown, padded so that the source is readable too.
   std::string ToMarkdown() const;
 
   // RFC 4180 with a header line; lines end in a bare line feed.
   std::string ToCsv() const;
-
-  // A <table> element of the columns with content. Cells have the classes "number", "long" (more than 40 characters),
-  // "key" and that of their tone where these apply, and their column's header as data-label.
-  std::string ToHtml() const;
 
   // Aligned columns without those that have no content. If they are too wide, texts are wrapped, and columns that still
   // find no room follow below, after the keys once more.
@@ -100,10 +105,6 @@ class Table {
   Table Transposed(std::string corner, size_t keys) const;
 
  private:
-  // A column without text is a column of numbers, aligned to the right.
-  bool IsNumeric(size_t column) const;
-  std::string Display(size_t row, size_t column) const;
-
   // A column of the text: what can be said of its width before it is known who stands beside it.
   struct TextColumn {
     size_t index = 0;
@@ -121,9 +122,6 @@ class Table {
   size_t keys_;
   std::vector<std::vector<Cell>> rows_;
 };
-
-// `text` with the characters that HTML (elements and attributes) and XML reserve replaced by entities.
-std::string EscapeHtml(std::string_view text);
 
 // A number as printf writes it, in up to 63 characters.
 std::string Format(const char* format, double value);

@@ -49,6 +49,15 @@ size_t TerminalColumns(std::FILE* sink, size_t if_none) {
   return known ? size.ws_col : if_none;
 }
 
+std::string Joined(const std::vector<std::string>& words, std::string_view separator, std::string_view quote) {
+  std::string text;
+  for (const std::string& word : words) {
+    if (&word != &words.front()) text += separator;
+    text.append(quote).append(word).append(quote);
+  }
+  return text;
+}
+
 size_t DisplayWidth(std::string_view text) {
   return static_cast<size_t>(std::count_if(text.begin(), text.end(), StartsCharacter));
 }

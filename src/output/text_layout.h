@@ -22,6 +22,10 @@ TextLayout LayoutOfStandardOutput();
 // Columns of the terminal that `sink` writes to; nothing is asked of the environment.
 size_t TerminalColumns(std::FILE* sink, size_t if_none);
 
+// The words one after the other, each within `quote`.
+std::string Joined(const std::vector<std::string>& words, std::string_view separator = ", ",
+                   std::string_view quote = "");
+
 // Columns that UTF-8 text takes, were every code point one column wide.
 size_t DisplayWidth(std::string_view text);
 

@@ -38,9 +38,7 @@ SingleShooting ExactShooting(const Scene& scene, int num_steps) {
 }
 
 std::string JoinNames(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "`" : ", `") + name + "`";
-  return text.empty() ? "none" : text;
+  return names.empty() ? "none" : Joined(names, ", ", "`");
 }
 
 }  // namespace

@@ -8,8 +8,9 @@
 
 #include "audit/gradient/statistics.h"
 #include "base/interrupt.h"
+#include "output/text_layout.h"
 #include "paper/thread_time.h"
-#include "programs/audit_tables.h"
+#include "programs/audit_output.h"
 #include "programs/parallel.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
@@ -91,12 +92,6 @@ double Rounded(double cost) {
   return std::round(cost / digit) * digit;
 }
 
-std::string Join(const std::vector<std::string>& words, const char* separator) {
-  std::string joined;
-  for (const std::string& word : words) joined += (joined.empty() ? "" : separator) + word;
-  return joined;
-}
-
 }  // namespace
 
 FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
@@ -175,8 +170,8 @@ std::string FormulationAudit::ClassesOf(size_t model) const {
   }
   if (classes.size() == 1) return classes.front().first;
   std::vector<std::string> words;
-  for (const auto& [found, tasks] : classes) words.push_back(found + " (" + Join(tasks, ", ") + ")");
-  return Join(words, ", ");
+  for (const auto& [found, tasks] : classes) words.push_back(found + " (" + Joined(tasks, ", ") + ")");
+  return Joined(words, ", ");
 }
 
 // The geometric mean over the tasks.
@@ -271,13 +266,13 @@ std::vector<std::string> FormulationAudit::Classes() const {
       if (audit.recognition) tasks[audit.recognition->contact_class].push_back(std::to_string(task + 1));
     }
     for (const auto& [found, in] : tasks) {
-      const std::string where = tasks.size() > 1 ? " in task " + Join(in, " and ") : "";
+      const std::string where = tasks.size() > 1 ? " in task " + Joined(in, " and ") : "";
       members[found].push_back("`" + contacts_[model] + "`" + where);
     }
   }
   std::vector<std::string> classes;
   for (const auto& [found, names] : members) {
-    classes.push_back(std::string(ContactClassToString(found)) + " (" + Join(names, ", ") + "): " + MeaningOf(found));
+    classes.push_back(std::string(ContactClassToString(found)) + " (" + Joined(names, ", ") + "): " + MeaningOf(found));
   }
   return classes;
 }

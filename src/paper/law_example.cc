@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "base/interrupt.h"
-#include "programs/identify_tables.h"
+#include "programs/identify_output.h"
 #include "programs/parallel.h"
 
 namespace saltus {

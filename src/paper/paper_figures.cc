@@ -3,7 +3,7 @@
 #include <numeric>
 
 #include "exact/two_disc_optimum.h"
-#include "programs/scene_panel.h"
+#include "programs/scene_drawing.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 

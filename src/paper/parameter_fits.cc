@@ -6,6 +6,7 @@
 #include "base/interrupt.h"
 #include "base/random.h"
 #include "identify/unknowns.h"
+#include "output/text_layout.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 
@@ -63,9 +64,7 @@ Recording Record(const std::string& contact, const Scene& scene) {
 }
 
 std::string JoinNames(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "`" : ", `") + name + "`";
-  return text.empty() ? "none" : text;
+  return names.empty() ? "none" : Joined(names, ", ", "`");
 }
 
 std::string WhyNot(const IdentifyReport& report) {

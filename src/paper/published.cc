@@ -1,5 +1,6 @@
 #include "paper/published.h"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -98,6 +99,22 @@ void Fill(const Experiments& experiments, PublishedRow* row) {
   }
 }
 
+// "dloss/dp1_x" as "∂loss/∂p1_x", "v_x_1000" as "v_x after 1000 updates".
+std::string HeaderOf(const std::string& quantity) {
+  if (quantity.starts_with("dloss/d")) return "∂loss/∂" + quantity.substr(7);
+  if (quantity == "initial_loss") return "initial loss";
+  if (quantity == "optimal_loss") return "optimal loss";
+  const size_t last = quantity.rfind('_');
+  return quantity.substr(0, last) + " after " + quantity.substr(last + 1) + " updates";
+}
+
+// With as many decimals as the published number has.
+std::string AsPrinted(double value, const PublishedRow& row) {
+  const size_t point = row.published.find('.');
+  const size_t decimals = point == std::string::npos ? 5 : row.published.size() - point - 1;
+  return Format(("%." + std::to_string(decimals) + "f").c_str(), value);
+}
+
 }  // namespace
 
 bool PublishedRow::Matches() const { return ours && std::abs(*ours - expected) <= tolerance; }
@@ -180,6 +197,45 @@ Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
                   verdict,
                   row.note});
   }
+  return table;
+}
+
+Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes) {
+  std::vector<std::string> contacts, quantities;
+  const auto add = [](const std::string& item, std::vector<std::string>* list) {
+    const auto found = std::find(list->begin(), list->end(), item);
+    if (found == list->end()) return list->insert(found, item) - list->begin();
+    return found - list->begin();
+  };
+  for (const PublishedRow& row : rows) {
+    if (row.table != name) continue;
+    add(row.contact, &contacts);
+    add(row.quantity, &quantities);
+  }
+  std::vector<Column> columns = {{"contact"}};
+  for (const std::string& quantity : quantities) columns.push_back({HeaderOf(quantity)});
+  std::vector<std::vector<Cell>> cells(contacts.size() + 1, std::vector<Cell>(columns.size()));
+  for (size_t i = 0; i < contacts.size(); ++i) cells[i][0] = contacts[i];
+  cells.back()[0] = "exact dynamics";
+  for (const PublishedRow& row : rows) {
+    if (row.table != name) continue;
+    const auto model = add(row.contact, &contacts), column = add(row.quantity, &quantities) + 1;
+    const bool as_printed = row.IsJudged() && row.Matches() && (row.verdict.empty() || row.verdict == "match");
+    std::string text =
+        (row.published.empty() ? "–" : row.published) + "\n" + (row.ours ? AsPrinted(*row.ours, row) : "–");
+    std::string note = as_printed ? "" : VerdictInWords(row);
+    if (!row.note.empty()) note += (note.empty() ? "" : ": ") + row.note;
+    if (!note.empty()) text += " [" + std::to_string(add(note, notes) + 1) + "]";
+    const bool missed = row.IsJudged() && !row.Matches();
+    cells[model][column] = Cell(text).With(missed           ? Tone::kBad
+                                           : as_printed     ? Tone::kPlain
+                                           : row.IsJudged() ? Tone::kWarning
+                                                            : Tone::kMuted);
+    Cell& exact = cells.back()[column];
+    if (row.exact && exact.Exact().empty()) exact = AsPrinted(*row.exact, row);
+  }
+  Table table(std::move(columns));
+  for (std::vector<Cell>& row : cells) table.AddRow(std::move(row));
   return table;
 }
 

@@ -43,4 +43,8 @@ std::string VerdictInWords(const PublishedRow& row);
 // published | ours | exact | verdict, for the rows of one table.
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name);
 
+// As the paper prints it: a row a model and a column a quantity, the published number above ours; a colour where they
+// differ. Adds the notes that the cells refer to by number. The last row has the values of exact dynamics.
+Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes);
+
 }  // namespace saltus

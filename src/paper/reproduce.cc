@@ -1,5 +1,4 @@
-#include "paper/reproduce.h"
-
+// `saltus_reproduce`: every table and figure of the paper, compared with its published values.
 #include <gflags/gflags.h>
 
 #include <chrono>
@@ -53,29 +52,15 @@ DescentAudit AuditDescents(const Experiments& experiments, const SolverCompariso
   return descents;
 }
 
-// What an interrupt has ended is no error of its own.
-void ThrowUnless(const Status& status) {
-  if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
-}
-
-// Draws and writes each figure as SVG, kept for the report, and as PNG. False if interrupted.
-bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& output_dir,
-                  std::vector<DrawnPaperFigure>* drawn) {
+// Draws and writes each figure as SVG and as PNG. False if interrupted.
+bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& output_dir) {
   std::vector<std::string> names;
-  for (const PaperFigure& figure : figures) {
-    drawn->push_back({figure.name, figure.caption, {}});
-    for (const char* format : {".svg", ".png"}) names.push_back(figure.name + format);
-  }
+  for (const PaperFigure& figure : figures) names.push_back(figure.name);
   Progress progress(ProgressFromFlags(), stderr, "figures", names.size());
   return RunJobs(names, ThreadsFromFlags(), &progress, [&](int i, const SayNote&) {
-    const PaperFigure& figure = figures[i / 2];
     const std::string path = output_dir + "/" + names[i];
-    if (i % 2 == 1) return ThrowUnless(WriteFigure(figure.figure, "", path));
-    StatusOr<DrawnFigure> svg = DrawnFigure::Draw(figure.figure);
-    ThrowUnless(svg.status());
-    if (!svg.ok()) return;
-    ThrowUnless(svg->WriteSvg(path));
-    (*drawn)[i / 2].figure = std::move(*svg);
+    const Status status = WriteFigure(figures[i].figure, path + ".svg", path + ".png");
+    if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
   });
 }
 
@@ -157,12 +142,11 @@ int Reproduce(const std::vector<std::string>& arguments) {
   for (const std::vector<PaperFigure>& more : {comparison.Figures(), strike.Figures()}) {
     figures.insert(figures.end(), more.begin(), more.end());
   }
-  std::vector<DrawnPaperFigure> drawn;
-  if (!WriteFigures(figures, output_dir, &drawn)) return kAnswerFailed;
+  if (!WriteFigures(figures, output_dir)) return kAnswerFailed;
   const bool written = RunStage("report", [&] {
     WritePaperReport(experiments,
                      rows,
-                     drawn,
+                     figures,
                      comparison,
                      strike,
                      formulations,

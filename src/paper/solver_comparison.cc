@@ -207,6 +207,28 @@ std::vector<CaptionedTable> SolverComparison::Tables() const {
   return tables;
 }
 
+Table SolverComparison::Headline() const {
+  Table table(
+      {{"solver"}, {"method"}, {"exact loss", 10}, {"above the optimum", 3}, {"gradients"}, {"milliseconds", 3}});
+  table.AddRow({"optimum", "hybrid minimum principle, in continuous time", strike_.optimum, Cell(), Cell(), Cell()});
+  constexpr std::pair<const char*, const char*> kShown[] = {
+      {"mode_search", "search over sequences of impacts, with lower bounds"},
+      {"ceres_phases", "phases between impacts, whose times are variables"},
+      {"gd", "gradient descent, 1000 updates as in the paper"}};
+  for (const auto& [solver, method] : kShown) {
+    const SolvedRun* run = strike_.Find(exact_, solver);
+    if (run == nullptr || !run->exact.ok) continue;
+    const double gap = run->exact.loss - strike_.optimum;
+    table.AddRow({solver,
+                  method,
+                  run->exact.loss,
+                  Cell(gap).With(ToneOfGap(gap)),
+                  run->report.evaluations,
+                  1e3 * run->report.seconds});
+  }
+  return table;
+}
+
 Table SolverComparison::TaskTable(const Task& task) const {
   Table table({{"contact"},
                {"solver"},

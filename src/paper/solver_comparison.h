@@ -42,6 +42,8 @@ class SolverComparison {
   std::vector<std::vector<double>> IteratesOf(const std::string& contact) const;
 
   std::vector<CaptionedTable> Tables() const;
+  // Task 3 under exact dynamics: three solvers compared with the optimum.
+  Table Headline() const;
   std::vector<PaperFigure> Figures() const;
   // What the numbers say, one sentence or two each.
   std::vector<std::string> Findings() const;

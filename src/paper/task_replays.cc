@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "programs/replay_scene.h"
+#include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

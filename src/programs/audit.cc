@@ -10,12 +10,10 @@
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/audit_files.h"
-#include "programs/audit_report.h"
-#include "programs/audit_tables.h"
+#include "programs/audit_output.h"
 #include "programs/given_gradient.h"
 #include "programs/parallel.h"
-#include "programs/report_parts.h"
+#include "programs/program.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/simulate/registry.h"
 
@@ -265,21 +263,30 @@ int AuditMain(int argc, char** argv) {
     const InterruptGuard guard;
     const AuditReport report = RunAudit(request, gradient.has_value(), simulators);
     const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
-    const auto print = [&] {
-      if (request.json) {
-        Json document = AuditToJson(request, report);
-        if (given) document["given"] = GivenToJson(*given);
-        PrintJson(document, request.precision);
-      } else {
-        PrintAuditTable(request, report);
-        if (given) {
-          const TextLayout layout = LayoutOfStandardOutput();
-          std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width) << "\n"
-                    << GivenTable(given->entries).ToText(layout) << std::endl;
-        }
-      }
+    std::optional<Json> made;
+    const auto document = [&]() -> const Json& {
+      if (made) return *made;
+      made = AuditToJson(request, report);
+      if (given) (*made)["given"] = GivenToJson(*given);
+      return *made;
     };
-    DoAll({[&] { WriteAuditFiles(request, report); }, [&] { WriteAuditReport(request, report); }, print});
+    const auto print = [&] {
+      if (request.json) return PrintJson(document(), request.precision);
+      PrintAuditTable(request, report);
+      if (!given) return;
+      const TextLayout layout = LayoutOfStandardOutput();
+      std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width) << "\n"
+                << GivenTable(given->entries).ToText(layout) << std::endl;
+    };
+    const auto write = [&] {
+      DoAll({[&] { WriteAuditFiles(request, report, document()); },
+             [&] { WriteAuditReport(request, report, document()); }});
+    };
+    if (request.output_dir.empty()) {
+      print();
+    } else {
+      DoAll({write, print});
+    }
     PrintReportPath(request);
     return AuditExitCode(request, report, simulators.size());
   });

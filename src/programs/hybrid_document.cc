@@ -28,7 +28,8 @@ Json NamesToJson(int count, const Name& name) {
 // Times, modes, states and guards of a motion, in order of time.
 class Samples {
  public:
-  Samples(const HybridSystem& system, const HybridInput& input) : system_(system), input_(input) {}
+  Samples(const HybridSystem& system, const HybridInput& input)
+      : system_(system), input_(input), no_control_(system.num_controls()) {}
 
   void Add(double time, int mode, std::span<const double> state) {
     times_.push_back(NumberToJson(time));
@@ -36,8 +37,8 @@ class Samples {
     states_.push_back(NumbersOf(state));
     Json values = Json::array();
     for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
-      values.push_back(
-          NumberToJson(system_.functions().Guard(mode, guard, time, state.data(), input_.parameters.data())));
+      values.push_back(NumberToJson(
+          system_.functions().Guard(mode, guard, time, state.data(), ControlAt(time), input_.parameters.data())));
     }
     guards_.push_back(std::move(values));
   }
@@ -49,8 +50,16 @@ class Samples {
   }
 
  private:
+  // Of the interval that begins at or before `time`; the last one at the end.
+  const double* ControlAt(double time) const {
+    if (input_.control.empty()) return no_control_.data();
+    const int k = static_cast<int>(time / input_.duration * input_.num_intervals);
+    return &input_.control[static_cast<std::size_t>(std::min(k, input_.num_intervals - 1)) * system_.num_controls()];
+  }
+
   const HybridSystem& system_;
   const HybridInput& input_;
+  const std::vector<double> no_control_;
   Json times_ = Json::array(), modes_ = Json::array(), states_ = Json::array(), guards_ = Json::array();
 };
 
@@ -184,6 +193,8 @@ HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report) 
   if (!report.control.empty()) input.control = report.control;
   if (!report.durations.empty()) {
     input.duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+    input.num_intervals = static_cast<int>(report.durations.size());
+    input.lengths = report.durations;
   }
   return input;
 }
@@ -201,9 +212,8 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   item["integration_error"] = NumberToJson(report.integration_error);
   const HybridInput solution = SolutionOf(problem, report);
   item["solution"] = HybridInputToJson(problem.system, solution);
-  item["durations"] = NumbersToJson(
-      report.durations.empty() ? std::vector<double>(solution.num_intervals, solution.duration / solution.num_intervals)
-                               : report.durations);
+  const std::vector<double> times = solution.Times();
+  for (int k = 0; k < solution.num_intervals; ++k) item["durations"].push_back(NumberToJson(times[k + 1] - times[k]));
   HybridSimulator simulator(problem.system, problem.integration);
   const bool ok = simulator.Rollout(solution);
   item["motion"] = HybridMotionToJson(simulator, solution, ok, states);
@@ -220,6 +230,19 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
     certificate["curvature"] = {{"kind", CurvatureToString(found.curvature->kind)},
                                 {"smallest", NumberToJson(found.curvature->smallest)}};
   }
+  if (found.gradient) certificate["gradient"] = NumberToJson(*found.gradient);
+  Json events = Json::array();
+  for (const ImpactCertificate& event : found.impacts) {
+    events.push_back({{"time", NumberToJson(event.time)},
+                      {"mode", event.a},
+                      {"guard", event.b},
+                      {"rate", NumberToJson(-event.speed)},
+                      {"multiplier", NumberToJson(event.multiplier)},
+                      {"costate_jump", NumberToJson(event.jump)},
+                      {"hamiltonian", NumberToJson(event.hamiltonian)},
+                      {"on_node", event.on_node}});
+  }
+  certificate["events"] = std::move(events);
   item["certificate"] = std::move(certificate);
   return item;
 }

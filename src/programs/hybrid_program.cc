@@ -13,7 +13,6 @@
 #include "blackbox/command_scheme.h"
 #include "output/table.h"
 #include "output/text_layout.h"
-#include "programs/command_line.h"
 #include "programs/hybrid_document.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
@@ -41,8 +40,6 @@ DECLARE_bool(states);
 DECLARE_bool(json);
 
 namespace saltus {
-
-extern const char kHybridPage[];  // hybrid_page.html
 
 namespace {
 
@@ -128,6 +125,7 @@ void Resample(int intervals, HybridInput* guess, int width) {
     guess->control = std::move(control);
   }
   guess->num_intervals = intervals;
+  guess->lengths.clear();
 }
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
@@ -424,12 +422,7 @@ void WritePage(const HybridRequest& request, const HybridResults& results) {
     if (results.reports[i].losses.empty()) continue;
     document["runs"][i]["motion"] = DrawnMotion(request, SolutionOf(request.problem, results.reports[i]));
   }
-  std::string text = document.dump();
-  for (std::size_t at = 0; (at = text.find("</", at)) != std::string::npos; at += 3) text.replace(at, 2, "<\\/");
-  std::string page = kHybridPage;
-  const std::string place = "DOCUMENT";
-  page.replace(page.find(place), place.size(), text);
-  WriteTextFile(directory + "/report.html", page);
+  WriteTextFile(directory + "/report.html", RenderPage(document));
   WriteTextFile(directory + "/result.json", results.document.dump(1) + "\n");
 }
 

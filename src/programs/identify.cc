@@ -6,11 +6,9 @@
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/command_line.h"
 #include "programs/identify_input.h"
-#include "programs/identify_report.h"
-#include "programs/identify_tables.h"
-#include "programs/report_parts.h"
+#include "programs/identify_output.h"
+#include "programs/program.h"
 
 DEFINE_string(recording, "",
               "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own initial state");
@@ -88,11 +86,11 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
   return std::get<std::vector<Unknown>>(std::move(unknowns));
 }
 
-void PrintTables(const Scene& scene, const Identified& identified) {
+void PrintTables(const Scene& scene, const Identified& identified, const Json& document) {
   const TextLayout layout = LayoutOfStandardOutput();
   const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
   std::cout << scene.name << ": " << (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown) << "\n\n"
-            << FitTable(identified).ToText(layout) << std::endl;
+            << FitTable(document).ToText(layout) << std::endl;
   const Table estimates = EstimateTable(identified);
   if (!estimates.rows().empty()) {
     std::cout << "95 % confidence is from ... to\n\n" << estimates.ToText(layout) << std::endl;
@@ -113,7 +111,7 @@ void PrintTables(const Scene& scene, const Identified& identified) {
            "by how much its normal is\n\n"
         << events.ToText(layout) << std::endl;
   }
-  const Table outliers = OutlierTable(scene, identified);
+  const Table outliers = OutlierTable(document);
   if (outliers.rows().empty()) return;
   std::cout << "Outliers, at most " << kMostOutliersNamed << " of them, residuals in sigmas\n\n"
             << outliers.ToText(layout) << std::endl;
@@ -192,15 +190,13 @@ int IdentifyMain(int argc, char** argv) {
     Identified identified = ReadAll(request);  // which a signal ends at once, as there is nothing to keep yet
     const InterruptGuard guard;
     FitAll(request, &identified);
+    const Json document = IdentifiedToJson(request.scene, identified);
     const auto print = [&] {
-      if (request.json) {
-        PrintJson(IdentifiedToJson(request.scene, identified), Precision::kDouble);
-      } else {
-        PrintTables(request.scene, identified);
-      }
+      if (request.json) return PrintJson(document, Precision::kDouble);
+      PrintTables(request.scene, identified, document);
     };
     DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
-           [&] { WriteIdentifyReport(request, identified); },
+           [&] { WriteIdentifyReport(request, identified, document); },
            print});
     PrintReportPath(request);
     return ExitCodeOf(identified);

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "programs/identify_input.h"
 #include "programs/json_output.h"
-#include "programs/known_law.h"
 #include "programs/program.h"
 #include "saltus/identify/identify.h"
 

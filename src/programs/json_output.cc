@@ -7,10 +7,21 @@
 #include <iostream>
 
 #include "output/json_number.h"
+#include "programs/surrogate_flags.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
+
 namespace {
+
+Cell CellOf(const Json& value) {
+  if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
+  if (value.is_number_float()) return value.get<double>();
+  if (value.is_number()) return value.get<int64_t>();
+  if (value.is_string()) return value.get<std::string>();
+  return value.is_structured() ? Cell(value.size()) : Cell();
+}
 
 Json ParametersToJson(const ParameterGradient& p) {
   if (p.mass.empty()) return nullptr;
@@ -200,10 +211,101 @@ Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
   return list;
 }
 
+Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys, size_t most_rows) {
+  std::vector<Column> heads;
+  std::vector<std::string> paths;
+  std::vector<bool> of_parent, of_each;
+  for (size_t begin = 0; begin < columns.size();) {
+    const size_t end = std::min(columns.find("; ", begin), columns.size());
+    std::string head = columns.substr(begin, end - begin);
+    begin = end + 2;
+    Column column;
+    if (const size_t colon = head.rfind(':'); colon != std::string::npos) {
+      column.significant_digits = std::stoi(head.substr(colon + 1));
+      head.resize(colon);
+    }
+    const size_t equals = head.find('=');
+    column.header = head.substr(0, equals);
+    std::string path = equals == std::string::npos ? head : head.substr(equals + 1);
+    std::replace(path.begin(), path.end(), ' ', '_');
+    of_parent.push_back(path.starts_with('^'));
+    of_each.push_back(path.ends_with("[]"));
+    if (of_parent.back()) path.erase(0, 1);
+    if (of_each.back()) path.resize(path.size() - 2);
+    paths.push_back("/" + path);
+    heads.push_back(std::move(column));
+  }
+  const auto at = [](const Json& item, const std::string& path) -> const Json& {
+    static const Json& nothing = *new Json;
+    const Json::json_pointer pointer(path);
+    return item.contains(pointer) ? item[pointer] : nothing;
+  };
+  Table table(std::move(heads), keys);
+  const auto add = [&](const Json& item, const Json& parent) {
+    size_t rows = 1;
+    for (size_t j = 0; j < paths.size(); ++j) {
+      if (of_each[j]) rows = at(item, paths[j]).size();
+    }
+    for (size_t i = 0; i < rows && table.rows().size() < most_rows; ++i) {
+      std::vector<Cell> row;
+      for (size_t j = 0; j < paths.size(); ++j) {
+        const Json& found = at(of_parent[j] ? parent : item, paths[j]);
+        row.push_back(CellOf(of_each[j] ? found[i] : found));
+      }
+      table.AddRow(std::move(row));
+    }
+  };
+  for (const Json& parent : parents) {
+    const Json& items = list.empty() ? parent : at(parent, list);
+    if (items.is_object()) add(items, parent);
+    if (!items.is_array()) continue;
+    for (const Json& item : items) add(item, parent);
+  }
+  return table;
+}
+
 void PrintJson(const Json& document, Precision precision) {
   const StatusOr<std::string> text = DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits);
   CHECK(text.ok()) << text.status().message();
   std::cout << *text << std::endl;
+}
+
+namespace {
+
+// Of a black box nothing is known.
+bool IsBiased(const std::string& contact) {
+  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
+}
+
+}  // namespace
+
+std::string BiasedName(const Surrogate& surrogate) {
+  return std::string(SurrogateToString(surrogate.kind)) + ", biased";
+}
+
+std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate) {
+  if (surrogate) return contact + " (" + BiasedName(*surrogate) + ")";
+  return contact + (IsBiased(contact) ? " (biased)" : "");
+}
+
+std::string FileSuffix(const std::optional<Surrogate>& surrogate) {
+  return surrogate ? "_" + std::string(SurrogateToString(surrogate->kind)) + "_biased" : "";
+}
+
+void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item) {
+  if (!surrogate) return;
+  (*item)["surrogate"] = SurrogateToString(surrogate->kind);
+  (*item)["biased"] = true;
+  if (!surrogate->smooths()) return;
+  (*item)["smoothing"] = {{"sigma", surrogate->sigma},
+                          {"samples", surrogate->samples},
+                          {"seed", surrogate->seed},
+                          {"segments", surrogate->segments}};
+}
+
+void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item) {
+  AddSurrogate(surrogate, item);
+  if (IsBiased(contact)) (*item)["biased"] = true;
 }
 
 }  // namespace saltus

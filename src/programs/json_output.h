@@ -1,10 +1,11 @@
-// Results as JSON, under the keys that the README promises.
+// Results as JSON, under the keys that the reference documents. No flags.
 #pragma once
 
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <vector>
 
+#include "output/table.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
@@ -38,6 +39,14 @@ Json SearchedToJson(const Searched& searched);
 // A finite number, or null.
 Json NumberToJson(double value);
 Json NumbersToJson(const std::vector<double>& values);
+
+// A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
+// separated by "; ". Each has a header and, after "=", a path from the object, or with ^ from the parent (default: the
+// header, its spaces as underscores); after ":" the digits shown. A path that ends in [] makes a row of each element.
+// Of a list or an object a cell has the size. At most `most_rows` rows. Such as "contact=^contact; wrong in=block;
+// x=position/0:5".
+Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
+              size_t most_rows = static_cast<size_t>(-1));
 
 // Prints the document to stdout with 17 significant digits (9 in single precision).
 void PrintJson(const Json& document, Precision precision);

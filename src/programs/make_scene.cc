@@ -1,5 +1,4 @@
-#include "programs/make_scene.h"
-
+// `saltus_scene`: writes a generated scene as a scene file.
 #include <gflags/gflags.h>
 
 #include <iostream>

@@ -5,23 +5,86 @@
 
 #include "base/interrupt.h"
 #include "programs/audit.h"
-#include "programs/audit_files.h"
-#include "programs/audit_report.h"
-#include "programs/launches.h"
-#include "programs/report_parts.h"
-#include "programs/solution_files.h"
+#include "programs/audit_output.h"
+#include "programs/program.h"
 #include "programs/solve.h"
-#include "programs/solve_report.h"
+#include "programs/solve_output.h"
 
 namespace saltus {
+
 namespace {
 
-void WriteReport(const Request& request, const AuditReport& audit, const SolvedRuns& solved) {
+constexpr const char* kModes[] = {"frictionless", "slip", "stick"};
+
+std::string Sequence(const LaunchSolution& launch) {
+  std::string sequence;
+  for (const ExactEvent& event : launch.events) sequence += (sequence.empty() ? "" : ", ") + event.b;
+  return sequence.empty() ? "none" : sequence;
+}
+
+}  // namespace
+
+std::vector<LaunchSolution> FindLaunches(const Scene& scene) {
+  if (scene.optimize != Optimize::kVelocity) return {};
+  return FindLaunchSolutions(scene);
+}
+
+Json LaunchesToJson(const std::vector<LaunchSolution>& launches) {
+  Json list = Json::array();
+  for (const LaunchSolution& launch : launches) {
+    Json events = Json::array();
+    for (const ExactEvent& event : launch.events) {
+      events.push_back(
+          {{"time", event.time}, {"a", event.a}, {"b", event.b}, {"mode", kModes[static_cast<int>(event.mode)]}});
+    }
+    list.push_back({{"velocity", {launch.velocity[0], launch.velocity[1]}},
+                    {"speed_squared", launch.velocity.squaredNorm()},
+                    {"events", std::move(events)},
+                    {"minimum_effort", list.empty()}});
+  }
+  return list;
+}
+
+Table LaunchTable(const std::vector<LaunchSolution>& launches) {
+  Table table({{"strikes"}, {"velocity x", 12}, {"velocity y", 12}, {"speed²", 12}, {"remark"}});
+  for (const LaunchSolution& launch : launches) {
+    table.AddRow({Sequence(launch),
+                  launch.velocity[0],
+                  launch.velocity[1],
+                  launch.velocity.squaredNorm(),
+                  &launch == &launches.front() ? "minimum effort" : ""});
+  }
+  return table;
+}
+
+namespace {
+
+Json ToJson(const Request& request, const AuditReport& audit, const SolvedRuns& solved,
+            const std::vector<LaunchSolution>& launches) {
+  Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
+  if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
+  return document;
+}
+
+void PrintTables(const Request& request, const AuditReport& audit, const SolvedRuns& solved,
+                 const std::vector<LaunchSolution>& launches) {
+  PrintAuditTable(request, audit);
+  if (!solved.runs.empty()) PrintSolveTable(request, solved);
+  if (launches.empty()) return;
+  std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
+            << LaunchTable(launches).ToText(LayoutOfStandardOutput());
+}
+
+void WritePage(const Request& request, const AuditReport& audit, const SolvedRuns& solved,
+               const std::vector<LaunchSolution>& launches) {
   if (request.output_dir.empty()) return;
-  HtmlReport report = StartReport(request.scene);
-  AddAuditSections(request, audit, &report);
-  if (!solved.runs.empty()) AddSolveSections(request, solved, &report);
-  FinishReport(request, &report);
+  Page page = StartPage(request.scene);
+  AddAuditSections(request, audit, &page);
+  if (!solved.runs.empty()) AddSolveSections(request, solved, &page);
+  if (!launches.empty()) {
+    page.AddTable(LaunchTable(launches), "Launches that hit the target exactly, under exact dynamics.");
+  }
+  FinishPage(request, ToJson(WithoutStates(request), audit, solved, launches), &page);
 }
 
 }  // namespace
@@ -38,22 +101,14 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
     std::vector<LaunchSolution> launches;
     if (!InterruptGuard::Interrupted()) launches = FindLaunches(request.scene);
     const auto print = [&] {
-      if (request.json) {
-        Json document = {{"audit", AuditToJson(request, audit)}, {"solve", SolveToJson(request, solved)}};
-        if (!launches.empty()) document["launches"] = LaunchesToJson(launches);
-        PrintJson(document, request.precision);
-      } else {
-        PrintAuditTable(request, audit);
-        if (!solved.runs.empty()) PrintSolveTable(request, solved);
-        if (!launches.empty()) {
-          std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
-                    << LaunchTable(launches).ToText(LayoutOfStandardOutput());
-        }
-      }
+      if (request.json) return PrintJson(ToJson(request, audit, solved, launches), request.precision);
+      PrintTables(request, audit, solved, launches);
     };
-    DoAll({[&] { WriteAuditFiles(request, audit); },
+    DoAll({[&] {
+             if (!request.output_dir.empty()) WriteAuditFiles(request, audit, AuditToJson(request, audit));
+           },
            [&] { WriteSolutions(request, solved); },
-           [&] { WriteReport(request, audit, solved); },
+           [&] { WritePage(request, audit, solved, launches); },
            print});
     PrintReportPath(request);
     return std::max(AuditExitCode(request, audit), SolveExitCode(solved));

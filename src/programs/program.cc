@@ -11,18 +11,19 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <filesystem>
 #include <iostream>
 #include <new>
+#include <sstream>
 #include <thread>
 
 #include "base/file.h"
 #include "base/interrupt.h"
 #include "base/suggestion.h"
 #include "output/text_layout.h"
-#include "programs/command_line.h"
 #include "programs/program_flags.h"
 #include "programs/saved_solution.h"
 #include "programs/surrogate_flags.h"
@@ -78,6 +79,130 @@ extern void (*gflags_exitfunc)(int);  // what gflags calls instead of exit(); no
 }
 
 namespace saltus {
+
+namespace {
+
+constexpr std::size_t kReserve = std::size_t{32} << 20;  // of the address space; no page of it is ever touched
+
+std::atomic<void*> reserve{nullptr};
+std::atomic<bool> holds{false};
+int code_of_end = 1;
+
+void OnNoMemory() {
+  void* held = reserve.exchange(nullptr);
+  std::free(held);
+  // Destructors at work may use what was held back, and must not throw.
+  if (held != nullptr && std::uncaught_exceptions() > 0) return;
+  throw std::bad_alloc();
+}
+
+[[noreturn]] void OnTerminate() {
+  try {
+    if (const std::exception_ptr thrown = std::current_exception()) std::rethrow_exception(thrown);
+  } catch (const std::bad_alloc&) {
+    std::cout.flush();
+    std::fflush(stdout);
+    for (const char* text : {"error: ", kMemoryRanOut, "\n"}) (void)!write(STDERR_FILENO, text, std::strlen(text));
+    _exit(code_of_end);
+  } catch (...) {
+  }
+  std::abort();
+}
+
+}  // namespace
+
+void HoldMemoryBack(int exit_code) {
+  code_of_end = exit_code;
+  holds = true;
+  HoldMemoryBackAgain();
+  std::set_new_handler(OnNoMemory);
+  std::set_terminate(OnTerminate);
+}
+
+void HoldMemoryBackAgain() {
+  if (!holds || reserve != nullptr) return;
+  std::free(reserve.exchange(std::malloc(kReserve)));
+}
+
+namespace {
+
+constexpr size_t kMostFlagBytes = 1 << 20;
+constexpr int kDeepestFlagFile = 16;
+
+// gflags reads flag files to their end, whatever they are, and files that name themselves until it crashes.
+void CheckFlagFile(const std::string& argument, int depth) {
+  static constexpr char kFlag[] = "-flagfile=";
+  const size_t dash = argument.find_first_not_of(" \t");
+  if (dash == std::string::npos) return;
+  const size_t start = argument.compare(dash, 2, "--") == 0 ? dash + 1 : dash;
+  if (argument.compare(start, sizeof kFlag - 1, kFlag) != 0) return;
+  for (const std::string& path : SplitAtCommas(argument.substr(start + sizeof kFlag - 1))) {
+    if (depth == kDeepestFlagFile) throw InputError("--flagfile=" + path + ": flag files that name each other?");
+    std::error_code unknown;
+    if (std::filesystem::is_fifo(path, unknown)) continue;  // can be read only once
+    const StatusOr<std::string> text = ReadFile(path, kMostFlagBytes);
+    if (!text.ok()) throw InputError("--flagfile=" + text.status().message());
+    std::stringstream lines(*text);
+    for (std::string line; std::getline(lines, line);) CheckFlagFile(line, depth + 1);
+  }
+}
+
+void CheckFlagFiles(int argc, char** argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string argument = argv[i];
+    if (argument == "--") return;
+    const bool apart = (argument == "--flagfile" || argument == "-flagfile") && i + 1 < argc;
+    CheckFlagFile(apart ? argument + "=" + argv[i + 1] : argument, 0);
+  }
+}
+
+// gflags ends the program at the first flag that it does not know. Here it is said which program has it. Those that
+// --undefok allows to be unknown are left to gflags.
+void CheckFlagNames(int argc, char** argv, const Program& program) {
+  std::vector<std::string> unknown;
+  for (int i = 1; i < argc; ++i) {
+    std::string name = argv[i];
+    if (name == "--") break;
+    if (name.size() < 2 || name[0] != '-') continue;
+    name.erase(0, name[1] == '-' ? 2 : 1);
+    const bool has_value = name.find('=') != std::string::npos;
+    name = name.substr(0, name.find('='));
+    std::replace(name.begin(), name.end(), '-', '_');
+    if (name == "undefok") return;
+    gflags::CommandLineFlagInfo info;
+    const bool known = gflags::GetCommandLineFlagInfo(name.c_str(), &info);
+    const bool negated = name.starts_with("no") && gflags::GetCommandLineFlagInfo(name.c_str() + 2, &info);
+    if (known && !has_value && info.type != "bool") ++i;  // the value stands apart
+    if (!known && !negated) unknown.push_back(name);
+  }
+  if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
+}
+
+}  // namespace
+
+std::vector<std::string> SplitAtCommas(const std::string& list) {
+  std::vector<std::string> items;
+  std::stringstream stream(list);
+  for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
+  return items;
+}
+
+void CheckCommandLine(int argc, char** argv, const Program& program) {
+  CheckFlagFiles(argc, argv);
+  CheckFlagNames(argc, argv, program);
+}
+
+void RefuseFlagsOfOthers(const Program& program) {
+  for (const Program& other : AllPrograms()) {
+    for (const std::string& name : FlagNames(other)) {
+      gflags::CommandLineFlagInfo info;
+      if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
+      const std::string why = WhyNoFlagOf(program, name);
+      if (!why.empty()) throw InputError(why);
+    }
+  }
+}
+
 namespace {
 
 template <typename Entries>
@@ -89,9 +214,7 @@ std::vector<std::string> NameList(const Entries& entries) {
 
 template <typename Entries>
 std::string Names(const Entries& entries) {
-  std::string names;
-  for (const std::string& name : NameList(entries)) names += (names.empty() ? "" : ", ") + name;
-  return names;
+  return Joined(NameList(entries));
 }
 
 template <typename Entries>
@@ -410,6 +533,29 @@ void MakeDirectory(const std::string& path) {
 void WriteTextFile(const std::string& path, const std::string& text) {
   const Status status = WriteFile(path, text, InterruptGuard::Interrupted);
   if (!status.ok()) throw OutputError(status.message());
+}
+
+namespace {
+
+std::string PathOfReport(const Request& request) { return request.output_dir + "/report.html"; }
+
+}  // namespace
+
+Page StartPage(const Scene& scene) {
+  return Page(scene.name, std::to_string(scene.steps) + " steps over " + Cell(scene.duration).Display(6) + " s");
+}
+
+void FinishPage(const Request& request, const Json& results, Page* page) {
+  page->AddHeading("Scene");
+  page->AddPreformatted(WriteScene(request.scene));
+  page->SetResults(results);
+  const Status status = page->Write(PathOfReport(request));
+  if (!status.ok()) throw OutputError(status.message());
+}
+
+void PrintReportPath(const Request& request) {
+  if (request.output_dir.empty()) return;
+  (request.json ? std::cerr : std::cout) << PathOfReport(request) << std::endl;
 }
 
 }  // namespace saltus

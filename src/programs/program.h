@@ -1,4 +1,4 @@
-// What all programs share: flags, the scene they describe, exit codes.
+// What all programs share: flags, the scene they describe, exit codes, memory, pages.
 #pragma once
 
 #include <functional>
@@ -7,14 +7,36 @@
 #include <string>
 #include <vector>
 
+#include "output/page.h"
 #include "output/progress.h"
-#include "programs/memory_reserve.h"
+#include "programs/json_output.h"
 #include "programs/program_flags.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus {
+
+// What is said then.
+inline constexpr char kMemoryRanOut[] = "memory ran out";
+
+// From now on some memory is held back. The first allocation that fails gives it back and throws std::bad_alloc, so
+// that there is memory to take down what was built: destructors of JSON documents allocate. Where the exception cannot
+// get out the program says kMemoryRanOut and ends with `exit_code`, as it would have with the exception caught in main.
+void HoldMemoryBack(int exit_code);
+
+// Holds memory back again after it ran out, if there is any by now.
+void HoldMemoryBackAgain();
+
+// The items of a comma-separated list; none of an empty one.
+std::vector<std::string> SplitAtCommas(const std::string& list);
+
+// Throws InputError for a flag that the program does not have, and for flag files that cannot be read.
+void CheckCommandLine(int argc, char** argv, const Program& program);
+
+// Whatever way a flag was given: what the program would ignore is an error. To be called once flags are read. Throws
+// InputError.
+void RefuseFlagsOfOthers(const Program& program);
 
 // Exit codes, as promised to scripts.
 inline constexpr int kDone = 0;
@@ -52,6 +74,12 @@ struct Request {
   bool json = false;
   ProgressMode progress = ProgressMode::kAuto;
 };
+
+// For documents that are not to have --states.
+inline Request WithoutStates(Request request) {
+  request.states = false;
+  return request;
+}
 
 // Results could not be written. RunMain turns it into exit code 1.
 struct OutputError : std::runtime_error {
@@ -108,5 +136,13 @@ void MakeDirectory(const std::string& path);
 
 // Writes a whole file. Throws OutputError if it cannot.
 void WriteTextFile(const std::string& path, const std::string& text);
+
+Page StartPage(const Scene& scene);
+
+// Adds the results and the scene, and writes report.html into --output_dir. Throws OutputError.
+void FinishPage(const Request& request, const Json& results, Page* page);
+
+// The path of the report as the last line, if one was asked for: on stdout, or on stderr if that is JSON.
+void PrintReportPath(const Request& request);
 
 }  // namespace saltus

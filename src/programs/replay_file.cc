@@ -7,15 +7,448 @@
 #include <filesystem>
 #include <iostream>
 
-#include "output/html_report.h"
+#include "base/file.h"
+#include "base/number_text.h"
+#include "output/npz.h"
+#include "output/page.h"
+#include "programs/json_input.h"
 #include "programs/program.h"
-#include "programs/replay_reader.h"
-#include "programs/replay_scene.h"
+#include "programs/scene_drawing.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
 
 DECLARE_string(scene);
 DEFINE_string(output, "replay.html", "HTML page to write");
 
 namespace saltus {
+
+namespace {
+
+constexpr size_t kState = 4;
+constexpr size_t kTurning = 6;  // with angle and angular velocity
+
+// Of such a model the exact motion is its own.
+bool IsExact(const std::string& contact) {
+  const ModelTraits* model = FindContactModel(contact);
+  return model != nullptr && model->event_driven;
+}
+
+class Reader {
+ public:
+  Reader(std::string path, const std::optional<Replay>& drawn) : path_(std::move(path)), given_(drawn.has_value()) {
+    if (drawn) file_.drawn = *drawn;
+  }
+
+  ReplayFile Read() {
+    const StatusOr<std::string> bytes = ReadFile(path_);
+    if (!bytes.ok()) throw InputError(bytes.status().message());
+    if (bytes->starts_with("PK")) {
+      ReadArrays();
+    } else {
+      ReadDocument(*bytes);
+    }
+    if (file_.drawn.motions.empty()) {
+      Fail("states", "times and states; saltus_solve prints them with --states, and writes them with --output_dir");
+    }
+    return std::move(file_);
+  }
+
+ private:
+  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
+    throw InputError(path_ + ": " + key + ": expected " + expected);
+  }
+
+  size_t num_discs() const { return file_.drawn.discs.size(); }
+
+  double NumberIn(const Json& value, const std::string& key) const {
+    if (!value.is_number() || !std::isfinite(value.get<double>())) Fail(key, "a finite number");
+    return value.get<double>();
+  }
+
+  std::array<double, 2> PairIn(const Json& value, const std::string& key) const {
+    if (!value.is_array() || value.size() != 2) Fail(key, "[x, y]");
+    return {NumberIn(value[0], key), NumberIn(value[1], key)};
+  }
+
+  std::string TextIn(const Json& object, const char* key, const std::string& otherwise) const {
+    const auto found = object.find(key);
+    return found != object.end() && found->is_string() ? found->get<std::string>() : otherwise;
+  }
+
+  void AddDisc(const std::string& name, double radius, bool fixed, const std::string& key) {
+    if (!(radius > 0) || !std::isfinite(radius)) Fail(key, "a radius that is positive");
+    file_.drawn.discs.push_back({name, radius, fixed});
+  }
+
+  void ReadBodies(const Json& document) {
+    const auto bodies = document.find("bodies");
+    if (bodies == document.end() || !bodies->is_array() || bodies->empty()) {
+      Fail("bodies", "a list of { \"name\", \"radius\" }, or --scene=FILE");
+    }
+    for (size_t i = 0; i < bodies->size(); ++i) {
+      const std::string key = "bodies[" + std::to_string(i) + "]";
+      const Json& body = (*bodies)[i];
+      if (!body.is_object() || !body.contains("radius")) Fail(key, "{ \"name\", \"radius\" }");
+      const auto fixed = body.find("fixed");
+      AddDisc(TextIn(body, "name", "disc " + std::to_string(i + 1)),
+              NumberIn(body["radius"], key + ".radius"),
+              fixed != body.end() && fixed->is_boolean() && fixed->get<bool>(),
+              key);
+    }
+  }
+
+  Vec2d VectorIn(const Json& value, const std::string& key) const {
+    const std::array<double, 2> pair = PairIn(value, key);
+    return {pair[0], pair[1]};
+  }
+
+  // Calls read(item, key, name) for each of the list `list`, whose items must have all of `keys`.
+  template <typename F>
+  void ForEach(const Json& document, const std::string& list, const std::string& noun,
+               const std::vector<const char*>& keys, const F& read) const {
+    const auto items = document.find(list);
+    for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
+      const std::string key = list + "[" + std::to_string(i) + "]";
+      std::string expected;
+      bool whole = (*items)[i].is_object();
+      for (const char* one : keys) {
+        expected += (expected.empty() ? "{ \"" : ", \"") + std::string(one) + "\"";
+        whole = whole && (one == std::string_view("name") || (*items)[i].contains(one));
+      }
+      if (!whole) Fail(key, expected + " }");
+      read((*items)[i], key, TextIn((*items)[i], "name", noun + " " + std::to_string(i + 1)));
+    }
+  }
+
+  void ReadWalls(const Json& document) {
+    Scene walls;
+    for (const ReplayDisc& disc : file_.drawn.discs) walls.bodies.push_back({.name = disc.name, .radius = disc.radius});
+    using Key = const std::string&;
+    ForEach(
+        document, "planes", "plane", {"name", "point", "normal"}, [&](const Json& plane, Key key, std::string name) {
+          walls.planes.push_back(
+              {name, VectorIn(plane["point"], key + ".point"), VectorIn(plane["normal"], key + ".normal")});
+        });
+    ForEach(
+        document, "segments", "segment", {"name", "from", "to"}, [&](const Json& segment, Key key, std::string name) {
+          walls.segments.push_back(
+              {name, VectorIn(segment["from"], key + ".from"), VectorIn(segment["to"], key + ".to")});
+        });
+    ForEach(document, "polygons", "polygon", {"name", "points"}, [&](const Json& polygon, Key key, std::string name) {
+      const bool outside = TextIn(polygon, "solid", "inside") == "outside";
+      walls.polygons.push_back({name, {}, outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside});
+      for (const Json& point : polygon["points"])
+        walls.polygons.back().points.push_back(VectorIn(point, key + ".points"));
+    });
+    ForEach(document,
+            "arcs",
+            "arc",
+            {"name", "center", "radius", "from", "to"},
+            [&](const Json& arc, Key key, std::string name) {
+              walls.arcs.push_back({name,
+                                    VectorIn(arc["center"], key + ".center"),
+                                    NumberIn(arc["radius"], key + ".radius"),
+                                    NumberIn(arc["from"], key + ".from"),
+                                    NumberIn(arc["to"], key + ".to")});
+            });
+    ForEach(document,
+            "pockets",
+            "pocket",
+            {"name", "position", "radius"},
+            [&](const Json& pocket, Key key, std::string name) {
+              walls.pockets.push_back(
+                  {name, VectorIn(pocket["position"], key + ".position"), NumberIn(pocket["radius"], key + ".radius")});
+            });
+    if (const auto error = ValidateStructure(walls)) throw InputError(path_ + ": " + error->ToString());
+    AddWalls(walls, &file_.drawn);
+  }
+
+  void ReadDocument(const std::string& text) {
+    Json document = ParseJson(text, path_, "an NPZ file or a JSON object");
+    if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
+    if (!document.is_object()) Fail("the document", "an object");
+    if (!given_) {
+      ReadBodies(document);
+      ReadWalls(document);
+    }
+    const auto runs = document.find("runs");
+    if (runs == document.end()) return ReadRun(document, "");
+    if (!runs->is_array()) Fail("runs", "a list");
+    for (size_t i = 0; i < runs->size(); ++i) {
+      if (!(*runs)[i].is_object()) Fail("runs[" + std::to_string(i) + "]", "an object");
+      ReadRun((*runs)[i], "runs[" + std::to_string(i) + "].");
+    }
+  }
+
+  void ReadRun(const Json& run, const std::string& place) {
+    const std::string contact = TextIn(run, "contact", ""), solver = TextIn(run, "solver", "");
+    const std::string label = contact + (solver.empty() || solver == kNoSolver ? "" : " " + solver);
+    for (const std::string prefix : {"", "exact_"}) {
+      if (!run.contains(prefix + "states")) continue;
+      if (prefix.empty() && IsExact(contact) && run.contains("exact_states")) continue;
+      ReplayMotion motion;
+      motion.arcs = !prefix.empty();
+      motion.label = label.empty() ? TextIn(run, "name", "states") : label;
+      if (motion.arcs && !IsExact(contact)) motion.label += ", exact";
+      const std::string key = place + prefix;
+      if (!run.contains(prefix + "times")) Fail(key + "times", "one number for each of the states");
+      for (const Json& time : run[prefix + "times"]) motion.times.push_back(NumberIn(time, key + "times"));
+      ReadStates(run[prefix + "states"], key + "states", &motion);
+      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &motion);
+      if (run.contains("control")) ReadControl(run, place, &motion);
+      Add(std::move(motion), contact, key);
+    }
+  }
+
+  void ReadStates(const Json& states, const std::string& key, ReplayMotion* motion) {
+    if (!states.is_array()) Fail(key, "a list");
+    size_t numbers = kState;
+    for (size_t k = 0; k < states.size(); ++k) {
+      const std::string row = key + "[" + std::to_string(k) + "]";
+      if (!states[k].is_array() || states[k].size() != num_discs()) {
+        Fail(row, "one list for each of " + std::to_string(num_discs()) + " discs");
+      }
+      for (const Json& body : states[k]) {
+        if (!body.is_array() || (body.size() != 2 && body.size() < kState)) {
+          Fail(row, "[p_x, p_y, v_x, v_y] or [p_x, p_y] of each disc");
+        }
+        numbers = std::min(numbers, body.size());
+        for (size_t j = 0; j < kState; ++j) {
+          motion->states.push_back(j < body.size() ? NumberIn(body[j], row) : 0);
+        }
+        if (body.size() >= kTurning) motion->angles.push_back(NumberIn(body[kState], row));
+      }
+    }
+    if (numbers < kState) DifferenceVelocities(motion);
+    if (kState * motion->angles.size() != motion->states.size()) motion->angles.clear();
+  }
+
+  // Velocities as the differences of positions across the neighbouring states.
+  void DifferenceVelocities(ReplayMotion* motion) const {
+    const size_t width = kState * num_discs(), rows = motion->states.size() / width;
+    if (rows != motion->times.size()) return;  // refused by Add()
+    for (size_t k = 0; k < rows; ++k) {
+      const size_t from = k > 0 ? k - 1 : 0, to = std::min(k + 1, rows - 1);
+      const double passed = motion->times[to] - motion->times[from];
+      for (size_t i = 0; i < width; ++i) {
+        if (i % kState < 2) continue;
+        const double way = motion->states[to * width + i - 2] - motion->states[from * width + i - 2];
+        motion->states[k * width + i] = passed > 0 ? way / passed : 0;
+      }
+    }
+    motion->remark = "velocities by differences";
+  }
+
+  // The number of a disc or, from num_discs() on, of a wall.
+  size_t NumberOf(const std::string& name, const std::string& key) const {
+    const auto find = [&](const auto& list) {
+      return std::find_if(list.begin(), list.end(), [&](const auto& item) { return item.name == name; }) - list.begin();
+    };
+    const size_t disc = find(file_.drawn.discs), wall = find(file_.drawn.walls);
+    if (disc < num_discs()) return disc;
+    if (wall == file_.drawn.walls.size()) Fail(key, "a body or a wall, found '" + name + "'");
+    return num_discs() + wall;
+  }
+
+  void ReadTouches(const Json& touches, const std::string& place, ReplayMotion* motion) {
+    if (!touches.is_array()) Fail(place, "a list");
+    for (size_t i = 0; i < touches.size(); ++i) {
+      const std::string key = place + "[" + std::to_string(i) + "]";
+      const Json& touch = touches[i];
+      if (!touch.is_object() || !touch.contains("begin")) Fail(key, "{ \"a\", \"b\", \"begin\" }");
+      const size_t a = NumberOf(TextIn(touch, "a", ""), key + ".a"), b = NumberOf(TextIn(touch, "b", ""), key + ".b");
+      if (a >= num_discs()) Fail(key + ".a", "a disc");
+      ReplayTouch read{.a = static_cast<int>(a), .b = static_cast<int>(b), .wall = b >= num_discs()};
+      if (read.wall) read.b -= static_cast<int>(num_discs());
+      read.begin = read.end = NumberIn(touch["begin"], key + ".begin");
+      if (touch.contains("end")) read.end = NumberIn(touch["end"], key + ".end");
+      CheckTouch(read, key + ".end");
+      if (touch.contains("impulse")) read.impulse = PairIn(touch["impulse"], key + ".impulse");
+      motion->touches.push_back(read);
+    }
+  }
+
+  void CheckTouch(const ReplayTouch& touch, const std::string& key) const {
+    if (!(std::isfinite(touch.begin) && std::isfinite(touch.end))) Fail(key, "finite times");
+    if (touch.end < touch.begin) {
+      Fail(key, "a time from its begin on, " + ToText(touch.begin) + ", found " + ToText(touch.end));
+    }
+  }
+
+  // Drawn only where it is said which discs it is of: in files with the whole scene.
+  void ReadControl(const Json& run, const std::string& place, ReplayMotion* motion) {
+    if (scene_pushed_.empty()) return;
+    for (const Json& row : run["control"]) {
+      if (!row.is_array() || row.size() != scene_pushed_.size()) Fail(place + "control", "[x, y] of each pushed disc");
+      for (const Json& force : row) {
+        const bool turns = force.is_array() && force.size() == 3;  // [x, y, torque]
+        const std::array<double, 2> pair = PairIn(turns ? Json{force[0], force[1]} : force, place + "control");
+        motion->control.insert(motion->control.end(), pair.begin(), pair.end());
+        motion->torques.push_back(turns ? NumberIn(force[2], place + "control") : 0);
+      }
+    }
+    if (!turns_) motion->torques.clear();
+    std::vector<double> durations;
+    if (run.contains("durations")) {
+      for (const Json& length : run["durations"]) durations.push_back(NumberIn(length, place + "durations"));
+    }
+    SetIntervals(durations, place, motion);
+  }
+
+  void SetIntervals(std::vector<double> durations, const std::string& place, ReplayMotion* motion) {
+    const size_t intervals = motion->control.size() / (2 * scene_pushed_.size());
+    if (durations.empty() && intervals > 0 && !motion->times.empty()) {
+      durations.assign(intervals, motion->times.back() / static_cast<double>(intervals));
+    }
+    if (durations.size() != intervals) Fail(place + "durations", std::to_string(intervals) + " numbers");
+    motion->pushed = scene_pushed_;
+    double end = 0;
+    for (const double length : durations) motion->ends.push_back(end += length);
+  }
+
+  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
+    if (const auto* doubles = std::get_if<std::vector<double>>(&array.data)) return *doubles;
+    if (const auto* floats = std::get_if<std::vector<float>>(&array.data)) return {floats->begin(), floats->end()};
+    if (const auto* whole = std::get_if<std::vector<int64_t>>(&array.data)) return {whole->begin(), whole->end()};
+    Fail(key, "numbers");
+  }
+
+  std::vector<std::string> Texts(const NpzArrays& arrays, const std::string& key) const {
+    const auto found = arrays.find(key);
+    if (found == arrays.end()) return {};
+    const auto* texts = std::get_if<std::vector<std::string>>(&found->second.data);
+    if (texts == nullptr) Fail(key, "text");
+    return *texts;
+  }
+
+  void ReadArrayBodies(const NpzArrays& arrays) {
+    const std::vector<std::string> text = Texts(arrays, "scene"), names = Texts(arrays, "name");
+    if (!text.empty()) {
+      const std::variant<Scene, SceneFileError> scene = ParseScene(text[0], path_ + ": scene");
+      if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
+      file_.drawn = ReplayOf(std::get<Scene>(scene));
+      scene_pushed_ = std::get<Scene>(scene).control.bodies;
+      turns_ = std::get<Scene>(scene).num_turned() > 0;
+      return;
+    }
+    const auto radius = arrays.find("radius");
+    if (radius == arrays.end()) Fail("radius", "one radius for each disc, or --scene=FILE");
+    const std::vector<double> radii = Numbers(radius->second, "radius");
+    for (size_t i = 0; i < radii.size(); ++i) {
+      AddDisc(i < names.size() ? names[i] : "disc " + std::to_string(i + 1), radii[i], false, "radius");
+    }
+  }
+
+  void ReadArrays() {
+    const StatusOr<NpzArrays> read = ReadNpz(path_);
+    if (!read.ok()) throw InputError(read.status().message());
+    const NpzArrays& arrays = *read;
+    if (!given_) ReadArrayBodies(arrays);
+    const std::vector<std::string> contact = Texts(arrays, "contact"), solver = Texts(arrays, "solver");
+    const std::string model = contact.empty() ? "" : contact[0];
+    for (const std::string prefix : {"", "exact_"}) {
+      const auto states = arrays.find(prefix + "states"), times = arrays.find(prefix + "times");
+      if (states == arrays.end()) continue;
+      if (prefix.empty() && IsExact(model) && arrays.contains("exact_states")) continue;
+      if (times == arrays.end()) Fail(prefix + "times", "one number for each of the states");
+      ReplayMotion motion;
+      motion.arcs = !prefix.empty();
+      motion.label = model.empty() ? "states" : model;
+      if (!solver.empty() && solver[0] != kNoSolver) motion.label += " " + solver[0];
+      if (motion.arcs && !IsExact(model)) motion.label += ", exact";
+      motion.times = Numbers(times->second, prefix + "times");
+      ReadStateArray(states->second, prefix + "states", &motion);
+      ReadTouchArrays(arrays, prefix, &motion);
+      if (const auto control = arrays.find("control"); control != arrays.end() && !scene_pushed_.empty()) {
+        const int64_t columns = turns_ ? 3 : 2, pushed = static_cast<int64_t>(scene_pushed_.size());
+        if (turns_ && (control->second.shape.size() != 3 || control->second.shape[1] != pushed ||
+                       control->second.shape[2] != columns)) {
+          Fail("control", "a shape of (K, " + std::to_string(pushed) + ", " + std::to_string(columns) + ")");
+        }
+        const std::vector<double> rows = Numbers(control->second, "control");
+        for (size_t i = 0; i < rows.size(); i += columns) {
+          motion.control.insert(motion.control.end(), {rows[i], rows[i + 1]});
+          if (turns_) motion.torques.push_back(rows[i + 2]);
+        }
+        const auto durations = arrays.find("durations");
+        SetIntervals(
+            durations == arrays.end() ? std::vector<double>() : Numbers(durations->second, "durations"), "", &motion);
+      }
+      Add(std::move(motion), model, prefix);
+    }
+  }
+
+  void ReadStateArray(const NpyArray& array, const std::string& key, ReplayMotion* motion) {
+    const std::vector<int64_t>& shape = array.shape;
+    const int64_t discs = static_cast<int64_t>(num_discs());
+    if (shape.size() != 3 || shape[1] != discs || (shape[2] != 2 && shape[2] < static_cast<int64_t>(kState))) {
+      Fail(key, "a shape of (n, " + std::to_string(discs) + ", 4) or (n, " + std::to_string(discs) + ", 2)");
+    }
+    const std::vector<double> numbers = Numbers(array, key);
+    const size_t per_disc = static_cast<size_t>(shape[2]);
+    for (size_t i = 0; i < numbers.size(); i += per_disc) {
+      for (size_t j = 0; j < kState; ++j) motion->states.push_back(j < per_disc ? numbers[i + j] : 0);
+      if (per_disc >= kTurning) motion->angles.push_back(numbers[i + kState]);
+    }
+    if (per_disc < kState) DifferenceVelocities(motion);
+  }
+
+  void ReadTouchArrays(const NpzArrays& arrays, const std::string& prefix, ReplayMotion* motion) {
+    const auto pairs = arrays.find(prefix + "touch_pairs"), times = arrays.find(prefix + "touch_times");
+    if (pairs == arrays.end() || times == arrays.end()) return;
+    const auto impulses = arrays.find(prefix + "touch_impulses");
+    const std::vector<double> pair = Numbers(pairs->second, "touch_pairs"),
+                              time = Numbers(times->second, "touch_times");
+    const std::vector<double> impulse =
+        impulses == arrays.end() ? std::vector<double>(time.size()) : Numbers(impulses->second, "touch_impulses");
+    if (pair.size() % 3 != 0 || time.size() != pair.size() / 3 * 2 || impulse.size() != time.size()) {
+      Fail(prefix + "touch_times", "shapes of (M, 3), (M, 2) and (M, 2)");
+    }
+    for (size_t i = 0; 3 * i < pair.size(); ++i) {
+      const bool wall = pair[3 * i + 2] != 0;
+      const double most = static_cast<double>(wall ? file_.drawn.walls.size() : num_discs());
+      if (!(pair[3 * i] >= 0 && pair[3 * i] < num_discs() && pair[3 * i + 1] >= 0 && pair[3 * i + 1] < most)) {
+        Fail(prefix + "touch_pairs", "numbers of discs and walls");
+      }
+      motion->touches.push_back({static_cast<int>(pair[3 * i]),
+                                 static_cast<int>(pair[3 * i + 1]),
+                                 wall,
+                                 time[2 * i],
+                                 time[2 * i + 1],
+                                 {impulse[2 * i], impulse[2 * i + 1]}});
+      CheckTouch(motion->touches.back(), prefix + "touch_times[" + std::to_string(i) + "]");
+    }
+  }
+
+  void Add(ReplayMotion motion, const std::string& model, const std::string& place) {
+    const size_t rows = motion.states.size() / (kState * num_discs());
+    if (rows == 0 || rows != motion.times.size()) {
+      Fail(place + "times",
+           "as many as states, found " + std::to_string(motion.times.size()) + " and " + std::to_string(rows));
+    }
+    const auto finite = [](double time) { return std::isfinite(time); };
+    if (!std::all_of(motion.times.begin(), motion.times.end(), finite)) Fail(place + "times", "finite numbers");
+    if (!std::is_sorted(motion.times.begin(), motion.times.end())) Fail(place + "times", "times that do not fall");
+    std::stable_sort(motion.touches.begin(), motion.touches.end(), [](const ReplayTouch& l, const ReplayTouch& r) {
+      return l.begin < r.begin;
+    });
+    file_.drawn.motions.push_back(std::move(motion));
+    file_.models.push_back(model);
+  }
+
+  std::string path_;
+  bool given_;
+  std::vector<int> scene_pushed_;  // of the scene in the file
+  bool turns_ = false;             // it has torques
+  ReplayFile file_;
+};
+
+}  // namespace
+
+ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn) {
+  return Reader(path, drawn).Read();
+}
+
 namespace {
 
 std::string StemOf(const std::string& path) { return std::filesystem::path(path).stem().string(); }
@@ -67,8 +500,8 @@ int WriteReplay() {
   const Replay replay = ReadReplay(paths, scene);
   std::string names;
   for (const std::string& path : paths) names += (names.empty() ? "" : ", ") + StemOf(path);
-  HtmlReport page(names, "");
-  page.AddReplay(replay, "Space plays and pauses, arrows step, with shift from impact to impact.");
+  Page page(names);
+  page.AddReplay(replay, "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
   const Status status = page.Write(FLAGS_output);
   if (!status.ok()) throw OutputError(status.message());
   std::cout << FLAGS_output << std::endl;

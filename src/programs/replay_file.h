@@ -10,6 +10,29 @@
 
 namespace saltus {
 
+// Motions as read. Colours and dashes are not set.
+struct ReplayFile {
+  Replay drawn;
+  std::vector<std::string> models;  // of each motion, the contact model that it is of; may be empty
+};
+
+// Reads NPZ or JSON:
+//
+//   bodies   [{ "name", "radius", "fixed" }]          fixed is false unless given
+//   planes   [{ "name", "point", "normal" }]          default none, as of segments, polygons, arcs and pockets, which
+//   are
+//                                                     as in scene files
+//   times    n numbers that do not fall, s
+//   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; of discs
+//            that spin angle and angular velocity follow, and what follows then is not looked at
+//   touches  [{ "a", "b", "begin", "end", "impulse" }], default none; end (begin) and impulse ([0, 0]) may be missing
+//
+// and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
+// such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
+// them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B). Throws InputError with the key.
+// `drawn` stands in for what the file says of bodies.
+ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn);
+
 // The motions in some files, whose discs must be the same. Bodies and planes are those of `scene`, if one is given, or
 // else what the first file says of them. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene);

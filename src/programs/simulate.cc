@@ -1,5 +1,4 @@
-#include "programs/simulate.h"
-
+// `saltus_simulate`: a contact model as a black box that speaks the protocol of blackbox/protocol.h.
 #include <gflags/gflags.h>
 
 #include <iostream>

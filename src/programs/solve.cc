@@ -9,12 +9,10 @@
 
 #include "base/interrupt.h"
 #include "output/table.h"
-#include "programs/certificate_table.h"
 #include "programs/parallel.h"
-#include "programs/report_parts.h"
-#include "programs/simulated_run.h"
-#include "programs/solution_files.h"
-#include "programs/solve_report.h"
+#include "programs/program.h"
+#include "programs/solve_output.h"
+#include "programs/solved_run.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/simulate/registry.h"
 
@@ -73,9 +71,7 @@ void PrintSolveJson(const Request& request, const SolvedRuns& solved) {
     if (!request.states) throw;
   }
   HoldMemoryBackAgain();
-  Request without = request;
-  without.states = false;
-  print(without);
+  print(WithoutStates(request));
   throw std::bad_alloc();
 }
 

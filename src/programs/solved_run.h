@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "programs/json_output.h"
+#include "programs/motion.h"
 #include "programs/program.h"
 
 namespace saltus {
@@ -39,5 +40,18 @@ bool IsConvergence(const SolveReport& report);
 double LargestDefect(const SolveReport& report);
 
 Json SolveToJson(const Request& request, const SolvedRuns& solved);
+
+// Fills all that follows from the report's initial state and control: the exact run, the certificate, final_state.
+void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run);
+
+// The start of the scene under a contact model, with nothing changed: solver "none", its loss as `final_loss`, and no
+// losses on the way. kFailed if the rollout fails, kNotApplicable if the model cannot take the scene.
+SolvedRun SimulateOnly(const Request& request, const std::string& contact);
+
+// A solution's motion under its own contact model or, if `exact`, under exact dynamics.
+Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options = {});
+
+// The ends of the control intervals of a solution, from 0 on, s: the nodes of its own model's motion.
+std::vector<double> NodesOf(const Scene& scene, const SolveReport& report);
 
 }  // namespace saltus

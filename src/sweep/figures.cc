@@ -1,7 +1,6 @@
 #include "sweep/figures.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -15,7 +14,6 @@ namespace saltus {
 namespace {
 
 constexpr double kLogLossFrom = 100;
-constexpr size_t kMostMarks = 40;
 constexpr size_t kMostPanels = 9;
 constexpr int kLevels = 7;  // in the legend of a map
 constexpr double kLevelWidth = 14;
@@ -45,12 +43,6 @@ std::string AxisLabel(const std::string& option) {
     if (field == unit.option) return option + " (" + unit.unit + ")";
   }
   return option;
-}
-
-std::string Short(double value) {
-  std::array<char, 32> buffer;
-  std::snprintf(buffer.data(), buffer.size(), "%.4g", value);
-  return buffer.data();
 }
 
 // True if a logarithmic scale shows values from `least` to `most` better.
@@ -177,20 +169,9 @@ Series CurveSeries(const Method& method, const Curve& curve, const std::vector<s
   }
   Series series = Series::ForModel(method.contact, x, y);
   series.label = Label(method);
-  constexpr std::array<Dash, 4> kDashes = {Dash::kSolid, Dash::kDashed, Dash::kDotted, Dash::kDashDotted};
   const size_t solver = std::find(solvers.begin(), solvers.end(), method.solver) - solvers.begin();
-  if (solvers.size() > 1) series.dash = kDashes[solver % kDashes.size()];
+  if (solvers.size() > 1) series.dash = static_cast<Dash>(solver % kNumDashes);
   return series;
-}
-
-// The same curve as its points, so that one can see where the results are.
-std::optional<Series> CurveMarks(const Series& curve) {
-  if (curve.x.size() > kMostMarks) return std::nullopt;
-  Series marks = curve;
-  marks.line = false;
-  marks.label = "";
-  marks.marker = Marker::kCircle;
-  return marks;
 }
 
 std::vector<std::string> Solvers(const std::map<Method, Curve>& curves) {
@@ -211,10 +192,7 @@ Panel CurvePanel(const std::map<Method, Curve>& curves, const std::string& x_lab
       x.insert(at);
       y.Add(value);
     }
-    Series series = CurveSeries(method, curve, solvers);
-    series.marker = Marker::kNone;
-    if (const std::optional<Series> marks = CurveMarks(series)) panel.series.push_back(*marks);
-    panel.series.push_back(std::move(series));
+    panel.series.push_back(CurveSeries(method, curve, solvers));
   }
   panel.x.label = x_label;
   panel.x.log = WantsLog({x.begin(), x.end()});
@@ -260,9 +238,7 @@ std::string OrderLabel(const Series& series) {
   y.resize(x.size());
   const double order = Order(x, y);
   if (!std::isfinite(order)) return "too few steps";
-  std::array<char, 32> text;
-  std::snprintf(text.data(), text.size(), "order %s%.2f", order <= -0.005 ? "−" : "", std::abs(order));
-  return text.data();
+  return Format(order <= -0.005 ? "order −%.2f" : "order %.2f", std::abs(order));
 }
 
 SweepFigure GradientErrorFigure(const Results& results) {
@@ -274,9 +250,7 @@ SweepFigure GradientErrorFigure(const Results& results) {
   const std::map<Method, Curve> curves = Curves(results, dt, "relative_error", std::greater<>());
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
-  for (Series& series : panel.series) {
-    if (series.line) series.label += ": " + OrderLabel(series);
-  }
+  for (Series& series : panel.series) series.label += ": " + OrderLabel(series);
   Figure figure;
   figure.title = scene.name + ": error of the gradient" + results.Over("largest", {"steps", "duration"});
   figure.panels = {panel};
@@ -318,7 +292,7 @@ class ColourScale {
     for (int i = kLevels; i-- > 0;) {
       const double at = At(extent_.least) + (At(extent_.most) - At(extent_.least)) * i / (kLevels - 1);
       const double value = log_ ? std::exp(at) : at;
-      levels.push_back({.label = Short(value),
+      levels.push_back({.label = Format("%.4g", value),
                         .x = {},
                         .y = {},
                         .colour = Colour(std::clamp(value, extent_.least, extent_.most)),

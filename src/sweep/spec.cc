@@ -9,6 +9,7 @@
 #include <set>
 
 #include "base/csv.h"
+#include "output/text_layout.h"
 #include "saltus/simulate/registry.h"
 #include "sweep/options.h"
 
@@ -17,12 +18,6 @@ namespace {
 
 constexpr int64_t kMostValues = 1'000'000;  // of all ranges of a sweep: few characters can ask for many
 constexpr double kLargestInteger = 1e9;     // that an int holds
-
-std::string Join(const std::vector<std::string>& names) {
-  std::string list;
-  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
-  return list;
-}
 
 std::optional<double> ReadNumber(std::string_view text) {
   if (text.starts_with('+')) text.remove_prefix(1);
@@ -47,7 +42,7 @@ std::string ReadValue(const std::string& option, const std::string& text, const 
     *value = text;
     if (option == "contact") return WhatIsWrongWith(text);
     const std::vector<std::string> words = SweepWords(option);
-    return std::find(words.begin(), words.end(), text) != words.end() ? "" : found + "one of " + Join(words);
+    return std::find(words.begin(), words.end(), text) != words.end() ? "" : found + "one of " + Joined(words);
   }
   const std::optional<double> number = ReadNumber(text);
   if (!number) return found + "a number";
@@ -161,7 +156,7 @@ class SpecParser {
   template <typename OnError>
   void CheckName(const std::string& name, const OnError& fail) {
     if (!FindSweepOption(name, scene_)) {
-      fail("an option: one of " + Join(SweepOptionNames()) + ", or <body>.<field> of the scene, such as " +
+      fail("an option: one of " + Joined(SweepOptionNames()) + ", or <body>.<field> of the scene, such as " +
            (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass");
     }
     if (!used_.insert(name).second) fail("each option once");

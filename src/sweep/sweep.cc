@@ -11,7 +11,7 @@
 
 #include "base/interrupt.h"
 #include "output/text_layout.h"
-#include "programs/report_parts.h"
+#include "programs/program.h"
 #include "programs/simulators.h"
 #include "saltus/scene/scene_file.h"
 #include "scene/control_problems.h"
@@ -114,29 +114,30 @@ void MergeShards(const SweepStudy& study, SweepStore* store) {
 
 bool HasSolvedTable(const SweepStudy& study) { return study.generates() && study.solving(); }
 
-// One page of what failed, the figures and the first rows. Figures are left out where gnuplot is missing.
+// One page of what failed, the figures and the first rows.
 void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points,
                  const std::vector<SweepFigure>& figures, const std::string& base) {
   const Request& request = study.request();
-  HtmlReport report = StartReport(request.scene);
-  report.AddHeading(1, "Points");
-  report.AddPreformatted(Summary(study, points));
-  if (HasSolvedTable(study)) report.AddTable(SolvedTable(study, points), "What each solver solves.");
-  if (!figures.empty()) report.AddHeading(1, "Figures");
+  Page page = StartPage(request.scene);
+  page.AddHeading("Points");
+  page.AddPreformatted(Summary(study, points));
+  if (HasSolvedTable(study)) page.AddTable(SolvedTable(study, points), "The problems that each solver solves.");
+  if (!figures.empty()) page.AddHeading("Figures");
   for (const SweepFigure& figure : figures) {
     std::string caption = figure.name;
     std::replace(caption.begin(), caption.end(), '_', ' ');
-    AddFigureOrReason(figure.figure, caption, &report);
+    page.AddFigure(figure.figure, caption);
   }
-  report.AddHeading(1, "Rows");
   const std::vector<StoredPoint> first(points.begin(), points.begin() + std::min(points.size(), kMostRowsInReport));
-  report.AddTable(SweepTable(study, first),
-                  first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
-                                               : "All rows, as in `" + base + ".csv`.");
-  if (study.generates() || KeptProgram() != nullptr) return OrOutputError(report.Write(ReportPath(study, base)));
-  report.AddHeading(1, "Scene");
-  report.AddPreformatted(WriteScene(request.scene));
-  OrOutputError(report.Write(ReportPath(study, base)));
+  page.SetResults(SweepJson(study, first));
+  page.AddHeading("Rows");
+  page.AddTable(SweepTable(study, first),
+                first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
+                                             : "All rows, as in `" + base + ".csv`.");
+  if (study.generates() || KeptProgram() != nullptr) return OrOutputError(page.Write(ReportPath(study, base)));
+  page.AddHeading("Scene");
+  page.AddPreformatted(WriteScene(request.scene));
+  OrOutputError(page.Write(ReportPath(study, base)));
 }
 
 void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points, const Table& table,

@@ -1,4 +1,5 @@
 # Pages in headless Chromium: what the tests of replays and of reports share.
+import json
 import os
 import shutil
 import subprocess
@@ -96,21 +97,40 @@ class Pages(unittest.TestCase):
         self.browser.get("file://" + path)
         self.assert_quiet()
 
-    # Nothing is cut off, and nothing has to be scrolled sideways; figures have a text.
+    # Nothing is cut off, and the page is never scrolled sideways. From 700 pixels on tables are tables, as wide as the
+    # text; those with more columns than fit are scrolled beside their first column. On a phone their rows are cards.
+    # Figures have a text.
     def assert_fits(self, path):
         for width in (400, 1000, 1600):
             self.open(path, width)
             self.assertLessEqual(self.js("return document.documentElement.scrollWidth"), width)
             wide = self.js("""
                 for (const part of document.querySelectorAll('details')) part.open = true;
-                return [...document.querySelectorAll('.scroll, .plot, pre')].filter((part) => part.scrollWidth > part.clientWidth)
-                    .map((part) => `${part.className}: ${part.textContent.slice(0, 80)}`)""")
+                return [...document.querySelectorAll(arguments[0])].filter((part) => part.scrollWidth > part.clientWidth)
+                    .map((part) => `${part.className}: ${part.textContent.slice(0, 80)}`)""",
+                           ".scroll, .plot, pre" if width < 700 else ".plot, pre")
             self.assertEqual(wide, [], width)
+            heads = self.js("return [...document.querySelectorAll('thead')].map((head) => getComputedStyle(head).display)")
+            self.assertEqual(set(heads) - {"table-header-group" if width >= 700 else "none"}, set(), width)
+            widths = self.js("return [...document.querySelectorAll('main > p, main figure > .scroll, .plot')].map((part) => part.offsetWidth)")
+            self.assertLessEqual(len(set(widths)), 1, width)
+        keys = self.js("return [...document.querySelectorAll('main figure > .scroll td:first-child')].map((cell) => getComputedStyle(cell).position)")
+        self.assertLessEqual(set(keys), {"sticky"})
         texts = self.js("return [...document.querySelectorAll('svg[role=img]')].map((svg) => svg.getAttribute('aria-label'))")
         self.assertTrue(all(texts), texts)
 
     def assert_quiet(self):
         self.assertEqual(self.browser.get_log("browser"), [])
+
+    # A page with another document than a program has written.
+    def page_of(self, document):
+        page = os.path.join(self.folder, "viewer.html")
+        states = {"bodies": [{"name": "a", "radius": 1}], "times": [0, 1], "states": [[[0, 0]], [[1, 1]]]}
+        run("saltus_replay", self.write("viewer.json", json.dumps(states)), f"--output={page}")
+        with open(page, encoding="utf-8") as file:
+            before, after = file.read().split('id="document">', 1)
+        text = json.dumps(document).replace("<", "\\u003c")
+        return self.write("viewer.html", before + 'id="document">' + text + after[after.index("</script>"):])
 
     def js(self, code, *arguments):
         return self.browser.execute_script(code, *arguments)

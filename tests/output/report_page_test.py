@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-# Reports of all programs in headless Chromium: valid, nothing cut off, at three widths.
+# The viewer of pages, and the reports of all programs, in headless Chromium: valid, nothing cut off, at three widths.
 import os
 import tempfile
 
@@ -15,6 +15,82 @@ control: {bodies: [ball], initial: [[1.0e+24, 0]]}
 objective: {terminal: [{body: ball, quantity: position, target: [1, 1], weight: 1.0e+24}], effort: 0.1}
 optimize: control
 """
+
+
+def series(label, y, **more):
+    return {"label": label, "x": list(range(len(y))), "y": y, "colour": "#123456", "dash": "solid", "marker": "none", "line": True,
+            "width": 2, **more}
+
+
+def panel(curves, **more):
+    return {"title": "", "x": {"label": "time (s)"}, "y": {"label": "loss"}, "equal": False, "series": curves, "lines": [],
+            "rectangles": [], "circles": [], "planes": [], "outlines": [], **more}
+
+
+class Viewer(Pages):
+    def show(self, *parts, width=1000, **more):
+        self.open(self.page_of({"title": "Title & <b>more</b>", "subtitle": "", "parts": parts, **more}), width)
+
+    def test_text_is_text(self):
+        self.show({"kind": "heading", "text": "Two balls"}, {"kind": "text", "text": "`a < b` is <i>not</i> set; one ` alone stays."},
+                  {"kind": "heading", "text": "Two balls"}, {"kind": "list", "items": [{"text": "`x`: y"}]},
+                  {"kind": "code", "text": "if (a < b) \"x\""}, {"kind": "links", "files": ["a b.npz", "javascript:alert(1)"]})
+        self.assertEqual(self.js("return document.title"), "Title & <b>more</b>")
+        self.assertEqual(self.js("return document.querySelector('main p').innerHTML"),
+                         "<code>a &lt; b</code> is &lt;i&gt;not&lt;/i&gt; set; one ` alone stays.")
+        self.assertEqual(self.js("return document.querySelector('pre').textContent"), "if (a < b) \"x\"")
+        targets = self.js("return [...document.querySelectorAll('nav a')].map((a) => a.getAttribute('href').slice(1))")
+        self.assertEqual(targets, self.js("return [...document.querySelectorAll('h2')].map((part) => part.id)"))
+        self.assertEqual(len(set(targets)), 2)
+        self.assertEqual(self.js("return [...document.querySelectorAll('.links a')].map((a) => a.getAttribute('href'))"),
+                         ["./a%20b.npz", "./javascript:alert(1)"])
+
+    def test_tables_are_numbered_and_coloured(self):
+        table = {"keys": 1, "columns": [{"header": "contact", "number": False}, {"header": "loss", "number": True}],
+                 "rows": [["direct_toi", "2.059"], ["lcp", ["1.5", "bad"]]]}
+        self.show({"kind": "table", "table": table, "caption": "Audits of `lcp`", "folded": False, "notes": ["a note"]},
+                  {"kind": "table", "table": table, "caption": "All of it", "folded": True})
+        self.assertEqual(self.js("return [...document.querySelectorAll('figcaption, figure summary')].map((part) => part.textContent)"),
+                         ["Table 1. Audits of lcp", "Table 2. All of it"])
+        self.assertEqual(self.js("return document.querySelectorAll('details:not([open]) table').length"), 1)
+        cell = "return [...document.querySelectorAll('td')].map((cell) => [cell.className, cell.dataset.label, cell.textContent])"
+        self.assertEqual(self.js(cell)[:4], [["key", "contact", "direct_toi"], ["number", "loss", "2.059"],
+                                             ["key", "contact", "lcp"], ["number bad", "loss", "1.5"]])
+        self.assertEqual(self.js("return document.querySelector('.notes li').textContent"), "a note")
+
+    # Where a line goes, in pixels, is where its axis says.
+    def test_plots_are_drawn_to_their_axes(self):
+        curve = series("lcp", [1, 100, None, 0.01, -1, 10])
+        self.show({"kind": "figure", "caption": "c", "figure": {"title": "", "panels": [
+            panel([curve, series("marks", [3], marker="circle", line=False)], y={"label": "loss", "log": True},
+                  lines=[{"value": 2, "label": "impact", "vertical": True, "colour": "#999999", "dash": "dotted"}]),
+            panel([series("constant", [5, 5])])]}})
+        path = self.js("return document.querySelector('.plot g path').getAttribute('d')")
+        pieces = [[tuple(map(float, point.split(","))) for point in piece.split("L")] for piece in path.split("M")[1:]]
+        self.assertEqual([len(piece) for piece in pieces], [2, 1, 1])  # gaps: not a number, not positive
+        (x0, y0), (x1, y1) = pieces[0]
+        (x3, y3), (x5, y5) = pieces[1][0], pieces[2][0]
+        self.assertAlmostEqual(x3 - x0, 3 * (x1 - x0), delta=0.2)
+        self.assertAlmostEqual(x5 - x0, 5 * (x1 - x0), delta=0.2)
+        self.assertAlmostEqual(y3 - y0, y0 - y1, delta=0.2)
+        self.assertAlmostEqual(y5 - y0, (y1 - y0) / 2, delta=0.2)
+        ticks = self.js("return [...document.querySelector('.plot .panels svg').querySelectorAll('text')].map((part) => part.textContent)")
+        self.assertLessEqual({"0.01", "1", "100", "0", "5", "time (s)", "loss"}, set(ticks))
+        self.assertEqual(self.js("return [...document.querySelectorAll('.key span')].map((part) => part.textContent)"),
+                         ["lcp", "marks", "impact", "constant"])
+        label = self.js("return document.querySelector('.plot .panels svg').getAttribute('aria-label')")
+        self.assertEqual(label, "loss against time (s); lcp from (0.00, 1.00) to (5.00, 10.0), marks from (0.00, 3.00) to (0.00, 3.00), "
+                                "impact at 2.00.")
+
+    # A learning curve whose losses were thinned counts its iterations right.
+    def test_learning_curves_count_iterations(self):
+        runs = [{"losses": [3.0, 2.0]}, {"losses": {"every": 500, "items": [4.0, 3.0, 2.0]}}, {}]
+        styles = [{"label": label, "colour": "#123456", "dash": "solid"} for label in ("a", "b", "c")]
+        self.show({"kind": "plot", "plot": "learning_curves", "caption": "c"}, results={"solve": {"runs": runs}}, styles=styles)
+        label = self.js("return document.querySelector('.plot svg').getAttribute('aria-label')")
+        self.assertIn("a from (0.00, 3.00) to (1.00, 2.00), b from (0.00, 4.00) to (1.00e+3, 2.00)", label)
+        self.show({"kind": "plot", "plot": "controls", "caption": "c"}, results={}, styles=styles)
+        self.assertEqual(self.js("return document.querySelectorAll('figure').length"), 0)
 
 
 class Reports(Pages):
@@ -57,15 +133,18 @@ class Reports(Pages):
                 page = os.path.join(folder, "report.html")
                 self.assert_valid(page)
                 self.assert_fits(page)
-                # One figure for each state and one for the guards, and the replay of systems that draw themselves.
-                self.assertEqual(self.js("return document.querySelectorAll('svg').length"), charts + drawn)
-                lines = self.js("return [...document.querySelectorAll('polyline')].map(line => line.getAttribute('points'))")
+                # Of each motion a panel for each state and one for the guards, and the replay of systems that draw themselves.
+                motions = self.js("return [...document.querySelectorAll('h2')].filter((h) => h.textContent.startsWith('Motion')).length")
+                self.assertEqual(self.js("return document.querySelectorAll('.panels svg').length"), motions * charts)
+                self.assertEqual(self.js("return document.querySelectorAll('.replay > svg').length"), motions * drawn)
+                lines = self.js("return [...document.querySelectorAll('.panels g path')].map((line) => line.getAttribute('d'))")
                 self.assertGreater(len(lines), charts - 1)
                 self.assertFalse([line for line in lines if "NaN" in line or "undefined" in line])
-                before = self.js("return document.querySelector('input') ? document.querySelector('g').innerHTML : ''")
-                after = self.js("const slider = document.querySelector('input'); if (!slider) return 'none';"
-                                "slider.value = slider.max / 2; slider.oninput();"
-                                "return document.querySelector('g').innerHTML")
+                if not drawn:
+                    continue
+                before = self.js("return document.querySelector('.replay g').innerHTML")
+                after = self.js("const slider = document.querySelector('.replay input'); slider.value = slider.max / 2;"
+                                "slider.dispatchEvent(new Event('input')); return document.querySelector('.replay g').innerHTML")
                 self.assertNotEqual(before, after)
 
     def test_reports_of_audits_and_sweeps(self):
@@ -83,8 +162,22 @@ class Reports(Pages):
                 self.assertEqual(printed.splitlines()[-1], page)
                 self.assert_valid(page)
                 self.assert_fits(page)
-                self.assertEqual(self.js("return window.saltusReplays ? saltusReplays.length : 0"),
-                                 1 if program == "saltus_audit" else 0)
+                replays = self.js("return saltusReplays.length")
+                self.assertEqual(replays, 1 if program == "saltus_audit" else 0)
+                self.show_first_moment()
+
+    # A step that is wrong is shown by the replay, under its model alone.
+    def show_first_moment(self):
+        shown = self.js("""
+            const button = document.querySelector('button.moment');
+            if (!button) return null;
+            button.click();
+            const [replay] = saltusReplays;
+            return [replay.time, replay.motions.filter(({visible}) => visible).map(({label}) => label), button.parentNode.textContent];""")
+        if shown:
+            time, motions, text = shown
+            self.assertEqual(motions, [text.split(":")[0]])
+            self.assertGreater(time, 0)
 
     def test_reports_of_identifications(self):
         drops = os.path.join(PROBLEMS, "drops")

@@ -133,18 +133,6 @@ TEST(TableTest, MarkdownEscapesMarkupAndAlignsNumbers) {
   EXPECT_THAT(table.ToMarkdown(), HasSubstr("two<br>lines"));
 }
 
-TEST(TableTest, HtmlEscapesAndMarksCells) {
-  const std::string html = Sample().ToHtml();
-  EXPECT_THAT(html, HasSubstr("<th scope=\"col\" class=\"number\">loss</th>"));
-  EXPECT_THAT(html, HasSubstr("<td data-label=\"loss\" class=\"number\">2.059</td>"));
-  EXPECT_THAT(html, HasSubstr("<td data-label=\"verdict\" class=\"good\">match</td>"));
-  EXPECT_THAT(html, HasSubstr("<td data-label=\"verdict\" class=\"bad\">a|b &lt;c&gt;, &quot;d&quot;</td>"));
-  EXPECT_THAT(html, HasSubstr("<td data-label=\"loss\" class=\"number\"></td>"));
-  Table table({{"note"}});
-  table.AddRow({Cell(std::string(41, 'x')).With(Tone::kMuted)});
-  EXPECT_THAT(table.ToHtml(), HasSubstr("<td data-label=\"note\" class=\"muted long key\">xxx"));
-}
-
 TEST(TableTest, CsvQuotesAsRfc4180Asks) {
   EXPECT_EQ(Sample().ToCsv(),
             "contact,loss,steps,verdict\n"

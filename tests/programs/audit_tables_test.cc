@@ -1,7 +1,7 @@
 // Tables of audits that ended early.
-#include "programs/audit_tables.h"
-
 #include <gtest/gtest.h>
+
+#include "programs/audit_output.h"
 
 namespace saltus {
 namespace {

@@ -1,8 +1,7 @@
 // What a displacement before a contact becomes, against what two equal discs do: they exchange it.
-#include "programs/perturbed_flow.h"
-
 #include <gtest/gtest.h>
 
+#include "programs/audit_output.h"
 #include "test_scenes.h"
 
 namespace saltus {

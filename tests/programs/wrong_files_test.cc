@@ -10,10 +10,10 @@
 
 #include "programs/given_gradient.h"
 #include "programs/program.h"
-#include "programs/replay_reader.h"
+#include "programs/replay_file.h"
 #include "programs/saved_solution.h"
-#include "programs/simulated_run.h"
 #include "programs/solve.h"
+#include "programs/solved_run.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 

@@ -98,6 +98,10 @@ class HybridFunctions {
   // event.
   virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
 
+  // Whether modes are created as a motion meets them, and guards depend on the control. Solvers in phases, the search
+  // over event sequences and the certificate do not support such systems.
+  virtual bool CreatesModes() const { return false; }
+
   // Whether the resets themselves end an accumulation of events (Zeno behaviour).
   virtual bool EndsAccumulations() const { return false; }
 

@@ -21,11 +21,19 @@ struct HybridSolverEntry {
 const std::vector<HybridSolverEntry>& HybridSolvers();
 
 // Runs the solver of that name. The report is kNotApplicable with the reason if the name is unknown, the problem or an
-// option is wrong, or the solver cannot take the problem. Of the options those of single shooting are used: iterations,
-// learning_rate, rate_per_time (of a control), keep_iterates, callback and stop.
+// option is wrong, or the solver cannot take the problem.
 //
-// The reason also names what keeps the motion that is found from having a derivative: guards that graze, ties, events
-// at the final time and where the control jumps or nearly so, where the loss has a kink.
+//   gd, ceres_lbfgs, ceres_lm   single shooting on the given grid. Options: iterations, learning_rate, rate_per_time
+//                               (of a control), keep_iterates, callback, stop. The reason also names what keeps the
+//                               motion that is found from having a derivative: guards that graze, ties, events at the
+//                               final time and where the control jumps or nearly so, where the loss has a kink.
+//   ceres_phases                phases between events have free lengths, and their control intervals move with the
+//                               events: SolveReport::durations. It takes constraints and bounds and reports a
+//                               certificate (saltus/optimality/hybrid_certificate.h). Options: iterations (of Ceres, in
+//                               all), callback, stop; with `search` off the sequence of events of the guess is kept.
+//   mode_search                 ceres_phases along neighbouring sequences of events, from several starts. Options:
+//                               iterations (solves), search_options, threads, callback, status and stop. In
+//                               SolveReport::optima an event stands in a sequence as {mode, guard}.
 SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options);
 
 }  // namespace saltus

@@ -38,23 +38,24 @@ class Later final : public HybridFunctions {
                     double* jacobian) const override {
     f_.FlowJacobian(mode, t + by_, x, u, p, xdot, jacobian);
   }
-  double Guard(int mode, int guard, double t, const double* x, const double* p) const override {
-    return f_.Guard(mode, guard, t + by_, x, p);
+  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override {
+    return f_.Guard(mode, guard, t + by_, x, u, p);
   }
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* p,
+  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
                    double* rate) const override {
-    return f_.GuardRate(mode, guard, t + by_, x, xdot, p, rate);
+    return f_.GuardRate(mode, guard, t + by_, x, xdot, u, p, rate);
   }
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* p,
+  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                        double* gradient) const override {
-    return f_.GuardGradient(mode, guard, t + by_, x, p, gradient);
+    return f_.GuardGradient(mode, guard, t + by_, x, u, p, gradient);
   }
-  int Reset(int mode, int guard, double t, const double* x, const double* p, double* x_plus) const override {
-    return f_.Reset(mode, guard, t + by_, x, p, x_plus);
+  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
+            double* x_plus) const override {
+    return f_.Reset(mode, guard, t + by_, x, u, p, x_plus);
   }
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* p, double* x_plus,
+  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
                     double* jacobian) const override {
-    return f_.ResetJacobian(mode, guard, t + by_, x, p, x_plus, jacobian);
+    return f_.ResetJacobian(mode, guard, t + by_, x, u, p, x_plus, jacobian);
   }
 
  private:
@@ -229,6 +230,7 @@ class SchemeRun {
 
 std::string WhyNotAudited(const HybridProblem& problem) {
   if (std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) return wrong;
+  if (!problem.guess.lengths.empty()) return "the control intervals have lengths of their own, expected equal ones";
   bool any = false;
   for (const HybridTerm& term : problem.terms) {
     if (term.role != HybridTerm::Role::kCost)

@@ -10,8 +10,8 @@ namespace {
 using Jet = MechanicalEquations::Jet;
 using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
 
-constexpr double kRedundant = 1e-10;  // pivots of rows that depend on others, of the largest
-constexpr int kMostCorrections = 10;  // of a projection
+constexpr double kDependentRow = 1e-10;  // pivots of rows that depend on others, of the largest
+constexpr int kMostCorrections = 10;     // of a projection
 
 template <typename S>
 std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
@@ -147,7 +147,7 @@ MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<Clos
     if (contact.status != 'S') ++column;
   }
   system.mobile_F = system.mass.solve(system.F);
-  system.contact.emplace(Multiply(system.G, system.mobile_F), kRedundant);
+  system.contact.emplace(Multiply(system.G, system.mobile_F), kDependentRow);
   return system;
 }
 

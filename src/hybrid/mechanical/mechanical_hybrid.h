@@ -126,6 +126,7 @@ class MechanicalHybrid final : public HybridFunctions {
   bool WaitsBehind(int mode, int guard) const override {
     return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
   }
+  bool CreatesModes() const override { return true; }
   bool EndsAccumulations() const override { return true; }
 
  private:

@@ -1,4 +1,4 @@
-// A replay: its controls, keyboard and clock. One for each <figure class="replay">.
+// A replay: its controls, keyboard and clock.
 const STILLS = 6, VALUES_OF_AT_MOST = 12;
 const DRAG = 6;  // pixels: what moves less is a tap
 const OPTIONS = [
@@ -24,10 +24,10 @@ function number(value) {
 }
 
 class Replay {
-  constructor(figure) {
-    const data = JSON.parse(figure.querySelector('script[type="application/json"]').textContent);
+  // In place of an element that is in the page; the data are those of output/replay.h.
+  constructor(place, data) {
     const {discs, walls, outlines, targets} = data;
-    Object.assign(this, {figure, discs, walls, outlines, targets});
+    Object.assign(this, {place, discs, walls, outlines, targets});
     this.motions = data.motions.map((motion) => new Motion(motion, this.discs));
     const most = (value) => Math.max(0, ...this.motions.map(value));
     this.fastest = most((motion) => motion.fastest);
@@ -44,7 +44,7 @@ class Replay {
     };
     this.time = 0;
     this.playing = false;
-    this.build(data.summary);
+    this.build();
     this.view = new View(this.canvas, this);
     this.updateValueRows();
     this.redraw();
@@ -53,9 +53,9 @@ class Replay {
     this.seek(0);
   }
 
-  build(summary) {
+  build() {
     this.canvas = element('canvas', {
-      role: 'img', 'aria-label': summary, tabindex: 0, onpointerdown: (event) => this.grip(event),
+      role: 'img', 'aria-label': this.describe(), tabindex: 0, onpointerdown: (event) => this.grip(event),
       onpointermove: (event) => this.drag(event), onpointerup: () => this.release(true),
       onpointercancel: () => this.release(false),
     });
@@ -85,11 +85,11 @@ class Replay {
     this.values = element('tbody');
     this.valuesPart = element('details', {class: 'values', ontoggle: () => this.updateValues()},
       element('summary', {}, 'Positions and velocities at this time'),
-      element('div', {class: 'scroll', tabindex: 0}, element('table', {class: 'below-40'},
+      element('div', {class: 'scroll', tabindex: 0}, element('table', {},
         element('thead', {}, element('tr', {}, ...VALUES.map((name) => element('th', {scope: 'col'}, name)))), this.values)));
     this.player.append(this.valuesPart);
     this.stills = element('div', {class: 'stills'});
-    this.figure.querySelector('.replay-here').replaceWith(this.player, this.stills);
+    this.place.replaceWith(this.player, this.stills);
   }
 
   buildLegend() {
@@ -97,6 +97,7 @@ class Replay {
     for (const motion of this.motions) {
       const box = element('input', {type: 'checkbox', onchange: () => { motion.visible = box.checked; this.redraw(); }});
       box.checked = motion.visible;
+      motion.box = box;
       const dash = DASHES[motion.dash].join(' ');
       const key = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
       for (const [name, value] of [['width', 30], ['height', 10], ['aria-hidden', 'true']]) key.setAttribute(name, value);
@@ -120,6 +121,29 @@ class Replay {
       group.append(element('label', {}, box, ` ${words}`));
     }
     return group;
+  }
+
+  // What it shows, for those who do not see it.
+  describe() {
+    const named = (list, words) => list.slice(0, 6).map(words).join(', ') + (list.length > 6 ? `, and ${list.length - 6} more` : '');
+    const planes = this.walls.filter(({kind}) => kind === 'half-plane').length;
+    const motions = this.motions.map(({label, end, touches, states}) => {
+      const contacts = named(touches, ({a, b, wall, begin}) => (
+        `contact of ${this.discs[a].name} and ${(wall ? this.walls : this.discs)[b].name} at ${begin.toPrecision(4)} s`));
+      const last = states.length - 4 * this.discs.length, moving = this.discs.map((_, i) => i).filter((i) => !this.discs[i].fixed);
+      const ends = named(moving, (i) => `${this.discs[i].name} at (${states[last + 4 * i].toPrecision(4)}, ${states[last + 4 * i + 1].toPrecision(4)}) m`);
+      return ` ${label}, ${end.toPrecision(4)} s: ${contacts || 'no contact'}${ends && `; at the end ${ends}`}.`;
+    });
+    return `Discs: ${this.discs.length}, walls: ${planes + this.outlines.length}.${motions.join('')}`;
+  }
+
+  // One motion alone at a time, where the reader sees it.
+  show(label, time) {
+    this.pause();
+    for (const motion of this.motions) motion.visible = motion.box.checked = motion.label === label;
+    this.redraw();
+    this.seek(time);
+    this.player.scrollIntoView({block: 'center'});
   }
 
   seek(time) {
@@ -281,15 +305,5 @@ class Replay {
       view.draw(time, {...this.options, apart: false}, width, height);
       this.stills.append(element('div', {}, element('img', {src: canvas.toDataURL(), alt: ''}), `${number(time)} s`));
     }
-  }
-}
-
-window.saltusReplays = [];
-for (const figure of document.querySelectorAll('figure.replay')) {
-  try {
-    window.saltusReplays.push(new Replay(figure));
-  } catch (error) {
-    figure.querySelector('.replay-here, .player').replaceWith(element('p', {role: 'alert'}, `This replay cannot be shown: ${error.message}`));
-    throw error;
   }
 }

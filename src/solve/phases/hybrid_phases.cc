@@ -148,7 +148,7 @@ void HybridPhaseRun::FindScales() {
     }
     for (int guard = 0; guard < system.num_guards(mode); ++guard) {
       double rate = 0;
-      const double value = system.functions().GuardRate(mode, guard, t, x.data(), slope.data(), p, &rate);
+      const double value = system.functions().GuardRate(mode, guard, t, x.data(), slope.data(), nullptr, p, &rate);
       scales_.guard[mode][guard] = std::max({scales_.guard[mode][guard], std::abs(value), time * std::abs(rate)});
     }
   }
@@ -375,6 +375,7 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 }
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
+  if (problem.system.functions().CreatesModes()) return "the system creates its modes as a motion meets them";
   const HybridFree& free = problem.free;
   if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
     return "the problem leaves nothing to optimize";

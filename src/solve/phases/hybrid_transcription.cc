@@ -144,14 +144,15 @@ class GuardRow final : public Rows {
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
     const int n = functions_.layout().state_sizes[mode_], P = functions_.layout().num_parameters;
     const int times = 1 + (P > 0);
-    Eigen::RowVectorXd gradient(n + 1 + P);
+    // Guards of systems that are solved in phases do not depend on the control.
+    Eigen::RowVectorXd gradient(n + 1 + P + functions_.layout().num_controls);
     const double* p = P > 0 ? blocks[1] : nullptr;
     rows[0] = offset_ + factor_ * functions_.GuardGradient(
-                                      mode_, guard_, time_.At(blocks + times), blocks[0], p, gradient.data());
+                                      mode_, guard_, time_.At(blocks + times), blocks[0], nullptr, p, gradient.data());
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
     Put(jacobians, 0, factor_ * gradient.head(n));
-    if (P > 0) Put(jacobians, 1, factor_ * gradient.tail(P));
+    if (P > 0) Put(jacobians, 1, factor_ * gradient.segment(n + 1, P));
     for (int i = 0; i < time_.num_blocks(); ++i) {
       Put(jacobians, times + i, factor_ * time_.By(i) * gradient.segment(n, 1));
     }
@@ -188,6 +189,7 @@ class ResetRows final : public Rows {
                                               event_.guard,
                                               blocks[time][0],
                                               blocks[0],
+                                              nullptr,
                                               P > 0 ? blocks[1] : nullptr,
                                               x_plus.data(),
                                               jacobian.data());
@@ -400,8 +402,8 @@ bool HybridTranscription::Lay(const Start& start) {
     if (event.mode != phase.mode) return false;
     const std::vector<int>& sizes = functions_.layout().state_sizes;
     std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
-    const int next =
-        functions_.Reset(event.mode, event.guard, *End(j), nodes_.back().data(), parameters_.data(), after.data());
+    const int next = functions_.Reset(
+        event.mode, event.guard, *End(j), nodes_.back().data(), nullptr, parameters_.data(), after.data());
     if (next != event.next_mode) return false;
     after.resize(sizes[next]);
     nodes_.push_back(std::move(after));
@@ -618,7 +620,7 @@ std::vector<double> HybridTranscription::CutSpeeds() const {
     slope.resize(x.size());
     functions_.Flow(event.mode, t, x.data(), controls_[control].data(), parameters_.data(), slope.data());
     double rate = 0;
-    functions_.GuardRate(event.mode, event.guard, t, x.data(), slope.data(), parameters_.data(), &rate);
+    functions_.GuardRate(event.mode, event.guard, t, x.data(), slope.data(), nullptr, parameters_.data(), &rate);
     speeds.push_back(rate * problem_.guess.duration / scales_.guard[event.mode][event.guard]);
   }
   return speeds;

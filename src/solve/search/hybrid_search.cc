@@ -158,7 +158,7 @@ class HybridSearch {
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
         const int next =
-            system.functions().Reset(mode, guard, 0, x.data(), problem_.guess.parameters.data(), after.data());
+            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }

@@ -1,0 +1,115 @@
+// The document of a hybrid system's program (programs/hybrid_document.h) as parts of a page.
+const HYBRID_COLOURS = ['#2f81f7', '#d9730d', '#2da44e', '#a475f9', '#db61a2', '#b08800'];
+
+const shown = (value, digits = 10) => (
+  typeof value === 'number' ? String(Number(value.toPrecision(digits))) : value === null || value === undefined ? '' : String(value));
+
+// Without columns that are empty.
+function hybridTable(heads, rows) {
+  const kept = heads.map((_, j) => j).filter((j) => j === 0 || rows.some((row) => shown(row[j]) !== ''));
+  const columns = kept.map((j) => ({header: heads[j], number: rows.every((row) => typeof row[j] === 'number')}));
+  return {keys: 1, columns, rows: rows.map((row) => kept.map((j) => shown(row[j])))};
+}
+
+// One number of the samples in a motion over time, by its name; interrupted at events and where its mode has no such number.
+function hybridCurves(motion, key, namesOf) {
+  const curves = new Map();
+  motion.times.forEach((time, k) => {
+    const jumps = k > 0 && motion.times[k - 1] === time;
+    namesOf(motion.modes[k]).forEach((name, i) => {
+      if (!curves.has(name)) curves.set(name, {...seriesOf(name, {colour: HYBRID_COLOURS[curves.size % 6], dash: 'solid'}, [], []), last: k});
+      const curve = curves.get(name);
+      if (jumps || curve.last < k - 1) { curve.x.push(time); curve.y.push(null); }
+      curve.x.push(time);
+      curve.y.push(motion[key][k][i]);
+      curve.last = k;
+    });
+  });
+  return [...curves.values()];
+}
+
+function hybridFigure({system}, motion) {
+  const modeOf = (name) => system.modes.find((mode) => mode.name === name);
+  const events = motion.events.map(({time}) => ({value: time, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+  const states = hybridCurves(motion, 'states', (mode) => modeOf(mode).states).map((curve) => (
+    panelOf(curve.label, {label: 'time'}, {label: curve.label}, [{...curve, label: ''}], events)));
+  const guards = hybridCurves(motion, 'guards', (mode) => modeOf(mode).guards);
+  return {panels: guards.length === 0 ? states : [...states, panelOf('guards', {label: 'time'}, {label: 'guard'}, guards, events)]};
+}
+
+// Lines and circles of each sample, played over time.
+function hybridReplay(motion) {
+  const xs = [], ys = [];
+  for (const {lines, circles} of motion.frames) {
+    for (const [a, b, c, d] of lines) { xs.push(a, c); ys.push(b, d); }
+    for (const [x, y, r] of circles) { xs.push(x - r, x + r); ys.push(y - r, y + r); }
+  }
+  const least = (list) => list.reduce((l, r) => Math.min(l, r), Infinity), most = (list) => list.reduce((l, r) => Math.max(l, r), -Infinity);
+  const [x0, y0, width, height] = [least(xs), least(ys), most(xs) - least(xs), most(ys) - least(ys)];
+  const size = Math.max(width, height) || 1, margin = 0.05 * size, end = motion.times.at(-1) || 1;
+  const drawing = svg('g', {transform: 'scale(1 -1)', stroke: '#24292f', fill: 'none', 'stroke-width': 0.006 * size});
+  const picture = svg('svg', {viewBox: `${x0 - margin} ${-y0 - height - margin} ${width + 2 * margin} ${height + 2 * margin}`, role: 'img',
+    'aria-label': 'replay of the motion', style: 'max-height: 60vh'}, drawing);
+  const button = element('button', {type: 'button', onclick: () => toggle()}, 'Play'), clock = element('output', {class: 'clock'});
+  const slider = element('input', {type: 'range', min: 0, max: end, step: end / 1000, value: 0, 'aria-label': 'time',
+    oninput: () => draw(Number(slider.value))});
+  let running = false, now = 0, before = 0;
+  function draw(time) {
+    now = Math.min(time, end);
+    const next = motion.times.findIndex((at) => at > now), k = next < 0 ? motion.times.length - 1 : Math.max(next - 1, 0);
+    drawing.replaceChildren(...motion.frames[k].lines.map(([x1, y1, x2, y2]) => svg('line', {x1, y1, x2, y2})),
+      ...motion.frames[k].circles.map(([cx, cy, r]) => svg('circle', {cx, cy, r})));
+    slider.value = now;
+    clock.value = `${now.toFixed(3)}, mode ${motion.modes[k]}`;
+  }
+  function advance(at) {
+    if (!running) return;
+    draw(now + (at - before) / 1000);
+    before = at;
+    if (now >= end) toggle();
+    else requestAnimationFrame(advance);
+  }
+  function toggle() {
+    running = !running;
+    button.textContent = running ? 'Pause' : 'Play';
+    if (running && now >= end) draw(0);
+    before = performance.now();
+    if (running) requestAnimationFrame(advance);
+  }
+  draw(0);
+  return element('div', {class: 'replay plot'}, picture, element('div', {class: 'buttons'}, button, clock), element('div', {class: 'line'}, slider));
+}
+
+function hybridParts(data) {
+  const {system, runs, motion, guess, gradient, audits} = data, parts = [];
+  const heading = (text) => parts.push({kind: 'heading', text});
+  const table = (caption, heads, rows) => parts.push({kind: 'table', caption, table: hybridTable(heads, rows)});
+  parts.push({kind: 'text', text: `${system.modes.length} modes; loss of the initial guess: ${shown(data.loss) || data.failed}`});
+  if (runs.length > 0) {
+    heading('Solvers');
+    table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'iterations', 'termination', 'certificate', 'remark'],
+      runs.map((run) => [run.solver, run.initial_loss, run.final_loss, run.iterations, run.termination, run.certificate?.verdict, run.reason]));
+  }
+  for (const [name, one] of [...runs.filter((run) => run.motion).map((run) => [run.solver, run.motion]), ['initial guess', motion]]) {
+    heading(`Motion: ${name}`);
+    if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});
+    if (one.remark) parts.push({kind: 'text', text: one.remark});
+    if (one.frames) parts.push({kind: 'element', element: hybridReplay(one), caption: 'The motion over time.'});
+    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one), caption: 'States and guards over time. Dotted: events.'});
+    table('Events.', ['event', 'time', 'mode', 'guard', 'next mode'], one.events.map((event, i) => [i + 1, event.time, event.mode, event.guard, event.next_mode]));
+  }
+  if (gradient) {
+    heading('Gradient of the loss at the initial guess');
+    const states = system.modes.find((mode) => mode.name === guess.mode).states;
+    table('Derivatives of the loss.', ['variable', 'value', 'derivative'], [
+      ...states.map((name, i) => [`${name} at the start`, guess.initial[i], gradient.initial[i]]),
+      ...system.parameters.map((name, i) => [name, guess.parameters[i], gradient.parameters[i]]),
+      ['duration', guess.duration, gradient.duration]]);
+  }
+  if (audits) {
+    heading('Audit of time-stepping schemes');
+    table('Verdicts on the gradients of the schemes.', ['scheme', 'verdict', 'steps', 'loss', 'exact loss', 'order', 'reason'],
+      audits.map((audit) => [audit.scheme, audit.verdict, audit.steps, audit.loss, audit.exact_loss, audit.order, audit.reason]));
+  }
+  return parts;
+}

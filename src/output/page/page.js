@@ -1,0 +1,118 @@
+// Draws the document of a page (output/page.h): its parts in their order, and the contents.
+const TALL_TABLE = 40, LONG_TEXT = 40, SHORT_NAME = 16;
+
+// Text in which `words between backquotes` are code; a backquote without a partner stays one.
+function inline(text) {
+  const pieces = text.split('`');
+  if (pieces.length % 2 === 0) pieces.push([pieces.pop(), pieces.pop()].reverse().join('`'));
+  return pieces.map((piece, i) => (i % 2 === 1 ? element('code', {}, piece) : piece));
+}
+
+// Long names break behind an underscore, not anywhere.
+function breakable(name) {
+  if (name.length <= SHORT_NAME) return [name];
+  return name.split(/(?<=_)/).flatMap((piece, i) => (i > 0 ? [element('wbr'), piece] : [piece]));
+}
+
+function drawTable({keys, columns, rows}) {
+  const classes = (column, more) => [columns[column].number && 'number', column < keys && 'key', ...more].filter(Boolean).join(' ');
+  const head = columns.map(({header}, j) => element('th', {scope: 'col', class: classes(j, [])}, header));
+  const body = rows.map((row) => element('tr', {}, ...row.map((cell, j) => {
+    const [text, tone] = Array.isArray(cell) ? cell : [cell];
+    const long = text.split('\n').some((line) => line.length > LONG_TEXT);
+    return element('td', {'data-label': columns[j].header, class: classes(j, [tone, long && 'long'])},
+      ...(j < keys ? breakable(text) : [text]));
+  })));
+  const table = element('table', {}, element('thead', {}, element('tr', {}, ...head)), element('tbody', {}, ...body));
+  return element('div', {class: rows.length > TALL_TABLE ? 'scroll tall' : 'scroll', tabindex: 0}, table);
+}
+
+class Page {
+  constructor(data) {
+    this.data = data;
+    this.main = document.querySelector('main');
+    this.numbers = {Table: 0, Figure: 0};
+    this.sections = [];
+    this.replays = [];
+    document.title = data.title;
+    const subtitle = data.subtitle ? [element('p', {class: 'subtitle'}, ...inline(data.subtitle))] : [];
+    this.main.replaceChildren(element('header', {}, element('h1', {}, data.title), ...subtitle));
+    for (const part of data.parts) {
+      try {
+        this[part.kind](part);
+      } catch (error) {
+        this.main.append(element('p', {role: 'alert'}, `A part of this page cannot be shown: ${error.message}`));
+        console.error(error);
+      }
+    }
+    if (this.sections.length === 0) return;
+    const contents = this.sections.map(({id, text}) => element('li', {}, element('a', {href: `#${id}`}, text)));
+    this.main.before(element('nav', {'aria-label': 'Contents'},
+      element('details', {open: ''}, element('summary', {}, 'Contents'), element('ol', {}, ...contents))));
+  }
+
+  // The number makes equal headings distinct.
+  heading({text}) {
+    const id = `s${this.sections.length + 1}-${text.toLowerCase().replace(/[^a-z0-9]+/g, '-')}`;
+    this.sections.push({id, text});
+    this.main.append(element('h2', {id}, element('a', {href: `#${id}`}, ...inline(text))));
+  }
+
+  text({text}) { this.main.append(element('p', {}, ...inline(text))); }
+
+  code({text}) { this.main.append(element('pre', {}, text)); }
+
+  // Items are texts; those with a time show it in the replay.
+  list({items}) {
+    this.main.append(element('ul', {}, ...items.map(({text, motion, time}) => {
+      const show = () => this.replays[0].show(motion, time);
+      const button = time === undefined ? [] : [element('button', {type: 'button', class: 'moment', onclick: show}, 'show')];
+      return element('li', {}, ...inline(text), ...button);
+    })));
+  }
+
+  tiles({tiles}) {
+    this.main.append(element('dl', {class: 'tiles'}, ...tiles.map(({value, label, tone}) => (
+      element('div', {class: `tile ${tone}`}, element('dt', {}, ...inline(label)), element('dd', {}, value))))));
+  }
+
+  links({files}) {
+    this.main.append(element('p', {class: 'links'}, ...files.flatMap((file) => [element('a', {href: `./${encodeURI(file)}`}, file), ' '])));
+  }
+
+  table({table, caption, notes, folded}) {
+    const after = notes ? [element('ol', {class: 'notes'}, ...notes.map((note) => element('li', {}, ...inline(note))))] : [];
+    this.numbered('Table', caption, folded, drawTable(table), ...after);
+  }
+
+  figure({figure, caption}) { this.numbered('Figure', caption, false, drawFigure(figure)); }
+
+  element(part) { this.numbered('Figure', part.caption, false, part.element); }
+
+  // A figure of the results, if there is anything to draw.
+  plot({plot, caption}) {
+    const figure = PLOTS[plot](this.data, this.replays[0]);
+    if (figure) this.figure({figure, caption});
+  }
+
+  replay({replay, caption}) {
+    const place = element('div'), figure = this.numbered('Figure', caption, false, place);
+    figure.classList.add('replay');
+    this.replays.push(new Replay(place, replay));
+  }
+
+  // Captions stand where they are read first: above a table, which may be long, and below a figure.
+  numbered(kind, caption, folded, ...content) {
+    const label = `${kind} ${++this.numbers[kind]}`, text = [element('b', {}, `${label}.`), ' ', ...inline(caption)];
+    const figure = element('figure', {id: label.toLowerCase().replace(' ', '-')});
+    if (folded) figure.append(element('details', {}, element('summary', {}, ...text), ...content));
+    else if (kind === 'Table') figure.append(element('figcaption', {}, ...text), ...content);
+    else figure.append(...content, element('figcaption', {}, ...text));
+    this.main.append(figure);
+    return figure;
+  }
+}
+
+const held = JSON.parse(document.getElementById('document').textContent);
+const shownDocument = held.parts ? held : {title: held.program, subtitle: '', parts: hybridParts(held), results: held};
+window.saltusReplays = new Page(shownDocument).replays;

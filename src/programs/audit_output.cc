@@ -1,0 +1,902 @@
+#include "programs/audit_output.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <tuple>
+
+#include "base/interrupt.h"
+#include "programs/audit.h"
+#include "programs/program.h"
+#include "programs/scene_drawing.h"
+#include "programs/surrogate_flags.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/registry.h"
+
+namespace saltus {
+
+// ---- Tables
+
+namespace {
+
+// One column a component, named as a derivative of the loss: position and velocity of every disc that moves, and the
+// first force on every controlled disc, and the first torque.
+std::vector<Column> GradientColumns(const Scene& scene) {
+  std::vector<Column> columns = {{"contact"}, {"loss", 8}};
+  for (const char* quantity : {"p", "v"}) {
+    for (const Body& body : scene.bodies) {
+      if (body.fixed) continue;
+      for (const char* axis : {"x", "y"})
+        columns.push_back({"d/d" + std::string(quantity) + axis + " " + body.name, 5});
+    }
+  }
+  for (int body : scene.control.bodies) {
+    for (const char* axis : {"x", "y"})
+      columns.push_back({"d/du" + std::string(axis) + "[0] " + scene.bodies[body].name, 5});
+  }
+  for (int body : scene.control.turned) columns.push_back({"d/dtorque[0] " + scene.bodies[body].name, 5});
+  columns.push_back({"rel. error", 3});
+  columns.push_back({"angle, rad", 3});
+  return columns;
+}
+
+// The cells of those columns, from derivatives by the initial state (B x 4) and the control.
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell loss,
+                              const std::vector<double>& initial, const std::vector<double>& control) {
+  std::vector<Cell> row = {name, std::move(loss)};
+  for (int offset : {0, 2}) {
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      if (scene.bodies[i].fixed) continue;
+      for (int j = 0; j < 2; ++j) row.emplace_back(initial[4 * i + offset + j]);
+    }
+  }
+  for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
+  for (int t = 0; t < scene.num_turned(); ++t) {
+    row.emplace_back(control[scene.TurnIndex(0, t)] / scene.bodies[scene.control.turned[t]].radius);
+  }
+  return row;
+}
+
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const ModelGradient& gradient) {
+  return GradientRow(scene, name, gradient.loss, gradient.gradient.initial, gradient.gradient.control);
+}
+
+// "consistent, order 0.98" or "wrong, error 0.89": the number that the verdict rests on.
+Cell VerdictCell(const QuantityStudy* study) {
+  const bool failed = study != nullptr && study->levels.empty();  // in its first rollout
+  if (study == nullptr || failed || !study->IsJudged()) return {};
+  char text[64];
+  const char* verdict = VerdictToString(study->verdict);
+  if (study->verdict == Verdict::kConsistent) {
+    std::snprintf(text, sizeof text, "%s, order %.2f", verdict, study->order);
+  } else if (study->verdict == Verdict::kRight) {
+    std::snprintf(text, sizeof text, "%s", verdict);
+  } else {
+    std::snprintf(text, sizeof text, "%s, error %.2g", verdict, study->decisive);
+  }
+  return Cell(text).With(ToneOf(study->verdict));
+}
+
+}  // namespace
+
+Tone ToneOf(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kRight:
+    case Verdict::kConsistent:
+      return Tone::kGood;
+    case Verdict::kWrong:
+    case Verdict::kWrongSign:
+      return Tone::kBad;
+    case Verdict::kBiased:
+    case Verdict::kIllConditioned:
+    case Verdict::kAmbiguous:
+    case Verdict::kOneSided:
+      return Tone::kWarning;
+    case Verdict::kNotApplicable:
+    case Verdict::kUnknown:
+      break;
+  }
+  return Tone::kMuted;
+}
+
+Table GradientTable(const Request& request, const AuditReport& report) {
+  Table table(GradientColumns(request.scene));
+  const auto add = [&](std::vector<Cell> row, const std::optional<GradientError>& error) {
+    row.push_back(error ? Cell(error->relative) : Cell());
+    row.push_back(error ? Cell(error->angle) : Cell());
+    table.AddRow(std::move(row));
+  };
+  if (report.reference) {
+    const bool one = report.reference->ambiguous.empty();
+    const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
+    add(GradientRow(request.scene, name, *report.reference), std::nullopt);
+  }
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.gradient.ok()) continue;
+    const ModelGradient& gradient = audit.gradient;
+    add(GradientRow(request.scene, LabelOf(gradient.contact, gradient.surrogate), gradient), audit.error);
+    if (gradient.initial_error.empty()) continue;
+    add(GradientRow(request.scene, "  standard error", {}, gradient.initial_error, gradient.control_error),
+        std::nullopt);
+  }
+  return table;
+}
+
+Table VerdictTable(const AuditReport& report) {
+  Table table({{"contact"},
+               {"verdict"},
+               {"class"},
+               {"by position"},
+               {"by velocity"},
+               {"by control"},
+               {"first wrong step"},
+               {"of"},
+               {"wrong in"},
+               {"why"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.gradient.ok()) continue;
+    std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
+                             Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
+                             audit.recognition ? Cell(ContactClassToString(audit.recognition->contact_class)) : Cell()};
+    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+      row.push_back(VerdictCell(audit.refinement ? audit.refinement->Find(quantity) : nullptr));
+    }
+    if (const ContactError* first = audit.FirstWrong()) {
+      row.insert(row.end(), {Cell(first->first_step), first->a + " - " + first->b, BlockToString(first->block)});
+    } else {
+      row.insert(row.end(), 3, Cell());
+    }
+    row.emplace_back(audit.Why());
+    table.AddRow(std::move(row));
+  }
+  return table;
+}
+
+Table EntryTable(const Scene& scene, const AuditReport& report) {
+  Table table({{"contact"}, {"quantity"}, {"entry"}, {"exact"}, {"own steps"}, {"converges to"}, {"wrong sign"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement || !audit.refinement->ok()) continue;
+    const int intervals = audit.refinement->intervals;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
+      // The scene's own steps need not be a multiple of the intervals of control.
+      std::vector<double> own;
+      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
+        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        const bool flips =
+            std::find(study.wrong_signs.begin(), study.wrong_signs.end(), names[i]) != study.wrong_signs.end();
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      names[i],
+                      study.exact[i],
+                      own.empty() ? Cell() : Cell(own[i]),
+                      study.finest[i],
+                      flips ? "yes" : "no"});
+      }
+    }
+  }
+  return table;
+}
+
+Table SurrogateTable(const Scene& scene, const AuditReport& report) {
+  Table table(
+      {{"contact"}, {"surrogate"}, {"biased"}, {"quantity"}, {"entry"}, {"value"}, {"standard error"}, {"exact"}});
+  for (const ModelAudit& audit : report.models) {
+    const ModelGradient& gradient = audit.gradient;
+    if (!gradient.ok() || !gradient.surrogate) continue;
+    ModelGradient error = gradient;
+    error.gradient.initial = gradient.initial_error;
+    error.gradient.control = gradient.control_error;
+    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+      if (quantity == Quantity::kControl && scene.num_controlled() == 0) continue;
+      const int intervals = gradient.num_steps;
+      const std::vector<std::string> names = EntryNames(scene, quantity, intervals);
+      const std::vector<double> values = EntriesOf(scene, gradient, quantity, intervals);
+      std::vector<double> errors, exact;
+      if (!gradient.initial_error.empty()) errors = EntriesOf(scene, error, quantity, intervals);
+      if (report.reference && report.reference->num_steps % intervals == 0) {
+        exact = EntriesOf(scene, *report.reference, quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        table.AddRow({gradient.contact,
+                      SurrogateToString(gradient.surrogate->kind),
+                      "yes",
+                      QuantityToString(quantity),
+                      names[i],
+                      values[i],
+                      errors.empty() ? Cell() : Cell(errors[i]),
+                      exact.empty() ? Cell() : Cell(exact[i])});
+      }
+    }
+  }
+  return table;
+}
+
+Table RefinementTable(const AuditReport& report) {
+  Table table({{"contact"}, {"quantity"}, {"verdict"}, {"order"}, {"steps"}, {"error"}, {"smallest"}, {"largest"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement) continue;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      for (const RefinementLevel& level : study.levels) {
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      VerdictToString(study.verdict),
+                      study.order,
+                      level.steps,
+                      level.error,
+                      level.smallest,
+                      level.largest});
+      }
+    }
+  }
+  return table;
+}
+
+Table BlackBoxTable(const AuditReport& report) {
+  Table table({{"simulator"},
+               {"reports"},
+               {"bits"},
+               {"motion"},
+               {"e", 3},
+               {"keep", 3},
+               {"feed", 3},
+               {"e, finer", 3},
+               {"keep, finer", 3},
+               {"feed, finer", 3},
+               {"gradient"}});
+  const auto add = [](const std::optional<BlackBoxFindings::HeadOn>& impact, std::vector<Cell>* row) {
+    for (const auto member :
+         {&BlackBoxFindings::HeadOn::e, &BlackBoxFindings::HeadOn::keep, &BlackBoxFindings::HeadOn::feed}) {
+      row->push_back(impact ? Cell((*impact).*member) : Cell());
+    }
+  };
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.black_box || !audit.gradient.ok()) continue;
+    const BlackBoxFindings& found = *audit.black_box;
+    std::vector<Cell> row = {audit.gradient.contact, found.says, found.precision_found, MotionToString(found.motion)};
+    add(found.head_on, &row);
+    add(found.finer, &row);
+    row.emplace_back(found.own_gradient ? "its own" : "differences");
+    table.AddRow(std::move(row));
+  }
+  return table;
+}
+
+Table PlateauTable(const AuditReport& report) {
+  Table table(
+      {{"contact"}, {"entry"}, {"gradient", 5}, {"narrow differences", 5}, {"wide differences", 5}, {"finding"}});
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.widths) continue;
+    for (const WidthSweep& sweep : audit.widths->sweeps) {
+      const bool against = sweep.finding == WidthFinding::kOnlyOfItsSteps || sweep.finding == WidthFinding::kOfNeither;
+      const Tone tone = against ? Tone::kBad : sweep.finding == WidthFinding::kNothing ? Tone::kGood : Tone::kMuted;
+      table.AddRow({audit.gradient.contact,
+                    sweep.entry,
+                    sweep.gradient,
+                    sweep.narrow,
+                    sweep.wide,
+                    Cell(WidthFindingToString(sweep.finding)).With(tone)});
+    }
+  }
+  return table;
+}
+
+Table GivenTable(const std::vector<GivenEntry>& entries) {
+  Table table({{"entry"}, {"given", 5}, {"exact", 9}, {"verdict"}});
+  for (const GivenEntry& entry : entries) {
+    table.AddRow(
+        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
+  }
+  return table;
+}
+
+// ---- JSON, under the keys that the reference documents
+
+namespace {
+
+constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
+
+// Room for all keys that an object will have. One that has to grow copies what it holds, its keys being constant: of a
+// long horizon, gradients of millions of numbers.
+void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
+
+// After an interrupt without a long derivative by the control, whose text alone takes a second for each million steps.
+Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
+  if (gradient.control.size() <= kMostAfterInterrupt || !InterruptGuard::Interrupted()) {
+    return GradientToJson(scene, gradient);
+  }
+  Json item = GradientToJson(scene, {.initial = gradient.initial, .control = {}, .parameters = gradient.parameters});
+  item["control"] = nullptr;
+  return item;
+}
+
+Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
+  Json quantities = Json::array();
+  for (const QuantityStudy& quantity : study.quantities) {
+    std::vector<double> steps, errors;
+    for (const RefinementLevel& level : quantity.levels) {
+      steps.push_back(level.steps);
+      errors.push_back(level.error);
+    }
+    quantities.push_back({{"quantity", QuantityToString(quantity.quantity)},
+                          {"verdict", VerdictToString(quantity.verdict)},
+                          {"order", NumberToJson(quantity.order)},
+                          {"steps", NumbersToJson(steps)},
+                          {"error", NumbersToJson(errors)},
+                          {"entries", EntryNames(scene, quantity.quantity, study.intervals)},
+                          {"exact", NumbersToJson(quantity.exact)},
+                          {"converges_to", NumbersToJson(quantity.finest)},
+                          {"one_sided", quantity.one_sided},
+                          {"wrong_signs", quantity.wrong_signs}});
+  }
+  return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
+}
+
+Json ContactsToJson(const Attribution& attribution) {
+  Json contacts = Json::array();
+  for (const ContactError& error : attribution.contacts) {
+    contacts.push_back({{"first_step", error.first_step},
+                        {"last_step", error.last_step},
+                        {"a", error.a},
+                        {"b", error.b},
+                        {"exact_impacts", error.exact_impacts},
+                        {"error", NumberToJson(error.error)},
+                        {"stays", error.stays},
+                        {"block", BlockToString(error.block)},
+                        {"why", error.why}});
+  }
+  return contacts;
+}
+
+Json RecognitionToJson(const ContactRecognition& found) {
+  Json evidence = {{"restitution", NumberToJson(found.restitution)}, {"words", found.words}};
+  if (found.step >= 0) {
+    evidence["step"] = found.step;
+    evidence["bodies"] = {found.a, found.b};
+  }
+  const auto add = [&](const char* key, const std::optional<double>& value) {
+    if (value) evidence[key] = NumberToJson(*value);
+  };
+  add("rebound", found.rebound);
+  add("finer_rebound", found.finer_rebound);
+  add("concentration", found.concentration);
+  add("finer_concentration", found.finer_concentration);
+  add("onset_order", found.onset_order);
+  add("position_from_position", found.position_from_position);
+  add("velocity_from_position", found.velocity_from_position);
+  return evidence;
+}
+
+Json WidthsToJson(const WidthSweepStudy& study) {
+  Json sweeps = Json::array();
+  for (const WidthSweep& sweep : study.sweeps) {
+    sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
+                      {"entry", sweep.entry},
+                      {"gradient", NumberToJson(sweep.gradient)},
+                      {"narrow", NumberToJson(sweep.narrow)},
+                      {"wide", NumberToJson(sweep.wide)},
+                      {"finding", WidthFindingToString(sweep.finding)},
+                      {"grid_width", NumberToJson(sweep.grid_width)},
+                      {"widths", NumbersToJson(sweep.widths)},
+                      {"slopes", NumbersToJson(sweep.slopes)}});
+  }
+  return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
+}
+
+void AddBlackBox(const BlackBoxFindings& found, Json* item) {
+  Json& to = *item;
+  to["black_box"] = true;
+  if (!found.says.empty()) to["says"] = found.says;
+  if (found.precision_found > 0) to["precision_found"] = found.precision_found;
+  if (found.precision_found > 0) to["own_gradient"] = found.own_gradient;
+  if (found.motion != BlackBoxFindings::Motion::kUnknown) to["motion"] = MotionToString(found.motion);
+  const auto add = [](const BlackBoxFindings::HeadOn& impact, Json* measured) {
+    (*measured)["e"] = NumberToJson(impact.e);
+    (*measured)["keep"] = NumberToJson(impact.keep);
+    (*measured)["feed"] = NumberToJson(impact.feed);
+  };
+  if (found.head_on) add(*found.head_on, item);
+  if (found.finer) add(*found.finer, &to["finer"]);
+  if (!found.levels.empty()) {
+    std::vector<double> steps, errors;
+    for (const RefinementLevel& level : found.levels) {
+      steps.push_back(level.steps);
+      errors.push_back(level.error);
+    }
+    to["loss_error"] = {{"steps", NumbersToJson(steps)}, {"error", NumbersToJson(errors)}};
+  }
+  if (!found.remarks.empty()) to["findings"] = found.remarks;
+}
+
+Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
+  Json item = {{"contact", audit.gradient.contact}};
+  MakeRoom(&item);
+  if (audit.black_box) AddBlackBox(*audit.black_box, &item);
+  AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
+  if (!audit.gradient.ok()) {
+    item["termination"] = audit.interrupted               ? "interrupted"
+                          : IsNotApplicable(audit, scene) ? "not_applicable"
+                                                          : "failed";
+    item["reason"] = audit.gradient.reason;
+    return item;
+  }
+  if (audit.interrupted) item["termination"] = "interrupted";
+  item["loss"] = NumberToJson(audit.gradient.loss);
+  item["gradient"] = DerivativesToJson(scene, audit.gradient.gradient);
+  if (!audit.gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, audit.gradient.one_sided);
+  if (!audit.gradient.initial_error.empty()) {
+    item["standard_error"] = {{"position", VectorsToJson(scene, audit.gradient.initial_error, 0)},
+                              {"velocity", VectorsToJson(scene, audit.gradient.initial_error, 2)},
+                              {"control", ControlGradientToJson(scene, audit.gradient.control_error)}};
+  }
+  if (audit.error) {
+    item["relative_error"] = NumberToJson(audit.error->relative);
+    item["angle"] = NumberToJson(audit.error->angle);
+    if (audit.error->in_standard_errors) {
+      item["error_in_standard_errors"] = NumberToJson(*audit.error->in_standard_errors);
+    }
+  }
+  item["verdict"] = VerdictToString(audit.verdict);
+  if (audit.refinement && audit.refinement->conditioning) {
+    item["condition"] = NumberToJson(audit.refinement->conditioning->condition);
+    item["rounding"] = NumberToJson(audit.refinement->conditioning->rounding);
+  }
+  if (audit.own && audit.own->agreement != Agreement::kUndecided) {
+    item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
+  }
+  AddTies(audit.ambiguous, audit.spread, &item);
+  if (audit.recognition) {
+    item["class"] = ContactClassToString(audit.recognition->contact_class);
+    item["class_evidence"] = RecognitionToJson(*audit.recognition);
+  }
+  if (const ContactError* first = audit.FirstWrong()) {
+    item["first_wrong_step"] = first->first_step;
+    item["first_wrong_contact"] = {first->a, first->b};
+    item["block"] = BlockToString(first->block);
+  }
+  if (const std::string why = audit.Why(); !why.empty()) item["why"] = why;
+  if (audit.refinement && audit.refinement->ok()) item["refinement"] = RefinementToJson(scene, *audit.refinement);
+  if (audit.attribution && audit.attribution->ok()) {
+    item["contacts"] = ContactsToJson(*audit.attribution);
+    item["sequence"] = audit.attribution->sequence;
+    if (!audit.attribution->limit.empty()) item["attribution_limit"] = audit.attribution->limit;
+  }
+  if (audit.widths && audit.widths->ok()) item["width_sweep"] = WidthsToJson(*audit.widths);
+  return item;
+}
+
+}  // namespace
+
+bool IsNotApplicable(const ModelAudit& audit, const Scene& scene) {
+  return audit.black_box ? audit.black_box->refused : IsNotApplicable(audit.gradient, scene);
+}
+
+bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
+  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
+  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
+}
+
+Json AuditToJson(const Request& request, const AuditReport& report) {
+  Json document = {{"scene", request.scene.name},
+                   {"steps", request.scene.steps},
+                   {"precision", request.precision == Precision::kFloat ? "float" : "double"}};
+  MakeRoom(&document);
+  if (report.reference) {
+    Json& reference =
+        document["reference"] = {{"contact", report.reference->contact}, {"loss", report.reference->loss}};
+    MakeRoom(&reference);
+    reference["gradient"] = DerivativesToJson(request.scene, report.reference->gradient);
+    reference["events"] = EventsToJson(report.reference->events);
+    AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
+  }
+  if (report.reference && !report.reference->one_sided.empty()) {
+    document["reference"]["one_sided"] = OneSidedToJson(request.scene, report.reference->one_sided);
+  }
+  Json audits = Json::array();
+  for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));
+  document["audits"] = std::move(audits);
+  const bool interrupted = report.models.size() < request.contacts.size() ||
+                           std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) {
+                             return audit.interrupted;
+                           });
+  if (interrupted) document["interrupted"] = true;
+  return document;
+}
+
+// ---- Files
+
+namespace {
+
+constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl};
+
+// Errors of right gradients are rounding; below this line of the figure they would squeeze all others.
+constexpr double kLowestError = 1e-7;
+
+Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity quantity) {
+  Panel panel;
+  panel.title = std::string("by ") + QuantityToString(quantity);
+  panel.x.label = "time step (s)";
+  panel.y.label = "relative error of the gradient";
+  panel.x.log = panel.y.log = true;
+  double highest = 1;
+  for (const ModelAudit& audit : report.models) {
+    const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
+    if (study == nullptr) continue;
+    std::vector<double> x, y;
+    for (const RefinementLevel& level : study->levels) {
+      x.push_back(scene.duration / level.steps);
+      y.push_back(level.error);
+      highest = std::max(highest, level.error);
+    }
+    Series series = Series::ForModel(audit.gradient.contact, x, y);
+    // One label a model, whatever the panel.
+    const QuantityStudy* named = audit.refinement->Find(Quantity::kPosition);
+    char order[32];
+    std::snprintf(order, sizeof order, " (%.1f)", std::abs(named->order) < 0.05 ? 0.0 : named->order);
+    series.label += named->verdict == Verdict::kRight ? " (right)" : order;
+    panel.series.push_back(std::move(series));
+  }
+  panel.y.min = kLowestError;
+  panel.y.max = 2 * highest;
+  panel.reference_lines.push_back({.value = RefinementOptions().tolerance, .label = "right"});
+  return panel;
+}
+
+// The entry of a quantity in which gradient and wide differences of any model are farthest apart; -1 without sweeps.
+int TellingEntry(const AuditReport& report, Quantity quantity) {
+  int telling = -1;
+  double largest = -1;
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.widths) continue;
+    for (size_t i = 0; i < audit.widths->sweeps.size(); ++i) {
+      const WidthSweep& sweep = audit.widths->sweeps[i];
+      if (sweep.quantity != quantity) continue;
+      const double miss = std::abs(sweep.gradient - sweep.wide);
+      if (sweep.finding == WidthFinding::kUndecided || miss <= largest) continue;
+      largest = miss;
+      telling = static_cast<int>(i);
+    }
+  }
+  return telling;
+}
+
+// The exact derivative along the direction of a sweep.
+std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, const WidthSweep& sweep) {
+  if (!report.reference) return std::nullopt;
+  if (sweep.quantity == Quantity::kControl) {
+    const std::vector<double> sums = EntriesOf(scene, *report.reference, Quantity::kControl, 1);
+    const std::vector<std::string> names = EntryNames(scene, Quantity::kControl, 1);
+    for (size_t i = 0; i < names.size(); ++i) {
+      // "ux[0] striker" is the only interval of "ux striker".
+      if (names[i].substr(0, 2) + names[i].substr(5) == sweep.entry) return sums[i];
+    }
+    return std::nullopt;
+  }
+  const std::vector<std::string> names = EntryNames(scene, sweep.quantity, 1);
+  const auto at = std::find(names.begin(), names.end(), sweep.entry);
+  if (at == names.end()) return std::nullopt;
+  return EntriesOf(scene, *report.reference, sweep.quantity, 1)[at - names.begin()];
+}
+
+void WriteFigureFiles(const Figure& figure, const std::string& path) {
+  const Status status = WriteFigure(figure, path + ".svg", path + ".png");
+  if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
+}
+
+}  // namespace
+
+Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
+  Figure figure;
+  figure.title = scene.name + ": error against the exact gradient (order by position)";
+  for (const Quantity quantity : kShown) {
+    Panel panel = RefinementPanel(scene, report, quantity);
+    if (!panel.series.empty()) figure.panels.push_back(std::move(panel));
+  }
+  figure.columns = static_cast<int>(figure.panels.size());
+  figure.width = 460 * figure.columns + 200;
+  return figure;
+}
+
+Figure WidthFigure(const Scene& scene, const AuditReport& report) {
+  Figure figure;
+  figure.title = scene.name + ": differences of the loss, from narrower to wider than a step";
+  for (const Quantity quantity : kShown) {
+    const int entry = TellingEntry(report, quantity);
+    if (entry < 0) continue;
+    Panel panel;
+    panel.x.label = "width / grid width";
+    panel.x.log = true;
+    for (const ModelAudit& audit : report.models) {
+      if (!audit.widths || !audit.widths->ok()) continue;
+      const WidthSweep& sweep = audit.widths->sweeps[entry];
+      panel.title = "d loss / d " + sweep.entry;
+      std::vector<double> x = sweep.widths;
+      for (double& width : x) width /= sweep.grid_width;
+      panel.series.push_back(Series::ForModel(audit.gradient.contact, x, sweep.slopes));
+      if (const std::optional<double> exact = ExactAlong(scene, report, sweep);
+          exact && panel.reference_lines.empty()) {
+        panel.reference_lines.push_back({.value = *exact, .label = "exact"});
+      }
+    }
+    // Single differences across an impact that changes step would hide the levels.
+    double low = std::numeric_limits<double>::infinity(), high = -low;
+    for (const ModelAudit& audit : report.models) {
+      if (!audit.widths || !audit.widths->ok()) continue;
+      const WidthSweep& sweep = audit.widths->sweeps[entry];
+      low = std::min({low, sweep.narrow, sweep.wide});
+      high = std::max({high, sweep.narrow, sweep.wide});
+    }
+    const double size = std::max(std::abs(low), std::abs(high));
+    const double margin = size > 0 ? std::max(0.25 * (high - low), 1e-6 * size) : 1;
+    panel.y = {.label = "slope", .min = low - margin, .max = high + margin};
+    figure.panels.push_back(std::move(panel));
+  }
+  figure.columns = std::max<int>(1, figure.panels.size());
+  figure.width = 460 * figure.columns + 200;
+  return figure;
+}
+
+void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document) {
+  if (request.output_dir.empty()) return;
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  const std::string path = request.output_dir + "/" + request.scene.name + FileSuffix(surrogate);
+  if (surrogate) {
+    WriteTextFile(path + "_gradients.csv", SurrogateTable(request.scene, report).ToCsv());
+    WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
+    return;
+  }
+  WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
+  WriteTextFile(path + "_refinement.csv", RefinementTable(report).ToCsv());
+  const Json& audits = document["audits"];
+  const auto write = [&](const std::string& suffix, const std::string& list, const std::string& columns) {
+    WriteTextFile(path + suffix, TableOf(audits, list, columns).ToCsv());
+  };
+  write("_contacts.csv",
+        "/contacts",
+        "contact=^contact; first step; last step; a; b; exact impacts; error; stays; wrong in=block; why");
+  write("_classes.csv",
+        "/class_evidence",
+        "contact=^contact; class=^class; step; a=bodies/0; b=bodies/1; restitution; rebound; rebound, "
+        "finer=finer_rebound; concentration; concentration, finer=finer_concentration; onset order; position from "
+        "position; velocity from position, times step=velocity_from_position; evidence=words");
+  WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
+  const bool swept =
+      std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) { return audit.widths; });
+  if (swept) {
+    write("_widths.csv",
+          "/width_sweep/sweeps",
+          "contact=^contact; quantity; entry; grid width; width=widths[]; slope=slopes[]; gradient");
+  }
+  if (InterruptGuard::Interrupted()) return;
+  const Figure refinement = RefinementFigure(request.scene, report);
+  if (!refinement.panels.empty()) WriteFigureFiles(refinement, path + "_refinement");
+  if (!swept) return;
+  const Figure widths = WidthFigure(request.scene, report);
+  if (!widths.panels.empty()) WriteFigureFiles(widths, path + "_widths");
+}
+
+// ---- Perturbed flow
+
+namespace {
+
+constexpr int kStepsAround = 6;  // shown before and after a contact, and half as many again as it lasts
+
+// The pair of a contact, and its normal at some state.
+struct Place {
+  int a = -1, b = -1;  // b: -1 for a wall
+  Vec2d normal = Vec2d::Zero();
+};
+
+template <typename List>
+int IndexOf(const List& list, const std::string& name) {
+  for (size_t i = 0; i < list.size(); ++i) {
+    if (list[i].name == name) return static_cast<int>(i);
+  }
+  return -1;
+}
+
+Place PlaceOf(const Scene& scene, const ContactError& error, const std::vector<double>& x, int body_size) {
+  const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
+  Place place{.a = IndexOf(scene.bodies, error.a), .b = IndexOf(scene.bodies, error.b)};
+  if (place.a < 0) return place;
+  if (place.b >= 0) {
+    place.normal = Separate<double>(position(place.a), position(place.b)).normal;
+    return place;
+  }
+  const std::vector<WallPart> walls = WallPartsOf(scene);
+  const int wall = IndexOf(walls, error.b);
+  if (wall >= 0) place.normal = Separate(position(place.a), walls[wall].wall).normal;
+  return place;
+}
+
+// From state x at step `begin` to step `end`.
+PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Place& place, int begin, int end) {
+  const int size = simulator.body_size();
+  std::vector<double> tangent(x.size(), 0.0), next(x.size()), force(simulator.force_size()), none(force.size(), 0.0);
+  for (int j = 0; j < 2; ++j) tangent[place.a * size + j] = place.normal[j];
+  const auto along = [&](int i) {
+    return place.normal[0] * tangent[i * size] + place.normal[1] * tangent[i * size + 1];
+  };
+  const std::vector<double> control = InitialControl(simulator.scene(), simulator.num_steps());
+  PerturbedFlow flow;
+  StepLinearization linear;
+  for (int k = begin;; ++k) {
+    flow.times.push_back(k * simulator.step());
+    flow.first.push_back(along(place.a));
+    if (place.b >= 0) flow.second.push_back(along(place.b));
+    if (k == end) return flow;
+    simulator.ExpandForce(control, k, force);
+    simulator.Linearize(x, force, /*with_parameters=*/false, &linear);
+    linear.Apply(tangent, none, next);
+    tangent.swap(next);
+    simulator.Step(x, force, next);
+    if (simulator.stopped()) return {};
+    if (!std::all_of(next.begin(), next.end(), [](double value) { return std::isfinite(value); })) return {};
+    x.swap(next);
+  }
+}
+
+Series Line(const PerturbedFlow& flow, const std::vector<double>& values, const std::string& colour, Dash dash,
+            double width) {
+  return {.label = "", .x = flow.times, .y = values, .colour = colour, .dash = dash, .width = width};
+}
+
+}  // namespace
+
+PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error) {
+  const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
+  if (simulator == nullptr) return {};
+  const int steps = simulator->num_steps(), size = simulator->body_size();
+  simulator->set_stop(InterruptGuard::GraceIsOver);
+  if (!simulator->Rollout(InitialState(scene), InitialControl(scene, steps))) return {};
+  const int around = kStepsAround + (error.last_step - error.first_step) / 2;
+  const int begin = std::max(0, error.first_step - around), end = std::min(steps, error.last_step + 1 + around);
+  std::vector<double> x(simulator->state_size());
+  simulator->GetState(error.first_step, x);
+  const Place place = PlaceOf(scene, error, x, size);
+  if (place.a < 0) return {};
+  simulator->GetState(begin, x);
+  Scene same_steps = scene;
+  same_steps.steps = steps;
+  const auto exact = MakeSimulator("event", same_steps, Precision::kDouble);
+  if (exact == nullptr) return {};
+  const int exact_size = exact->body_size();
+  std::vector<double> y(exact->state_size());
+  for (int i = 0; i < scene.num_bodies(); ++i)
+    std::copy_n(&x[i * size], std::min(size, exact_size), &y[i * exact_size]);
+  PerturbedFlows flows{Follow(*simulator, x, place, begin, end), Follow(*exact, y, place, begin, end)};
+  return flows.model.times.empty() || flows.exact.times.empty() ? PerturbedFlows() : flows;
+}
+
+Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error) {
+  const PerturbedFlows flows = PerturbAtContact(scene, contact, error);
+  Panel panel;
+  panel.title = contact.name() + ": " + error.a + " displaced, at " + error.b;
+  panel.x.label = "time (s)";
+  panel.y.label = "displacement along the normal";
+  const std::string colour = ColourOf(contact.name());
+  for (const auto& [flow, ink, dash] : {std::tuple(&flows.exact, std::string("#000000"), Dash::kDashed),
+                                        std::tuple(&flows.model, colour, Dash::kSolid)}) {
+    panel.series.push_back(Line(*flow, flow->first, ink, dash, 2.5));
+    if (!flow->second.empty()) panel.series.push_back(Line(*flow, flow->second, ink, dash, 1));
+  }
+  return panel;
+}
+
+// ---- Page
+
+namespace {
+
+constexpr size_t kMostModelMotions = 24;  // in a replay
+constexpr size_t kShownMotions = 4;       // of these, at first
+constexpr size_t kMostFlows = 6;          // drawn
+constexpr size_t kModelsAbreast = 8;      // columns of gradients
+constexpr size_t kManyNumbers = 1000;     // of a table that opens when asked
+
+MotionInput StartOf(const Scene& scene) { return {InitialState(scene), InitialControl(scene, scene.steps), {}}; }
+
+std::vector<Tile> TilesOf(const AuditReport& audit) {
+  int right = 0, wrong = 0, judged = 0;
+  for (const ModelAudit& model : audit.models) {
+    const Tone tone = ToneOf(model.verdict);
+    right += tone == Tone::kGood;
+    wrong += tone == Tone::kBad;
+    judged += model.gradient.ok();
+  }
+  return {{std::to_string(right), "gradients that are right", right > 0 ? Tone::kGood : Tone::kPlain},
+          {std::to_string(wrong), "gradients that are wrong", wrong > 0 ? Tone::kBad : Tone::kPlain},
+          {std::to_string(judged), "contact models that support the scene"}};
+}
+
+void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
+  const Scene& scene = request.scene;
+  const MotionInput start = StartOf(scene);
+  Replay replay = ReplayOf(scene);
+  const MotionOptions options = ReplayOptions(scene, std::min(audit.models.size() + 1, kMostModelMotions));
+  const auto add = [&](const Motion& motion, const std::string& label, const std::string& style) {
+    if (motion.times.empty() || replay.motions.size() == kMostModelMotions) return;
+    replay.motions.push_back(ToReplayMotion(scene, motion, start, label, style));
+    replay.motions.back().shown = replay.motions.size() <= kShownMotions;
+  };
+  add(SimulateExactMotion(scene, start, options), "exact dynamics", "analytic");
+  for (const ModelAudit& model : audit.models) {
+    const std::string& contact = model.gradient.contact;
+    // Whatever a simulator of somebody else is called, its motion is not that of a contact model.
+    if (!model.gradient.ok() || model.black_box || FindContactModel(contact)->event_driven) continue;
+    MotionOptions own = options;
+    own.precision = request.precision;
+    add(SimulateMotion(scene, contact, start, own), contact, contact);
+  }
+  if (replay.motions.empty()) return;
+  page->AddHeading("Motions");
+  page->AddReplay(replay,
+                  "The motion from the initial guess under each contact model. A correct motion does not imply a "
+                  "correct gradient.");
+}
+
+// What each wrong model says of the first contact that makes it so, with the step in the replay.
+void AddWrongSteps(const Request& request, const AuditReport& audit, Page* page) {
+  std::vector<Page::Moment> moments;
+  Figure flows;
+  for (const ModelAudit& model : audit.models) {
+    const ContactError* contact = model.FirstWrong();
+    if (contact == nullptr) continue;
+    const std::string& name = model.gradient.contact;
+    const double step = request.scene.duration / model.gradient.num_steps;
+    moments.push_back({"`" + name + "`: " + model.Why(), model.black_box ? "" : name, step * contact->first_step});
+    if (flows.panels.size() == kMostFlows || model.black_box || InterruptGuard::GraceIsOver()) continue;
+    Panel flow = PerturbedFlowPanel(request.scene, name, *contact);
+    if (!flow.series.front().x.empty()) flows.panels.push_back(std::move(flow));
+  }
+  if (moments.empty()) return;
+  page->AddHeading("Where gradients go wrong");
+  page->AddMoments(moments);
+  if (flows.panels.empty()) return;
+  page->AddFigure(
+      flows,
+      "How the first wrong contact of a model changes a perturbation: the first disc is displaced by 1 along "
+      "the normal before the contact. Solid: under the model; dashed: under exact dynamics; thin: the "
+      "displacement of the second disc.");
+}
+
+}  // namespace
+
+void AddAuditSections(const Request& request, const AuditReport& audit, Page* page) {
+  page->AddHeading("Which gradients are right");
+  page->AddTiles(TilesOf(audit));
+  page->AddTable(VerdictTable(audit), "Verdicts on the gradients of the loss at the initial guess.");
+  Table gradients = GradientTable(request, audit);
+  const size_t entries = gradients.columns().size(), models = gradients.rows().size();
+  if (entries > 12 && models <= kModelsAbreast) gradients = gradients.Transposed("entry", audit.reference ? 2 : 1);
+  page->AddTable(gradients, "Gradients of the loss at the initial guess.", {}, entries * models > kManyNumbers);
+  const Table plateaus = PlateauTable(audit);
+  if (!plateaus.rows().empty()) page->AddTable(plateaus, "Finite differences of the loss.");
+  AddMotions(request, audit, page);
+  if (request.options.surrogate) return;
+  AddWrongSteps(request, audit, page);
+  const Figure refinement = RefinementFigure(request.scene, audit);
+  const bool swept = std::any_of(
+      audit.models.begin(), audit.models.end(), [](const ModelAudit& model) { return model.widths.has_value(); });
+  if (refinement.panels.empty() && !swept) return;
+  page->AddHeading("Errors by step and width");
+  if (!refinement.panels.empty()) {
+    page->AddFigure(refinement, "Relative error of the gradient as the time step shrinks.");
+  }
+  if (!swept) return;
+  const Figure widths = WidthFigure(request.scene, audit);
+  if (!widths.panels.empty()) {
+    page->AddFigure(widths, "Finite differences of the loss, from narrower to wider than a time step.");
+  }
+}
+
+void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document) {
+  if (request.output_dir.empty()) return;
+  Page page = StartPage(request.scene);
+  AddAuditSections(request, audit, &page);
+  FinishPage(request, document, &page);
+}
+
+}  // namespace saltus

@@ -1,0 +1,82 @@
+// The results of an audit as tables, JSON, files and a page.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "output/figure.h"
+#include "output/table.h"
+#include "programs/program.h"
+#include "saltus/audit/attribution.h"
+#include "saltus/audit/audit.h"
+#include "saltus/audit/given.h"
+
+namespace saltus {
+
+// Right and consistent verdicts are good, wrong ones bad.
+Tone ToneOf(Verdict verdict);
+
+// Loss and gradient at the scene's own steps, one row a model (a second one for standard errors), the exact one first.
+Table GradientTable(const Request& request, const AuditReport& report);
+
+// Verdicts, and for wrong models the first wrong step and why. Toned.
+Table VerdictTable(const AuditReport& report);
+
+// Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
+Table EntryTable(const Scene& scene, const AuditReport& report);
+
+// Every entry of the surrogates beside the exact gradient, one row an entry and model.
+Table SurrogateTable(const Scene& scene, const AuditReport& report);
+
+// Error by level of refinement.
+Table RefinementTable(const AuditReport& report);
+
+// What final states tell of black boxes, one row each.
+Table BlackBoxTable(const AuditReport& report);
+
+// Plateaus of the width sweep, one row an entry and model.
+Table PlateauTable(const AuditReport& report);
+
+// A given gradient, entry by entry.
+Table GivenTable(const std::vector<GivenEntry>& entries);
+
+// Error against the step, log-log: one panel for each of position, velocity and control, one line a model, whose label
+// has the order by position.
+Figure RefinementFigure(const Scene& scene, const AuditReport& report);
+
+// Slope against width: for each of position, velocity and control the entry on which differences speak most against a
+// model. Level lines are the exact values.
+Figure WidthFigure(const Scene& scene, const AuditReport& report);
+
+// Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_refinement.{svg,png}, and with a width sweep
+// <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
+// OutputError if it cannot. Writes nothing without --output_dir, and no figures, which take long, after an interrupt.
+void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document);
+
+// A tangent of the flow over a few steps around a contact: it begins as a displacement of disc a by 1 along the
+// contact's normal, and goes on by the linearizations of the steps.
+struct PerturbedFlow {
+  std::vector<double> times;          // s, nodes of the model's steps
+  std::vector<double> first, second;  // displacements of disc a and of disc b along the normal; no second for a plane
+};
+
+struct PerturbedFlows {
+  PerturbedFlow model, exact;  // from the same state, under the same forces
+};
+
+// Of the scene's own initial state and control. Nothing in either if the rollout fails, or the steps of `event` do.
+PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error);
+
+// Both, over time.
+Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error);
+
+class Page;
+
+// Verdicts, gradients, errors against step and width, the motions under each model, and of each wrong model the first
+// contact that makes it so.
+void AddAuditSections(const Request& request, const AuditReport& audit, Page* page);
+
+// report.html in --output_dir, if there is one. Throws OutputError.
+void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document);
+
+}  // namespace saltus

@@ -1,0 +1,497 @@
+#include "programs/solve_output.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <iostream>
+#include <new>
+#include <utility>
+
+#include "base/interrupt.h"
+#include "output/npz.h"
+#include "programs/program.h"
+#include "programs/scene_drawing.h"
+#include "programs/solved_run.h"
+#include "programs/surrogate_flags.h"
+#include "saltus/control/control_rows.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/scene/walls.h"
+#include "saltus/simulate/registry.h"
+
+namespace saltus {
+
+// ---- Certificates in words
+
+namespace {
+
+using enum Certificate::Verdict;
+
+// Of a control at which the loss does not change to first order.
+std::string MeaningOfStationary(const Certificate& certificate) {
+  const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
+  if (!certificate.curvature) {
+    return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
+  }
+  switch (certificate.curvature->kind) {
+    case Curvature::Kind::kMinimum:
+      return "no small change of " + which + " lowers the loss";
+    case Curvature::Kind::kSaddle:
+      return "no minimum: along one change of " + which + " the loss falls, both ways";
+    case Curvature::Kind::kFlat:
+      return "perhaps no minimum: along one change of " + which + " the loss hardly changes";
+  }
+  return "";
+}
+
+}  // namespace
+
+std::optional<double> ResidualOf(const Certificate& certificate) {
+  switch (certificate.verdict) {
+    case kStationaryOnGrid:
+      return certificate.gradient;
+    case kStationary:
+    case kGlobal:
+    case kNotStationary:
+      return std::max({certificate.stationarity,
+                       certificate.costate_jump,
+                       std::abs(certificate.hamiltonian),
+                       certificate.transversality});
+    case kAmbiguous:
+    case kNotApplicable:
+      return std::nullopt;
+  }
+  return std::nullopt;
+}
+
+std::string MeaningOf(const Certificate& certificate) {
+  switch (certificate.verdict) {
+    case kNotStationary:
+      return "small changes of the control lower the loss: " + certificate.reason;
+    case kAmbiguous:
+    case kNotApplicable:
+      return certificate.reason;
+    case kGlobal:
+      return "a lower bound proves that no control on as many intervals has a lower loss";
+    case kStationary:
+    case kStationaryOnGrid:
+      break;
+  }
+  const std::string searched =
+      certificate.scope == Certificate::Scope::kBestOfSearched
+          ? "it is the best of " + std::to_string(certificate.sequences_searched) +
+                (certificate.sequences_searched == 1 ? " sequence of impacts" : " sequences of impacts")
+          : "other sequences of impacts may be better";
+  return MeaningOfStationary(certificate) + "; " + searched;
+}
+
+Table CertificateTable(const SolvedRuns& solved) {
+  Table table(
+      {{"contact"}, {"solver"}, {"exact loss is at"}, {"residual", 2}, {"smallest curvature", 3}, {"what it means"}},
+      2);
+  for (const SolvedRun& run : solved.runs) {
+    if (!run.certificate) continue;
+    const Certificate& certificate = *run.certificate;
+    const std::string verdict = VerdictInWords(certificate);
+    const bool looked_at = certificate.IsStationary() && certificate.curvature;
+    table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
+                  run.report.solver,
+                  verdict.empty() ? "not certified" : verdict,
+                  ResidualOf(certificate),
+                  looked_at ? std::optional(certificate.curvature->smallest) : std::nullopt,
+                  MeaningOf(certificate)});
+  }
+  return table;
+}
+
+// ---- States, and NPZ files
+
+namespace {
+
+constexpr size_t kState = 4;  // p_x p_y v_x v_y
+
+// With the rotations, if there are any.
+Json StateToJson(const double* x, const double* rotations, size_t bodies) {
+  Json state = Json::array();
+  for (size_t i = 0; i < bodies; ++i) {
+    Json body = Json::array();
+    for (size_t j = 0; j < kState; ++j) body.push_back(NumberToJson(x[kState * i + j]));
+    for (size_t j = 0; j < kSpin && rotations != nullptr; ++j) body.push_back(NumberToJson(rotations[kSpin * i + j]));
+    state.push_back(std::move(body));
+  }
+  return state;
+}
+
+// Of numbers in the shape of an initial state.
+Json StateToJson(const std::vector<double>& x, size_t bodies) {
+  return StateToJson(x.data(), x.size() > kState * bodies ? &x[kState * bodies] : nullptr, bodies);
+}
+
+Json StatesToJson(const Motion& motion, size_t bodies) {
+  Json states = Json::array();
+  for (size_t k = 0; k < motion.times.size(); ++k) {
+    const double* rotations = motion.rotations.empty() ? nullptr : &motion.rotations[k * bodies * kSpin];
+    states.push_back(StateToJson(&motion.states[k * bodies * kState], rotations, bodies));
+  }
+  return states;
+}
+
+// Of the run's own model at the nodes of its control, and of exact dynamics.
+struct Motions {
+  Motion own, exact;
+};
+
+Motions MotionsOf(const Request& request, const SolvedRun& run) {
+  MotionOptions options;
+  options.most_bytes = request.options.memory_limit;
+  Motions motions{MotionOf(request, run.report, false, options), MotionOf(request, run.report, true, options)};
+  if (motions.own.failure.empty()) motions.own = AtNodes(motions.own, NodesOf(request.scene, run.report));
+  for (const auto& [name, motion] : {std::pair("", &motions.own), std::pair("exact ", &motions.exact)}) {
+    if (motion->failure.empty()) continue;
+    std::cerr << "no " << name << "states of " << run.report.contact << " " << run.report.solver << ": "
+              << motion->failure << std::endl;
+  }
+  return motions;
+}
+
+// Who touched: [a, b, whether b is a plane], when, and the impulse on a.
+void AddTouches(const Motion& motion, const std::string& prefix, NpzArrays* arrays) {
+  const int64_t rows = static_cast<int64_t>(motion.touches.size());
+  std::vector<int64_t> pairs;
+  std::vector<double> times, impulses;
+  for (const TouchSpan& touch : motion.touches) {
+    pairs.insert(pairs.end(), {touch.contact.a, touch.contact.b, touch.contact.plane});
+    times.insert(times.end(), {touch.begin, touch.end});
+    impulses.insert(impulses.end(), {touch.impulse[0], touch.impulse[1]});
+  }
+  (*arrays)[prefix + "touch_pairs"] = {{rows, 3}, pairs};
+  (*arrays)[prefix + "touch_times"] = {{rows, 2}, times};
+  (*arrays)[prefix + "touch_impulses"] = {{rows, 2}, impulses};
+}
+
+Json TouchesToJson(const Motion& motion, const Scene& scene) {
+  const std::vector<std::string> walls = WallNamesOf(scene);
+  Json touches = Json::array();
+  for (const TouchSpan& touch : motion.touches) {
+    const Candidate& c = touch.contact;
+    touches.push_back({{"a", scene.bodies[c.a].name},
+                       {"b", c.plane ? walls[c.b] : scene.bodies[c.b].name},
+                       {"begin", NumberToJson(touch.begin)},
+                       {"end", NumberToJson(touch.end)},
+                       {"impulse", {NumberToJson(touch.impulse[0]), NumberToJson(touch.impulse[1])}}});
+  }
+  return touches;
+}
+
+void AddMotion(const Motion& motion, const std::string& prefix, int64_t bodies, NpzArrays* arrays) {
+  if (!motion.failure.empty()) return;
+  AddTouches(motion, prefix, arrays);
+  const int64_t rows = static_cast<int64_t>(motion.times.size());
+  (*arrays)[prefix + "times"] = {{rows}, motion.times};
+  (*arrays)[prefix + "states"] = {{rows, bodies, static_cast<int64_t>(kState)}, motion.states};
+  if (!motion.rotations.empty()) (*arrays)[prefix + "rotations"] = {{rows, bodies, kSpin}, motion.rotations};
+}
+
+NpyArray ScalarText(const std::string& text) { return {{}, std::vector<std::string>{text}}; }
+
+// An initial state: positions and velocities, and the rotations, if there are any.
+void AddInitial(const std::string& prefix, const std::vector<double>& initial, int64_t bodies, NpzArrays* arrays) {
+  const auto moves = initial.begin() + static_cast<std::ptrdiff_t>(kState) * bodies;
+  (*arrays)[prefix + "state"] = {{bodies, static_cast<int64_t>(kState)}, std::vector<double>(initial.begin(), moves)};
+  if (moves == initial.end()) return;
+  (*arrays)[prefix + "rotation"] = {{bodies, kSpin}, std::vector<double>(moves, initial.end())};
+}
+
+// Without what the motions are, only the solution.
+NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* motions) {
+  const SolveReport& report = run.report;
+  const int64_t bodies = request.scene.num_bodies();
+  const int64_t controlled = request.scene.num_controlled(), columns = ControlColumns(request.scene);
+  NpzArrays arrays;
+  if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
+  AddInitial("initial_", report.initial_state, bodies, &arrays);
+  if (controlled > 0) {
+    const int64_t intervals = static_cast<int64_t>(report.control.size()) / request.scene.control_width();
+    arrays["control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.control)};
+    if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
+  }
+  if (report.best && !report.best->initial_state.empty()) {
+    arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
+    AddInitial("best_initial_", report.best->initial_state, bodies, &arrays);
+    if (controlled > 0) {
+      const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / request.scene.control_width();
+      arrays["best_control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.best->control)};
+      if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
+    }
+  }
+  if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
+  if (!report.standard_error.empty()) {
+    arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+  }
+  if (motions != nullptr) {
+    AddMotion(motions->own, "", bodies, &arrays);
+    AddMotion(motions->exact, "exact_", bodies, &arrays);
+  }
+  arrays["contact"] = ScalarText(report.contact);
+  arrays["solver"] = ScalarText(report.solver);
+  arrays["scene"] = ScalarText(WriteScene(request.scene));
+  return arrays;
+}
+
+void WriteSolution(const Request& request, const SolvedRun& run) {
+  const std::string path = request.output_dir + "/" + SolutionFileName(request.scene, run.report);
+  const auto write = [&](const Motions* motions) {
+    const Status status = WriteNpz(path, ArraysOf(request, run, motions));
+    if (!status.ok()) throw OutputError(status.message());
+  };
+  try {
+    const Motions motions = MotionsOf(request, run);
+    return write(&motions);
+  } catch (const std::bad_alloc&) {
+  }
+  // States are most of a file: where there is no memory for them, the solution is written.
+  HoldMemoryBackAgain();
+  write(nullptr);
+  throw std::bad_alloc();
+}
+
+}  // namespace
+
+void AddStates(const Request& request, const SolvedRun& run, Json* item) {
+  const size_t bodies = request.scene.bodies.size();
+  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
+  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
+  if (!request.states) return;
+  const Motions motions = MotionsOf(request, run);
+  const auto add = [&](const std::string& prefix, const Motion& motion) {
+    if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
+    (*item)[prefix + "times"] = NumbersToJson(motion.times);
+    (*item)[prefix + "states"] = StatesToJson(motion, bodies);
+    (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
+  };
+  add("", motions.own);
+  add("exact_", motions.exact);
+}
+
+void AddDrawn(const Scene& scene, Json* document) {
+  const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
+  const auto pair = [](const Vec2d& v) { return Json{NumberToJson(v[0]), NumberToJson(v[1])}; };
+  Json& bodies = list("bodies");
+  for (const Body& body : scene.bodies) {
+    bodies.push_back({{"name", body.name}, {"radius", NumberToJson(body.radius)}, {"fixed", body.fixed}});
+  }
+  Json& planes = list("planes");
+  for (const Plane& plane : scene.planes) {
+    planes.push_back({{"name", plane.name}, {"point", pair(plane.point)}, {"normal", pair(plane.normal)}});
+  }
+  if (!scene.pockets.empty()) {
+    Json& pockets = list("pockets");
+    for (const Pocket& pocket : scene.pockets) {
+      pockets.push_back(
+          {{"name", pocket.name}, {"position", pair(pocket.position)}, {"radius", NumberToJson(pocket.radius)}});
+    }
+  }
+  if (!scene.HasEdges()) return;
+  Json& segments = list("segments");
+  for (const EdgeSegment& segment : scene.segments) {
+    segments.push_back({{"name", segment.name}, {"from", pair(segment.from)}, {"to", pair(segment.to)}});
+  }
+  Json& polygons = list("polygons");
+  for (const EdgePolygon& polygon : scene.polygons) {
+    Json points = Json::array();
+    for (const Vec2d& point : polygon.points) points.push_back(pair(point));
+    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
+    polygons.push_back({{"name", polygon.name}, {"points", points}, {"solid", inside ? "inside" : "outside"}});
+  }
+  Json& arcs = list("arcs");
+  for (const EdgeArc& arc : scene.arcs) {
+    arcs.push_back({{"name", arc.name},
+                    {"center", pair(arc.center)},
+                    {"radius", NumberToJson(arc.radius)},
+                    {"from", NumberToJson(arc.from)},
+                    {"to", NumberToJson(arc.to)}});
+  }
+}
+
+std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
+  return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
+}
+
+void WriteSolutions(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  std::vector<std::function<void()>> files;
+  for (const SolvedRun& run : solved.runs) {
+    if (!run.HasSolution()) continue;
+    files.push_back([&] { WriteSolution(request, run); });
+  }
+  DoAll(files);
+}
+
+// ---- Page
+
+namespace {
+
+constexpr size_t kMostMotions = 8;  // in a replay
+
+std::string LabelOfRun(const SolveReport& report) {
+  return LabelOf(report.contact, report.surrogate) + (report.solver == kNoSolver ? "" : " " + report.solver);
+}
+
+// Colours tell contact models apart, dashes the solvers.
+struct RunStyle {
+  std::string colour;
+  Dash dash = Dash::kSolid;
+};
+RunStyle StyleOfRun(const Request& request, const SolveReport& report) {
+  const ModelStyle& style = StyleOf(report.contact);
+  if (request.solvers.size() < 2) return {std::string(style.colour), style.dash};
+  const auto at = std::find(request.solvers.begin(), request.solvers.end(), report.solver);
+  return {std::string(style.colour), static_cast<Dash>((at - request.solvers.begin()) % kNumDashes)};
+}
+
+// Runs with a solution, the best first: those that meet the constraints, by their exact loss; those without one last.
+std::vector<const SolvedRun*> RankedRuns(const SolvedRuns& solved) {
+  std::vector<const SolvedRun*> runs;
+  for (const SolvedRun& run : solved.runs) {
+    if (run.HasSolution()) runs.push_back(&run);
+  }
+  const auto loss = [](const SolvedRun* run) { return run->exact.ok ? run->exact.loss : HUGE_VAL; };
+  const auto rank = [&](const SolvedRun* run) { return std::pair(run->report.final_violation > kFeasible, loss(run)); };
+  std::stable_sort(runs.begin(), runs.end(), [&](const SolvedRun* l, const SolvedRun* r) { return rank(l) < rank(r); });
+  return runs;
+}
+
+std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
+  const std::vector<const SolvedRun*> runs = RankedRuns(solved);
+  std::vector<Tile> tiles;
+  if (!runs.empty() && runs[0]->exact.ok) {
+    tiles.push_back({Cell(runs[0]->exact.loss).Display(10), "lowest exact loss, by " + LabelOfRun(runs[0]->report)});
+    if (runs[0]->certificate) {
+      const Certificate& certificate = *runs[0]->certificate;
+      const std::string words = VerdictInWords(certificate);
+      const bool good = certificate.IsStationary() && !certificate.IsSaddle();
+      tiles.push_back(
+          {words.empty() ? "not certified" : words, "verdict of its certificate", good ? Tone::kGood : Tone::kWarning});
+    }
+  }
+  const auto failed = std::count_if(
+      solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
+  const auto refused = std::count_if(solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) {
+    return run.report.termination == Termination::kNotApplicable;
+  });
+  const auto taken = static_cast<std::ptrdiff_t>(solved.runs.size()) - refused;
+  const std::string what = request.solvers.empty() ? "completed simulations" : "successful runs";
+  tiles.push_back({std::to_string(taken - failed) + " of " + std::to_string(taken),
+                   what + (refused > 0 ? "; " + std::to_string(refused) + " not applicable to this scene" : ""),
+                   failed == 0 ? Tone::kGood : Tone::kWarning});
+  return tiles;
+}
+
+bool IsExact(const SolveReport& report) { return FindContactModel(report.contact)->event_driven; }
+
+MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
+
+// The motions that are shown, of the best runs: each under its own model, and the best in exact dynamics.
+struct RunMotions {
+  std::vector<Motion> own;
+  Motion exact;
+};
+
+RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>& runs) {
+  RunMotions motions;
+  const size_t shown = std::min(runs.size(), kMostMotions);
+  const MotionOptions options = ReplayOptions(request.scene, shown + 1);
+  for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
+  if (shown == 0) return motions;
+  const SolveReport& best = runs[0]->report;
+  motions.exact = IsExact(best) ? motions.own[0] : MotionOf(request, best, true, options);
+  return motions;
+}
+
+void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
+                  Page* page) {
+  Replay replay = ReplayOf(request.scene);
+  const auto add = [&](size_t i, const Motion& motion, bool exact) {
+    if (motion.times.empty()) return;
+    const SolveReport& run = runs[i]->report;
+    const RunStyle style = StyleOfRun(request, run);
+    ReplayMotion drawn = ToReplayMotion(
+        request.scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+    drawn.colour = exact ? "#000000" : style.colour;
+    drawn.dash = exact ? Dash::kDashed : style.dash;
+    drawn.shown = i < 4;
+    replay.motions.push_back(std::move(drawn));
+  };
+  for (size_t i = 0; i < motions.own.size(); ++i) {
+    add(i, motions.own[i], false);
+    if (i == 0 && !IsExact(runs[0]->report)) add(0, motions.exact, true);
+  }
+  if (replay.motions.empty()) return;
+  page->AddHeading("Replay");
+  page->AddReplay(replay,
+                  "The motions" + std::string(runs.size() > motions.own.size() ? " of lowest exact loss" : "") +
+                      ". Forces are green, impulses red. The space bar plays and pauses; arrow keys step, with shift "
+                      "from impact to impact.");
+}
+
+// Of the impacts of a certified run: times, speeds, and what the conditions of the minimum principle give.
+void AddImpacts(const Scene& scene, const std::vector<const SolvedRun*>& runs, Page* page) {
+  if (runs.empty() || !runs[0]->certificate || runs[0]->certificate->impacts.empty()) return;
+  page->AddTable(TableOf(Json::array({CertificateToJson(scene, *runs[0]->certificate)}),
+                         "/impacts",
+                         "time (s)=time:10; disc=a; other=b; speed (m/s)=speed; multiplier; costate jump:3; on a "
+                         "node=on_node"),
+                 "Impacts of " + LabelOfRun(runs[0]->report) +
+                     ". The multiplier is the jump of the costate along the gradient of the gap; `costate jump` is the "
+                     "residual of the jump condition.");
+}
+
+}  // namespace
+
+void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page) {
+  const std::vector<const SolvedRun*> runs = RankedRuns(solved);
+  page->AddHeading(request.solvers.empty() ? "Simulations" : "Runs");
+  page->AddTiles(TilesOf(request, solved));
+  page->AddTable(RunTable(solved),
+                 "`final loss` is the loss under the contact model, `exact loss` that of the same solution under exact "
+                 "dynamics: only "
+                 "exact losses may be compared between models.");
+  const Table certificates = CertificateTable(solved);
+  if (!certificates.rows().empty()) {
+    page->AddTable(
+        certificates,
+        "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of the effort alone.");
+  }
+  AddImpacts(request.scene, runs, page);
+  AddRunReplay(request, runs, MotionsOf(request, runs), page);
+  for (const SolvedRun& run : solved.runs) {
+    const RunStyle style = StyleOfRun(request, run.report);
+    page->AddStyle(LabelOfRun(run.report), style.colour, style.dash);
+  }
+  if (request.scene.num_controlled() > 0 && !runs.empty()) {
+    page->AddHeading("Controls");
+    page->AddPlot("controls",
+                  "Forces and torques over time. Dotted: impacts of the first motion with exact impact times.");
+  }
+  if (std::any_of(runs.begin(), runs.end(), [](const SolvedRun* run) { return run->report.losses.size() > 1; })) {
+    page->AddHeading("Learning curves");
+    page->AddPlot("learning_curves",
+                  "The loss that each solver minimizes: that under its contact model, which equals the exact loss only "
+                  "under exact dynamics.");
+  }
+  std::vector<std::string> files;
+  for (const SolvedRun* run : runs) {
+    files.push_back(SolutionFileName(request.scene, run->report));
+  }
+  if (files.empty()) return;
+  page->AddHeading("Files");
+  page->AddLinks(files);
+}
+
+void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
+  if (request.output_dir.empty()) return;
+  Page page = StartPage(request.scene);
+  AddSolveSections(request, solved, &page);
+  FinishPage(request, SolveToJson(WithoutStates(request), solved), &page);
+}
+
+}  // namespace saltus
