@@ -34,7 +34,7 @@ struct PendulumBetweenWalls {
 };
 
 // A uniform pole on a cart between walls and bump stops.
-struct CartPole {
+struct CartPoleWithStops {
   static constexpr int kNumCoordinates = 2, kNumControls = 1, kNumParameters = 9, kNumContacts = 4;
   static constexpr std::array<const char*, 9> kParameterNames = {"M", "m", "l", "g", "c", "w", "s", "et", "ec"};
   static constexpr std::array<const char*, 4> kContactNames = {"tip_right", "tip_left", "cart_right", "cart_left"};

@@ -302,7 +302,7 @@ class Problem {
 };
 
 TEST(MechanicalReference, PendulumBetweenWalls) { Problem("P1", PendulumBetweenWalls()).ExpectReference(); }
-TEST(MechanicalReference, CartPole) { Problem("P2", CartPole()).ExpectReference(); }
+TEST(MechanicalReference, CartPole) { Problem("P2", CartPoleWithStops()).ExpectReference(); }
 TEST(MechanicalReference, DoublePendulumThatSlides) { Problem("P3a", DoublePendulum()).ExpectReference(); }
 TEST(MechanicalReference, DoublePendulumThatSticks) { Problem("P3b", DoublePendulum()).ExpectReference(); }
 TEST(MechanicalReference, DoublePendulumThatStaysOnThePlane) { Problem("P3c", DoublePendulum()).ExpectReference(); }

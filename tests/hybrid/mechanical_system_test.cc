@@ -280,7 +280,7 @@ TEST(Painleve, AnImpactlessJamEndsTheMotionWithAReason) {
 // Accumulation, grazing, jumps of the control, starts.
 
 TEST(Accumulation, TwoContactsThatAreHitInTurnClose) {
-  const MechanicalSystem system{CartPole()};
+  const MechanicalSystem system{CartPoleWithStops()};
   HybridSimulator simulator(system.hybrid());
   const HybridInput input{.initial = {0, 0.2, 0, 0},
                           .parameters = {1, 0.3, 0.6, 9.81, 0.1, 0.45, 0.15, 0.7, 0.5},
