@@ -83,7 +83,8 @@ TEST(FrictionalLcp, SolvesContactsThatRestAndSlide) {
     const double friction = trial % 4 == 0 ? 0.0 : 0.3;
     std::vector<int> sliding(n, 0);
     if (trial % 2 == 1) sliding[0] = trial % 3 == 0 ? 1 : -1;
-    const auto forces = SolveFrictionalLcp(friction, contacts.responses, contacts.given, sliding);
+    const std::vector<double> of_each(n, friction);
+    const auto forces = SolveFrictionalLcp(of_each, contacts.responses, contacts.given, sliding);
     not_found += !forces && trial % 2 == 0;
     if (!forces) continue;
     ++found;
