@@ -21,7 +21,7 @@ std::string ReadAll(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-json Run(const std::string& command, int exit_code = 0) {
+json RunHybrid(const std::string& command, int exit_code = 0) {
   const Outcome outcome = RunProgram(command + " --json");
   EXPECT_EQ(outcome.exit_code, exit_code) << outcome.errors;
   const json document = json::parse(outcome.output, nullptr, /*allow_exceptions=*/false);
@@ -30,7 +30,7 @@ json Run(const std::string& command, int exit_code = 0) {
 }
 
 TEST(HybridProgram, PrintsOneDocument) {
-  const json document = Run("bouncing_ball --solver=none --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2");
+  const json document = RunHybrid("bouncing_ball --solver=none --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2");
   EXPECT_EQ(document["program"], "bouncing_ball");
   EXPECT_EQ(document["system"]["modes"][0]["guards"], json({"ground"}));
   EXPECT_EQ(document["system"]["parameters"], json({"g", "e"}));
@@ -49,7 +49,8 @@ TEST(HybridProgram, PrintsOneDocument) {
 }
 
 TEST(HybridProgram, StatesHaveBothSidesOfAnEvent) {
-  const json motion = Run("bouncing_ball --solver=none --states --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2")["motion"];
+  const json motion =
+      RunHybrid("bouncing_ball --solver=none --states --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2")["motion"];
   const std::vector<double> times = motion["times"];
   EXPECT_TRUE(std::is_sorted(times.begin(), times.end()));
   EXPECT_EQ(times.back(), 2.0);
@@ -83,15 +84,15 @@ TEST(HybridProgram, EveryProblemIsSolved) {
   };
   for (const auto& problem : kProblems) {
     SCOPED_TRACE(problem.program);
-    const json document = Run(std::string(problem.program) + " " + problem.flags);
+    const json document = RunHybrid(std::string(problem.program) + " " + problem.flags);
     ASSERT_EQ(document["runs"].size(), 1u);
     EXPECT_NEAR(document["runs"][0]["final_loss"], problem.loss, problem.within) << document["runs"][0]["reason"];
   }
 }
 
 TEST(HybridProgram, AuditsTheSchemeOfTheSystem) {
-  const json document =
-      Run("bouncing_ball --audit --width_sweep --solver=none --steps=40 --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2", 1);
+  const json document = RunHybrid(
+      "bouncing_ball --audit --width_sweep --solver=none --steps=40 --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2", 1);
   const json& audit = document["audits"][0];
   EXPECT_THAT(audit["verdict"].get<std::string>(), HasSubstr("wrong"));
   EXPECT_EQ(audit["first_wrong"]["step"], 11);
@@ -122,8 +123,8 @@ TEST(HybridProgram, AuditsABlackBox) {
   const std::string script = testing::TempDir() + "/hybrid_box_" + std::to_string(getpid()) + ".py";
   std::ofstream(script) << kBlackBox;
   const std::string set = " --solver=none --steps=10 --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=0.8";
-  const json by_steps = Run("bouncing_ball --audit" + set, 1)["audits"][0];
-  const json by_lines = Run("bouncing_ball --simulate=\"box=python3 " + script + "\"" + set, 1)["audits"][0];
+  const json by_steps = RunHybrid("bouncing_ball --audit" + set, 1)["audits"][0];
+  const json by_lines = RunHybrid("bouncing_ball --simulate=\"box=python3 " + script + "\"" + set, 1)["audits"][0];
   EXPECT_EQ(by_lines["scheme"], "box");
   EXPECT_EQ(by_lines["verdict"], by_steps["verdict"]);
   EXPECT_EQ(by_lines["first_wrong"]["step"], by_steps["first_wrong"]["step"]);
