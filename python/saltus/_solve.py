@@ -168,7 +168,7 @@ def audit(
         expect("text", name=name)
         return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name)
     if isinstance(simulate, str):
-        raise TypeError("simulate: found text, expected a callable; commands are for saltus_audit --simulate")
+        raise TypeError("simulate: found str, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
         contact = "all" if simulate is None else []
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact

@@ -31,6 +31,8 @@ def test_notebook(path, tmp_path, monkeypatch):
     # Debian's kernel is its own Python, whatever runs this.
     here = str(pathlib.Path(saltus.__file__).parents[1])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+    # Figures are outputs of cells, which MPLBACKEND=agg would not make them.
+    monkeypatch.delenv("MPLBACKEND", raising=False)
     notebook = nbformat.read(path, as_version=4)
     stored = printed_in(notebook)
     assert any(stored)

@@ -286,7 +286,7 @@ TEST(EventFunctions, KnowNoContactsThatLast) {
   scene.duration = 5;
   const auto simulator = MakeSimulator(LearnedContact(AffineEvents(scene)), scene, Precision::kDouble);
   EXPECT_FALSE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())));
-  EXPECT_THAT(simulator->WhyFailed(), HasSubstr("no contacts that last"));
+  EXPECT_THAT(simulator->WhyFailed(), HasSubstr("do not support sustained contacts"));
 }
 
 }  // namespace
