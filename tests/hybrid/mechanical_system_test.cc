@@ -279,7 +279,7 @@ TEST(Painleve, AnImpactlessJamEndsTheMotionWithAReason) {
 // ---------------------------------------------------------------------------------------------------------------------
 // Accumulation, grazing, jumps of the control, starts.
 
-TEST(Accumulation, TwoContactsThatAreHitInTurnClose) {
+TEST(Accumulation, OfTwoContactsInTurnEndsTheMotionWithAReason) {
   const MechanicalSystem system{CartPoleWithStops()};
   HybridSimulator simulator(system.hybrid());
   const HybridInput input{.initial = {0, 0.2, 0, 0},
@@ -287,20 +287,10 @@ TEST(Accumulation, TwoContactsThatAreHitInTurnClose) {
                           .duration = 1.5,
                           .num_intervals = 20,
                           .control = {4, 7, -3, -9, -6, 5, 10, 2, -8, -10, 3, 9, 6, -5, -7, 1, 8, -2, -4, 6}};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
-  const MechanicalReport report = system.Examine(simulator, input);
-  ASSERT_FALSE(report.accumulations.empty());
-  const MechanicalImpact& last = report.impacts[report.accumulations[0]];
-  EXPECT_NEAR(last.time, 1.1909, 1e-3);
-  double largest_gap = 0;
-  int both = 0;
-  for (int k = 0; k < simulator.num_steps(); ++k) {
-    if (system.hybrid().ModeName(simulator.StepMode(k)) != "noon") continue;
-    ++both;
-    largest_gap = std::max(largest_gap, std::abs(0.15 + simulator.StepState(k)[0]));
-  }
-  EXPECT_GT(both, 0) << "both contacts are closed for a while";
-  EXPECT_LT(largest_gap, 1e-14);
+  ASSERT_FALSE(simulator.Rollout(input));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Zeno behaviour"));
+  ASSERT_FALSE(simulator.events().empty());
+  EXPECT_NEAR(simulator.events().back().time, 1.1909, 1e-3);
 }
 
 TEST(Accumulation, ALimitOfEventsIsReported) {
