@@ -5,7 +5,7 @@
 #include <cmath>
 #include <iostream>
 
-#include "consumer/own_model.h"
+#include "own_model.h"
 #include "saltus/audit/audit.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/solve/solver.h"

@@ -7,7 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "consumer/own_model.h"
+#include "own_model.h"
 #include "saltus/base/scalar.h"
 
 namespace {
