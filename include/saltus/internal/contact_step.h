@@ -139,7 +139,13 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
     const int steps = flight.steps;
     Vec2<S> force = Vec2<S>::Zero();
     S torque = S(0);
-    const StepInput<S> in = LoneDisc(flight.h, body, force, turn != nullptr ? &torque : nullptr, flight.gravity);
+    // Not by LoneDisc(): the compiler would take the force for one that the call may have kept, and reload it.
+    StepInput<S> in{};
+    in.h = flight.h;
+    in.gravity = flight.gravity;
+    in.bodies = {&body, 1};
+    in.force = {&force, 1};
+    if (turn != nullptr) in.torque = {&torque, 1};
     State x = *at;
     for (int j = 0; j < steps; ++j) {
       if (u != nullptr) {
