@@ -273,15 +273,16 @@ class StepSimulator final : public Simulator {
   }
 
   void FlyAlone(int i, int k, int steps, State* at) const {
-    model_->Fly({.h = typed_.h,
-                 .gravity = typed_.gravity,
-                 .body = typed_.bodies[i],
-                 .steps = steps,
-                 .force = control_.On(i, k),
-                 .turn = control_.Turn(i, k),
-                 .stride = control_.stride(),
-                 .state_stride = num_bodies()},
-                at);
+    FlightInput<S> flight;
+    flight.step.h = typed_.h;
+    flight.step.gravity = typed_.gravity;
+    flight.step.bodies = {&typed_.bodies[i], 1};
+    flight.steps = steps;
+    flight.force = control_.On(i, k);
+    flight.turn = control_.Turn(i, k);
+    flight.stride = control_.stride();
+    flight.state_stride = num_bodies();
+    model_->Fly(flight, at);
   }
 
   // One step of the whole scene from a state in doubles.

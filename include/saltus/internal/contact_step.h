@@ -40,9 +40,7 @@ StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>
 // Free flight of one disc over a number of steps, each under a force and a torque of its own.
 template <typename S>
 struct FlightInput {
-  S h;              // s, length of a step
-  Vec2<S> gravity;  // m/s^2
-  BodyConstants<S> body;
+  StepInput<S> step;  // one disc; the flight sets `force` and `torque`
   int steps = 0;
   const S* force = nullptr;         // [u_x u_y] of the first step, N; null: no force
   const S* turn = nullptr;          // torque / radius of the first step, N; null: no torque
@@ -132,17 +130,16 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
     saltus::FreeFlight(model_, in, x, next);
   }
   void Fly(const FlightInput<S>& flight, State* at) const override {
-    // These are copies: for all that the compiler knows, writing a state could change what the spans refer to.
-    const BodyConstants<S> body = flight.body;
+    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to.
+    const BodyConstants<S> body = flight.step.bodies[0];
     const std::ptrdiff_t stride = flight.stride, state_stride = flight.state_stride;
     const S *u = flight.force, *turn = flight.turn;
     const int steps = flight.steps;
     Vec2<S> force = Vec2<S>::Zero();
     S torque = S(0);
-    // Not by LoneDisc(): the compiler would take the force for one that the call may have kept, and reload it.
     StepInput<S> in{};
-    in.h = flight.h;
-    in.gravity = flight.gravity;
+    in.h = flight.step.h;
+    in.gravity = flight.step.gravity;
     in.bodies = {&body, 1};
     in.force = {&force, 1};
     if (turn != nullptr) in.torque = {&torque, 1};
