@@ -200,6 +200,12 @@ TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
   EXPECT_TRUE(found.impacts[0].on_node && expected.impacts[0].on_node);
   EXPECT_LT(std::max(found.stationarity, expected.stationarity), 1e-12);
   EXPECT_LT(std::max(std::abs(found.hamiltonian), std::abs(expected.hamiltonian)), 1e-12);
+  // The curvatures are along intervals that all move with the impact, and of discs along those of which the last one
+  // does.
+  ASSERT_TRUE(found.curvature && expected.curvature);
+  EXPECT_EQ(found.curvature->kind, Curvature::Kind::kMinimum);
+  EXPECT_EQ(expected.curvature->kind, Curvature::Kind::kMinimum);
+  EXPECT_NEAR(found.curvature->smallest, expected.curvature->smallest, 0.02);
 
   // A force that is off by a thousandth is not stationary in either.
   input.control[7] *= 1.001;
