@@ -7,6 +7,9 @@
 #include <cstdio>
 #include <numbers>
 #include <optional>
+#include <tuple>
+
+#include "feedback/noisy_states.h"
 
 namespace saltus {
 namespace {
@@ -35,6 +38,26 @@ std::string Covariance::Warning(double small) const {
   std::string warning = "the sequence of events changes with a probability of " + std::string(text);
   std::snprintf(text, sizeof text, " at t = %.6g (probability %.2g)", risks.front().time, risks.front().probability);
   return warning + ", most likely because " + risks.front().what + text + "; covariances are of first order";
+}
+
+std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion) {
+  const Eigen::Index n = motion.intervals.front().A.cols(), m = motion.intervals.front().B.cols();
+  for (const LinearInterval& interval : motion.intervals) {
+    if ((noise.process.size() > 0 && interval.A.rows() != n) ||
+        (noise.measurement.size() > 0 && interval.A.cols() != n)) {
+      return "process and measurement noise: the states of the motion's modes differ in size, expected one size";
+    }
+  }
+  for (const auto& [what, matrix, size] : {std::tuple("initial state", &noise.initial, n),
+                                           std::tuple("control", &noise.control, m),
+                                           std::tuple("process", &noise.process, n),
+                                           std::tuple("measurement", &noise.measurement, n)}) {
+    if (matrix->size() == 0) continue;
+    if (std::string wrong = WhatIsWrongWithSymmetric(*matrix, size, /*definite=*/false); !wrong.empty()) {
+      return "covariance of the " + std::string(what) + ": " + wrong;
+    }
+  }
+  return "";
 }
 
 Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator) {

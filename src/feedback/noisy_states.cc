@@ -8,7 +8,8 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-constexpr double kRounding = 1e-14;  // of the largest eigenvalue: none
+constexpr double kRounding = 1e-14;   // of the largest eigenvalue: none
+constexpr double kAsymmetry = 1e-10;  // of the largest entry: rounding
 
 }  // namespace
 
@@ -42,6 +43,26 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
     *mode = next;
   }
   return false;
+}
+
+std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite) {
+  if (matrix.rows() != size || matrix.cols() != size) {
+    return "found a matrix of " + std::to_string(matrix.rows()) + " x " + std::to_string(matrix.cols()) +
+           ", expected " + std::to_string(size) + " x " + std::to_string(size);
+  }
+  if (!matrix.allFinite()) return "found a number that is not finite";
+  if (size == 0) return "";
+  const double largest = matrix.cwiseAbs().maxCoeff();
+  if ((matrix - matrix.transpose()).cwiseAbs().maxCoeff() > kAsymmetry * largest) {
+    return "found a matrix that is not symmetric";
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> of(matrix, Eigen::EigenvaluesOnly);
+  const double least = of.eigenvalues()[0];
+  if (definite ? !(least > 0) : least < -kAsymmetry * largest) {
+    return "found the eigenvalue " + std::to_string(least) + ", expected " +
+           (definite ? "a positive definite matrix" : "a positive semidefinite matrix");
+  }
+  return "";
 }
 
 Eigen::MatrixXd RootOfCovariance(const Eigen::MatrixXd& covariance) {

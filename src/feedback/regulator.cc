@@ -10,6 +10,7 @@
 #include <limits>
 #include <numeric>
 
+#include "feedback/noisy_states.h"
 #include "hybrid/runge_kutta.h"
 #include "saltus/simulate/events.h"
 
@@ -207,6 +208,42 @@ LinearMotion Linearize(const Simulator& motion, std::span<const double> control)
     linear.intervals.push_back(std::move(interval));
   }
   return linear;
+}
+
+std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion) {
+  const HybridSystem& system = motion.system();
+  const auto count = static_cast<int>(cost.Q.size());
+  if (count != 1 && count != system.num_modes()) {
+    return "Q: found " + std::to_string(count) + " matrices, expected 1 or one for each of " +
+           std::to_string(system.num_modes()) + " modes";
+  }
+  for (int i = 0; i < motion.num_steps(); ++i) {
+    const int mode = motion.StepMode(i);
+    if (i > 0 && mode == motion.StepMode(i - 1)) continue;
+    const std::string wrong =
+        WhatIsWrongWithSymmetric(cost.Q[count == 1 ? 0 : mode], system.state_size(mode), /*definite=*/false);
+    if (!wrong.empty()) return "Q of mode '" + system.ModeName(mode) + "': " + wrong;
+  }
+  if (std::string wrong = WhatIsWrongWithSymmetric(cost.R, system.num_controls(), /*definite=*/true); !wrong.empty()) {
+    return "R: " + wrong;
+  }
+  const std::string wrong =
+      WhatIsWrongWithSymmetric(cost.QT, system.state_size(motion.final_mode()), /*definite=*/false);
+  return wrong.empty() ? "" : "QT: " + wrong;
+}
+
+std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion) {
+  if (regulator.gains.size() != motion.intervals.size()) {
+    return "gains: found " + std::to_string(regulator.gains.size()) + ", expected one for each of " +
+           std::to_string(motion.intervals.size()) + " intervals";
+  }
+  for (std::size_t k = 0; k < regulator.gains.size(); ++k) {
+    const LinearInterval& at = motion.intervals[k];
+    if (regulator.gains[k].rows() == at.B.cols() && regulator.gains[k].cols() == at.A.cols()) continue;
+    return "gains: that of interval " + std::to_string(k) + " has another shape than " + std::to_string(at.B.cols()) +
+           " x " + std::to_string(at.A.cols());
+  }
+  return "";
 }
 
 Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {

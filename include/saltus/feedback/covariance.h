@@ -25,6 +25,9 @@ struct Noise {
   Eigen::MatrixXd measurement = {};  // V, of the measured state at the beginning of each interval
 };
 
+// As "found x, expected y"; empty if nothing is: sizes, and whether they are symmetric and positive semidefinite.
+std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
+
 // The sequence of events may change here.
 struct SequenceRisk {
   std::string what = {};   // "'a' comes after 'b'", "'a' comes after the end", "'a' comes ..."
@@ -45,7 +48,7 @@ struct Covariance {
   std::string Warning(double small = 0.01) const;
 };
 
-// In open loop without a regulator. Precondition: sizes match.
+// In open loop without a regulator. Precondition: nothing is wrong with the noise, and sizes match.
 Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator = nullptr);
 
 }  // namespace saltus

@@ -76,6 +76,11 @@ struct Regulator {
   std::vector<AtEvent> events = {};
 };
 
+// As "found x, expected y"; empty if nothing is: sizes, and whether matrices are symmetric and R positive definite.
+std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
+// Likewise, of gains.
+std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
+
 // The regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices of the
 // size of the state. Precondition: sizes match, R is positive definite.
 Regulator Track(const LinearMotion& motion, const TrackingCost& cost);
