@@ -544,7 +544,7 @@ class HybridConditions {
       matrix(k, k) = 1;
       right.row(k).setZero();
     }
-    const Eigen::MatrixXd shifts = SolveLuColumns(matrix, right);
+    const Eigen::MatrixXd shifts = E > 0 ? SolveLuColumns(matrix, right) : right;
     if (!shifts.allFinite()) return std::nullopt;
     for (int j = E; j < num_multipliers(); ++j) kept.push_back(j);
     to.held.resize(kept.size(), count);
@@ -996,6 +996,11 @@ Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
   if (std::string wrong = WhatIsWrongWith(input, problem.system); !wrong.empty()) {
     Certificate certificate;
     certificate.reason = wrong;
+    return certificate;
+  }
+  if (input.begin != 0) {
+    Certificate certificate;
+    certificate.reason = "the motion does not begin at time 0";
     return certificate;
   }
   if (problem.system.functions().CreatesModes()) {
