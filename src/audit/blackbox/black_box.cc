@@ -289,9 +289,10 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   }
   if (findings->head_on && findings->finer && findings->head_on->e > kRebounds &&
       findings->finer->e < kLost * findings->head_on->e) {
-    remarks.push_back(Format("rebound lost at fine steps: %.3f of the closing speed, and %.3f with ten times as many",
-                             findings->head_on->e,
-                             findings->finer->e));
+    remarks.push_back(
+        Format("the rebound depends on the step: %.3f of the closing speed, and %.3f with ten times as many steps",
+               findings->head_on->e,
+               findings->finer->e));
   }
   if (findings->precision_found < kDoubleBits) {
     remarks.push_back(
