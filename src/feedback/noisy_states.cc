@@ -1,7 +1,8 @@
 #include "feedback/noisy_states.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
+
+#include "base/linear_algebra.h"
 
 namespace saltus {
 namespace {
@@ -56,8 +57,7 @@ std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index
   if ((matrix - matrix.transpose()).cwiseAbs().maxCoeff() > kAsymmetry * largest) {
     return "found a matrix that is not symmetric";
   }
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> of(matrix, Eigen::EigenvaluesOnly);
-  const double least = of.eigenvalues()[0];
+  const double least = EigenOf(matrix).values[0];
   if (definite ? !(least > 0) : least < -kAsymmetry * largest) {
     return "found the eigenvalue " + std::to_string(least) + ", expected " +
            (definite ? "a positive definite matrix" : "a positive semidefinite matrix");
@@ -68,10 +68,10 @@ std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index
 Eigen::MatrixXd RootOfCovariance(const Eigen::MatrixXd& covariance) {
   const Eigen::Index n = covariance.rows();
   if (n == 0) return {};
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> of(covariance);
-  const double least = kRounding * of.eigenvalues()[n - 1];
-  const Eigen::Index rank = (of.eigenvalues().array() > std::max(least, 0.0)).count();
-  return of.eigenvectors().rightCols(rank) * of.eigenvalues().tail(rank).cwiseSqrt().asDiagonal();
+  const SymmetricEigen of = EigenOf(covariance);
+  const double least = kRounding * of.values[n - 1];
+  const Eigen::Index rank = (of.values.array() > std::max(least, 0.0)).count();
+  return of.vectors.rightCols(rank) * of.values.tail(rank).cwiseSqrt().asDiagonal();
 }
 
 }  // namespace saltus

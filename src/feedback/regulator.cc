@@ -3,13 +3,13 @@
 #include <glog/logging.h>
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
 
+#include "base/linear_algebra.h"
 #include "feedback/noisy_states.h"
 #include "hybrid/runge_kutta.h"
 #include "saltus/simulate/events.h"
@@ -329,9 +329,8 @@ Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& in
           continue;
         }
         const Eigen::MatrixXd M = hamiltonian.Transition(step, substeps);
-        S = Symmetric((S * M.topRightCorner(n, n) - M.bottomRightCorner(n, n))
-                          .partialPivLu()
-                          .solve(M.bottomLeftCorner(n, n) - S * M.topLeftCorner(n, n)));
+        S = Symmetric(SolveLuColumns(S * M.topRightCorner(n, n) - M.bottomRightCorner(n, n),
+                                     M.bottomLeftCorner(n, n) - S * M.topLeftCorner(n, n)));
         transition = transition * (M.topLeftCorner(n, n) + M.topRightCorner(n, n) * S);
       }
       regulator.gains[k] = hamiltonian.Gain(steps[begins[k]], S);

@@ -121,6 +121,23 @@ TEST(FeedbackReference, ContinuousRegulatorDoesNotDependOnIntervals) {
       Matrix(2, {-0.00598638587862657331, -0.0132328523221370562, 0.0453014146148162575, 0.0196598263281364937}));
 }
 
+// Prediction in pieces, of a flow that depends on time: the state at the end and the open-loop covariance.
+TEST(FeedbackReference, PredictionInPieces) {
+  SaltedKalmanFilter filter(
+      HybridSystem(OptimalBall()), {}, 0, 0, Eigen::Vector2d(4, 0), kInitialCovariance, {.tolerance = 1e-14});
+  for (const double time : {0.25, 0.6, 0.65, 0.9, 1.0}) {
+    ASSERT_TRUE(filter.Predict(time)) << filter.WhyFailed();
+    EXPECT_EQ(filter.mode(), time < OptimalBall::kImpact ? 0 : 1);
+  }
+  EXPECT_NEAR(filter.mean()[0], 0.9961148553777191287356, 1e-13);
+  EXPECT_NEAR(filter.mean()[1], 0.004143375660105286286961, 1e-13);
+  ExpectClose(
+      filter.covariance(),
+      Matrix(
+          2,
+          {0.00000418261431148707039, -0.0000168019061222516462, -0.0000168019061222516462, 0.000641537528806223084}));
+}
+
 class PassiveBall : public ::testing::Test {
  protected:
   LinearMotion LinearOf(int num_intervals) {
