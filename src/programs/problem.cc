@@ -2,8 +2,11 @@
 
 #include <filesystem>
 #include <iostream>
+#include <vector>
 
 #include "base/interrupt.h"
+#include "exact/launch_solutions.h"
+#include "output/table.h"
 #include "programs/audit.h"
 #include "programs/audit_output.h"
 #include "programs/program.h"
@@ -11,7 +14,6 @@
 #include "programs/solve_output.h"
 
 namespace saltus {
-
 namespace {
 
 constexpr const char* kModes[] = {"frictionless", "slip", "stick"};
@@ -22,13 +24,14 @@ std::string Sequence(const LaunchSolution& launch) {
   return sequence.empty() ? "none" : sequence;
 }
 
-}  // namespace
-
+// Slowest first, which is the one of least effort. Empty if the scene is not of this kind (see FindLaunchSolutions) or
+// optimizes something else than velocities.
 std::vector<LaunchSolution> FindLaunches(const Scene& scene) {
   if (scene.optimize != Optimize::kVelocity) return {};
   return FindLaunchSolutions(scene);
 }
 
+// One object a launch: velocity, speed_squared, events, and minimum_effort: true for the slowest.
 Json LaunchesToJson(const std::vector<LaunchSolution>& launches) {
   Json list = Json::array();
   for (const LaunchSolution& launch : launches) {
@@ -56,8 +59,6 @@ Table LaunchTable(const std::vector<LaunchSolution>& launches) {
   }
   return table;
 }
-
-namespace {
 
 Json ToJson(const Request& request, const AuditReport& audit, const SolvedRuns& solved,
             const std::vector<LaunchSolution>& launches) {

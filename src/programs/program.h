@@ -10,6 +10,7 @@
 #include "output/page.h"
 #include "output/progress.h"
 #include "programs/json_output.h"
+#include "programs/problem.h"
 #include "programs/program_flags.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
@@ -50,15 +51,6 @@ struct InputError : std::runtime_error {
 
 // The name of no solver, --solver=none.
 inline constexpr char kNoSolver[] = "none";
-
-// Defaults that differ from program to program; flags given on the command line override them.
-struct ProgramDefaults {
-  std::string scene;                              // file; empty if --scene must be given
-  std::optional<Scene> generated = std::nullopt;  // in place of any file; --scene is then an error
-  std::string solver = "gd";                      // --solver
-  double learning_rate = 0;                       // 0: by what is optimised (10 for a control, 0.01 otherwise)
-  int iterations = 1000;
-};
 
 // What the common flags ask for.
 struct Request {
@@ -115,10 +107,6 @@ int ThreadsFromFlags();
 ProgressMode ProgressFromFlags();
 std::string OutputDirFromFlags();
 Precision PrecisionFromFlags();
-
-// A file or folder that comes with saltus, such as "problems/two_balls.yaml": of the installation that the running
-// program belongs to, or else of the source tree.
-std::string ShippedFile(const std::string& path);
 
 // Loads a scene file. Throws InputError.
 Scene LoadScene(const std::string& path);

@@ -103,7 +103,7 @@ std::vector<Program> MakePrograms() {
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
        {kScene,
         kModels,
-        {"Audit", {"attribution_seconds=S", "given=FILE", "width_sweep"}},
+        {"Audit", {"attribution_seconds=S", "audit_seconds=S", "given=FILE", "width_sweep"}},
         kSimulators,
         kSurrogate,
         kOutput}},

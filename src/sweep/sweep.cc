@@ -6,8 +6,10 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <memory>
 #include <regex>
 #include <string_view>
+#include <utility>
 
 #include "base/interrupt.h"
 #include "output/text_layout.h"
@@ -263,15 +265,16 @@ void AskProgram() {
 int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   Request request;
   ProgramDefaults defaults;
+  const auto generate = [&defaults](const std::string& name) {
+    Scene scene = ControlProblem(0);
+    scene.name = name;
+    defaults.generated = std::make_shared<const Scene>(std::move(scene));
+  };
   if (!FLAGS_program.empty()) {
     AskProgram();
-    defaults.generated = ControlProblem(0);
-    defaults.generated->name = KeptProgram()->name;
+    generate(KeptProgram()->name);
   }
-  if (SweepsSeeds(FLAGS_sweep)) {
-    defaults.generated = ControlProblem(0);
-    defaults.generated->name = "control_problems";
-  }
+  if (SweepsSeeds(FLAGS_sweep)) generate("control_problems");
   if (!ReadRequest(defaults, &request)) return kDone;
   CheckFlags();
   AddSimulators(arguments, &request);

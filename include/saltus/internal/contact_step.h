@@ -117,9 +117,12 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   void Step(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const override {
     model_.Step(in, x, next);
   }
-  SALTUS_FLATTEN void Step(const StepInput<Jet>& in, std::span<const JetState> x,
-                           std::span<JetState> next) const override {
-    model_.Step(in, x, next);
+  void Step(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const override {
+    if constexpr (std::is_same_v<S, double>) {
+      FlatStep(in, x, next);
+    } else {
+      model_.Step(in, x, next);
+    }
   }
   void Step([[maybe_unused]] const StepInput<Taped>& in, [[maybe_unused]] std::span<const TapedState> x,
             [[maybe_unused]] std::span<TapedState> next) const override {
@@ -185,6 +188,11 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   }
 
  private:
+  // Only of doubles, as it takes long to compile and floats are there for published values, not for speed.
+  SALTUS_FLATTEN void FlatStep(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const {
+    model_.Step(in, x, next);
+  }
+
   static constexpr bool kTapes = std::is_same_v<S, double> && requires { M::kTapedFrom; };
   static constexpr bool kLinearizes = requires { &M::Linearize; };
 
