@@ -1,8 +1,11 @@
 // Hybrid systems whose functions were recorded in Python, and their problems.
+#include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <array>
 #include <memory>
 #include <mutex>
+#include <tuple>
 
 #include "arrays.h"
 #include "blackbox/command_scheme.h"
@@ -11,6 +14,8 @@
 #include "convert.h"
 #include "hybrid/recorded_functions.h"
 #include "programs/hybrid_document.h"
+#include "saltus/feedback/covariance.h"
+#include "saltus/feedback/regulator.h"
 
 namespace saltus::python {
 namespace {
@@ -285,6 +290,57 @@ class Problem {
     return py::make_tuple(ToPython(document), computation.StoppedBy());
   }
 
+  // Gains, cost to go and closed loop of each interval; and of a regulator in continuous time, at the events: time,
+  // saltation matrix, gains and costs before and after.
+  py::tuple Track(const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R, const Eigen::MatrixXd& QT,
+                  bool continuous) {
+    Regulator regulator;
+    std::string remark;
+    Compute([&] {
+      HybridSimulator simulator(problem_.system, problem_.integration);
+      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
+      const TrackingCost cost{.Q = Q, .R = R, .QT = QT};
+      if (const std::string wrong = WhatIsWrongWith(cost, simulator); !wrong.empty()) {
+        throw std::invalid_argument(wrong);
+      }
+      regulator = continuous ? TrackContinuously(simulator, problem_.guess, cost)
+                             : saltus::Track(Linearize(simulator, problem_.guess), cost);
+      if (regulator.gains.empty()) {
+        throw std::runtime_error("two transitions without time between them: no regulator in continuous time");
+      }
+      remark = simulator.WhyNotDifferentiable();
+    });
+    py::list events;
+    for (const Regulator::AtEvent& at : regulator.events) {
+      events.append(
+          py::make_tuple(at.time, at.saltation, at.gain_before, at.gain_after, at.cost_before, at.cost_after));
+    }
+    return py::make_tuple(regulator.gains, regulator.cost_to_go, regulator.closed_loop, events, remark);
+  }
+
+  // Covariances at the nodes, standard deviations of the events' times, risks, the probability of them, the warning.
+  py::tuple Propagate(const std::array<Eigen::MatrixXd, 4>& covariances, const std::vector<Eigen::MatrixXd>& gains) {
+    Covariance found;
+    std::string remark;
+    Compute([&] {
+      HybridSimulator simulator(problem_.system, problem_.integration);
+      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
+      const LinearMotion motion = Linearize(simulator, problem_.guess);
+      const Noise noise{covariances[0], covariances[1], covariances[2], covariances[3]};
+      if (const std::string wrong = WhatIsWrongWith(noise, motion); !wrong.empty()) throw std::invalid_argument(wrong);
+      const Regulator regulator{.gains = gains};
+      if (const std::string wrong = WhatIsWrongWith(regulator, motion); !gains.empty() && !wrong.empty()) {
+        throw std::invalid_argument(wrong);
+      }
+      found = saltus::Propagate(motion, noise, gains.empty() ? nullptr : &regulator);
+      remark = simulator.WhyNotDifferentiable();
+    });
+    std::vector<std::tuple<std::string, double, double>> risks;
+    for (const SequenceRisk& risk : found.risks) risks.emplace_back(risk.what, risk.time, risk.probability);
+    const std::string warning = found.Warning();
+    return py::make_tuple(found.nodes, found.event_times, risks, found.change_probability, warning, remark);
+  }
+
   // Of a scheme in Python, or if `command` is not empty of that command.
   py::dict Audit(const std::string& name, const py::object& step, const py::object& jacobian,
                  const std::string& command, int steps, bool width_sweep, double budget) {
@@ -374,6 +430,8 @@ void BindHybrid(py::module_* module) {
            py::arg("iterations"),
            py::arg("learning_rate"),
            py::arg("callback"));
+  problem.def("track", &Problem::Track, py::arg("Q"), py::arg("R"), py::arg("QT"), py::arg("continuous"))
+      .def("propagate", &Problem::Propagate, py::arg("covariances"), py::arg("gains"));
   problem.def("audit",
               &Problem::Audit,
               py::arg("name"),

@@ -19,7 +19,7 @@ Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
-                loss_and_gradient, solve, hybrid_solvers, audit
+                loss_and_gradient, solve, hybrid_solvers, audit; track and propagate: feedback and uncertainty
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
 Other packages  EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient with jac=True
@@ -39,18 +39,22 @@ computation.
 
 from ._expression import where
 from ._hybrid import (
+    Covariance,
     HybridAudit,
     HybridGradient,
     HybridProblem,
     HybridRollout,
     HybridRun,
     HybridSystem,
+    Regulator,
     effort,
     final_derivatives,
     final_time,
     hybrid_solvers,
+    propagate,
     residuals,
     terminal,
+    track,
 )
 from ._identify import identify
 from ._own import ContactModel
@@ -64,6 +68,7 @@ __all__ = [
     "Audit",
     "Batch",
     "ContactModel",
+    "Covariance",
     "EndState",
     "Fit",
     "Gradient",
@@ -73,6 +78,7 @@ __all__ = [
     "HybridRollout",
     "HybridRun",
     "HybridSystem",
+    "Regulator",
     "Result",
     "Rollout",
     "Run",
@@ -92,10 +98,12 @@ __all__ = [
     "load_result",
     "load_scene",
     "loss_and_gradient",
+    "propagate",
     "residuals",
     "rollout",
     "solve",
     "solvers",
     "terminal",
+    "track",
     "where",
 ]

@@ -464,6 +464,92 @@ def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
     return HybridGradient({"loss": loss, "gradient": parts, "remark": remark})
 
 
+class Regulator(Result):
+    """Feedback about a motion, du = -K dx: ``gains``, ``cost_to_go`` (one more) and ``closed_loop``, a list of matrices for
+    each control interval; ``events`` of a regulator in continuous time, with ``time``, ``saltation``, ``gain_before``,
+    ``gain_after``, ``cost_before`` and ``cost_after``. ``remark`` as of a rollout."""
+
+    _kind = "regulator"
+
+
+class Covariance(Result):
+    """``covariances`` of the state at the beginning of each control interval and at the end; ``event_times``, the standard
+    deviations of the times of the events; ``risks``, a list of (what, time, probability) of changes of the sequence of
+    events, and ``change_probability``, a bound on their sum; ``warning``, empty if that is below 0.01."""
+
+    _kind = "covariance"
+
+
+def _matrix(value: ArrayLike | None) -> Any:
+    if value is None:
+        return np.zeros((0, 0))
+    matrix = np.asarray(value, dtype=float)
+    if matrix.ndim != 2:
+        raise ValueError(f"found an array of shape {matrix.shape}, expected a matrix")
+    return matrix
+
+
+def track(
+    problem: HybridProblem,
+    Q: ArrayLike | Mapping[str, ArrayLike],
+    R: ArrayLike,
+    QT: ArrayLike,
+    *,
+    continuous: bool = False,
+) -> Regulator:
+    """The linear-quadratic regulator with jumps about the motion of a hybrid problem, whose gains pass events by
+    saltation matrices.
+
+    Minimises the sum over the control intervals of dx' Q dx + du' R du, plus dx' QT dx at the end, with du constant in
+    each interval; or with ``continuous``, the integral, with du continuous in time. ``Q``: a matrix, or one for each mode
+    by name. The state dx is that at the beginning of the interval.
+    """
+    if not isinstance(problem, HybridProblem):
+        raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
+    if isinstance(Q, Mapping):
+        missing = [mode for mode in problem.system.modes if mode not in Q]
+        if missing or len(Q) != len(problem.system.modes):
+            raise ValueError(f"Q: expected a matrix for each of the modes {', '.join(problem.system.modes)}")
+        weights = [_matrix(Q[mode]) for mode in problem.system.modes]
+    else:
+        weights = [_matrix(Q)]
+    gains, cost, closed, events, remark = problem._native().track(weights, _matrix(R), _matrix(QT), bool(continuous))
+    names = ("time", "saltation", "gain_before", "gain_after", "cost_before", "cost_after")
+    return Regulator({
+        "gains": gains, "cost_to_go": cost, "closed_loop": closed,
+        "events": [Result(dict(zip(names, event))) for event in events], "remark": remark,
+    })
+
+
+def propagate(
+    problem: HybridProblem,
+    initial: ArrayLike | None = None,
+    *,
+    control: ArrayLike | None = None,
+    process: ArrayLike | None = None,
+    measurement: ArrayLike | None = None,
+    regulator: Regulator | None = None,
+) -> Covariance:
+    """The covariance of the error of a motion, to first order through its events, in open loop or with a regulator whose
+    du is constant in each interval.
+
+    Covariance matrices: of the ``initial`` state; of the ``control`` in each interval; of the ``process``, added to the
+    state at the end of each interval; of the ``measurement`` of the state at its beginning. None: no error.
+    """
+    if not isinstance(problem, HybridProblem):
+        raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
+    if regulator is not None and regulator.events:
+        raise ValueError("regulator: found one in continuous time, expected one with du constant in each interval")
+    matrices = [_matrix(value) for value in (initial, control, process, measurement)]
+    nodes, times, risks, probability, warning, remark = problem._native().propagate(
+        matrices, [] if regulator is None else regulator.gains
+    )
+    return Covariance({
+        "covariances": nodes, "event_times": np.array(times), "risks": risks, "change_probability": probability,
+        "warning": warning, "remark": remark,
+    })
+
+
 def hybrid_solvers() -> dict[str, str]:
     """The solvers of hybrid problems, each with one line about it."""
     return _saltus.hybrid_solvers()

@@ -277,3 +277,36 @@ def test_a_step_that_raises_ends_the_audit():
 
     with pytest.raises(KeyError, match="mine"):
         saltus.audit(ball_problem(costs=[saltus.terminal([1, 0])]), step=step)
+
+
+def test_track():
+    # Exact values: the exponential of the Hamiltonian matrix, with 84 digits.
+    drop = ball_problem(initial=[4, 0], parameters=[9.8, 0.7], duration=1.0, control=np.zeros((20, 1)))
+    weights = {"Q": np.diag([1, 0.1]), "R": [[0.05]], "QT": np.diag([20, 5])}
+    regulator = saltus.track(drop, **weights)
+    assert_allclose(regulator.gains[18], [[5.300930898806861, -2.221581020167541]], rtol=1e-10)
+    assert_allclose(regulator.cost_to_go[0], [[17.985378351607516, 5.6676179259690914], [5.6676179259690914, 3.732009620778854]],
+                    rtol=1e-10)
+    errors = 1e-4 * np.eye(2)
+    assert_allclose(saltus.propagate(drop, errors).covariances[-1],
+                    [[0.0000556041806150642175, -0.000151144593365937279], [-0.000151144593365937279, 0.000454025]], rtol=1e-10)
+    closed = saltus.propagate(drop, errors, regulator=regulator)
+    assert_allclose(closed.covariances[20], [[8.0271828309788786e-7, -4.1792147402346302e-6],
+                                             [-4.1792147402346302e-6, 3.8770574513935986e-5]], rtol=1e-10)
+    assert closed.warning == "" and len(closed.event_times) == 1
+    continuous = saltus.track(drop, **weights, continuous=True)
+    assert_allclose(continuous.events[0].saltation, [[-0.7, 0], [1.8815552078001857, -0.7]], rtol=1e-12)
+    # The same with other intervals.
+    assert_allclose(
+        saltus.track(ball_problem(initial=[4, 0], parameters=[9.8, 0.7], duration=1.0, control=np.zeros((7, 1))),
+                     **weights, continuous=True).cost_to_go[0],
+        continuous.cost_to_go[0], rtol=1e-10)
+
+    with pytest.raises(ValueError, match="R: .*positive definite"):
+        saltus.track(drop, Q=np.eye(2), R=[[0.0]], QT=np.eye(2))
+    with pytest.raises(ValueError, match="QT: found a matrix of 3 x 3, expected 2 x 2"):
+        saltus.track(drop, Q=np.eye(2), R=[[1.0]], QT=np.eye(3))
+    with pytest.raises(ValueError, match="covariance of the process: .*positive semidefinite"):
+        saltus.propagate(drop, process=-np.eye(2))
+    with pytest.raises(ValueError, match="continuous time"):
+        saltus.propagate(drop, errors, regulator=continuous)

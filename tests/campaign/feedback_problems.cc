@@ -1,0 +1,140 @@
+// Feedback and uncertainty on five plans with impacts.
+//
+// Of each plan, in open loop and in closed loop and for noise of several sizes: the largest difference between the
+// covariance of --samples runs and that of first order, as a multiple of its standard error; the root mean square of
+// the final error, of the samples and of first order; the runs whose events are not as planned, and the probability of
+// that to first order. Fails if at the smallest noise a difference is above 5 standard errors.
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "folders.h"
+#include "problems/hybrid/cart_pole_walls.h"
+#include "problems/hybrid/two_mass_hopper.h"
+#include "saltus/feedback/closed_loop.h"
+#include "saltus/feedback/covariance.h"
+#include "saltus/feedback/regulator.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/registry.h"
+
+DEFINE_int32(samples, 10000, "runs of each plan");
+DEFINE_int32(threads, 0, "of the runs; 0: one per core");
+
+namespace saltus {
+namespace {
+
+using Eigen::MatrixXd;
+
+bool failed = false;
+
+struct Case {
+  const char* name;
+  Plan plan;
+  LinearMotion linear;
+  Regulator regulator = {};
+  Noise noise = {};  // standard deviation 1e-3 of states
+  std::function<std::unique_ptr<Plant>()> plant = nullptr;
+};
+
+Scene ProblemScene(const std::string& name) {
+  return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
+}
+
+Case OfScene(const char* name, const Scene& scene) {
+  const auto motion = MakeSimulator({"event"}, scene, Precision::kDouble);
+  const std::vector<double> control = InitialControl(scene, motion->num_steps());
+  CHECK(motion->Rollout(InitialState(scene), control)) << motion->WhyFailed();
+  Case at{.name = name, .plan = MakePlan(*motion, control), .linear = Linearize(*motion, control)};
+  const int n = motion->state_size(), m = motion->control_width();
+  const double step = motion->step();
+  at.regulator = Track(at.linear,
+                       {.Q = {10 * step * MatrixXd::Identity(n, n)},
+                        .R = 1e-3 * step * MatrixXd::Identity(m, m),
+                        .QT = 10 * MatrixXd::Identity(n, n)});
+  at.noise.initial = 1e-6 * MatrixXd::Identity(n, n);
+  at.plant = [scene] { return MakePlant(MakeSimulator({"event"}, scene, Precision::kDouble)); };
+  return at;
+}
+
+Case OfSystem(const char* name, const HybridProblem& problem, std::vector<MatrixXd> Q) {
+  HybridSimulator motion(problem.system, problem.integration);
+  CHECK(motion.Rollout(problem.guess)) << motion.WhyFailed();
+  Case at{.name = name, .plan = MakePlan(motion, problem.guess), .linear = Linearize(motion, problem.guess)};
+  const Eigen::Index n0 = at.plan.states.front().size(), n = at.plan.states.back().size();
+  const int m = problem.system.num_controls();
+  at.regulator =
+      Track(at.linear, {.Q = std::move(Q), .R = 1e-2 * MatrixXd::Identity(m, m), .QT = 10 * MatrixXd::Identity(n, n)});
+  at.noise.initial = 1e-6 * MatrixXd::Identity(n0, n0);
+  at.plant = [problem, steps = motion.steps_per_interval()] { return MakePlant(problem.system, problem.guess, steps); };
+  return at;
+}
+
+void Compare(const Case& at) {
+  for (const double size : {0.1, 1.0, 10.0, 30.0}) {
+    Noise noise = at.noise;
+    noise.initial *= size * size;
+    double of_samples[2] = {};
+    for (const bool closed : {false, true}) {
+      const Covariance first_order = Propagate(at.linear, noise, closed ? &at.regulator : nullptr);
+      const MonteCarlo runs = RunMonteCarlo(at.plan,
+                                            closed ? at.regulator.gains : std::vector<MatrixXd>(),
+                                            noise,
+                                            at.plant,
+                                            {.samples = FLAGS_samples, .threads = FLAGS_threads});
+      const MatrixXd& P = first_order.nodes.back();
+      double worst = 0;
+      for (Eigen::Index i = 0; i < P.rows() && runs.counted > 1; ++i) {
+        for (Eigen::Index j = 0; j <= i; ++j) {
+          const double error = std::sqrt((P(i, i) * P(j, j) + P(i, j) * P(i, j)) / runs.counted);
+          if (error > 1e-12 * P.trace()) worst = std::max(worst, std::abs(runs.covariance(i, j) - P(i, j)) / error);
+        }
+      }
+      const double rms = runs.counted > 1
+                             ? std::sqrt(runs.covariance.trace() + (runs.mean - at.plan.states.back()).squaredNorm())
+                             : NAN;
+      of_samples[closed] = rms;
+      std::printf(
+          "%-20s %-6s noise %-7.1g difference %7.2f errors  rms %.4e, first order %.4e  otherwise %.4f, first "
+          "order %.4f  failed %d\n",
+          at.name,
+          closed ? "closed" : "open",
+          1e-3 * size,
+          worst,
+          rms,
+          std::sqrt(P.trace()),
+          static_cast<double>(runs.otherwise) / FLAGS_samples,
+          first_order.change_probability,
+          runs.failed);
+      failed = failed || (size < 1 && worst > 5);
+    }
+    std::printf("%-20s ratio of final errors, closed to open: %.4f\n", at.name, of_samples[1] / of_samples[0]);
+  }
+}
+
+void ComparePlans() {
+  Scene task2 = ProblemScene("ground_wall");
+  task2.control.bodies = {0};
+  task2.control.initial = {Vec2d(0, 0)};
+  Compare(OfScene("ground_wall", task2));
+  Compare(OfScene("two_balls", ProblemScene("two_balls")));
+  Compare(OfScene("multiple_collisions", ProblemScene("multiple_collisions")));
+  Compare(OfSystem(
+      "two_mass_hopper", TwoMassHopperProblem(), {0.1 * MatrixXd::Identity(5, 5), 0.1 * MatrixXd::Identity(3, 3)}));
+  Compare(OfSystem("cart_pole_walls", CartPoleWallsProblem(), {0.1 * MatrixXd::Identity(4, 4)}));
+}
+
+}  // namespace
+}  // namespace saltus
+
+int main(int argc, char** argv) {
+  gflags::ParseCommandLineFlags(&argc, &argv, true);
+  saltus::ComparePlans();
+  return saltus::failed ? 1 : 0;
+}
