@@ -2,7 +2,8 @@
 # usage: scripts/docs.sh [--check] [output folder]
 # Builds the documentation into a site that opens from disk: the pages of docs/, the Python module and, by Doxygen, the
 # headers of C++. The folder is build/docs/html unless given. If the module is in build/release, the site has the docstrings
-# of its compiled classes too. --check looks for broken links and wrong HTML in the site.
+# of its compiled classes too. --check looks for broken links and wrong HTML in the site, and for misspelt words in pages and
+# public headers.
 set -euo pipefail
 check=
 if [[ ${1:-} == --check ]]; then
@@ -13,7 +14,7 @@ output=${1:+$(realpath -m -- "$1")}
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 output=${output:-$PWD/build/docs/html}
 
-scripts/install_packages.sh python3-sphinx python3-myst-parser furo doxygen ${check:+linkchecker tidy}
+scripts/install_packages.sh python3-sphinx python3-myst-parser furo doxygen ${check:+linkchecker tidy codespell}
 work=$PWD/build/docs
 rm -rf "$work"
 mkdir -p "$work/doxygen/cpp"
@@ -47,6 +48,8 @@ done
 PYTHONPATH=${python:-$PWD/python} SALTUS_PYTHON=$python SALTUS_DOXYGEN=$work/doxygen PYTHONDONTWRITEBYTECODE=1 \
   /usr/bin/python3 -m sphinx -q -W --keep-going -b html -d "$work/doctrees" docs "$output"
 if [[ $check ]]; then
+  # Suh is an author, PositionOf a function.
+  codespell --skip='*.ipynb,*.svg' --ignore-words-list=suh,positionof README.md CHANGELOG.md CONTRIBUTING.md docs include
   linkchecker --no-robots --no-warnings "$output/index.html" | tail -2
   # Of the theme's own markup, labels around blocks are reported; MathML is unknown to tidy.
   find "$output" -name '*.html' -not -path "$output/cpp/*" -print0 | xargs -0 -n 1 tidy -q -e --drop-empty-elements no 2>&1 |

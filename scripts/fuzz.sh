@@ -15,7 +15,7 @@ fi
 targets=("$@")
 if ((${#targets[@]} == 0)); then targets=(scene sweep points given sequence npy npz extremes); fi
 
-scripts/install_packages.sh clang
+scripts/install_packages.sh clang-16 libclang-rt-16-dev
 cmake --preset fuzz
 
 corpus=tests/fuzz/corpus

@@ -55,18 +55,19 @@ struct CartPole {
   }
 };
 
-// The pole upright and at rest in the middle after 2 s, from a motion that meets the walls three times.
+// The restitution with which a motion that meets the walls three times ends where it does with e = 0.8.
 inline HybridProblem CartPoleWallsProblem() {
   HybridProblem problem{
       .system = HybridSystem(CartPole()),
-      .guess = {.initial = {0.1, 0.4, 1.2, -0.3}, .parameters = {0.8}, .duration = 2, .num_intervals = 20},
-      .terms = {MakeTerminalCost(0, 0.0, 1.0, 4),
-                MakeTerminalCost(1, 0.0, 1.0, 4),
-                MakeTerminalCost(2, 0.0, 0.1, 4),
-                MakeTerminalCost(3, 0.0, 0.1, 4),
-                MakeEffortCost(1e-3, 1)}};
+      .guess = {.initial = {0.1, 0.4, 1.2, -0.3}, .parameters = {0.75}, .duration = 2, .num_intervals = 20},
+      .terms = {MakeTerminalCost(0, -0.29906553238588283639, 1.0, 4),
+                MakeTerminalCost(1, -0.19669431314799779745, 1.0, 4),
+                MakeTerminalCost(2, -2.5487788682324296123, 1.0, 4),
+                MakeTerminalCost(3, -3.0267410664953559377, 1.0, 4)}};
   problem.guess.control = {6, 5, 3, 1, -2, -4, -5, -5, -3, 0, 2, 4, 5, 5, 4, 2, 0, -1, -2, -2};
-  problem.free.control = true;
+  problem.free.parameters = {0};
+  problem.free.parameters_min = {0};
+  problem.free.parameters_max = {1};
   return problem;
 }
 

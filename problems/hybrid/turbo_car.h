@@ -1,6 +1,9 @@
 #pragma once
 
+#include <ceres/autodiff_cost_function.h>
+
 #include <array>
+#include <memory>
 
 #include "saltus/hybrid/hybrid_problem.h"
 
@@ -42,16 +45,35 @@ struct TurboCar {
   }
 };
 
-// From nosnoc's examples, with a fixed time: 200 m in 40/3 s, at rest at both ends, with the least effort.
+// A speed limit of 20 m/s.
+struct SpeedLimit {
+  template <typename T>
+  bool operator()(const T* x, T* residual) const {
+    residual[0] = (x[1] - 20.0) / 20.0;
+    return true;
+  }
+};
+
+// From nosnoc's examples: 200 m in the least time, from rest to rest, with |u| <= 5 m/s^2. The optimum is 40/3 s: full
+// thrust, cruise at the limit and full brake; of 21 intervals 14 are with the turbo, so that the control switches at
+// the end of one.
 inline HybridProblem TurboCarProblem() {
+  constexpr int kIntervals = 21;
   HybridProblem problem{
       .system = HybridSystem(TurboCar()),
-      .guess = {.initial = {0, 0}, .duration = 40.0 / 3, .num_intervals = 10},
-      .terms = {MakeTerminalCost(0, 200.0, 1.0, 2), MakeTerminalCost(1, 0.0, 10.0, 2), MakeEffortCost(0.01, 1)}};
-  problem.guess.control = {4, 4, 4, 1, 1, -1, -1, -4, -4, -4};
-  problem.free.control = true;
-  problem.free.control_min = {-5};
-  problem.free.control_max = {5};
+      .guess = {.initial = {0, 0}, .duration = 14, .num_intervals = kIntervals},
+      .terms = {MakeDurationCost(1.0), MakeTerminalCost(0, 200.0, 1e-4, 2), MakeTerminalCost(1, 0.0, 1e-2, 2)}};
+  for (int k = 0; k < kIntervals; ++k) problem.guess.control.push_back(2 * k < kIntervals ? 2.5 : -2.5);
+  for (int i : {1, 2}) problem.terms[i].role = HybridTerm::Role::kEquality;
+  problem.terms.push_back(
+      {.name = "speed limit",
+       .at = HybridTerm::At::kEachInterval,
+       .role = HybridTerm::Role::kInequality,
+       .with_state = true,
+       .function = std::make_shared<ceres::AutoDiffCostFunction<SpeedLimit, 1, 2>>(new SpeedLimit)});
+  problem.free = {.control = true, .control_min = {-5}, .control_max = {5}, .duration = true};
+  problem.free.duration_min = 5;
+  problem.free.duration_max = 30;
   return problem;
 }
 

@@ -131,6 +131,9 @@ bool IsNotMeantAsDerivative(const Contact& contact) {
 
 // Why the gradient is not right.
 std::string CauseOf(const ModelAudit& audit) {
+  // A black box without a study: its first remark says why.
+  const bool studied = audit.refinement || audit.widths;
+  if (audit.black_box && !studied && !audit.black_box->remarks.empty()) return audit.black_box->remarks.front();
   if (audit.verdict == Verdict::kIllConditioned) {
     char text[160];
     std::snprintf(text,

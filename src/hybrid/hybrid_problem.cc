@@ -144,6 +144,7 @@ std::string WhatIsWrongWith(const HybridProblem& problem) {
   const HybridSystem& system = problem.system;
   const HybridFree& free = problem.free;
   if (std::string wrong = WhatIsWrongWith(problem.guess, system); !wrong.empty()) return wrong;
+  if (problem.guess.begin != 0) return "found a motion that begins at another time than 0, expected 0";
   for (const HybridTerm& term : problem.terms) {
     if (std::string wrong = WhatIsWrongWith(term, system); !wrong.empty()) return term.name + ": " + wrong;
   }

@@ -201,15 +201,20 @@ HybridSensitivity HybridSimulator::Sensitivity() {
   return impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
 }
 
+std::vector<HybridSensitivity> HybridSimulator::IntervalSensitivities() {
+  CHECK(impl_->done) << "the rollout failed";
+  return impl_->derivatives.Intervals(impl_->input, impl_->run.tape());
+}
+
 std::vector<double> HybridInput::Times() const {
   std::vector<double> times(num_intervals + 1);
   const double whole = std::accumulate(lengths.begin(), lengths.end(), 0.0);
   double sum = 0;
   for (int k = 0; k < num_intervals; ++k) {
-    times[k] = lengths.empty() ? duration * k / num_intervals : duration * (sum / whole);
+    times[k] = begin + (lengths.empty() ? duration * k / num_intervals : duration * (sum / whole));
     if (!lengths.empty()) sum += lengths[k];
   }
-  times.back() = duration;
+  times.back() = begin + duration;
   return times;
 }
 
@@ -240,6 +245,7 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
     if (!(length > 0) || !std::isfinite(length)) return "expected finite lengths of the control intervals above zero";
   }
   if (!(input.duration > 0) || !std::isfinite(input.duration)) return "expected a finite duration above zero";
+  if (!std::isfinite(input.begin)) return "the time of the beginning is not finite";
   if (!finite(input.initial)) return "the initial state is not finite";
   if (!finite(input.parameters)) return "a parameter is not finite";
   if (!finite(input.control)) return "the control is not finite";

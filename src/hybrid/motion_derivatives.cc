@@ -114,10 +114,52 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   return gradient;
 }
 
+// Takes the tangent of state and time at the beginning of an entry to its end. The column of the derivative by the
+// duration is given, or -1 if there is none.
+void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry,
+                                    int duration_column, RungeKutta::Tangent* at) {
+  using Matrix = RungeKutta::Matrix;
+  const HybridFunctions& f = system_.functions();
+  const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
+  const FlowStep step = StepOf(input, tape, entry);
+  const int n = system_.state_size(entry.mode);
+  const Eigen::Index columns = at->x.cols();
+  if (entry.kind == TapeEntry::Kind::kReset || entry.kind == TapeEntry::Kind::kProjection) {
+    const int next = Map(entry, step);
+    const int rows = system_.state_size(next);
+    const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
+    Matrix after = jacobian.leftCols(n) * at->x + jacobian.col(n) * at->t + jacobian.rightCols(num_parameters) * at->p;
+    at->x = std::move(after);
+    return;
+  }
+  integrator_.Linearize(step);
+  const Eigen::RowVectorXd from = at->t;
+  if (entry.kind == TapeEntry::Kind::kToNode) {
+    at->h = -at->t;
+    if (duration_column >= 0) at->h[duration_column] += tape.Fraction(entry.node);
+    at->x = integrator_.PushForward(*at);
+    at->t = Eigen::RowVectorXd::Zero(columns);
+    if (duration_column >= 0) at->t[duration_column] = tape.Fraction(entry.node);
+    return;
+  }
+  const TapeEntry& reset = (&entry)[1];
+  f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.u, step.p, guard_.data());
+  const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters + num_controls);
+  integrator_.ByLength(by_length_.data());
+  const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);
+  at->h = Eigen::RowVectorXd::Zero(columns);
+  const Matrix fixed = integrator_.PushForward(*at);  // for a fixed length
+  const double rate = guard.head(n) * by_length + guard[n];
+  at->h = -(guard.head(n) * fixed + guard[n] * at->t + guard.segment(n + 1, num_parameters) * at->p +
+            guard.tail(num_controls) * at->u) /
+          rate;
+  at->x = fixed + by_length * at->h;
+  at->t = from + at->h;
+}
+
 HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const MotionTape& tape,
                                                  const std::vector<HybridEvent>& events) {
   using Matrix = RungeKutta::Matrix;
-  const HybridFunctions& f = system_.functions();
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
   const int n0 = system_.state_size(input.mode), all_controls = input.num_intervals * num_controls;
   const int columns = n0 + all_controls + num_parameters + 1;
@@ -136,46 +178,39 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
         &entry - tape.entries.data() == static_cast<std::ptrdiff_t>(tape.intervals[out.nodes.size()])) {
       out.nodes.emplace_back(at.x.data(), at.x.data() + at.x.size());
     }
-    const FlowStep step = StepOf(input, tape, entry);
-    const int n = system_.state_size(entry.mode);
-    if (entry.kind == TapeEntry::Kind::kReset || entry.kind == TapeEntry::Kind::kProjection) {
-      const int next = Map(entry, step);
-      const int rows = system_.state_size(next);
-      const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
-      Matrix after = jacobian.leftCols(n) * at.x + jacobian.col(n) * at.t + jacobian.rightCols(num_parameters) * at.p;
-      at.x = std::move(after);
-      if (entry.kind == TapeEntry::Kind::kProjection) continue;
-      out.after[entry.event].assign(at.x.data(), at.x.data() + at.x.size());
-      out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
-      continue;
-    }
-    integrator_.Linearize(step);
     at.u = Matrix::Zero(num_controls, columns);
     at.u.middleCols(n0 + entry.interval * num_controls, num_controls).setIdentity();
-    const Eigen::RowVectorXd from = at.t;
-    if (entry.kind == TapeEntry::Kind::kToNode) {
-      at.h = -at.t;
-      at.h[columns - 1] += tape.Fraction(entry.node);
-      at.x = integrator_.PushForward(at);
-      at.t = Eigen::RowVectorXd::Zero(columns);
-      at.t[columns - 1] = tape.Fraction(entry.node);
-      continue;
-    }
-    const TapeEntry& reset = (&entry)[1];
-    f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.u, step.p, guard_.data());
-    const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters + num_controls);
-    integrator_.ByLength(by_length_.data());
-    const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);
-    at.h = Eigen::RowVectorXd::Zero(columns);
-    const Matrix fixed = integrator_.PushForward(at);  // for a fixed length
-    const double rate = guard.head(n) * by_length + guard[n];
-    at.h = -(guard.head(n) * fixed + guard[n] * at.t + guard.segment(n + 1, num_parameters) * at.p +
-             guard.tail(num_controls) * at.u) /
-           rate;
-    at.x = fixed + by_length * at.h;
-    at.t = from + at.h;
+    PushForward(input, tape, entry, columns - 1, &at);
+    if (entry.kind != TapeEntry::Kind::kReset) continue;
+    out.after[entry.event].assign(at.x.data(), at.x.data() + at.x.size());
+    out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
   }
   out.final_state.assign(at.x.data(), at.x.data() + at.x.size());
+  return out;
+}
+
+std::vector<HybridSensitivity> MotionDerivatives::Intervals(const HybridInput& input, const MotionTape& tape) {
+  using Matrix = RungeKutta::Matrix;
+  const int num_controls = system_.num_controls();
+  std::vector<HybridSensitivity> out(tape.intervals.size());
+  for (std::size_t k = 0; k < out.size(); ++k) {
+    const std::size_t first = k == 0 ? 0 : tape.intervals[k];
+    const std::size_t end = k + 1 < out.size() ? tape.intervals[k + 1] : tape.entries.size();
+    const int n = system_.state_size(tape.entries[first].mode), columns = out[k].columns = n + num_controls;
+    RungeKutta::Tangent at;
+    at.x = Matrix::Identity(n, columns);
+    at.t = Eigen::RowVectorXd::Zero(columns);
+    at.p = Matrix::Zero(system_.num_parameters(), columns);
+    at.u = Matrix::Zero(num_controls, columns);
+    at.u.rightCols(num_controls).setIdentity();
+    for (std::size_t i = first; i < end; ++i) {
+      PushForward(input, tape, tape.entries[i], -1, &at);
+      if (tape.entries[i].kind != TapeEntry::Kind::kReset) continue;
+      out[k].after.emplace_back(at.x.data(), at.x.data() + at.x.size());
+      out[k].times.emplace_back(at.t.data(), at.t.data() + columns);
+    }
+    out[k].final_state.assign(at.x.data(), at.x.data() + at.x.size());
+  }
   return out;
 }
 

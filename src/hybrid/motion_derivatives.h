@@ -25,8 +25,12 @@ class MotionDerivatives {
                          const HybridCotangent& cotangent);
   HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
                                 const std::vector<HybridEvent>& events);
+  // As HybridSimulator::IntervalSensitivities.
+  std::vector<HybridSensitivity> Intervals(const HybridInput& input, const MotionTape& tape);
 
  private:
+  void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry, int duration_column,
+                   RungeKutta::Tangent* at);
   int Map(const TapeEntry& entry, const FlowStep& step);
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 

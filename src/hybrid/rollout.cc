@@ -30,8 +30,8 @@ int ControlJumpNear(const HybridInput& input, int num_controls, double time, dou
   int k = 0;
   double begin = 0, length = input.duration / input.num_intervals;
   if (input.lengths.empty()) {
-    k = static_cast<int>(std::round(time / length));
-    begin = k * length;
+    k = static_cast<int>(std::round((time - input.begin) / length));
+    begin = input.begin + k * length;
   } else {
     const std::vector<double> times = input.Times();
     k = static_cast<int>(std::upper_bound(times.begin(), times.end(), time) - times.begin());
@@ -139,9 +139,10 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
     interval_ends_ = input.Times();
     tape_.fractions = {0};
     for (int k = 0; k < input.num_intervals; ++k) {
-      const double begin = interval_ends_[k], length = interval_ends_[k + 1] - begin;
+      const double begin = interval_ends_[k] - input.begin, length = interval_ends_[k + 1] - interval_ends_[k];
       for (int i = 1; i <= steps_; ++i) tape_.fractions.push_back((begin + length * i / steps_) / input.duration);
-      tape_.fractions.back() = k + 1 == input.num_intervals ? 1.0 : interval_ends_[k + 1] / input.duration;
+      tape_.fractions.back() =
+          k + 1 == input.num_intervals ? 1.0 : (interval_ends_[k + 1] - input.begin) / input.duration;
     }
   }
   events_.clear();
@@ -154,7 +155,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   accumulation_.reset();
   end_ = RolloutEnd::kDone;
   at_.mode = input.mode;
-  at_.t = 0;
+  at_.t = input.begin;
   interval_ = 0;
   std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
   std::vector<int> order(at_.guards.size());
@@ -279,7 +280,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
 
 // From at_ to a time of the grid, through all events on the way.
 bool RolloutRun::StepTo(int node) {
-  const double target = input_->duration * tape_.Fraction(node);
+  const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
@@ -374,7 +375,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   }
   order.resize(system_.num_guards(at_.mode));
   std::iota(order.begin(), order.end(), 0);
-  if (input_->duration - at_.t <= at_once) {
+  if (input_->begin + input_->duration - at_.t <= at_once) {
     Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at the final time");
   } else if (ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump) > 0) {
     Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at t = " + Text(at_.t) +
@@ -448,7 +449,7 @@ bool RolloutRun::Accumulates() {
     if (!shrinks) continue;
     const double ratio = interval(0) / interval(1);
     const double point = at_.t + interval(0) * ratio / (1 - ratio);
-    if (!(point < input_->duration)) continue;
+    if (!(point < input_->begin + input_->duration)) continue;
     accumulation_ = point;
     char text[32];
     std::snprintf(text, sizeof text, "%.16g", point);

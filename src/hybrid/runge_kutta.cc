@@ -8,26 +8,6 @@ namespace saltus {
 namespace {
 
 using namespace cooper_verner;
-// out = x + h sum of the row's slopes. kSize: the size of the state if the compiler shall know it, else 0.
-template <int kSize>
-inline void Combine(const Row& row, int size, double h, const double* x, const double* slopes, double* out) {
-  const int n = kSize > 0 ? kSize : size;
-  if constexpr (kSize > 0) {
-    double sum[kSize] = {};
-    for (int k = 0; k < row.count; ++k) {
-      const double* slope = slopes + row.terms[k].stage * kSize;
-      for (int i = 0; i < kSize; ++i) sum[i] += row.terms[k].factor * slope[i];
-    }
-    for (int i = 0; i < kSize; ++i) out[i] = x[i] + h * sum[i];
-  } else {
-    for (int i = 0; i < n; ++i) {
-      double sum = 0;
-      for (int k = 0; k < row.count; ++k) sum += row.terms[k].factor * slopes[row.terms[k].stage * n + i];
-      out[i] = x[i] + h * sum;
-    }
-  }
-}
-
 // Calls function(size) with the size of the state as a constant if it is small, else with 0.
 template <typename Function>
 void WithSize(int size, const Function& function) {
@@ -49,25 +29,34 @@ void WithSize(int size, const Function& function) {
   }
 }
 
-template <int kSize>
-void StepOfSize(const HybridFunctions& f, const FlowStep& step, int size, double* slopes, double* stage,
-                double* after) {
-  const int n = kSize > 0 ? kSize : size;
+}  // namespace
+
+void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after) const {
+  const int n = state_size(step.mode);
+  double *slopes = scratch, *stage = scratch + kStages * n;
+  std::copy_n(slope, n, slopes);
   for (int i = 1; i < kStages; ++i) {
-    Combine<kSize>(kRows[i], n, step.h, step.x, slopes, stage);
-    f.Flow(step.mode, step.t + kC[i] * step.h, stage, step.u, step.p, slopes + i * n);
+    Combine(i, n, step.h, step.x, slopes, stage);
+    Flow(step.mode, step.t + kC[i] * step.h, stage, step.u, step.p, slopes + i * n);
   }
-  Combine<kSize>(kRows[kStages], n, step.h, step.x, slopes, after);
+  Combine(kStages, n, step.h, step.x, slopes, after);
 }
 
-}  // namespace
+void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const {
+  const int n = state_size(step.mode);
+  const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + layout().num_parameters + layout().num_controls);
+  for (int i = 0; i < kStages; ++i) {
+    Combine(i, n, step.h, step.x, slopes, scratch);
+    FlowJacobian(step.mode, step.t + kC[i] * step.h, scratch, step.u, step.p, slopes + i * n, jacobians + i * stride);
+  }
+}
 
 RungeKutta::RungeKutta(const HybridFunctions& functions)
     : functions_(functions),
       num_parameters_(functions.layout().num_parameters),
       num_controls_(functions.layout().num_controls) {
   const int most = functions.most_states();
-  stage_.resize(most);
+  scratch_.resize((kStages + 1) * most);
   slopes_.resize(kStages * most);
   cotangents_.resize(kStages * most);
   of_variables_.resize(most + 1 + num_parameters_ + num_controls_);
@@ -75,10 +64,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
 }
 
 void RungeKutta::Step(const FlowStep& step, const double* slope, double* after) {
-  const int n = functions_.state_size(step.mode);
-  double *slopes = slopes_.data(), *stage = stage_.data();
-  std::copy_n(slope, n, slopes);
-  WithSize(n, [&](auto size) { StepOfSize<decltype(size)::value>(functions_, step, n, slopes, stage, after); });
+  functions_.Step(step, slope, scratch_.data(), after);
 }
 
 RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
@@ -89,16 +75,7 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.state_size(step.mode);
   length_ = step.h;
-  WithSize(size_, [&](auto size) {
-    constexpr int kSize = decltype(size)::value;
-    const int n = kSize > 0 ? kSize : size_;
-    const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + num_parameters_ + num_controls_);
-    for (int i = 0; i < kStages; ++i) {
-      Combine<kSize>(kRows[i], n, step.h, step.x, slopes_.data(), stage_.data());
-      functions_.FlowJacobian(
-          step.mode, step.t + kC[i] * step.h, stage_.data(), step.u, step.p, &slopes_[i * n], &jacobians_[i * stride]);
-    }
-  });
+  functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
@@ -152,12 +129,16 @@ void RungeKutta::PullBackOfSize(const double* after, Cotangent* out) const {
   for (int i = kStages - 1; i >= 0; --i) {
     const double* jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns];
     const double* of_slope = of_slopes + i * n;
-    for (int column = 0; column < columns; ++column) of_stage[column] = of_slope[0] * jacobian[column];
-    for (int row = 1; row < n; ++row) {
-      for (int column = 0; column < columns; ++column) {
-        of_stage[column] += of_slope[row] * jacobian[row * columns + column];
+    const auto multiply = [&](int first, int last) {
+      for (int column = first; column < last; ++column) of_stage[column] = of_slope[0] * jacobian[column];
+      for (int row = 1; row < n; ++row) {
+        for (int column = first; column < last; ++column) {
+          of_stage[column] += of_slope[row] * jacobian[row * columns + column];
+        }
       }
-    }
+    };
+    multiply(0, n);  // a number of columns that the compiler knows
+    multiply(n, columns);
     for (int j = 0; j < n; ++j) out->x[j] += of_stage[j];
     by_t += of_stage[n];
     by_h += kC[i] * of_stage[n];

@@ -1,104 +1,15 @@
-// One step of an explicit Runge-Kutta method of order 8 for the flow of a mode, and its derivatives.
-//
-// The method of Cooper and Verner (SIAM J. Numer. Anal. 9, 1972): 11 stages, with coefficients in closed form,
-//
-//   k_i = f(t + c_i h, X_i),   X_i = x + h sum_{j < i} a_ij k_j,   x' = x + h sum_i b_i k_i.
+// One step of the Runge-Kutta method of saltus/internal/runge_kutta_step.h for the flow of a mode, and its derivatives.
 //
 // Derivatives are those of the step itself, not of the flow that it approximates: with the Jacobians of f at the
 // stages, dk_i = f_x dX_i + f_t dt_i + f_p dp + f_u du. The two differ by the error of the step.
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
 
 namespace saltus {
-
-namespace cooper_verner {
-
-inline constexpr int kStages = 11;
-inline constexpr double kRoot21 = 4.58257569495584000658804719372800849;
-
-inline constexpr double kA[kStages][kStages] = {
-    {},
-    {1.0 / 2},
-    {1.0 / 4, 1.0 / 4},
-    {1.0 / 7, (-7 - 3 * kRoot21) / 98, (21 + 5 * kRoot21) / 49},
-    {(11 + kRoot21) / 84, 0, (18 + 4 * kRoot21) / 63, (21 - kRoot21) / 252},
-    {(5 + kRoot21) / 48, 0, (9 + kRoot21) / 36, (-231 + 14 * kRoot21) / 360, (63 - 7 * kRoot21) / 80},
-    {(10 - kRoot21) / 42,
-     0,
-     (-432 + 92 * kRoot21) / 315,
-     (633 - 145 * kRoot21) / 90,
-     (-504 + 115 * kRoot21) / 70,
-     (63 - 13 * kRoot21) / 35},
-    {1.0 / 14, 0, 0, 0, (14 - 3 * kRoot21) / 126, (13 - 3 * kRoot21) / 63, 1.0 / 9},
-    {1.0 / 32, 0, 0, 0, (91 - 21 * kRoot21) / 576, 11.0 / 72, (-385 - 75 * kRoot21) / 1152, (63 + 13 * kRoot21) / 128},
-    {1.0 / 14,
-     0,
-     0,
-     0,
-     1.0 / 9,
-     (-733 - 147 * kRoot21) / 2205,
-     (515 + 111 * kRoot21) / 504,
-     (-51 - 11 * kRoot21) / 56,
-     (132 + 28 * kRoot21) / 245},
-    {0,
-     0,
-     0,
-     0,
-     (-42 + 7 * kRoot21) / 18,
-     (-18 + 28 * kRoot21) / 45,
-     (-273 - 53 * kRoot21) / 72,
-     (301 + 53 * kRoot21) / 72,
-     (28 - 28 * kRoot21) / 45,
-     (49 - 7 * kRoot21) / 18}};
-inline constexpr double kB[kStages] = {1.0 / 20, 0, 0, 0, 0, 0, 0, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
-inline constexpr double kC[kStages] = {0,
-                                       0.5,
-                                       0.5,
-                                       (7 + kRoot21) / 14,
-                                       (7 + kRoot21) / 14,
-                                       0.5,
-                                       (7 - kRoot21) / 14,
-                                       (7 - kRoot21) / 14,
-                                       0.5,
-                                       (7 + kRoot21) / 14,
-                                       1};
-
-// The coefficients that are not zero: those of b as row kStages.
-struct Term {
-  int stage;
-  double factor;
-};
-struct Row {
-  int count = 0;
-  std::array<Term, kStages> terms{};
-};
-constexpr std::array<Row, kStages + 1> MakeRows() {
-  std::array<Row, kStages + 1> rows{};
-  for (int i = 0; i <= kStages; ++i) {
-    for (int j = 0; j < kStages; ++j) {
-      const double factor = i < kStages ? kA[i][j] : kB[j];
-      if (factor != 0) rows[i].terms[rows[i].count++] = {j, factor};
-    }
-  }
-  return rows;
-}
-inline constexpr std::array<Row, kStages + 1> kRows = MakeRows();
-
-}  // namespace cooper_verner
-
-// Where a step begins and how long it is.
-struct FlowStep {
-  int mode = 0;
-  double t = 0, h = 0;
-  const double* x = nullptr;  // state of the mode
-  const double* u = nullptr;  // control
-  const double* p = nullptr;  // parameters
-};
 
 class RungeKutta {
  public:
@@ -144,7 +55,7 @@ class RungeKutta {
   int num_parameters_, num_controls_;
   int size_ = 0;  // of the state, in the last Linearize
   double length_ = 0;
-  std::vector<double> stage_;                 // X_i
+  std::vector<double> scratch_;               // of a step
   std::vector<double> slopes_;                // k_i, one after the other
   std::vector<double> jacobians_;             // of f at the stages
   mutable std::vector<double> cotangents_;    // of k_i

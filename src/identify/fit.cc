@@ -27,10 +27,44 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
   return std::make_unique<ceres::TrivialLoss>();
 }
 
+// The parameter blocks of a fit in one array, in the order in which the problem gets them. Ceres orders the columns of
+// a covariance by the addresses of the blocks: in separate allocations its last digits would differ from run to run.
+class Blocks {
+ public:
+  Blocks(const FitProblem& problem, FitPoint* point) : problem_(problem), point_(*point), values_(point->coordinates) {
+    for (const Segment& segment : point->segments) {
+      for (const int body : problem.free_bodies) {
+        const double* initial = &segment.initial[4 * body];
+        values_.insert(values_.end(), initial, initial + 4);
+      }
+    }
+  }
+
+  double* coordinate(std::size_t u) { return &values_[u]; }
+  // Of the `number`-th free disc.
+  double* initial(std::size_t segment, std::size_t number) {
+    return &values_[point_.coordinates.size() + 4 * (segment * problem_.free_bodies.size() + number)];
+  }
+  void CopyToPoint() {
+    std::copy_n(values_.begin(), point_.coordinates.size(), point_.coordinates.begin());
+    for (std::size_t s = 0; s < point_.segments.size(); ++s) {
+      for (std::size_t b = 0; b < problem_.free_bodies.size(); ++b) {
+        std::copy_n(initial(s, b), 4, &point_.segments[s].initial[4 * problem_.free_bodies[b]]);
+      }
+    }
+  }
+
+ private:
+  const FitProblem& problem_;
+  FitPoint& point_;
+  std::vector<double> values_;
+};
+
 // The motion of all segments at a point, for all costs at once.
 class Motions final : public ceres::EvaluationCallback {
  public:
-  Motions(const FitProblem& problem, FitPoint* point) : problem_(problem), point_(*point), start_(point->coordinates) {}
+  Motions(const FitProblem& problem, FitPoint* point, Blocks* blocks)
+      : problem_(problem), point_(*point), blocks_(*blocks), start_(point->coordinates) {}
 
   void PrepareForEvaluation(bool with_jacobians, bool is_new) override {
     if (!is_new && (has_jacobians_ || !with_jacobians) && !motion_.empty()) return;
@@ -39,6 +73,7 @@ class Motions final : public ceres::EvaluationCallback {
 
   void Compute(bool with_jacobians) {
     ++evaluations_;
+    blocks_.CopyToPoint();
     has_jacobians_ = with_jacobians;
     motion_.assign(point_.segments.size(), {});
     for (MotionAtSamples& motion : motion_) motion.reason = "a parameter runs away from its start";
@@ -72,6 +107,7 @@ class Motions final : public ceres::EvaluationCallback {
 
   const FitProblem& problem_;
   const FitPoint& point_;
+  Blocks& blocks_;
   const std::vector<double> start_;
   std::vector<MotionAtSamples> motion_;
   bool has_jacobians_ = false;
@@ -149,20 +185,20 @@ ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t nu
 }
 
 // What is learned stays near its start where the data say nothing of it.
-void AddPrior(const FitProblem& problem, FitPoint* point, ceres::Problem* ceres_problem) {
+void AddPrior(const FitProblem& problem, Blocks* blocks, ceres::Problem* ceres_problem) {
   const std::optional<LearnedStart> learned = LearnedStartOf(*problem.options);
   if (!learned) return;
   const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / learned->spread);
   for (std::size_t i = 0; i < learned->parameters.size(); ++i) {
     const ceres::Vector start = ceres::Vector::Constant(1, learned->parameters[i]);
-    double* coordinate = &point->coordinates[problem.num_plain + i];
+    double* coordinate = blocks->coordinate(problem.num_plain + i);
     ceres_problem->AddResidualBlock(new ceres::NormalPrior(weight, start), nullptr, coordinate);
   }
 }
 
 // Covariance of the unknowns' values; empty if the Jacobian has not the rank.
-std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const FitPoint& point,
-                                              const std::vector<bool>& held, ceres::Problem* ceres_problem) {
+std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const std::vector<bool>& held, Blocks* blocks,
+                                              ceres::Problem* ceres_problem) {
   ceres::Covariance::Options options;
   options.apply_loss_function = false;
   const bool dense = ceres_problem->NumParameters() <= kDenseColumns;
@@ -174,7 +210,7 @@ std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const F
   const auto is_held = [&](std::size_t i) { return !held.empty() && held[i]; };
   for (std::size_t i = 0; i < count; ++i) {
     for (std::size_t j = i; j < count; ++j) {
-      if (!is_held(i) && !is_held(j)) pairs.emplace_back(&point.coordinates[i], &point.coordinates[j]);
+      if (!is_held(i) && !is_held(j)) pairs.emplace_back(blocks->coordinate(i), blocks->coordinate(j));
     }
   }
   if (pairs.empty() || !covariance.Compute(pairs, ceres_problem)) return {};
@@ -183,9 +219,9 @@ std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const F
     for (std::size_t j = i; j < count; ++j) {
       if (is_held(i) || is_held(j)) continue;
       double entry = 0;
-      covariance.GetCovarianceBlock(&point.coordinates[i], &point.coordinates[j], &entry);
-      out[i][j] = out[j][i] = entry * SlopeAt(problem.unknowns[i], point.coordinates[i]) *
-                              SlopeAt(problem.unknowns[j], point.coordinates[j]);
+      covariance.GetCovarianceBlock(blocks->coordinate(i), blocks->coordinate(j), &entry);
+      out[i][j] = out[j][i] = entry * SlopeAt(problem.unknowns[i], *blocks->coordinate(i)) *
+                              SlopeAt(problem.unknowns[j], *blocks->coordinate(j));
     }
   }
   return out;
@@ -245,25 +281,26 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
   FitResult result;
   result.point = start;
   FitPoint& point = result.point;
-  Motions motions(problem, &point);
+  Blocks blocks(problem, &point);
+  Motions motions(problem, &point, &blocks);
   const auto loss = MakeLoss(problem.options->loss, loss_scale);
   ceres::Problem::Options problem_options;
   problem_options.evaluation_callback = &motions;
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   ceres::Problem ceres_problem(problem_options);
   for (std::size_t s = 0; s < point.segments.size(); ++s) {
-    Segment& segment = point.segments[s];
-    std::vector<double*> blocks;
-    for (double& coordinate : point.coordinates) blocks.push_back(&coordinate);
-    for (const int body : problem.free_bodies) blocks.push_back(&segment.initial[4 * body]);
+    const Segment& segment = point.segments[s];
+    std::vector<double*> of_segment;
+    for (std::size_t u = 0; u < point.coordinates.size(); ++u) of_segment.push_back(blocks.coordinate(u));
+    for (std::size_t b = 0; b < problem.free_bodies.size(); ++b) of_segment.push_back(blocks.initial(s, b));
     for (int i = 0; i < segment.last - segment.first; ++i) {
       ceres_problem.AddResidualBlock(
-          new SampleCost(problem, motions, segment, static_cast<int>(s), i), loss.get(), blocks);
+          new SampleCost(problem, motions, segment, static_cast<int>(s), i), loss.get(), of_segment);
     }
   }
-  AddPrior(problem, &point, &ceres_problem);
+  AddPrior(problem, &blocks, &ceres_problem);
   for (std::size_t u = 0; u < held.size(); ++u) {
-    if (held[u]) ceres_problem.SetParameterBlockConstant(&point.coordinates[u]);
+    if (held[u]) ceres_problem.SetParameterBlockConstant(blocks.coordinate(u));
   }
   ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size(), gain);
   IterationReport report(*problem.options);
@@ -282,7 +319,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
     result.ok = false;
     result.reason = motion.reason;
   }
-  if (with_covariance && result.ok) result.covariance = CovarianceOf(problem, point, held, &ceres_problem);
+  if (with_covariance && result.ok) result.covariance = CovarianceOf(problem, held, &blocks, &ceres_problem);
   result.evaluations = motions.evaluations();
   return result;
 }

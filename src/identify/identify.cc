@@ -555,8 +555,9 @@ class Identification {
   }
 
   void ReportResiduals(const FitResult& fit) {
-    for (std::size_t s = 0; s < segments_.size(); ++s) {
-      const Segment& segment = segments_[s];
+    // The fit's own segments: those of a search that was interrupted have fewer samples.
+    for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
+      const Segment& segment = fit.point.segments[s];
       for (int i = 0; i < segment.last - segment.first; ++i) {
         const Sample& sample = problem_.SampleAt(segment, i);
         const Eigen::VectorXd residual = ResidualOf(problem_, sample, fit.motion[s].state[i]);

@@ -132,7 +132,7 @@ void Judge(Certificate* certificate) {
   for (const auto& [residual, name] : residuals) {
     if (residual <= worst) continue;
     certificate->verdict = kNotStationary;
-    certificate->reason = std::string(name) + " is off most";
+    certificate->reason = std::string("the largest residual is that of ") + name;
     worst = residual;
   }
   if (certificate->verdict == kNotStationary && certificate->gradient &&

@@ -377,45 +377,55 @@ Eigen::Index CondensedLoss::NumFree() const {
   return std::lround(sum);
 }
 
-CondensedLoss::Curvature CondensedLoss::SmallestCurvature() const {
+LeastCurvature FindLeastCurvature(const Eigen::MatrixXd& gram, const Eigen::MatrixXd& hessian,
+                                  const Eigen::MatrixXd& held, double unit) {
   constexpr double kRank = 1e-10;
-  CHECK_GT(scene_.objective.effort, 0);
-  Eigen::MatrixXd hessian, gaps;
-  SecondDerivatives(&hessian, &gaps);
   // Directions M^-1 F^T S p with S scaling each functional to one; p = Q w, orthonormal to integral |d|^2 dt.
-  const Eigen::MatrixXd gram = Gram();
   Eigen::VectorXd scale(gram.rows());
   for (Eigen::Index i = 0; i < scale.size(); ++i) scale[i] = gram(i, i) > 0 ? 1 / std::sqrt(gram(i, i)) : 0.0;
   const SymmetricEigen metric = EigenOf(scale.asDiagonal() * gram * scale.asDiagonal());
   const Eigen::VectorXd& sizes = metric.values;  // rising
   Eigen::Index first = 0;
   while (first < sizes.size() && sizes[first] <= kRank * sizes[sizes.size() - 1]) ++first;
-  const Eigen::Index rank = sizes.size() - first;
+  LeastCurvature result;
+  result.rank = sizes.size() - first;
   // F d for the columns d of an orthonormal basis, and the functionals that make those columns.
-  const Eigen::MatrixXd vectors = metric.vectors.rightCols(rank);
-  const Eigen::VectorXd roots = sizes.tail(rank).cwiseSqrt();
+  const Eigen::MatrixXd vectors = metric.vectors.rightCols(result.rank);
+  const Eigen::VectorXd roots = sizes.tail(result.rank).cwiseSqrt();
   Eigen::MatrixXd image = scale.cwiseInverse().asDiagonal() * vectors * roots.asDiagonal();
   for (Eigen::Index i = 0; i < scale.size(); ++i) {
     if (scale[i] == 0) image.row(i).setZero();
   }
   Eigen::MatrixXd source = scale.asDiagonal() * vectors * roots.cwiseInverse().asDiagonal();
-  if (num_held_ > 0) {  // what keeps the impacts on their nodes, and hard terms
-    Eigen::MatrixXd rows = Multiply(gaps, image);
+  if (held.rows() > 0) {
+    Eigen::MatrixXd rows = Multiply(held, image);
     for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) /= std::max(rows.row(i).norm(), 1e-300);
     const Eigen::MatrixXd kept = NullSpace(rows);
     image = Multiply(image, kept);
     source = Multiply(source, kept);
   }
-  Curvature result;
-  result.direction = Eigen::VectorXd::Zero(control_.size());
   const Eigen::Index last = image.cols() - 1;
-  const bool others = rank < NumFree();  // directions that the motion does not notice
   if (last < 0) return result;
-  const Eigen::MatrixXd reduced = Multiply(MultiplyTransposed(image, hessian), image) / (2 * scene_.objective.effort);
+  const Eigen::MatrixXd reduced = Multiply(MultiplyTransposed(image, hessian), image) / unit;
   const SymmetricEigen curvature = EigenOf(reduced);
-  result.smallest = 1 + curvature.values[0];
-  result.largest = 1 + curvature.values[last];
-  result.direction = Transposed(source * curvature.vectors.col(0));
+  result.smallest = curvature.values[0];
+  result.largest = curvature.values[last];
+  result.source = source * curvature.vectors.col(0);
+  return result;
+}
+
+CurvatureRange CondensedLoss::SmallestCurvature() const {
+  CHECK_GT(scene_.objective.effort, 0);
+  Eigen::MatrixXd hessian, gaps;  // held are impacts on their nodes, and hard terms
+  SecondDerivatives(&hessian, &gaps);
+  const LeastCurvature least = FindLeastCurvature(Gram(), hessian, gaps, 2 * scene_.objective.effort);
+  CurvatureRange result;
+  result.direction = Eigen::VectorXd::Zero(control_.size());
+  const bool others = least.rank < NumFree();  // directions that the motion does not notice
+  if (least.source.size() == 0) return result;
+  result.smallest = 1 + least.smallest;
+  result.largest = 1 + least.largest;
+  result.direction = Transposed(least.source);
   DivideByWeights(&result.direction);
   if (!restrictions_.forces.empty()) {  // orthonormal to another measure
     double square = 0;

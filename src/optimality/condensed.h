@@ -45,6 +45,22 @@ struct Restrictions {
   std::vector<Vec2d> hard = {};    // multipliers of hard terminal terms
 };
 
+// The least curvature of M + F^T G F, with M positive definite, along directions d that keep what is held: F d is in
+// the null space of `held`. Given are F M^-1 F^T, G and `unit`, by which curvatures are divided; d^T M d = unit.
+struct LeastCurvature {
+  double smallest = 0, largest = 0;  // of F^T G F alone; M adds 1
+  Eigen::VectorXd source;            // the direction is M^-1 F^T source; empty if no direction keeps what is held
+  Eigen::Index rank = 0;             // of F M^-1 F^T
+};
+LeastCurvature FindLeastCurvature(const Eigen::MatrixXd& gram, const Eigen::MatrixXd& hessian,
+                                  const Eigen::MatrixXd& held, double unit);
+
+// The least and the largest curvature along directions, as a part of that of the costs of the control alone.
+struct CurvatureRange {
+  double smallest = 1, largest = 1;
+  Eigen::VectorXd direction;  // of the least
+};
+
 class CondensedLoss {
  public:
   // `theta`, by impact: if the impact is held on its node, the weight of the gradient as if it were early. An empty
@@ -61,11 +77,7 @@ class CondensedLoss {
 
   // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort (and of the
   // bounds on norms) alone, and its direction (K x C x 2).
-  struct Curvature {
-    double smallest = 1, largest = 1;
-    Eigen::VectorXd direction;
-  };
-  Curvature SmallestCurvature() const;
+  CurvatureRange SmallestCurvature() const;
 
   // The control that one step of Newton's method leads to, along directions that keep what is held: to the optimum, if
   // this is near. Nothing if second derivatives are singular. Precondition: forces are not restricted.

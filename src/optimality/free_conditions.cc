@@ -362,17 +362,21 @@ class Certifier {
 
 }  // namespace
 
-std::optional<Curvature> FindCurvature(const CondensedLoss& loss) {
-  constexpr double kNearlyZero = 1e-6, kRounding = 1e-10;
-  if (loss.num_functionals() > kMostFunctionals) return std::nullopt;
-  const CondensedLoss::Curvature found = loss.SmallestCurvature();
-  const double flat = kNearlyZero + kRounding * found.largest;
+Curvature WithKind(const CurvatureRange& found, double rounding) {
+  constexpr double kNearlyZero = 1e-6;
+  const double flat = kNearlyZero + rounding * found.largest;
   using enum Curvature::Kind;
   Curvature curvature;
   curvature.kind = found.smallest > flat ? kMinimum : found.smallest < -flat ? kSaddle : kFlat;
   curvature.smallest = found.smallest;
   curvature.direction.assign(found.direction.begin(), found.direction.end());
   return curvature;
+}
+
+std::optional<Curvature> FindCurvature(const CondensedLoss& loss) {
+  constexpr double kRounding = 1e-10;
+  if (loss.num_functionals() > kMostFunctionals) return std::nullopt;
+  return WithKind(loss.SmallestCurvature(), kRounding);
 }
 
 Certificate FreeConditions(const ControlledMotion& motion) { return Certifier(motion).Run(); }

@@ -4,11 +4,13 @@
 // initial state, parameters, the times of the events and the final time are affine in theta: one backward sweep through
 // the motion for the objective, and one for each multiplier. Those theta are found that leave least of all conditions
 // (cone_conditions.h).
+#include <ceres/cost_function.h>
 #include <glog/logging.h>
 
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 #include <string>
 #include <utility>
@@ -17,6 +19,7 @@
 #include "control/hybrid_shooting.h"
 #include "hybrid/runge_kutta.h"
 #include "optimality/cone_conditions.h"
+#include "optimality/optimality_conditions.h"
 #include "saltus/optimality/hybrid_certificate.h"
 
 namespace saltus {
@@ -35,6 +38,7 @@ constexpr int kMostMultipliers = 200;  // of which conditions are looked at
 struct Step {
   int mode = 0, interval = 0, phase = 0;
   double begin = 0, end = 0;
+  VectorXd state;  // at the beginning
   Matrix by;
 };
 
@@ -94,7 +98,7 @@ class HybridConditions {
       result.reason = "more than " + std::to_string(kMostMultipliers) + " multipliers";
       return result;
     }
-    for (int j = -1; j < num_multipliers(); ++j) sweeps_.push_back(SweepOf(j));
+    for (int j = -1; j < num_multipliers(); ++j) sweeps_.push_back(SweepOf(WeightsOf(j)));
     weights_.assign(sweeps_.size(), 1.0);
     for (size_t k = 0; k < events().size(); ++k) {
       ImpactCertificate& impact = result.impacts.emplace_back();
@@ -108,8 +112,13 @@ class HybridConditions {
     OfMovingGrid(&result);
     OfMovingGrid(&result);  // with the sizes that the multipliers give
     Judge(&result);
-    if (result.verdict == Certificate::Verdict::kNotStationary) {
+    const bool moving = result.IsStationary();
+    if (!moving) {
       OfFixedGrid(&result);
+      Judge(&result);
+    }
+    if (result.IsStationary()) {
+      result.curvature = FindCurvature(moving);
       Judge(&result);
     }
     return result;
@@ -196,9 +205,9 @@ class HybridConditions {
 
   Step Linearized(int i, int interval, int phase, double begin, double end) {
     const int mode = simulator().StepMode(i), n = system_.state_size(mode), P = system_.num_parameters(), m = width();
-    Step step{mode, interval, phase, begin, end, {}};
-    integrator_.Linearize(
-        {mode, begin, end - begin, simulator().StepState(i).data(), ControlOf(interval), input_.parameters.data()});
+    Step step{mode, interval, phase, begin, end, VectorXd(n), {}};
+    std::copy_n(simulator().StepState(i).data(), n, step.state.data());
+    integrator_.Linearize({mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data()});
     const int columns = n + 1 + P + m + 1;
     RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
                               Eigen::RowVectorXd::Zero(columns),
@@ -233,32 +242,40 @@ class HybridConditions {
     }
   }
 
-  // The derivative of what a term adds to the Lagrangian for a multiplier, by block; nothing if it adds nothing.
+  // Of the objective and all multipliers: the weights of one of them alone, or of the Lagrangian.
+  VectorXd WeightsOf(int multiplier) const { return VectorXd::Unit(1 + num_multipliers(), 1 + multiplier); }
+
+  // The derivative of what a term adds to the Lagrangian by its rows; nothing if it adds nothing.
+  std::optional<Eigen::RowVectorXd> RowWeights(size_t term, const VectorXd& residuals, const VectorXd& weights) const {
+    if (terms_[term].term->role == HybridTerm::Role::kCost) {
+      if (weights[0] == 0) return std::nullopt;
+      return Eigen::RowVectorXd(2 * weights[0] * residuals.transpose());
+    }
+    Eigen::RowVectorXd rows = Eigen::RowVectorXd::Zero(residuals.size());
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      if (constraints_[c].term == static_cast<int>(term)) rows[constraints_[c].row] = weights[1 + num_events() + c];
+    }
+    if (rows.isZero(0)) return std::nullopt;
+    return rows;
+  }
+  // The same by what the term reads.
   struct Source {
     VectorXd state, control, parameters;
     double time = 0, length = 0;
     bool before = false;  // of an event: of the state before the reset
   };
-  std::optional<Source> SourceOf(size_t term, int multiplier) const {
+  std::optional<Source> SourceOf(size_t term, const VectorXd& weights) const {
     const HybridShooting::TermAt& at = terms_[term];
     const auto rows = static_cast<Eigen::Index>(at.residuals.size());
-    Eigen::RowVectorXd weights = Eigen::RowVectorXd::Zero(rows);
-    if (multiplier < 0) {
-      if (at.term->role != HybridTerm::Role::kCost) return std::nullopt;
-      weights = 2 * Eigen::Map<const Eigen::RowVectorXd>(at.residuals.data(), rows);
-    } else {
-      if (multiplier < num_events()) return std::nullopt;
-      const Constraint& constraint = constraints_[multiplier - num_events()];
-      if (constraint.term != static_cast<int>(term)) return std::nullopt;
-      weights[constraint.row] = 1;
-    }
+    const auto by_rows = RowWeights(term, Eigen::Map<const VectorXd>(at.residuals.data(), rows), weights);
+    if (!by_rows) return std::nullopt;
     Source source;
     source.before = at.term->before;
     size_t block = 0;
     const auto next = [&] {
       const std::vector<double>& jacobian = at.jacobians[block++];
       const auto columns = static_cast<Eigen::Index>(jacobian.size()) / rows;
-      return VectorXd((weights * Eigen::Map<const Matrix>(jacobian.data(), rows, columns)).transpose());
+      return VectorXd((*by_rows * Eigen::Map<const Matrix>(jacobian.data(), rows, columns)).transpose());
     };
     if (at.term->with_state) source.state = next();
     if (at.term->with_control) source.control = next();
@@ -291,7 +308,12 @@ class HybridConditions {
     return phase;
   }
 
-  Sweep SweepOf(int multiplier) const {
+  // Costates that a sweep leaves: after each step, and after each event and what terms read there.
+  struct Costates {
+    std::vector<VectorXd> of_steps, of_events;
+  };
+
+  Sweep SweepOf(const VectorXd& weights, Costates* costates = nullptr) const {
     const int P = system_.num_parameters(), m = width(), K = input_.num_intervals;
     Sweep sweep;
     sweep.control = VectorXd::Zero(K * m);
@@ -304,7 +326,7 @@ class HybridConditions {
     std::vector<std::vector<Source>> at_interval(K), at_event(num_events());
     std::vector<Source> at_end;
     for (size_t i = 0; i < terms_.size(); ++i) {
-      std::optional<Source> source = SourceOf(i, multiplier);
+      std::optional<Source> source = SourceOf(i, weights);
       if (!source) continue;
       if (source->parameters.size() > 0) {
         sweep.parameters += source->parameters;
@@ -349,7 +371,8 @@ class HybridConditions {
     };
     for (int s = static_cast<int>(steps_.size()); s-- > 0;) {
       const Step& step = steps_[s];
-      while (event >= step.phase) JumpBack(event--, multiplier, at_event, &sweep, &costate);
+      for (; event >= step.phase; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &costate, costates);
+      if (costates != nullptr) costates->of_steps[s] = costate;
       const int n = system_.state_size(step.mode);
       const Eigen::RowVectorXd by = costate.transpose() * step.by;
       const double by_h = by[n + 1 + P + m], by_t = by[n];
@@ -364,7 +387,7 @@ class HybridConditions {
       costate = by.head(n).transpose();
       add_interval_states(step.begin);
     }
-    while (event >= 0) JumpBack(event--, multiplier, at_event, &sweep, &costate);
+    for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &costate, costates);
     sweep.initial = costate;
     sweep.initial_size = costate.cwiseAbs();
     sweep.control += by_flow;
@@ -378,8 +401,8 @@ class HybridConditions {
   }
 
   // The costate before event k from that after it.
-  void JumpBack(int k, int multiplier, const std::vector<std::vector<Source>>& at_event, Sweep* sweep,
-                VectorXd* costate) const {
+  void JumpBack(int k, double multiplier, const std::vector<std::vector<Source>>& at_event, Sweep* sweep,
+                VectorXd* costate, Costates* costates) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
     const auto add = [&](bool before) {
@@ -401,15 +424,17 @@ class HybridConditions {
                              after.data(),
                              reset.data());
     const VectorXd costate_after = *costate;
+    if (costates != nullptr) costates->of_events[k] = costate_after;
     const Eigen::RowVectorXd by = costate->transpose() * reset.topRows(costate->size());
     VectorXd before = by.head(n).transpose();
     double by_time = by[n];
     sweep->parameters += by.tail(P).transpose();
     sweep->parameters_size += by.tail(P).transpose().cwiseAbs();
-    if (multiplier == k) {
+    if (multiplier != 0) {
       Eigen::RowVectorXd guard(columns + system_.num_controls());
       functions_.GuardGradient(
           event.mode, event.guard, event.time, event.before.data(), nullptr, input_.parameters.data(), guard.data());
+      guard *= multiplier;
       before += guard.head(n).transpose();
       by_time += guard[n];
       sweep->parameters += guard.segment(n + 1, P).transpose();
@@ -429,6 +454,371 @@ class HybridConditions {
     };
     sweep->event_early[k] = one_sided(ControlOf(interval_before_[k]));
     sweep->event_late[k] = one_sided(ControlOf(interval_after_[k]));
+  }
+
+  // ------------------------------------------------------------------------------------------------- second derivative
+  //
+  // Of the Lagrangian along the variables that no bound holds. It is the sum over steps, resets, guards and terms of
+  // V^T W V, with the second derivative W of what each adds by what it reads, weighted by the costate behind it, and
+  // the derivative V of what it reads by the variables. W is by central differences of exact first derivatives. Times
+  // of events follow from their guards, and what holds constraints restricts the directions.
+
+  struct Variable {
+    enum Kind { kControl, kInitial, kParameter, kDuration } kind;
+    int index;
+  };
+  std::vector<Variable> FreeVariables() const {
+    const HybridFree& free = problem_.free;
+    std::vector<Variable> variables;
+    const auto add = [&](Variable::Kind kind, int index, double value, double min, double max) {
+      if (SignAt(value, min, max) == 0) variables.push_back({kind, index});
+    };
+    for (int i = 0; free.control && i < static_cast<int>(input_.control.size()); ++i) {
+      if (LengthOf(i / width()) <= kNoInterval * input_.duration) continue;
+      const int c = i % width();
+      add(Variable::kControl,
+          i,
+          input_.control[i],
+          BoundAt(free.control_min, c, -INFINITY),
+          BoundAt(free.control_max, c, INFINITY));
+    }
+    for (size_t i = 0; i < free.initial.size(); ++i) {
+      const int c = free.initial[i];
+      add(Variable::kInitial,
+          c,
+          input_.initial[c],
+          BoundAt(free.initial_min, i, -INFINITY),
+          BoundAt(free.initial_max, i, INFINITY));
+    }
+    for (size_t i = 0; i < free.parameters.size(); ++i) {
+      const int c = free.parameters[i];
+      add(Variable::kParameter,
+          c,
+          input_.parameters[c],
+          BoundAt(free.parameters_min, i, -INFINITY),
+          BoundAt(free.parameters_max, i, INFINITY));
+    }
+    if (free.duration) add(Variable::kDuration, 0, input_.duration, free.duration_min, free.duration_max);
+    return variables;
+  }
+  double LengthOf(int interval) const { return times_[interval + 1] - times_[interval]; }
+
+  // The derivatives by the variables of times, of what holds constraints and of states.
+  struct Directions {
+    bool moving = false;
+    Eigen::MatrixXd boundaries;  // of the boundaries of phases
+    Eigen::MatrixXd held;        // of constraints, and of guards of events that are held at the ends of intervals
+    Eigen::MatrixXd initial, control, parameters;
+  };
+  // Nothing if times of events have no derivative.
+  std::optional<Directions> DirectionsOf(const std::vector<Variable>& variables, bool moving) const {
+    const auto count = static_cast<Eigen::Index>(variables.size());
+    const int E = num_events();
+    Directions to;
+    to.moving = moving;
+    to.boundaries = Eigen::MatrixXd::Zero(E + 2, count);
+    to.initial = Eigen::MatrixXd::Zero(input_.initial.size(), count);
+    to.control = Eigen::MatrixXd::Zero(input_.control.size(), count);
+    to.parameters = Eigen::MatrixXd::Zero(system_.num_parameters(), count);
+    // Of each guard and constraint: by the variables with the intervals as `moving` says, and by times of events.
+    Eigen::MatrixXd rows(num_multipliers(), count), by_times(num_multipliers(), E);
+    for (int j = 0; j < num_multipliers(); ++j) {
+      const Sweep& sweep = sweeps_[j + 1];
+      for (Eigen::Index i = 0; i < count; ++i) {
+        const Variable& v = variables[i];
+        rows(j, i) = v.kind == Variable::kControl     ? sweep.control[v.index]
+                     : v.kind == Variable::kInitial   ? sweep.initial[v.index]
+                     : v.kind == Variable::kParameter ? sweep.parameters[v.index]
+                     : moving                         ? sweep.times[E + 1]
+                                                      : sweep.scale;
+      }
+      for (int k = 0; k < E; ++k) by_times(j, k) = moving ? sweep.times[k + 1] : sweep.event_late[k];
+    }
+    const auto held = [&](int k) { return !moving && on_node_[k]; };
+    Eigen::MatrixXd matrix = by_times.topRows(E), right = -rows.topRows(E);
+    std::vector<int> kept;
+    for (int k = 0; k < E; ++k) {
+      if (!held(k)) continue;
+      kept.push_back(k);
+      matrix.row(k).setZero();
+      matrix(k, k) = 1;
+      right.row(k).setZero();
+    }
+    const Eigen::MatrixXd shifts = SolveLuColumns(matrix, right);
+    if (!shifts.allFinite()) return std::nullopt;
+    for (int j = E; j < num_multipliers(); ++j) kept.push_back(j);
+    to.held.resize(kept.size(), count);
+    for (size_t i = 0; i < kept.size(); ++i) to.held.row(i) = rows.row(kept[i]) + by_times.row(kept[i]) * shifts;
+    to.boundaries.middleRows(1, E) = shifts;
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const Variable& v = variables[i];
+      if (v.kind == Variable::kControl) to.control(v.index, i) = 1;
+      if (v.kind == Variable::kInitial) to.initial(v.index, i) = 1;
+      if (v.kind == Variable::kParameter) to.parameters(v.index, i) = 1;
+      if (v.kind != Variable::kDuration) continue;
+      to.boundaries(E + 1, i) = 1;
+      for (int k = 1; k <= E && !moving; ++k) to.boundaries(k, i) += boundaries_[k] / input_.duration;
+    }
+    return to;
+  }
+
+  // Of a time in a phase.
+  Eigen::RowVectorXd TimeRow(const Directions& to, double t, int phase) const {
+    if (t == boundaries_[phase]) return to.boundaries.row(phase);
+    if (t == boundaries_[phase + 1]) return to.boundaries.row(phase + 1);
+    if (!to.moving) return t / input_.duration * to.boundaries.row(num_events() + 1);
+    const double begin = boundaries_[phase], length = boundaries_[phase + 1] - begin;
+    const double part = length > 0 ? std::clamp((t - begin) / length, 0.0, 1.0) : 1.0;
+    return (1 - part) * to.boundaries.row(phase) + part * to.boundaries.row(phase + 1);
+  }
+
+  // By central differences of a gradient.
+  template <typename Gradient>
+  static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const Gradient& gradient) {
+    constexpr double kWidth = 1e-5;
+    Eigen::MatrixXd second(at.size(), at.size());
+    for (Eigen::Index i = 0; i < at.size(); ++i) {
+      const double width = kWidth * (sizes[i] > 0 ? sizes[i] : 1.0);
+      VectorXd moved = at;
+      moved[i] = at[i] + width;
+      second.col(i) = gradient(moved);
+      moved[i] = at[i] - width;
+      second.col(i) -= gradient(moved);
+      second.col(i) /= 2 * width;
+    }
+    return 0.5 * (second + second.transpose());
+  }
+
+  // What has been added of the second derivative, and the sizes of the terms on its diagonal, which may cancel.
+  struct Second {
+    Eigen::MatrixXd sum;
+    VectorXd sizes;
+    void Add(const Eigen::MatrixXd& second, const Eigen::MatrixXd& along) {
+      const Eigen::MatrixXd half = Multiply(second, along);
+      sum += MultiplyTransposed(along, half);
+      sizes += along.cwiseProduct(half).cwiseAbs().colwise().sum().transpose();
+    }
+  };
+
+  std::optional<Curvature> FindCurvature(bool moving) const {
+    constexpr Eigen::Index kMostVariables = 400;
+    constexpr double kRounding = 1e-8;  // of central differences
+    const std::vector<Variable> variables = FreeVariables();
+    const auto count = static_cast<Eigen::Index>(variables.size());
+    if (count == 0 || count > kMostVariables) return std::nullopt;
+    const std::optional<Directions> to = DirectionsOf(variables, moving);
+    if (!to) return std::nullopt;
+    Second second{Eigen::MatrixXd::Zero(count, count), VectorXd::Zero(count)};
+    AddSecondDerivatives(*to, &second);
+    // The costs of the control alone; other variables have the sizes of the terms that cancel.
+    Eigen::MatrixXd metric = Eigen::MatrixXd::Zero(count, count);
+    for (const HybridShooting::TermAt& at : terms_) {
+      if (at.term->role != HybridTerm::Role::kCost || at.interval < 0 || !at.term->with_control) continue;
+      const auto rows = static_cast<Eigen::Index>(at.residuals.size());
+      const Eigen::MatrixXd by = Eigen::Map<const Matrix>(at.jacobians[at.term->with_state].data(), rows, width());
+      const Eigen::MatrixXd along = to->control.middleRows(static_cast<Eigen::Index>(at.interval) * width(), width());
+      const Eigen::MatrixXd image = Multiply(by, along);
+      metric += 2 * MultiplyTransposed(image, image);
+    }
+    for (Eigen::Index i = 0; i < count; ++i) {
+      if (metric(i, i) <= 1e-12 * second.sizes[i]) metric(i, i) += second.sizes[i] > 0 ? second.sizes[i] : 1.0;
+    }
+    const Eigen::MatrixXd gram = SolveLuColumns(metric, Eigen::MatrixXd::Identity(count, count));
+    if (!gram.allFinite() || !second.sum.allFinite()) return std::nullopt;
+    const LeastCurvature least = FindLeastCurvature(gram, second.sum - metric, to->held, 1);
+    CurvatureRange found;
+    if (least.source.size() == 0) return WithKind(found, kRounding);
+    found.smallest = 1 + least.smallest;
+    found.largest = 1 + least.largest;
+    const VectorXd direction = gram * least.source;
+    // The control, and behind it what else is free.
+    found.direction = VectorXd::Zero(input_.control.size());
+    double square = 0;
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const Variable& v = variables[i];
+      const bool of_control = v.kind == Variable::kControl;
+      square += (of_control ? LengthOf(v.index / width()) : 1.0) * direction[i] * direction[i];
+      if (of_control) found.direction[v.index] = direction[i];
+    }
+    const HybridFree& free = problem_.free;
+    const auto append = [&](Variable::Kind kind, int index) {
+      found.direction.conservativeResize(found.direction.size() + 1);
+      double& last = found.direction[found.direction.size() - 1] = 0;
+      for (Eigen::Index i = 0; i < count; ++i) {
+        if (variables[i].kind == kind && variables[i].index == index) last = direction[i];
+      }
+    };
+    for (const int c : free.initial) append(Variable::kInitial, c);
+    for (const int c : free.parameters) append(Variable::kParameter, c);
+    if (free.duration) append(Variable::kDuration, 0);
+    found.direction /= std::sqrt(square);
+    Eigen::Index most = 0;
+    found.direction.cwiseAbs().maxCoeff(&most);
+    if (found.direction[most] < 0) found.direction = -found.direction;
+    return WithKind(found, kRounding);
+  }
+
+  void AddSecondDerivatives(const Directions& to, Second* second) const {
+    VectorXd weights(1 + num_multipliers());
+    weights << 1, theta_;
+    Costates costates{std::vector<VectorXd>(steps_.size()), std::vector<VectorXd>(num_events())};
+    SweepOf(weights, &costates);
+    const int P = system_.num_parameters(), m = width();
+    const auto sizes_of = [](const auto& numbers) {
+      return VectorXd(Eigen::Map<const VectorXd>(numbers.data(), static_cast<Eigen::Index>(numbers.size())).cwiseAbs());
+    };
+    const VectorXd parameter_sizes = sizes_of(input_.parameters);
+    std::vector<VectorXd> state_sizes;
+    for (int mode = 0; mode < system_.num_modes(); ++mode) {
+      state_sizes.push_back(VectorXd::Zero(system_.state_size(mode)));
+    }
+    for (const Step& step : steps_) state_sizes[step.mode] = state_sizes[step.mode].cwiseMax(step.state.cwiseAbs());
+    VectorXd control_sizes = VectorXd::Zero(m);
+    for (size_t i = 0; i < input_.control.size(); ++i) {
+      control_sizes[i % m] = std::max(control_sizes[i % m], std::abs(input_.control[i]));
+    }
+
+    Eigen::MatrixXd states = to.initial;
+    int interval = 0, event = 0;
+    const auto jump = [&](int k) {
+      states = JumpForward(to, k, weights[1 + k], costates, parameter_sizes, states, second);
+    };
+    for (size_t s = 0; s < steps_.size(); ++s) {
+      const Step& step = steps_[s];
+      for (; event < step.phase; ++event) jump(event);
+      const double next = s + 1 < steps_.size() ? steps_[s + 1].begin - kSameTime * input_.duration : INFINITY;
+      for (; interval < input_.num_intervals && times_[interval] < next; ++interval) {
+        AddTerms(to, interval, -1, weights, state_sizes[step.mode], states, second);
+      }
+      const int n = system_.state_size(step.mode), size = n + 1 + P + m + 1;
+      const VectorXd& costate = costates.of_steps[s];
+      Eigen::MatrixXd along(size, states.cols());
+      along.topRows(n) = states;
+      along.row(n) = TimeRow(to, step.begin, step.phase);
+      along.middleRows(n + 1, P) = to.parameters;
+      along.middleRows(n + 1 + P, m) = to.control.middleRows(static_cast<Eigen::Index>(step.interval) * m, m);
+      along.row(size - 1) = TimeRow(to, step.end, step.phase) - along.row(n);
+      VectorXd at(size), sizes(size);
+      at << step.state, step.begin, Eigen::Map<const VectorXd>(input_.parameters.data(), P),
+          Eigen::Map<const VectorXd>(ControlOf(step.interval), m), step.end - step.begin;
+      // A step may be far shorter than others.
+      sizes << state_sizes[step.mode], input_.duration, parameter_sizes, control_sizes,
+          input_.duration / static_cast<double>(steps_.size());
+      RungeKutta integrator(functions_);
+      second->Add(
+          SecondDerivative(at,
+                           sizes,
+                           [&](const VectorXd& y) {
+                             integrator.Linearize({step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1});
+                             VectorXd gradient = VectorXd::Zero(size);
+                             double* g = gradient.data();
+                             RungeKutta::Cotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                             integrator.PullBack(costate.data(), &by);
+                             gradient[n] = by.t;
+                             gradient[size - 1] = by.h;
+                             return gradient;
+                           }),
+          along);
+      states = Multiply(step.by, along);
+    }
+    for (; event < num_events(); ++event) jump(event);
+    AddTerms(to, -1, -1, weights, state_sizes[simulator().final_mode()], states, second);
+  }
+
+  // Adds the guard, the reset and the terms of event k; returns the derivatives of the state after it.
+  Eigen::MatrixXd JumpForward(const Directions& to, int k, double multiplier, const Costates& costates,
+                              const VectorXd& parameter_sizes, const Eigen::MatrixXd& states, Second* second) const {
+    const HybridEvent& event = events()[k];
+    const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
+    const VectorXd& costate = costates.of_events[k];
+    VectorXd after(functions_.most_states()), guard(columns + width());
+    Matrix reset(functions_.most_states(), columns);
+    const auto linearize = [&](const VectorXd& y) {
+      functions_.ResetJacobian(
+          event.mode, event.guard, y[n], y.data(), nullptr, y.data() + n + 1, after.data(), reset.data());
+    };
+    VectorXd at(columns), sizes(columns);
+    at << Eigen::Map<const VectorXd>(event.before.data(), n), event.time,
+        Eigen::Map<const VectorXd>(input_.parameters.data(), P);
+    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes;
+    Eigen::MatrixXd along(columns, states.cols());
+    along << states, to.boundaries.row(k + 1), to.parameters;
+    second->Add(
+        SecondDerivative(at,
+                         sizes,
+                         [&](const VectorXd& y) {
+                           linearize(y);
+                           functions_.GuardGradient(
+                               event.mode, event.guard, y[n], y.data(), nullptr, y.data() + n + 1, guard.data());
+                           return VectorXd(reset.topRows(costate.size()).transpose() * costate +
+                                           multiplier * guard.head(columns));
+                         }),
+        along);
+    linearize(at);
+    const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along);
+    VectorXd weights(1 + num_multipliers());
+    weights << 1, theta_;
+    AddTerms(to, -1, k, weights, sizes.head(n), states, second, /*before=*/true);
+    AddTerms(to, -1, k, weights, VectorXd::Zero(next.rows()), next, second);
+    return next;
+  }
+
+  // Adds the terms of an interval, of an event, or else of the end, given the derivatives of the state that they read.
+  void AddTerms(const Directions& to, int interval, int event, const VectorXd& weights, const VectorXd& state_sizes,
+                const Eigen::MatrixXd& states, Second* second, bool before = false) const {
+    for (size_t i = 0; i < terms_.size(); ++i) {
+      const HybridShooting::TermAt& at = terms_[i];
+      const HybridTerm& term = *at.term;
+      if (at.interval != interval || at.event != event || (event >= 0 && term.before != before)) continue;
+      const auto rows = static_cast<Eigen::Index>(at.residuals.size());
+      if (!RowWeights(i, Eigen::Map<const VectorXd>(at.residuals.data(), rows), weights)) continue;
+      Eigen::Index size = 0;
+      for (const std::vector<double>& block : at.blocks) size += static_cast<Eigen::Index>(block.size());
+      VectorXd values(size), sizes(size);
+      Eigen::MatrixXd along(size, states.cols());
+      Eigen::Index first = 0;
+      size_t block = 0;
+      const auto add = [&](const auto& rows_of_block, const VectorXd& of_block) {
+        const auto length = static_cast<Eigen::Index>(at.blocks[block].size());
+        values.segment(first, length) = Eigen::Map<const VectorXd>(at.blocks[block++].data(), length);
+        sizes.segment(first, length) = of_block.size() == length
+                                           ? VectorXd(of_block.cwiseMax(values.segment(first, length).cwiseAbs()))
+                                           : VectorXd(values.segment(first, length).cwiseAbs());
+        along.middleRows(first, length) = rows_of_block;
+        first += length;
+      };
+      const int m = width();
+      const double begin = interval >= 0 ? times_[interval] : 0, end = interval >= 0 ? times_[interval + 1] : 0;
+      const Eigen::RowVectorXd time = interval >= 0 ? TimeRow(to, begin, PhaseAt(begin, false))
+                                                    : to.boundaries.row(event >= 0 ? event + 1 : num_events() + 1);
+      if (term.with_state) add(states, state_sizes);
+      if (term.with_control) add(to.control.middleRows(static_cast<Eigen::Index>(interval) * m, m), {});
+      if (term.with_parameters) add(to.parameters, {});
+      if (term.with_time) add(time, VectorXd::Constant(1, input_.duration));
+      if (term.with_length) add(TimeRow(to, end, PhaseAt(end, true)) - time, {});
+      const auto gradient = [&](const VectorXd& y) {
+        std::vector<const double*> blocks;
+        std::vector<Matrix> jacobians;
+        std::vector<double*> pointers;
+        Eigen::Index start = 0;
+        for (const std::vector<double>& of_block : at.blocks) {
+          blocks.push_back(&y[start]);
+          start += static_cast<Eigen::Index>(of_block.size());
+          jacobians.emplace_back(rows, static_cast<Eigen::Index>(of_block.size()));
+        }
+        for (Matrix& jacobian : jacobians) pointers.push_back(jacobian.data());
+        VectorXd residuals(rows), out = VectorXd::Constant(size, std::numeric_limits<double>::quiet_NaN());
+        if (!term.function->Evaluate(blocks.data(), residuals.data(), pointers.data())) return out;
+        const Eigen::RowVectorXd by = *RowWeights(i, residuals, weights);
+        start = 0;
+        for (const Matrix& jacobian : jacobians) {
+          out.segment(start, jacobian.cols()) = (by * jacobian).transpose();
+          start += jacobian.cols();
+        }
+        return out;
+      };
+      second->Add(SecondDerivative(values, sizes, gradient), along);
+    }
   }
 
   // ---------------------------------------------------------------------------------------------------------
@@ -534,7 +924,8 @@ class HybridConditions {
       Add([&](const Sweep& s) { return s.times[k + 1]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
     }
     conditions.Solve();
-    SetWeights(conditions.theta());
+    theta_ = conditions.theta();
+    SetWeights(theta_);
     result->stationarity = Largest(conditions, kinds.controls);
     result->transversality = Largest(conditions, kinds.variables);
     if (!kinds.duration.empty()) result->final_time = conditions.Number(kinds.duration[0]);
@@ -560,7 +951,7 @@ class HybridConditions {
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
-    const VectorXd& theta = conditions.theta();
+    const VectorXd& theta = theta_ = conditions.theta();
     const auto combined = [&](const auto& of) {
       double sum = of(sweeps_[0]);
       for (int j = 0; j < num_multipliers(); ++j) sum += theta[j] * of(sweeps_[j + 1]);
@@ -595,6 +986,7 @@ class HybridConditions {
   std::vector<Constraint> constraints_;
   std::vector<Sweep> sweeps_;    // of the objective, and of each multiplier
   std::vector<double> weights_;  // of these, in sizes: 1, and the multipliers' absolute values
+  VectorXd theta_;               // the multipliers
   size_t num_conditions_ = 0;
 };
 

@@ -35,5 +35,7 @@ std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight
 
 // Returns std::nullopt if the matrices would be too large.
 std::optional<Curvature> FindCurvature(const CondensedLoss& loss);
+// With its kind: it is flat if it is nearly zero, or less than `rounding` times the largest.
+Curvature WithKind(const CurvatureRange& found, double rounding);
 
 }  // namespace saltus

@@ -48,7 +48,7 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
                              {std::to_string(wrong), "published numbers that are in error", Tone::kWarning},
                              {Format("%.1f s", seconds), "time of all experiments", Tone::kPlain}};
   if (const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact)) {
-    tiles.push_back({Format("%.12f", optimum->loss), "optimal loss of task 3", Tone::kPlain});
+    tiles.push_back({Format("%.10f", optimum->loss), "optimal loss of task 3", Tone::kPlain});
   }
   return tiles;
 }
@@ -58,10 +58,9 @@ void AddFits(const ParameterFits& fits, const std::vector<PaperFigure>& figures,
   page->AddParagraph(
       "Gradients are also used to identify parameters from recordings, by nonlinear least squares. In this example a "
       "ball bounces off the floor and hits a second ball, which then reaches a wall; both are observed 60 times a "
-      "second "
-      "with 2 mm of noise. Each model fits the restitution, a mass and the four initial vectors to two recordings: one "
-      "of the exact motion, and one of the model's own motion under the true parameters. The second tests the gradient "
-      "alone. Plastic models cannot represent a bounce and are left out.");
+      "second with 2 mm of noise. Each model fits the restitution, a mass and the four initial vectors to two "
+      "recordings: one of the exact motion, and one of the model's own motion under the true parameters. The second "
+      "tests the gradient alone. Plastic models cannot represent a bounce and are left out.");
   page->AddList(fits.Findings());
   AddFigure(figures, "parameter_fits", page);
   const CaptionedTable table = fits.ToTable();
@@ -73,8 +72,7 @@ void AddLaw(const PaperFigure& law, const std::vector<PaperFigure>& figures, Pag
   page->AddParagraph(
       "The restitution need not be constant. Here it is a small network of the speed of approach in exact events "
       "(`neural_event`), whose weights are unknowns of the same least squares; derivatives pass through the impact "
-      "times. "
-      "The network starts as a constant and has no information on the form of the law.");
+      "times. The network starts as a constant and has no information on the form of the law.");
   AddFigure(figures, law.name, page);
 }
 
@@ -93,34 +91,28 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
 
   page.AddHeading("What is compared");
   page.AddParagraph(
-      "Nine published contact models, implemented anew from their equations, on the paper's three tasks. In the tables "
-      "of "
-      "the paper each cell has the published number above ours, which is computed at the precision of the published "
-      "run. "
-      "The last row has the same quantity under exact event-driven dynamics. Our number is as expected if it equals "
-      "that "
-      "of a faithful implementation within the tolerance in `data/published.csv`. Cells are coloured where the numbers "
-      "differ, and the notes below give the reason: yellow, ours is as expected and the published number is in error; "
-      "red, "
-      "ours is not as expected; grey, rounding errors decide the number, and it is not judged.");
+      "Nine published contact models, implemented anew from their equations, on the paper's three tasks. In the "
+      "tables of the paper each cell has the published number above ours, which is computed at the precision of the "
+      "published run. The last row has the same quantity under exact event-driven dynamics. Our number is as expected "
+      "if it equals that of a faithful implementation within the tolerance in `data/published.csv`. Cells are "
+      "coloured where the numbers differ, and the notes below give the reason: yellow, ours is as expected and the "
+      "published number is in error; red, ours is not as expected; grey, rounding errors decide the number, and it is "
+      "not judged.");
   AddFigure(figures, "trajectories", &page);
 
   page.AddHeading("Task 1: one bounce");
   page.AddParagraph(
-      "The gradient of the final height with respect to the initial height, the vertical velocity and the first force. "
-      "The "
-      "impact coincides with a node of the time grid. Models that resolve the impact at the end of a step have the "
-      "wrong "
-      "sign in the derivative with respect to the position, however small the step.");
+      "The gradient of the final height with respect to the initial height, the vertical velocity and the first "
+      "force. The impact coincides with a node of the time grid. Models that resolve the impact at the end of a step "
+      "have the wrong sign in the derivative with respect to the position, however small the step.");
   AddPublishedTable(rows, "T1", &page);
   AddTask(experiments, "bounce_once", &page);
 
   page.AddHeading("Task 2: ground and wall");
   page.AddParagraph(
-      "The launch velocity with which a ball reaches a target after it bounces off the ground and a wall; 1000 updates "
-      "of "
-      "gradient descent at a rate of 0.01. Several solutions exist; the sign of the gradient decides which one is "
-      "found.");
+      "The launch velocity with which a ball reaches a target after it bounces off the ground and a wall; 1000 "
+      "updates of gradient descent at a rate of 0.01. Several solutions exist; the sign of the gradient decides which "
+      "one is found.");
   AddPublishedTable(rows, "T2", &page);
   AddFigure(figures, "ground_wall_learning", &page);
   AddPublishedTable(rows, "T4", &page);
@@ -133,10 +125,8 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddFigure(figures, "solver_controls", &page);
   page.AddParagraph(
       "The force with which one ball hits the other towards the origin, with a penalty on effort; in the paper 1000 "
-      "updates "
-      "at a rate of 10. None of the nine models has a correct gradient in this task, because a force acts at the "
-      "moment of "
-      "impact. A loss below the analytic optimum is an artefact of the time discretisation.");
+      "updates at a rate of 10. None of the nine models has a correct gradient in this task, because a force acts at "
+      "the moment of impact. A loss below the analytic optimum is an artefact of the time discretisation.");
   AddPublishedTable(rows, "T3", &page);
   AddFigure(figures, "two_balls_learning", &page);
   AddPublishedTable(rows, "F5", &page);
@@ -147,10 +137,8 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
     page.AddHeading("Gradient descent with wrong gradients");
     page.AddParagraph(
         "A short step against a gradient decreases the exact loss if and only if the angle between this gradient and "
-        "the "
-        "exact one is less than 90 degrees: a gradient that is not exact may still decrease the loss. Where the angle "
-        "is "
-        "larger, the descent decreases the loss under the contact model while the exact loss may increase.");
+        "the exact one is less than 90 degrees: a gradient that is not exact may still decrease the loss. Where the "
+        "angle is larger, the descent decreases the loss under the contact model while the exact loss may increase.");
     page.AddList(descents->Findings());
     AddFigure(figures, "descent_audit", &page);
   }
@@ -158,10 +146,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   page.AddHeading("Other solvers");
   page.AddParagraph(
       "The same problems with other solvers. `loss under the model` is the loss that the solver minimizes; `exact "
-      "loss` is "
-      "that of the same solution under exact dynamics, the only one that may be compared between models, and `gap` its "
-      "difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not correct the "
-      "gradient.");
+      "loss` is that of the same solution under exact dynamics, the only one that may be compared between models, and "
+      "`gap` its difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not "
+      "correct the gradient.");
   page.AddList(comparison.Findings());
   for (const PaperFigure& figure : comparison.Figures()) {
     if (figure.name != "solver_controls") AddFigure(figures, figure.name, &page);
@@ -172,9 +159,8 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   page.AddHeading("Solvers through the impact");
   page.AddParagraph(
       "The same problem with solvers that shoot through the impact, and with solvers in which the impact time is a "
-      "variable; then with bounds on the force. The optima with bounds follow from the minimum principle: the force is "
-      "the "
-      "projection of a linear function of time onto the bounds.");
+      "variable; then with bounds on the force. The optima with bounds follow from the minimum principle: the force "
+      "is the projection of a linear function of time onto the bounds.");
   page.AddList(strike.Findings());
   for (const CaptionedTable& table : strike.Tables()) page.AddTable(table.table, table.caption);
   for (const PaperFigure& figure : strike.Figures()) AddFigure(figures, figure.name, &page);
@@ -182,10 +168,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   if (formulations) {
     page.AddHeading("All contact models");
     page.AddParagraph(
-        "All contact models on the same scenes. A correct motion is not sufficient for a correct gradient: the verdict "
-        "depends on how a model represents contact. The audit distinguishes a few classes, by the behaviour of the "
-        "first "
-        "contact as steps shrink and by the linearization of its steps, not by the model's name.");
+        "All contact models on the same scenes. A correct motion is not sufficient for a correct gradient: the "
+        "verdict depends on how a model represents contact. The audit distinguishes a few classes, by the behaviour "
+        "of the first contact as steps shrink and by the linearization of its steps, not by the model's name.");
     page.AddList(formulations->Classes());
     const CaptionedTable table = formulations->ToTable();
     page.AddTable(table.table, table.caption);
@@ -198,8 +183,7 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   page.AddHeading("Optima of the follow-up paper");
   page.AddParagraph(
       "Its analytic optima are minima over a grid of 100 by 100 points; ours are continuous. The second is a local "
-      "optimum: "
-      "the best for its sequence of impacts.");
+      "optimum: the best for its sequence of impacts.");
   AddPublishedTable(rows, "L4DC", &page);
 
   const Status status = page.Write(output_dir + "/report.html");

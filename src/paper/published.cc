@@ -157,10 +157,10 @@ void CompareWithPublished(const Experiments& experiments, std::vector<PublishedR
 }
 
 std::vector<std::pair<std::string, std::string>> PublishedTables() {
-  return {{"T1", "Table 1: gradients of the final height of a ball that bounces once"},
-          {"T2", "Table 2: gradients and learned velocity, ball off ground and wall, no friction"},
-          {"T3", "Table 3: gradients and learned loss, two balls"},
-          {"T4", "Table 4: gradients and learned velocity, ball off ground and wall, friction 0.1"},
+  return {{"T1", "Table 1 of the paper: gradients of the final height of a ball that bounces once"},
+          {"T2", "Table 2 of the paper: gradients and learned velocity, ball off ground and wall, no friction"},
+          {"T3", "Table 3 of the paper: gradients and learned loss, two balls"},
+          {"T4", "Table 4 of the paper: gradients and learned velocity, ball off ground and wall, friction 0.1"},
           {"F5", "Stiffness of the compliant model, two balls"},
           {"L4DC", "Optima of the follow-up paper"}};
 }
@@ -203,13 +203,20 @@ Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
 Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes) {
   std::vector<std::string> contacts, quantities;
   const auto add = [](const std::string& item, std::vector<std::string>* list) {
-    const auto found = std::find(list->begin(), list->end(), item);
-    if (found == list->end()) return list->insert(found, item) - list->begin();
-    return found - list->begin();
+    const auto index = std::find(list->begin(), list->end(), item) - list->begin();
+    if (index == std::ssize(*list)) list->push_back(item);
+    return index;
+  };
+  std::vector<std::string> problems;
+  for (const PublishedRow& row : rows) {
+    if (row.table == name) add(row.problem, &problems);
+  }
+  const auto model_of = [&](const PublishedRow& row) {
+    return problems.size() == 1 ? row.contact : row.contact + ", " + row.problem;
   };
   for (const PublishedRow& row : rows) {
     if (row.table != name) continue;
-    add(row.contact, &contacts);
+    add(model_of(row), &contacts);
     add(row.quantity, &quantities);
   }
   std::vector<Column> columns = {{"contact"}};
@@ -219,7 +226,7 @@ Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name,
   cells.back()[0] = "exact dynamics";
   for (const PublishedRow& row : rows) {
     if (row.table != name) continue;
-    const auto model = add(row.contact, &contacts), column = add(row.quantity, &quantities) + 1;
+    const auto model = add(model_of(row), &contacts), column = add(row.quantity, &quantities) + 1;
     const bool as_printed = row.IsJudged() && row.Matches() && (row.verdict.empty() || row.verdict == "match");
     std::string text =
         (row.published.empty() ? "–" : row.published) + "\n" + (row.ours ? AsPrinted(*row.ours, row) : "–");

@@ -232,8 +232,8 @@ Table SolverComparison::Headline() const {
 Table SolverComparison::TaskTable(const Task& task) const {
   Table table({{"contact"},
                {"solver"},
-               {"loss under the model", 10},
-               {"exact loss", 10},
+               {"loss under the model", 7},
+               {"exact loss", 7},
                {"gap", 3},
                {"iterations"},
                {"gradients"},

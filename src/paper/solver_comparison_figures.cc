@@ -83,8 +83,10 @@ PaperFigure SolverComparison::ControlProfiles() const {
     for (size_t k = 0; k < intervals; ++k) {
       const double duration =
           run.report.durations.empty() ? strike_.scene.duration / intervals : run.report.durations[k];
-      x.push_back(start + 0.5 * duration);
-      y.push_back(run.report.control[2 * k]);
+      for (const double time : {start, start + duration}) {
+        x.push_back(time);
+        y.push_back(run.report.control[2 * k]);
+      }
       start += duration;
     }
     panel.series.push_back(SolverSeries(run.report.solver, x, y));
@@ -113,7 +115,7 @@ PaperFigure SolverComparison::Defects() const {
     Panel panel;
     panel.title = contact;
     panel.x.label = "time (s)";
-    panel.y.label = "largest component of a step's defect (of the scene's length or speed)";
+    panel.y.label = "largest defect of a step (relative)";
     panel.y.log = true;
     panel.y.min = 1e-6;
     const auto& rounds = run->report.defects;
@@ -139,9 +141,11 @@ PaperFigure SolverComparison::Defects() const {
   figure.legend = Legend::kBelow;
   return {
       "defects",
-      "Task 3 by the augmented Lagrangian: where the trajectory is torn. At first every step is, because that costs "
-      "less than force. The multipliers should close all defects, and do not: with `event` those that stay open jump "
-      "at the impact and are largest behind it, with `compliant_warp` they sit at the contact.",
+      "Task 3 by the augmented Lagrangian: the defects of the steps, relative to the scene's length and speed. At "
+      "first "
+      "every step has one, because that costs less than a force. The multipliers should close all defects, and do not: "
+      "with `event` the remaining ones jump at the impact and are largest after it, with `compliant_warp` they are "
+      "largest at the contact.",
       figure};
 }
 

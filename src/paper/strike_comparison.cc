@@ -181,8 +181,7 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
            std::move(free)},
           {"strike_bounded",
            "Task 3 with bounds on the force, 480 steps. Where the target disc starts at (-1, -0.6), doing nothing is "
-           "better "
-           "still, 1.36: the optima are those along the impact.",
+           "better still, 1.36: the optima are those along the impact.",
            std::move(bounded)}};
 }
 

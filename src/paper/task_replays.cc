@@ -28,6 +28,8 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
     MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
     if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
     const std::string& contact = experiment.contact;
+    // Once if a sweep over stiffnesses has the scene's too.
+    if (std::ranges::any_of(replay.motions, [&](const auto& motion) { return motion.label == contact; })) continue;
     add(SimulateMotion(own, contact, input, options), input, contact, contact);
     const bool shown = std::find(std::begin(kShown), std::end(kShown), contact) != std::end(kShown);
     if (!replay.motions.empty()) replay.motions.back().shown = shown;

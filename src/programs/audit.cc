@@ -19,6 +19,9 @@
 
 DEFINE_double(attribution_seconds, 0,
               "time limit, s, for tracing the error of a wrong gradient to contacts, for each model; 0 is no limit");
+DEFINE_double(audit_seconds, 0,
+              "time, s, within which the audit of each --simulate is planned, from the time that its first gradient "
+              "takes; 0 is no limit");
 DEFINE_bool(
     width_sweep, false,
     "also compare the gradient with differences of the loss of every width (always done where no exact gradient "
@@ -104,9 +107,12 @@ void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>
       names,
       1,
       progress,
-      [request, simulators, reference = report->reference, options](int i, const SayNote&, const auto&) {
+      [request, simulators, reference = report->reference, options](int i, const SayNote& say, const auto&) {
+        AuditOptions own = options;
+        own.status = say;
         try {
-          return AuditBlackBox(OpenSimulator(simulators[i], request.threads), request.scene, reference, options);
+          return AuditBlackBox(
+              OpenSimulator(simulators[i], request.threads), request.scene, reference, own, {FLAGS_audit_seconds});
         } catch (const std::bad_alloc&) {
           HoldMemoryBackAgain();
           ModelAudit audit = WithoutGradient(simulators[i].name, kMemoryRanOut);
@@ -134,6 +140,7 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
   options.width_sweep = FLAGS_width_sweep;
   if (!(FLAGS_attribution_seconds >= 0)) throw InputError("--attribution_seconds: expected seconds, or 0 for no limit");
   options.attribution_seconds = FLAGS_attribution_seconds;
+  if (!(FLAGS_audit_seconds >= 0)) throw InputError("--audit_seconds: expected seconds, or 0 for no limit");
   options.surrogate = request.options.surrogate;
   if (options.surrogate && FLAGS_width_sweep) {
     throw InputError("--width_sweep is of the models' own gradients; expected no --surrogate with it");

@@ -132,8 +132,8 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   std::vector<std::string> known, names;
   for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
   if (FLAGS_solver.empty()) {
-    // Least squares where it applies.
-    for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd"}) {
+    // Least squares where it applies; constraints and bounds are for phases.
+    for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd", "ceres_phases"}) {
       const auto entry = std::find_if(
           HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
       if (entry != HybridSolvers().end() && entry->why_not(problem).empty()) return {name};

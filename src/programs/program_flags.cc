@@ -103,7 +103,7 @@ std::vector<Program> MakePrograms() {
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
        {kScene,
         kModels,
-        {"Audit", {"attribution_seconds=S", "given=FILE", "width_sweep"}},
+        {"Audit", {"attribution_seconds=S", "audit_seconds=S", "given=FILE", "width_sweep"}},
         kSimulators,
         kSurrogate,
         kOutput}},
@@ -154,8 +154,7 @@ std::vector<Program> MakePrograms() {
        {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
       {"saltus_simulate",
        "Runs a contact model as a black box: reads requests from standard input and answers on standard output, one "
-       "JSON "
-       "object per line",
+       "JSON object per line",
        {"--contact=NAME [--precision=NAME] [--offer=LIST]"},
        {kModels, {"Protocol", {"offer=LIST"}}}},
       {"saltus_reproduce",
@@ -212,8 +211,7 @@ std::string HelpText(const Program& program, size_t width) {
   return text + "\n" +
          Paragraph(
              "Every program also takes --flagfile=FILE, --fromenv=FLAGS, --version, and --helpfull, which lists the "
-             "flags "
-             "of gflags and glog too. Exit codes: 0 success, 1 the computation failed, 2 the input is wrong.",
+             "flags of gflags and glog too. Exit codes: 0 success, 1 the computation failed, 2 the input is wrong.",
              width);
 }
 

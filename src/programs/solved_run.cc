@@ -7,6 +7,7 @@
 #include "base/interrupt.h"
 #include "programs/solve_output.h"
 #include "programs/surrogate_flags.h"
+#include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"
@@ -101,9 +102,16 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
 
 namespace {
 
-// The loss under a model that steps in time; nothing if it is not finite, with the reason.
-std::optional<double> LossUnderModel(const Scene& given, const Contact& contact, Precision precision,
-                                     const SolveReport& report, std::string* reason) {
+// A rollout under a contact model.
+struct RolloutOutcome {
+  std::optional<double> loss;  // nothing if it is not finite
+  std::string reason;          // then
+  std::vector<double> end;     // final state, in the shape of an initial state; empty if it has to be found otherwise
+};
+
+// By equal steps that last as long as the control.
+RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Precision precision,
+                                 const SolveReport& report) {
   Scene scene = given;
   scene.free.clear();
   scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
@@ -113,18 +121,41 @@ std::optional<double> LossUnderModel(const Scene& given, const Contact& contact,
     price_of_time = scene.objective.duration->weight * scene.duration;
     scene.objective.duration.reset();
   }
-  *reason = WhyNotApplicable(contact, scene);
-  if (!reason->empty()) return std::nullopt;
+  RolloutOutcome outcome;
+  outcome.reason = WhyNotApplicable(contact, scene);
+  if (!outcome.reason.empty()) return outcome;
   SingleShooting shooting(MakeSimulator(contact, scene, precision));
   shooting.set_stop(InterruptGuard::GraceIsOver);
+  const Simulator& simulator = shooting.simulator();
   std::vector<double> z;
   if (scene.num_controlled() > 0) {
-    z = MeanOverSteps({report.control, report.durations}, scene.control_width(), shooting.simulator().num_steps());
+    z = MeanOverSteps({report.control, report.durations}, scene.control_width(), simulator.num_steps());
   }
   double loss = 0;
-  if (shooting.Evaluate(z, &loss, nullptr)) return loss + price_of_time;
-  *reason = shooting.stopped() ? kStopped : shooting.WhyFailed();
-  return std::nullopt;
+  if (!shooting.Evaluate(z, &loss, nullptr)) {
+    outcome.reason = shooting.stopped() ? kStopped : shooting.WhyFailed();
+    return outcome;
+  }
+  outcome.loss = loss + price_of_time;
+  if (!report.durations.empty()) return outcome;
+  std::vector<double> end(simulator.state_size());
+  simulator.GetState(simulator.num_steps(), end);
+  outcome.end = ToInitial(end, scene.num_bodies());
+  return outcome;
+}
+
+// The same of the exact model, from its motion with time-stepping fallbacks. Nothing if the loss is not a function of
+// the final state and of a control with equal steps.
+std::optional<RolloutOutcome> OutcomeOf(const ExactRun& exact, const Scene& scene, const SolveReport& report) {
+  const Objective& objective = scene.objective;
+  const std::size_t numbers = InitialControl(scene, scene.steps).size();
+  if (exact.end.empty() || !report.durations.empty() || report.control.size() != numbers) return std::nullopt;
+  if (!objective.running.empty() || !objective.via.empty() || objective.duration) return std::nullopt;
+  const double loss =
+      TerminalLoss(objective, ToState(exact.end, scene.num_bodies()), InitialSize(scene) / scene.num_bodies()) +
+      EffortLoss(objective, report.control, scene.dt());
+  if (!std::isfinite(loss)) return std::nullopt;
+  return RolloutOutcome{loss, "", exact.end};
 }
 
 // In the shape of an initial state.
@@ -140,9 +171,7 @@ std::vector<double> LastState(const Motion& motion) {
 
 bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
 
-}  // namespace
-
-void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
+void CheckExactly(const Scene& scene, SolvedRun* run) {
   const SolveReport& report = run->report;
   run->exact =
       SimulateExactly(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
@@ -151,16 +180,27 @@ void CheckRun(const Scene& scene, const Contact& contact, Precision precision, S
     run->certificate =
         Certify(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
   }
-  if (IsExact(contact) && run->exact.ok) {
-    run->final_state = run->exact.end;
-    return;
-  }
+}
+
+void FindFinalState(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
+  const SolveReport& report = run->report;
   MotionOptions ends;
   ends.precision = precision;
   ends.most_nodes = 2;
   ends.stop = InterruptGuard::GraceIsOver;
   const MotionInput input{report.initial_state, report.control, report.durations};
   run->final_state = LastState(SimulateMotion(scene, contact, input, ends));
+}
+
+}  // namespace
+
+void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
+  CheckExactly(scene, run);
+  if (IsExact(contact) && run->exact.ok) {
+    run->final_state = run->exact.end;
+  } else {
+    FindFinalState(scene, contact, precision, run);
+  }
 }
 
 SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
@@ -179,19 +219,21 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
     report.control = request.start->control;
     report.durations = request.start->durations;
   }
-  CheckRun(scene, contact, request.precision, &run);
-  std::optional<double> loss;
-  if (IsExact(contact) && run.exact.ok) {
-    loss = run.exact.loss;
-  } else {
-    loss = LossUnderModel(scene, contact, request.precision, report, &report.reason);
+  CheckExactly(scene, &run);
+  std::optional<RolloutOutcome> outcome;
+  if (IsExact(contact) && run.exact.ok) outcome = {run.exact.loss, "", run.exact.end};
+  if (IsExact(contact) && !outcome && request.precision == Precision::kDouble) {
+    outcome = OutcomeOf(run.exact, scene, report);
   }
-  if (IsExact(contact)) report.reason = run.exact.reason;
+  if (!outcome) outcome = RollOutUnderModel(scene, contact, request.precision, report);
+  run.final_state = outcome->end;
+  if (run.final_state.empty()) FindFinalState(scene, contact, request.precision, &run);
+  report.reason = IsExact(contact) ? run.exact.reason : outcome->reason;
   report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  run.simulated = loss && std::isfinite(*loss);
+  run.simulated = outcome->loss && std::isfinite(*outcome->loss);
   if (report.reason == kStopped) report.termination = Termination::kInterrupted;
   if (!run.simulated) return run;
-  report.initial_loss = report.final_loss = *loss;
+  report.initial_loss = report.final_loss = *outcome->loss;
   report.termination = Termination::kConverged;
   return run;
 }

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 #include <numeric>
+#include <utility>
 
 #include "contact/event/event_ties.h"
 #include "saltus/control/contact_sequence.h"
@@ -50,14 +51,15 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     run->reason = "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
-  if (const int unresolved = NumUnresolvedSteps(*simulator)) {
-    run->reason = "there is no exact motion: " + DescribeUnresolved(unresolved, simulator->num_steps());
-    return false;
-  }
   simulator->set_stop(nullptr);
   std::vector<double> end(simulator->state_size());
   simulator->GetState(simulator->num_steps(), end);
   *x = ToInitial(end, scene.num_bodies());
+  if (const int unresolved = NumUnresolvedSteps(*simulator)) {
+    run->reason = "there is no exact motion: " + DescribeUnresolved(unresolved, simulator->num_steps());
+    run->end = *x;
+    return false;
+  }
   for (const Event& event : EventsOf(*simulator)) {
     run->events.push_back(event);
     run->events.back().time += start;
@@ -134,14 +136,14 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
 ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<double>& initial,
                          const std::vector<double>& control, const std::vector<double>& durations) {
   ExactRun run;
-  run.end = initial;
+  std::vector<double> x = initial;
   Scene scene = whole;
   // Of parts of the horizon, which know no other times.
   scene.objective.running.clear();
   scene.objective.via.clear();
   scene.objective.duration.reset();
   if (durations.empty()) {
-    if (!RunEqualIntervals(how, scene, control, 0, 0, &run.end, &run)) return run;
+    if (!RunEqualIntervals(how, scene, control, 0, 0, &x, &run)) return run;
   } else {
     const size_t width = scene.control_width();
     double start = 0;
@@ -152,11 +154,15 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
       scene.duration = scene.steps * durations[begin];
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
       const int first = static_cast<int>(begin);
-      if (!RunEqualIntervals(how, scene, rows, first, start, &run.end, &run)) return run;
+      if (!RunEqualIntervals(how, scene, rows, first, start, &x, &run)) {
+        if (end < durations.size()) run.end.clear();
+        return run;
+      }
       start += scene.duration;
     }
   }
   run.ok = true;
+  run.end = std::move(x);
   run.loss +=
       TerminalLoss(scene.objective, ToState(run.end, scene.num_bodies()), InitialSize(scene) / scene.num_bodies());
   AddLossOnTheWay(whole, initial, control, durations, &run);
@@ -219,7 +225,9 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
                                 Multiplied(durations, to.time),
                                 stop);
     if (run.ok) run.loss = ConvertLoss(run.loss, natural.units, scene.units);
-    run.end = ConvertInitial(std::move(run.end), scene.num_bodies(), natural.units, scene.units);
+    if (!run.end.empty()) {
+      run.end = ConvertInitial(std::move(run.end), scene.num_bodies(), natural.units, scene.units);
+    }
     for (Event& event : run.events) event.time /= to.time;
     for (ExactRun::Place& place : run.places) place.time /= to.time;
     for (Tie& tie : run.ambiguous) tie.time /= to.time;

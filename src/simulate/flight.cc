@@ -3,6 +3,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "base/time_grid.h"
 
@@ -11,6 +12,7 @@ namespace {
 
 std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
   std::vector<Vec2d> acceleration;
+  acceleration.reserve(scene.bodies.size());
   for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
   for (int c = 0; c < scene.num_controlled(); ++c) {
     const int body = scene.control.bodies[c];
@@ -84,6 +86,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
     x.angle.push_back(initial[i]);
     x.spin.push_back(initial[i + 1]);
   }
+  pieces_.reserve(durations.size() + run.places.size());
   double start = 0;
   size_t next = 0;
   for (size_t k = 0; k < durations.size(); ++k) {
@@ -92,9 +95,9 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
     const double h = durations[k], margin = kNodeMargin * h;
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
-      const Piece piece{static_cast<int>(k), start + now, to - now, x, acceleration, turning};
+      Piece piece{static_cast<int>(k), start + now, to - now, std::move(x), acceleration, turning};
       x = piece.After(to - now);
-      if (to - now > margin) pieces_.push_back(piece);
+      if (to - now > margin) pieces_.push_back(std::move(piece));
       now = to;
     };
     while (next < run.places.size() && run.places[next].interval == static_cast<int>(k)) {
@@ -117,7 +120,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
     fly_to(h);
     start += h;
   }
-  end_ = x;
+  end_ = std::move(x);
 }
 
 DiscStates Flight::Before(double time) const {

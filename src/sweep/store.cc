@@ -26,21 +26,18 @@ std::string HostName() {
   return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
 }
 
-void Bind(sqlite3_stmt* statement, int place, const std::string& text) {
-  CHECK_EQ(sqlite3_bind_text(statement, place, text.data(), static_cast<int>(text.size()), SQLITE_TRANSIENT),
-           SQLITE_OK);
+// Whether SQLite has taken the value: it copies texts, for which it may lack the memory.
+bool Bind(sqlite3_stmt* statement, int place, const std::string& text) {
+  return sqlite3_bind_text(statement, place, text.data(), static_cast<int>(text.size()), SQLITE_TRANSIENT) == SQLITE_OK;
 }
 
-void Bind(sqlite3_stmt* statement, int place, const SweepValue& value) {
-  if (const auto* number = std::get_if<double>(&value)) {
-    CHECK_EQ(sqlite3_bind_double(statement, place, *number), SQLITE_OK);
-  } else if (const auto* whole = std::get_if<int64_t>(&value)) {
-    CHECK_EQ(sqlite3_bind_int64(statement, place, *whole), SQLITE_OK);
-  } else if (const auto* text = std::get_if<std::string>(&value)) {
-    Bind(statement, place, *text);
-  } else {
-    CHECK_EQ(sqlite3_bind_null(statement, place), SQLITE_OK);
-  }
+bool Bind(sqlite3_stmt* statement, int place, const SweepValue& value) {
+  if (const auto* number = std::get_if<double>(&value))
+    return sqlite3_bind_double(statement, place, *number) == SQLITE_OK;
+  if (const auto* whole = std::get_if<int64_t>(&value))
+    return sqlite3_bind_int64(statement, place, *whole) == SQLITE_OK;
+  if (const auto* text = std::get_if<std::string>(&value)) return Bind(statement, place, *text);
+  return sqlite3_bind_null(statement, place) == SQLITE_OK;
 }
 
 std::string TextAt(sqlite3_stmt* statement, int column) {
@@ -126,17 +123,15 @@ Status SweepStore::CreateTables() {
   }
   if (!status.ok()) return status;
   const Statement insert = Prepare("INSERT INTO study VALUES ('description', ?1)");
-  if (!insert) return Error();
-  Bind(insert.get(), 1, study_->Description());
-  if (sqlite3_step(insert.get()) != SQLITE_DONE) return Error();
+  if (!insert || !Bind(insert.get(), 1, study_->Description()) || sqlite3_step(insert.get()) != SQLITE_DONE) {
+    return Error();
+  }
   return Execute("COMMIT");
 }
 
 Status SweepStore::StartRun() {
   const Statement insert = Prepare("INSERT INTO runs (started, host) VALUES (datetime('now'), ?1)");
-  if (!insert) return Error();
-  Bind(insert.get(), 1, HostName());
-  if (sqlite3_step(insert.get()) != SQLITE_DONE) return Error();
+  if (!insert || !Bind(insert.get(), 1, HostName()) || sqlite3_step(insert.get()) != SQLITE_DONE) return Error();
   run_ = sqlite3_last_insert_rowid(database_.get());
   return Status();
 }
@@ -170,7 +165,7 @@ int64_t SweepStore::size() const {
 }
 
 bool SweepStore::Has(int64_t point) const {
-  CHECK_EQ(sqlite3_bind_int64(find_.get(), 1, point), SQLITE_OK);
+  Expect(Bind(find_.get(), 1, SweepValue(point)));
   const int result = sqlite3_step(find_.get());
   Expect(result == SQLITE_ROW || result == SQLITE_DONE);
   sqlite3_reset(find_.get());
@@ -179,13 +174,12 @@ bool SweepStore::Has(int64_t point) const {
 
 Status SweepStore::Add(int64_t point, const PointResult& result) {
   CHECK_EQ(result.row.size(), study_->columns().size());
-  Bind(insert_.get(), 1, SweepValue(point));
-  Bind(insert_.get(), 2, SweepValue(run_));
-  Bind(insert_.get(), 3, std::string(ToString(result.status)));
-  for (size_t i = 0; i < result.row.size(); ++i) {
-    Bind(insert_.get(), static_cast<int>(i) + 1 + kFixedColumns, result.row[i]);
+  bool bound = Bind(insert_.get(), 1, SweepValue(point)) && Bind(insert_.get(), 2, SweepValue(run_)) &&
+               Bind(insert_.get(), 3, std::string(ToString(result.status)));
+  for (size_t i = 0; bound && i < result.row.size(); ++i) {
+    bound = Bind(insert_.get(), static_cast<int>(i) + 1 + kFixedColumns, result.row[i]);
   }
-  const Status status = sqlite3_step(insert_.get()) == SQLITE_DONE ? Status() : Error();
+  const Status status = bound && sqlite3_step(insert_.get()) == SQLITE_DONE ? Status() : Error();
   sqlite3_reset(insert_.get());
   return status;
 }

@@ -125,7 +125,9 @@ std::vector<WorkerPool::Result> WorkerPool::Wait(std::chrono::microseconds timeo
   const timespec time = {static_cast<time_t>(wait.count() / 1'000'000),
                          static_cast<long>(wait.count() % 1'000'000 * 1000)};
   const int ready = ppoll(sockets.data(), sockets.size(), &time, nullptr);
-  PCHECK(ready >= 0 || errno == EINTR);
+  if (ready < 0 && errno != EINTR) {
+    throw std::runtime_error(std::string("cannot wait for the processes that compute: ") + std::strerror(errno));
+  }
   std::vector<Result> results;
   for (size_t i = 0; i < workers_.size(); ++i) {
     Worker& worker = workers_[i];

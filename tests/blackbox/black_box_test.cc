@@ -131,6 +131,92 @@ TEST(BlackBox, AVerdictTakesAFewThousandRollouts) {
   EXPECT_LT(box->num_steps(), 20'000 * 480);
 }
 
+// Keeps something of each answer for the next one.
+class Leaking final : public BlackBox {
+ public:
+  explicit Leaking(double leak) : leak_(leak), honest_("event", {false, false, false}) {}
+
+  const std::string& name() const override { return honest_.name(); }
+  BlackBoxTraits Describe(const Scene& scene) override { return honest_.Describe(scene); }
+  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest&) override {
+    std::vector<Answer> answers = honest_.Ask(scene, questions, nullptr);
+    for (Answer& answer : answers) {
+      const std::vector<double> own = answer.final;
+      kept_.resize(own.size());
+      for (std::size_t i = 0; i < own.size(); ++i) answer.final[i] += leak_ * kept_[i];
+      kept_ = own;
+    }
+    return answers;
+  }
+
+ private:
+  double leak_;
+  Spoken honest_;
+  std::vector<double> kept_;
+};
+
+// The size in the first remark.
+double DifferenceIn(const ModelAudit& audit) {
+  const std::string before = "differ by ";
+  if (audit.black_box->remarks.empty()) return 0;
+  const std::string& remark = audit.black_box->remarks[0];
+  const std::size_t at = remark.find(before);
+  return at == std::string::npos ? 0 : std::stod(remark.substr(at + before.size()));
+}
+
+TEST(BlackBox, StateThatLeaksFromCallToCallIsSaidAndGetsNoVerdict) {
+  const Scene scene = Problem("two_balls");
+  for (const double leak : {1e-3, 1e-7, 1e-9}) {
+    const ModelAudit audit = AuditBlackBox(std::make_shared<Leaking>(leak), scene, ExactGradientOf(scene), {});
+    EXPECT_EQ(audit.verdict, Verdict::kUnknown) << leak;
+    EXPECT_THAT(audit.Why(), HasSubstr("answers to the same question, with others asked in between, differ by"));
+    EXPECT_GT(DifferenceIn(audit), 0.03 * leak);
+    EXPECT_LT(DifferenceIn(audit), 10 * leak);
+    EXPECT_EQ(audit.black_box->precision_found, 0);
+  }
+  // Rounding that depends on the past is said, and decides nothing.
+  const ModelAudit rounding = AuditBlackBox(std::make_shared<Leaking>(1e-15), scene, ExactGradientOf(scene), {});
+  EXPECT_EQ(rounding.verdict, Verdict::kRight);
+  EXPECT_GT(DifferenceIn(rounding), 0);
+  EXPECT_LT(DifferenceIn(rounding), 1e-14);
+  const ModelAudit none = AuditBlackBox(std::make_shared<Leaking>(0), scene, ExactGradientOf(scene), {});
+  EXPECT_THAT(none.black_box->remarks, testing::IsEmpty());
+}
+
+// With a clock that counts steps, 1 ms each.
+TEST(BlackBox, AnAuditIsPlannedWithinTheTimeAllowed) {
+  const Scene scene = Problem("two_balls");
+  const auto exact = ExactGradientOf(scene);
+  const auto audit_within = [&](double seconds, double* taken, std::vector<std::string>* said) {
+    const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
+    AuditOptions options;
+    const AuditTime time{seconds, [&] { return 1e-3 * static_cast<double>(box->num_steps()); }};
+    options.status = [&](const std::string& what) { said->push_back(what); };
+    const ModelAudit audit = AuditBlackBox(box, scene, exact, options, time);
+    *taken = time.clock();
+    return audit;
+  };
+  double taken = 0;
+  std::vector<std::string> said;
+  const ModelAudit all = audit_within(0, &taken, &said);
+  ASSERT_TRUE(IsWrong(all.verdict));
+  EXPECT_GT(taken, 2000);
+  EXPECT_THAT(said, testing::Contains(testing::MatchesRegex("refinement, about [0-9.e+]+ s")));
+  EXPECT_EQ(all.refinement->quantities[0].levels.size(), 5u);
+
+  for (const double seconds : {2000., 1000., 600.}) {
+    const ModelAudit audit = audit_within(seconds, &taken, &said);
+    EXPECT_TRUE(IsWrong(audit.verdict)) << seconds;
+    EXPECT_LT(taken, 1.05 * seconds);
+    EXPECT_GT(taken, 0.5 * seconds);
+    EXPECT_EQ(audit.refinement->quantities[0].levels.size(), 4u) << seconds;
+  }
+  const ModelAudit none = audit_within(100, &taken, &said);
+  EXPECT_EQ(none.verdict, Verdict::kUnknown);
+  EXPECT_THAT(none.Why(), HasSubstr("more than is left of the 1e+02 s allowed"));
+  EXPECT_LT(taken, 100);
+}
+
 // An impact whose time is resolved: differences of its final states are the exact gradient.
 TEST(BlackBox, FinalStatesTellAResolvedImpact) {
   const ModelAudit audit = AuditFromOutside("event", Problem("two_balls"), {false, false, false});

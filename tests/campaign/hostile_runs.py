@@ -7,7 +7,8 @@ Run N of a seed is always the same: a scene of the source tree with mutated text
 of memory, of files and of time. A run violates what the documentation promises, if
 
   - it is ended by a signal (an abort, a crash) that this script did not send;
-  - it is at work after 60 s (--hang), or, if it has huge counts, as long after an interrupt;
+  - it has used 60 s of CPU time (--hang), or ten times as long by the clock; or, if it has huge counts, it is at work as
+    long after an interrupt;
   - it has another exit code than 0, 1 or 2;
   - it ends with 0 without an answer: nothing on standard output, JSON that cannot be read, or no page;
   - it ends with 1 or 2 without a word on standard error;
@@ -569,6 +570,26 @@ class Outcome:
         self.seconds, self.late, self.interrupted = seconds, late, interrupted
 
 
+def cpu_seconds(pid):
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            fields = file.read().rpartition(")")[2].split()
+    except FileNotFoundError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def wait_for(child, seconds):
+    """Raises TimeoutExpired after so much CPU time, which a busy machine does not shorten, or ten times as long."""
+    start, used = time.monotonic(), cpu_seconds(child.pid)
+    while True:
+        try:
+            return child.wait(min(seconds, 5))
+        except subprocess.TimeoutExpired:
+            if cpu_seconds(child.pid) - used > seconds or time.monotonic() - start > 10 * seconds:
+                raise
+
+
 def execute(run, hang):
     def prepare():
         os.setsid()
@@ -593,7 +614,7 @@ def execute(run, hang):
             except subprocess.TimeoutExpired:
                 interrupted = True
                 child.send_signal(signal.SIGINT)
-        child.wait(hang)
+        wait_for(child, hang)
     except subprocess.TimeoutExpired:
         late = True
     if late:
@@ -695,7 +716,7 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="the number of the first run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--hang", type=float, default=60, help="s, after which a run is said to hang")
+    parser.add_argument("--hang", type=float, default=60, help="s of CPU time, after which a run is said to hang")
     parser.add_argument("--only", type=int, help="the number of one run")
     parser.add_argument("--keep", help="a folder, in which the folders of runs with violations stay")
     options = parser.parse_args()

@@ -17,6 +17,16 @@ run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/own_contact ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/own_terms ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/values)
+# What the documentation says that its program prints, but for the loss, which is rounding.
+execute_process(COMMAND ${WORK}/installed/thirty_lines OUTPUT_VARIABLE printed COMMAND_ERROR_IS_FATAL ANY)
+file(READ ${SOURCE_TREE}/docs/how-to/hybrid-systems-cpp.md page)
+string(REGEX REPLACE "^.*\n```\n\n```\n([^`]*)```\n.*$" "\\1" shown "${page}")
+foreach(text printed shown)
+  string(REGEX REPLACE "loss = [0-9.]+e-2[0-9]" "loss = 0" ${text} "${${text}}")
+endforeach()
+if(NOT printed STREQUAL shown)
+  message(FATAL_ERROR "The documentation shows\n${shown}where its program prints\n${printed}")
+endif()
 
 # Fused multiply-adds, where the machine has them.
 run(${configure} -B ${WORK}/native -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLAGS=-march=native)

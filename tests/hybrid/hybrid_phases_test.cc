@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 #include <string>
@@ -142,11 +144,135 @@ TEST(HybridCertificate, NamesTheKinksOfAFixedGrid) {
       ASSERT_TRUE(certificate.impacts[0].theta);
       EXPECT_GE(*certificate.impacts[0].theta, 0);
       EXPECT_LE(*certificate.impacts[0].theta, 1);
+      // With the impact held on its line the loss is a linear least-squares problem, and some controls only cost
+      // effort.
+      ASSERT_TRUE(certificate.curvature);
+      EXPECT_EQ(certificate.curvature->kind, Curvature::Kind::kMinimum);
+      EXPECT_NEAR(certificate.curvature->smallest, 1, 1e-6);
       EXPECT_TRUE(std::any_of(row.lines.begin(), row.lines.end(), [&](const auto& known) {
         return known.first == line;
       })) << line;
     }
     EXPECT_EQ(minima, row.minima) << row.n;
+  }
+}
+
+// The loss of the ball by its control alone: the intervals of the first phase, `before` of them, move with the impact.
+double LossOfPhases(const std::vector<double>& u, int before, double around) {
+  const int after = static_cast<int>(u.size()) - before;
+  double effort = 0;
+  const auto fly = [&](int first, int count, double h, double* y, double* v) {
+    effort = 0;
+    for (int i = first; i < first + count; ++i) {
+      *y += *v * h + 0.5 * (u[i] - 9.8) * h * h;
+      *v += (u[i] - 9.8) * h;
+      effort += u[i] * u[i] * h / 32;
+    }
+  };
+  double low = around - 0.05, high = around + 0.05, y = 0, v = 0;
+  for (int i = 0; i < 60; ++i) {
+    const double s = 0.5 * (low + high);
+    y = 4;
+    v = 0;
+    fly(0, before, s / before, &y, &v);
+    (y > 0 ? low : high) = s;
+  }
+  double loss = effort;
+  y = 0;
+  v *= -0.7;
+  fly(before, after, (1 - low) / after, &y, &v);
+  return loss + effort + 100 * ((y - 1) * (y - 1) + v * v);
+}
+
+TEST(HybridCertificate, CurvatureOfTheBallAgreesWithDifferencesOfTheLoss) {
+  const SolveReport report = Solve("ceres_phases", ControlledBall(6), {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate && report.certificate->curvature);
+  const double impact = report.certificate->impacts[0].time;
+  int before = 0;
+  for (double t = 0; t < impact - 1e-6; ++before) t += report.durations[before];
+  ASSERT_NEAR(LossOfPhases(report.control, before, impact), report.final_loss, 1e-9);
+  const int n = 6;
+  Eigen::MatrixXd hessian(n, n), metric = Eigen::MatrixXd::Zero(n, n);
+  const auto at = [&](int i, double by_i, int j, double by_j) {
+    std::vector<double> u = report.control;
+    u[i] += by_i;
+    u[j] += by_j;
+    return LossOfPhases(u, before, impact);
+  };
+  const double d = 1e-2;
+  for (int i = 0; i < n; ++i) {
+    metric(i, i) = report.durations[i] / 16;
+    for (int j = 0; j < n; ++j) {
+      hessian(i, j) = (at(i, d, j, d) - at(i, d, j, -d) - at(i, -d, j, d) + at(i, -d, j, -d)) / (4 * d * d);
+    }
+  }
+  const Eigen::GeneralizedSelfAdjointEigenSolver<Eigen::MatrixXd> eigen(hessian, metric);
+  const Curvature& curvature = *report.certificate->curvature;
+  EXPECT_EQ(curvature.kind, Curvature::Kind::kMinimum);
+  EXPECT_NEAR(curvature.smallest, eigen.eigenvalues()[0], 1e-4 * std::abs(eigen.eigenvalues()[0]));
+  EXPECT_NE(eigen.eigenvalues()[0], 1);
+}
+
+// x' = 1 + u up to x = 0, and x' = u from there, from x = -1; the loss is (x(2)^2 - 1)^2 + weight int u^2 dt. Without a
+// control x(2) = 0, which is stationary: along a control that is constant after the event the loss gains weight - 2
+// times the square of its integral.
+struct TwoSlopes {
+  static constexpr int kNumControls = 1;
+  static constexpr int kNumParameters = 0;
+  static constexpr std::array kStateSizes = {1, 1};
+  static constexpr std::array kNumGuards = {1, 0};
+  template <typename T>
+  void Flow(int mode, const T&, const T*, const T* u, const T*, T* xdot) const {
+    xdot[0] = u[0] + (mode == 0 ? 1.0 : 0.0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return -x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = x[0];
+    return 1;
+  }
+};
+struct AwayFromZero {
+  template <typename T>
+  bool operator()(const T* x, T* residual) const {
+    residual[0] = x[0] * x[0] - 1.0;
+    return true;
+  }
+};
+HybridProblem TwoWells(double weight) {
+  HybridProblem problem{.system = HybridSystem(TwoSlopes()),
+                        .guess = {.initial = {-1}, .duration = 2, .num_intervals = 10},
+                        .terms = {MakeEffortCost(weight, 1)}};
+  HybridTerm wells{.name = "wells", .mode = 1, .with_state = true};
+  wells.function = std::make_shared<ceres::AutoDiffCostFunction<AwayFromZero, 1, 1>>(new AwayFromZero);
+  problem.terms.push_back(wells);
+  problem.free.control = true;
+  return problem;
+}
+
+TEST(HybridCertificate, FindsSaddlesAndMinima) {
+  for (const double weight : {1.0, 3.0}) {
+    const HybridProblem problem = TwoWells(weight);
+    const Certificate certificate = Certify(problem, problem.guess);
+    EXPECT_EQ(certificate.verdict, kStationary) << certificate.reason;
+    ASSERT_TRUE(certificate.curvature);
+    EXPECT_NEAR(certificate.curvature->smallest, std::min(1.0, 1 - 2 / weight), 1e-8);
+    EXPECT_EQ(certificate.IsSaddle(), weight < 2);
+    if (!certificate.IsSaddle()) continue;
+    EXPECT_THAT(certificate.reason, HasSubstr("a saddle"));
+    // Zero before the event at t = 1, constant after it.
+    ASSERT_EQ(certificate.curvature->direction.size(), 10u);
+    for (int i = 0; i < 10; ++i) EXPECT_NEAR(certificate.curvature->direction[i], i < 5 ? 0 : 1, 1e-7) << i;
+    // The solver leaves it: with x(2) = z the loss is (z^2 - 1)^2 + z^2, at least 3/4.
+    const SolveReport report = Solve("ceres_phases", problem, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_LT(report.final_loss, 0.99);
+    ASSERT_TRUE(report.certificate);
+    EXPECT_FALSE(report.certificate->IsSaddle());
   }
 }
 
@@ -213,32 +339,9 @@ TEST(HybridPhases, FindTheStartOfTheSwitchedLine) {
   EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
 }
 
-struct SpeedLimit {
-  template <typename T>
-  bool operator()(const T* x, T* residual) const {
-    residual[0] = (x[1] - 20.0) / 20.0;
-    return true;
-  }
-};
-
-// Minimum time with a terminal constraint, a bound on the state and bounds on the control. With 21 intervals, of which
-// 14 are in the phase with the turbo, the control of the optimum switches at the end of one.
+// Minimum time with a terminal constraint, a bound on the state and bounds on the control.
 TEST(HybridPhases, DriveTheTurboCarInMinimumTime) {
-  constexpr int kIntervals = 21;
-  HybridProblem problem{.system = HybridSystem(TurboCar()),
-                        .guess = {.initial = {0, 0}, .duration = 14, .num_intervals = kIntervals},
-                        .terms = {MakeDurationCost(1.0)}};
-  for (int k = 0; k < kIntervals; ++k) problem.guess.control.push_back(2 * k < kIntervals ? 2.5 : -2.5);
-  problem.terms.push_back(MakeTerminalCost(0, 200.0, 1e-4, 2));
-  problem.terms.push_back(MakeTerminalCost(1, 0.0, 1e-2, 2));
-  for (int i : {1, 2}) problem.terms[i].role = HybridTerm::Role::kEquality;
-  HybridTerm speed{
-      .name = "speed", .at = HybridTerm::At::kEachInterval, .role = HybridTerm::Role::kInequality, .with_state = true};
-  speed.function = std::make_shared<ceres::AutoDiffCostFunction<SpeedLimit, 1, 2>>(new SpeedLimit);
-  problem.terms.push_back(speed);
-  problem.free = {.control = true, .control_min = {-5}, .control_max = {5}, .duration = true};
-  problem.free.duration_min = 5;
-  problem.free.duration_max = 30;
+  const HybridProblem problem = TurboCarProblem();
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_NEAR(report.final_loss, 40.0 / 3, 1e-8);

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <memory>
 
 #include "identify/generated_problem.h"
 #include "identify/segment_motion.h"
@@ -255,6 +256,40 @@ TEST(Identify, SharesParametersAndNamesOutliers) {
   }
   EXPECT_THAT(outliers, testing::Contains(20));
   EXPECT_LT(outliers.size(), 4u);
+}
+
+// Whatever the addresses of what a fit allocates, and whatever the number of threads.
+TEST(Identify, GivesTheSameBitsAgain) {
+  GeneratedProblem problem = Bounce();
+  std::vector<Recording> recordings;
+  GeneratedRandom random(7);
+  for (const double speed : {-0.8, -0.4, 0.5, 0.9}) {
+    problem.truth.bodies[0].velocity = {speed, 1};
+    problem.recording.samples.clear();
+    Measure(1e-3, 0, &random, &problem);
+    recordings.push_back(problem.recording);
+  }
+  const auto numbers = [&](int threads) {
+    IdentifyOptions options;
+    options.threads = threads;
+    const IdentifyReport report =
+        Identify("event", problem.guess, recordings, {{Kind::kRestitution}, {Kind::kGravity, -1, 1}}, options);
+    std::vector<double> all = {report.cost, report.correlation[0][1]};
+    for (const Estimate& estimate : report.estimates) {
+      all.insert(all.end(), {estimate.value, estimate.standard_error});
+    }
+    for (const std::vector<double>& initial : report.initial) all.insert(all.end(), initial.begin(), initial.end());
+    return all;
+  };
+  const std::vector<double> first = numbers(1);
+  std::vector<std::unique_ptr<double[]>> kept;  // leave gaps of other sizes on the heap
+  for (int run = 0; run < 8; ++run) {
+    for (int size = 1; size < 200; ++size) {
+      auto block = std::make_unique<double[]>(static_cast<std::size_t>(random.Integer(1, 16)));
+      if (random.Uniform(0, 1) < 0.5) kept.push_back(std::move(block));
+    }
+    EXPECT_EQ(numbers(1 + run % 2), first) << run;
+  }
 }
 
 // Noise that nobody states is estimated.

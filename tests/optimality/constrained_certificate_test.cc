@@ -69,7 +69,7 @@ TEST(Certificate, KnowsWhichBoundHolds) {
     }
     const Certificate certificate = CertifyReport(scene, report);
     EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << name;
-    EXPECT_EQ(certificate.reason, "stationarity is off most");
+    EXPECT_EQ(certificate.reason, "the largest residual is that of stationarity");
   }
 }
 

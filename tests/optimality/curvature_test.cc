@@ -101,7 +101,7 @@ TEST_P(Condensed, EqualsDifferencesOfExactGradients) {
   // The smallest eigenvalue by any direction of unit length in time.
   const double h = scene.dt(), of_effort = 2 * scene.objective.effort * h;
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> dense(hessian / of_effort);
-  const CondensedLoss::Curvature curvature = condensed.SmallestCurvature();
+  const CurvatureRange curvature = condensed.SmallestCurvature();
   EXPECT_NEAR(curvature.smallest, dense.eigenvalues()[0], 1e-9 * dense.eigenvalues().cwiseAbs().maxCoeff());
   EXPECT_NEAR(h * curvature.direction.squaredNorm(), 1, 1e-9);
   const double along = curvature.direction.dot(hessian * curvature.direction) / (2 * scene.objective.effort);
@@ -164,7 +164,7 @@ TEST(Curvature, IsThatOfTheLagrangianAlongWhatIsFree) {
   const std::vector<double> control = Wavy(hard), lengths = EqualLengths(hard);
   const Exact exact(hard, control, lengths);
   const Restrictions restrictions = SomeRestrictions(hard);
-  const CondensedLoss::Curvature curvature =
+  const CurvatureRange curvature =
       CondensedLoss(hard, exact.flight, control, lengths, {}, restrictions).SmallestCurvature();
 
   const Exact of_lagrangian(lagrangian, control, lengths);

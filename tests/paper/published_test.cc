@@ -7,6 +7,7 @@
 
 #include <filesystem>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -101,6 +102,25 @@ TEST_F(Published, VerdictsAreWordsThatDoNotContradictEachOther) {
   EXPECT_EQ(VerdictInWords(row), "NOT as expected; the print is a misprint");
   row.verdict = "chaotic";
   EXPECT_EQ(VerdictInWords(row), "not judged: rounding decides it");
+}
+
+// A cell whose numbers differ, or are not judged, ends in the number of its note.
+TEST_F(Published, NotesOfTablesAreNumbered) {
+  for (const std::string name : {"T1", "T2", "T3", "T4", "F5", "L4DC"}) {
+    std::vector<std::string> notes;
+    const Table table = PaperTable(*rows_, name, &notes);
+    std::set<int> numbers;
+    for (const std::vector<Cell>& row : table.rows()) {
+      for (const Cell& cell : row) {
+        const std::string text = cell.Exact();
+        if (text.ends_with("]")) numbers.insert(std::stoi(text.substr(text.rfind('[') + 1)));
+      }
+    }
+    ASSERT_EQ(numbers.size(), notes.size()) << name;
+    if (notes.empty()) continue;
+    EXPECT_EQ(*numbers.begin(), 1) << name;
+    EXPECT_EQ(*numbers.rbegin(), std::ssize(notes)) << name;
+  }
 }
 
 // The names that the authors' notebooks open.

@@ -453,7 +453,7 @@ TEST(CommandLine, CertificatesAreInTheTextInWords) {
                                      "loss; other sequences of impacts may be better$")));
   EXPECT_THAT(lines,
               Contains(ContainsRegex("^direct_toi gd not stationary 0.[0-9]+ small changes of the control lower the "
-                                     "loss: .* is off most$")));
+                                     "loss: the largest residual is that of .*$")));
 
   const Outcome searched =
       RunProgramIn(400, "saltus_solve --contact=event --solver=mode_search --progress=none" + Scene("two_balls"));

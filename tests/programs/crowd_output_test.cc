@@ -8,6 +8,9 @@
 #include <string>
 
 #include "programs/run_command.h"
+#include "saltus/scene/scene_file.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {
@@ -17,8 +20,8 @@ using testing::HasSubstr;
 
 constexpr double kRadius = 0.1;
 
-// --scene=FILE with 36 discs that fall into the gaps of those below.
-std::string Bag() {
+// A scene file with 36 discs that fall into the gaps of those below.
+std::string BagFile() {
   const std::string path = testing::TempDir() + "/bag_" + std::to_string(getpid()) + ".yaml";
   std::ostringstream discs;
   for (int i = 0; i < 36; ++i) {
@@ -39,8 +42,10 @@ std::string Bag() {
                          "objective: {terminal: [{body: d0, quantity: position, target: [0, 0]}]}\n"
                          "optimize: velocity\n"
                          "free: [d0]\n";
-  return " --scene=" + path + " --progress=none --json ";
+  return path;
 }
+
+std::string Bag() { return " --scene=" + BagFile() + " --progress=none --json "; }
 
 // The motion is there, and that it is not exact is said.
 TEST(CrowdOutput, HasAMotionAndNoExactLoss) {
@@ -58,6 +63,30 @@ TEST(CrowdOutput, HasAMotionAndNoExactLoss) {
     if (run["contact"] != "event") continue;
     EXPECT_THAT(run["reason"].get<std::string>(), HasSubstr("time-stepping fallback"));
   }
+}
+
+// The exact run has the end of its motion with fallback steps, which the program reports without another rollout.
+TEST(CrowdOutput, EndsAsTheRolloutOfTheExactModel) {
+  const Scene scene = std::get<Scene>(LoadSceneFile(BagFile()));
+  const auto simulator = MakeSimulator("event", scene, Precision::kDouble);
+  ASSERT_TRUE(simulator->Rollout(InitialState(scene), {}));
+  std::vector<double> end(simulator->state_size());
+  simulator->GetState(simulator->num_steps(), end);
+
+  const ExactRun exact = SimulateExactly(scene, InitialState(scene), {});
+  EXPECT_FALSE(exact.ok);
+  EXPECT_EQ(exact.end, ToInitial(end, scene.num_bodies()));
+
+  const Outcome outcome = RunProgram("saltus_solve" + Bag() + "--contact=event --solver=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const json run = json::parse(outcome.output)["runs"][0];
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    for (int j = 0; j < 4; ++j) EXPECT_EQ(run["final_state"][i][j], end[4 * i + j]) << i;
+  }
+  EXPECT_EQ(run["loss"], end[0] * end[0] + end[1] * end[1]);
+
+  // Without a motion there is no end.
+  EXPECT_TRUE(SimulateExactly(scene, InitialState(scene), {}, {}, [] { return true; }).end.empty());
 }
 
 }  // namespace

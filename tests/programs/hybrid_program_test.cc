@@ -72,6 +72,7 @@ TEST(HybridProgram, EveryProblemIsSolved) {
   } kProblems[] = {
       {"boost_converter", "--iterations=200", 0, 1e-12},
       {"bouncing_ball", "--solver=ceres_lm", 0, 1e-18},
+      {"cart_pole_walls", "", 0, 1e-15},
       {"juggled_ball", "--iterations=200", 0, 1e-15},
       {"rimless_wheel", "--iterations=200", 0, 1e-15},
       {"rocking_block", "--iterations=200", 0, 1e-15},
@@ -80,6 +81,7 @@ TEST(HybridProgram, EveryProblemIsSolved) {
       {"switched_line", "--solver=ceres_lm --iterations=100", 1.52377277537495711456, 1e-8},
       {"switched_oscillator", "--iterations=200", 0, 1e-15},
       {"thermostat", "--iterations=200", 0, 1e-15},
+      {"turbo_car", "", 40.0 / 3, 1e-8},
       {"two_mass_hopper", "--solver=ceres_lm --iterations=200", 0.0184634928516979, 1e-9},
   };
   for (const auto& problem : kProblems) {

@@ -139,6 +139,26 @@ TEST_F(SweepStoreTest, RefusesAPointThatItHas) {
   EXPECT_TRUE(store->Add(4, Row(study, 4)).ok());
 }
 
+#if SQLITE_VERSION_NUMBER >= 3031000  // sqlite3_hard_heap_limit64
+TEST_F(SweepStoreTest, MemoryThatRunsOutIsAnErrorAndLeavesTheStoreAsItWas) {
+  const SweepStudy study = Study();
+  StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
+  ASSERT_TRUE(store.ok()) << store.status().message();
+  ASSERT_TRUE(store->Add(3, Row(study, 3)).ok());
+  PointResult large = Row(study, 4);
+  large.row.back() = std::string(1 << 20, 'x');
+  // SQLite may take no more memory than it has taken already and a little.
+  sqlite3_hard_heap_limit64(sqlite3_memory_used() + (1 << 16));
+  const Status full = store->Add(4, large);
+  sqlite3_hard_heap_limit64(0);
+  EXPECT_THAT(full.message(), AllOf(HasSubstr(Path()), HasSubstr("out of memory")));
+  EXPECT_FALSE(store->Has(4));
+  EXPECT_EQ(Contents(*store).at(3), Row(study, 3));
+  EXPECT_TRUE(store->Add(4, large).ok());
+  EXPECT_EQ(Contents(*store).at(4), large);
+}
+#endif
+
 TEST_F(SweepStoreTest, RefusesAnotherStudyAndSaysWhatDiffers) {
   const SweepStudy study = Study(), other = Study("stiffness=1:10:lin:10", 240);
   ASSERT_TRUE(SweepStore::Open(Path(), study).ok());

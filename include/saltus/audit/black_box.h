@@ -5,6 +5,7 @@
 // Shapes are those of simulate/simulator.h, with four numbers for a disc.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -75,10 +76,18 @@ Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, c
 // The same with widths that suit the noise of its answers, which is measured.
 Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop = nullptr);
 
+// The time, s, within which an audit is planned, from the time that its first gradient takes; 0: no limit.
+struct AuditTime {
+  double seconds = 0;
+  std::function<double()> clock = nullptr;  // s, from any start; null: a steady clock
+};
+
 // What is found of one: as AuditModel(), with differences of final states in place of a gradient that the simulator
 // does not give. The class is that of a head-on impact of the first pair that collides in exact dynamics. If it fails,
-// that is the reason of the gradient.
+// that is the reason of the gradient. The verdict is kUnknown, and the first remark says why, if answers to the same
+// question differ by so much that they decide derivatives, or if no study that gives a verdict fits into the time.
 ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scene,
-                         const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
+                         const std::optional<ModelGradient>& reference, const AuditOptions& options = {},
+                         const AuditTime& time = {});
 
 }  // namespace saltus

@@ -33,8 +33,8 @@ namespace saltus {
 
 // What a motion depends on.
 struct HybridInput {
-  int mode = 0;                         // at time 0
-  std::vector<double> initial = {};     // state at time 0, of the size of that mode
+  int mode = 0;                         // at the beginning
+  std::vector<double> initial = {};     // state at the beginning, of the size of that mode
   std::vector<double> parameters = {};  // P
   double duration = 0;                  // > 0
   int num_intervals = 1;                // K > 0 intervals, on each of which the control is held
@@ -42,8 +42,9 @@ struct HybridInput {
   // K positive numbers, proportional to the lengths of the intervals; none: the intervals have equal lengths.
   // Derivatives with respect to the duration keep the proportions.
   std::vector<double> lengths = {};
+  double begin = 0;  // time at which the motion begins; it ends at begin + duration
 
-  // The times at which the control intervals begin, and the duration: K + 1 numbers.
+  // The times at which the control intervals begin, and that of the end: K + 1 numbers.
   std::vector<double> Times() const;
 };
 
@@ -158,6 +159,10 @@ class HybridSimulator {
 
   // All derivatives by forward sweeps; costs D times more.
   HybridSensitivity Sensitivity();
+  // The derivatives over each control interval k: its columns are [state at its beginning, its control], final_state is
+  // that at its end, and `after` and `times` are of the events in it. The first interval has the events at the start,
+  // too. There are no nodes.
+  std::vector<HybridSensitivity> IntervalSensitivities();
 
  private:
   class Impl;

@@ -11,8 +11,11 @@
 #include <array>
 #include <cstddef>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
+
+#include "saltus/internal/runge_kutta_step.h"
 
 namespace saltus {
 
@@ -52,6 +55,12 @@ class HybridFunctions {
   // And by [x t p u]: n x (n + 1 + P + m).
   virtual void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
                             double* jacobian) const = 0;
+
+  // A step of the integration in one call, with the flow in its loop (runge_kutta_step.h): x', given the slope at the
+  // beginning; and the slopes of all stages and their Jacobians, each one after the other. `scratch` has room for as
+  // many slopes and a state.
+  virtual void Step(const FlowStep& step, const double* slope, double* scratch, double* after) const;
+  virtual void LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const;
 
   virtual double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const = 0;
   // And its derivative by time along xdot, under a control that is held.
@@ -137,6 +146,35 @@ class HybridFunctionsOf final : public HybridFunctions {
     });
   }
 
+  void Step(const FlowStep& step, const double* slope, double* /*scratch*/, double* after) const override {
+    InMode(step.mode, [&](auto mode) {
+      const auto flow = [&](double t, const double* x, double* xdot) {
+        system_.Flow(mode, t, x, step.u, step.p, xdot);
+      };
+      EvaluateStep<S::kStateSizes[mode]>(step, flow, slope, after);
+    });
+  }
+  void LinearizeStep(const FlowStep& step, double* /*scratch*/, double* slopes, double* jacobians) const override {
+    InMode(step.mode, [&](auto mode) {
+      constexpr int kSize = S::kStateSizes[mode], kColumns = kSize + 1 + S::kNumParameters + S::kNumControls;
+      // In one pass, what is differentiated by is the same at all stages but for its values.
+      Variables v;
+      if constexpr (kColumns <= kStride) Seed(kSize, S::kNumControls, step.t, step.x, step.p, step.u, 0, &v);
+      const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
+        if constexpr (kColumns <= kStride) {
+          for (int i = 0; i < kSize; ++i) v.x[i].a = x[i];
+          v.t.a = t;
+          std::array<Jet, kMostStates> out;
+          system_.Flow(mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+          Unpack(out, kSize, 0, kColumns, kColumns, slope, jacobian);
+        } else {
+          HybridFunctionsOf::FlowJacobian(mode, t, x, step.u, step.p, slope, jacobian);
+        }
+      };
+      saltus::LinearizeStep<kSize>(step, kSize * kColumns, flow, slopes, jacobians);
+    });
+  }
+
   double Guard(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p) const override {
     return system_.Guard(mode, guard, t, x, p);
   }
@@ -190,6 +228,15 @@ class HybridFunctionsOf final : public HybridFunctions {
   static constexpr int kStride = kMostVariables <= kMostInOnePass ? kMostVariables : 8;
   using Jet = ceres::Jet<double, kStride>;
 
+  // Calls function(mode) with the mode as a constant.
+  template <int kMode = 0, typename Function>
+  static void InMode(int mode, const Function& function) {
+    if constexpr (kMode + 1 < kNumModes) {
+      if (mode != kMode) return InMode<kMode + 1>(mode, function);
+    }
+    function(std::integral_constant<int, kMode>());
+  }
+
   struct Variables {
     std::array<Jet, kMostStates> x;
     Jet t;
@@ -197,24 +244,29 @@ class HybridFunctionsOf final : public HybridFunctions {
     std::array<Jet, S::kNumControls> u;
   };
 
-  // Calls function(variables, first, width, columns) with Jets that carry the derivatives by columns first to first +
-  // width of [x t p u], with the first `controls` of u, until all columns have been seen.
+  // Jets that carry the derivatives by columns first to first + kStride of [x t p u], with the first `controls` of u.
+  static void Seed(int states, int controls, double t, const double* x, const double* p, const double* u, int first,
+                   Variables* v) {
+    int column = 0;
+    const auto seed = [&](double value, Jet* jet) {
+      *jet = Jet(value);
+      if (column >= first && column < first + kStride) jet->v[column - first] = 1;
+      ++column;
+    };
+    for (int i = 0; i < states; ++i) seed(x[i], &v->x[i]);
+    seed(t, &v->t);
+    for (int i = 0; i < S::kNumParameters; ++i) seed(p[i], &v->p[i]);
+    for (int i = 0; i < controls; ++i) seed(u[i], &v->u[i]);
+  }
+
+  // Calls function(variables, first, width, columns) until all columns of [x t p u] have been seen.
   template <typename Function>
   static void InPasses(int mode, int controls, double t, const double* x, const double* p, const double* u,
                        const Function& function) {
     const int states = S::kStateSizes[mode], columns = states + 1 + S::kNumParameters + controls;
     for (int first = 0; first < columns; first += kStride) {
       Variables v;
-      int column = 0;
-      const auto seed = [&](double value, Jet* jet) {
-        *jet = Jet(value);
-        if (column >= first && column < first + kStride) jet->v[column - first] = 1;
-        ++column;
-      };
-      for (int i = 0; i < states; ++i) seed(x[i], &v.x[i]);
-      seed(t, &v.t);
-      for (int i = 0; i < S::kNumParameters; ++i) seed(p[i], &v.p[i]);
-      for (int i = 0; i < controls; ++i) seed(u[i], &v.u[i]);
+      Seed(states, controls, t, x, p, u, first, &v);
       function(v, first, std::min(kStride, columns - first), columns);
     }
   }

@@ -18,6 +18,13 @@
 // Multipliers of events, of equalities and of active inequalities are those that meet the conditions best. On a grid
 // that does not move, events at the ends of intervals where the control jumps are kinks, as certificate.h says.
 // Residuals are relative to the size of the terms that cancel.
+//
+// Curvature is the second derivative of the Lagrangian along directions that keep constraints and bounds that are
+// active, with the times of events as functions of the variables; intervals move with the events, or on a grid that
+// does not, events at the ends of intervals stay there. It is a part of the second derivative of the costs by the
+// control alone (as effort), and for variables without such costs, of the size of the terms that cancel. It is left out
+// with more than 400 free variables. Curvature::direction has the control (K x m), and then those components of the
+// initial state, parameters and the duration that are free.
 #pragma once
 
 #include "saltus/hybrid/hybrid_problem.h"

@@ -23,7 +23,7 @@ struct ExactRun {
   bool ok = false;
   std::string reason;  // if not ok
   double loss = 0;
-  std::vector<double> end;  // final state, in the shape of an initial state
+  std::vector<double> end;  // final state as an initial state; if not ok, of the motion in `reason`, or empty
   std::vector<Event> events;
   std::vector<Candidate> contacts;  // of the events, by indices of the scene
   // Of the events: the control interval, and the time since its start, s.

@@ -4,6 +4,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -21,22 +22,39 @@ namespace {
 using Motion = BlackBoxFindings::Motion;
 
 constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+constexpr int kRepeats = 5;          // questions, three of which are the same
+constexpr double kDisplaced = 1e-3;  // of a radius, in a question between two that are the same
 
 // Precision. Displacements 2^-14, 2^-15, ... of a position, over a few steps of free flight.
 constexpr int kLargestPower = 14, kSmallestPower = 58, kFlight = 3;
 constexpr int kDoubleBits = 53, kFloatBits = 24, kBitsLost = 4;  // of a format, that rounding in a few steps may take
 // Of a gradient by differences from answers with more noise than this; within that, errors are rounding.
 constexpr double kMuchNoise = 1e-11, kNoisyTolerance = 1e-2, kNoisyRounding = 3e-3;
+// ... of which a part may come from what was asked before: about a third of the noise, at the widths that suit it.
+constexpr double kNoisyRepeat = 1e-3;
 constexpr double kOwnTolerance = 300;  // noises of a gradient that the simulator gives
 
 // Refinement by differences: fewer levels, as each gradient costs many rollouts.
 constexpr int kLevels = 5, kMostLevels = 6;
 // The motion.
-constexpr int kMotionLevels = 4, kMotionSamples = 9;
+constexpr int kMotionLevels = 4;
+// Samples of a level, the first of which is used if the time allows.
+constexpr int kSamples[] = {9, 5, 3};
+constexpr int kLeastLevels = 4;
+// Rollouts of the scene that the study of a head-on impact takes, over half of its steps.
+constexpr double kHeadOnRollouts = 13.5;
+constexpr int kFiner = 10;
 constexpr double kMotionOrder = 0.5, kMotionFar = 1e-2, kExactMotion = 1e-9, kMotionNoise = 300;
 // The width sweep: widths in what moves in a step.
 constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisyTo = 0.2, kWideFrom = 2, kWideTo = 8;
+constexpr int kWidths = 24;  // of each entry, about
 constexpr double kRebounds = 0.5, kLost = 0.5;
+
+std::string Format(const char* format, double a, double b = 0) {
+  char text[200];
+  std::snprintf(text, sizeof text, format, a, b);
+  return text;
+}
 
 // Relative noise of the answers: what is left of the final position of a disc when what a displacement does to it is
 // taken off. Epsilon if nothing is to be seen.
@@ -82,6 +100,72 @@ int BitsOf(double noise) {
   return bits;
 }
 
+// Of vectors of the same length, relative to the second; 0 of empty ones.
+double RelativeChange(const std::vector<double>& changed, const std::vector<double>& from) {
+  double change = 0;
+  for (std::size_t i = 0; i < from.size(); ++i) change = std::hypot(change, changed[i] - from[i]);
+  const double size = Norm(from);
+  return size > 0 ? change / size : change;
+}
+
+// Asks one question again and again, with others in between: from other initial states, without forces. Each is asked
+// alone, so that one copy of a command gets them all. Answers that differ are a remark; returns whether they do by so
+// much that derivatives are not known.
+bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
+                      const RefinementOptions& refinement, const StopRequest& stop, BlackBoxFindings* findings) {
+  const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
+  const double duration = steps * scene.dt();
+  Question own{Question::Kind::kSimulate, steps, duration, InitialState(scene), InitialControl(scene, steps), {}};
+  Question reversed = own, displaced = own;
+  if (traits.gradient) {
+    own.kind = Question::Kind::kGradient;
+    own.of_final.assign(own.initial.size(), 1.0);
+  }
+  for (double& force : reversed.control) force = 0;
+  for (int i = 0; i < 4 * scene.num_bodies(); ++i) {
+    if (scene.bodies[i / 4].fixed) continue;
+    if (i % 4 > 1) reversed.initial[i] *= -1;
+    if (i % 4 < 2) displaced.initial[i] += kDisplaced * scene.bodies[i / 4].radius;
+  }
+  const Question* const questions[kRepeats] = {&own, &reversed, &own, &displaced, &own};
+  std::vector<Answer> answers;
+  for (const Question* question : questions) {
+    answers.push_back(box->Ask(scene, {*question}, stop).front());
+    if (!answers.back().error.empty()) return false;
+  }
+  double extent = 0, speed = 0, difference = 0, of_gradient = 0;
+  for (const std::vector<double>* x : {&own.initial, &answers[0].final}) {
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      extent = std::max(extent, std::hypot((*x)[4 * i], (*x)[4 * i + 1]));
+      speed = std::max(speed, std::hypot((*x)[4 * i + 2], (*x)[4 * i + 3]));
+    }
+  }
+  for (const Answer* again : {&answers[2], &answers[4]}) {
+    for (std::size_t i = 0; i < again->final.size(); ++i) {
+      const double change = std::abs(again->final[i] - answers[0].final[i]);
+      difference = std::max(difference, change * (i % 4 < 2 ? 1 : duration));
+    }
+    of_gradient = std::max(of_gradient, RelativeChange(again->initial, answers[0].initial));
+  }
+  if ((difference == 0 && of_gradient == 0) || extent == 0) return false;
+  // Of the finest steps of a refinement, whose differences are the narrowest.
+  const double moved = std::ldexp(speed * scene.dt() * traits.grid_steps, 1 - kLevels);
+  const double width = moved > 0 ? WidthOfDifferences(findings->noise, extent, moved) : 0;
+  const double tolerance = findings->noise > kMuchNoise ? kNoisyRepeat : refinement.tolerance;
+  findings->remarks.push_back(
+      Format("answers to the same question, with others asked in between, differ by %.2g of the extent of the motion",
+             difference / extent));
+  if (of_gradient > 0) {
+    findings->remarks.back() += Format(", and its gradients by %.2g of their size", of_gradient);
+  }
+  const bool decides = difference > tolerance * width || of_gradient > refinement.tolerance;
+  if (decides) {
+    findings->remarks.back() += ": its derivatives are not known";
+    findings->precision_found = 0;  // the noise is that of the past
+  }
+  return decides;
+}
+
 // How fast the two of a pair are accelerated towards each other by the scene's forces, in a state of all discs.
 double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vector<double>& state) {
   const auto position = [&](int i) { return Vec2d(state[4 * i], state[4 * i + 1]); };
@@ -117,11 +201,11 @@ std::optional<Meeting> FirstMeeting(const Scene& scene, const std::optional<Mode
 
 // Losses at ever more steps beside the exact one.
 void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const ModelGradient& exact,
-                 const StopRequest& stop, BlackBoxFindings* findings) {
+                 int samples, const StopRequest& stop, BlackBoxFindings* findings) {
   std::vector<Question> questions;
   std::vector<int> steps;
   for (int level = 0; level < kMotionLevels; ++level) {
-    for (int sample = 0; sample < kMotionSamples; ++sample) {
+    for (int sample = 0; sample < samples; ++sample) {
       const int own = (std::max(1, scene.steps / traits.grid_steps) << level) + sample;
       steps.push_back(own * traits.grid_steps);
       questions.push_back({Question::Kind::kSimulate,
@@ -139,12 +223,12 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
   for (int level = 0; level < kMotionLevels; ++level) {
     std::vector<double> errors;
     double log_steps = 0;
-    for (int i = level * kMotionSamples; i < (level + 1) * kMotionSamples; ++i) {
+    for (int i = level * samples; i < (level + 1) * samples; ++i) {
       if (!answers[i].error.empty()) return;
       const double loss = TerminalLoss(scene.objective, answers[i].final, 4) +
                           EffortLoss(scene.objective, questions[i].control, scene.duration / steps[i]);
       errors.push_back(std::abs(loss - exact.loss) / exact.loss_scale);
-      log_steps += std::log(steps[i]) / kMotionSamples;
+      log_steps += std::log(steps[i]) / samples;
     }
     const auto [smallest, worst] = std::minmax_element(errors.begin(), errors.end());
     findings->levels.push_back({std::exp(log_steps), Median(errors), *smallest, *worst});
@@ -190,12 +274,6 @@ WidthSweepOptions WidthsOf(const BlackBoxFindings& findings, WidthSweepOptions o
   return options;
 }
 
-std::string Format(const char* format, double a, double b = 0) {
-  char text[200];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
-}
-
 void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   std::vector<std::string>& remarks = findings->remarks;
   const bool agrees = audit.own && audit.own->agreement == Agreement::kAgrees;
@@ -211,14 +289,82 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   }
   if (findings->head_on && findings->finer && findings->head_on->e > kRebounds &&
       findings->finer->e < kLost * findings->head_on->e) {
-    remarks.push_back(Format("rebound lost at fine steps: %.3f of the closing speed, and %.3f with ten times as many",
-                             findings->head_on->e,
-                             findings->finer->e));
+    remarks.push_back(
+        Format("the rebound depends on the step: %.3f of the closing speed, and %.3f with ten times as many steps",
+               findings->head_on->e,
+               findings->finer->e));
   }
   if (findings->precision_found < kDoubleBits) {
     remarks.push_back(
         Format("answers have %.0f bits: narrower differences than those used are noise", findings->precision_found));
   }
+}
+
+// What the parts of an audit cost, from the time that the first gradient took, and what of them fits into the time.
+class AuditPlan {
+ public:
+  AuditPlan(const AuditTime& time, const std::function<void(const std::string&)>& status)
+      : time_(time), status_(status), start_(Now()) {}
+
+  double Now() const {
+    if (time_.clock) return time_.clock();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+  }
+  bool limited() const { return time_.seconds > 0; }
+  double Left() const { return time_.seconds - (Now() - start_); }
+
+  // A gradient took `seconds`, for which the simulator was asked for so many rollouts at a time.
+  void SetCost(double seconds, int rollouts) {
+    gradient_ = seconds;
+    rollout_ = seconds / rollouts;
+  }
+  // Of rollouts that are asked for at a time, and one after the other.
+  double OfRollouts(double count) const { return rollout_ * count; }
+  double OfSingleRollouts(double count) const { return single_ * count; }
+  void SetSingleCost(double seconds) { single_ = seconds; }
+  // Each level has twice the steps of the one before.
+  double OfRefinement(int levels, int samples) const { return gradient_ * samples * (std::ldexp(1, levels) - 1); }
+  double OfMotion(int samples) const { return OfRollouts(samples * (std::ldexp(1, kMotionLevels) - 1)); }
+
+  double OfStudies(int levels, int samples) const { return OfRefinement(levels, samples) + OfMotion(samples); }
+
+  // Lowers the levels and samples of the refinement, and of the study of the motion beside it, to what fits; or to the
+  // fewest.
+  void Fit(RefinementOptions* refinement) const {
+    if (!limited()) return;
+    const double left = Left();
+    for (const int samples : kSamples) {
+      refinement->samples = std::min(refinement->samples, samples);
+      if (OfStudies(kLeastLevels, samples) <= left) break;
+    }
+    const auto fits = [&](int levels) { return OfStudies(levels, refinement->samples) <= left; };
+    while (refinement->most_levels > kLeastLevels && !fits(refinement->most_levels)) --refinement->most_levels;
+    refinement->levels = std::min(refinement->levels, refinement->most_levels);
+  }
+  bool Fits(double seconds) const { return !limited() || seconds <= Left(); }
+  void Say(const std::string& what, double seconds) const {
+    if (status_) status_(what + Format(", about %.2g s", seconds));
+  }
+
+ private:
+  const AuditTime& time_;
+  const std::function<void(const std::string&)>& status_;
+  const double start_;
+  double gradient_ = 0, rollout_ = 0, single_ = 0;  // s
+};
+
+// Rollouts for a gradient.
+int NumRollouts(const Scene& scene, bool own_gradient) {
+  if (own_gradient) return 3;  // a rollout, and a gradient, which takes about two
+  const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
+  return 1 + 2 * (4 * static_cast<int>(moving) + AskingOptions().segments * scene.control_width());
+}
+
+// Rollouts, one after the other, for differences of every width.
+double NumRolloutsOfWidths(const Scene& scene) {
+  const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
+  const auto entries = 4 * moving + scene.control_width();
+  return static_cast<double>(2 * kWidths * entries) + 0.5 * scene.steps;  // the speeds take final states of all lengths
 }
 
 // Differences know the control by segments only.
@@ -251,7 +397,8 @@ Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& sce
 }
 
 ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scene,
-                         const std::optional<ModelGradient>& reference, const AuditOptions& options) {
+                         const std::optional<ModelGradient>& reference, const AuditOptions& options,
+                         const AuditTime& time) {
   const StopRequest& stop = options.stop;
   ModelAudit audit;
   audit.gradient.contact = box->name();
@@ -266,15 +413,33 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     findings.precision_found = BitsOf(findings.noise);
   }
   const Contact contact = ContactOf(box, traits, AskingWith(findings));
+  AuditPlan plan(time, options.status);
+  const double begin = plan.Now();
   audit.gradient = ComputeGradient(contact, scene, Precision::kDouble, stop);
   if (HasFailed(box.get(), scene, &audit) || !audit.gradient.ok()) {
     if (interrupted()) audit.gradient.reason = kStopped;
     return audit;
   }
+  const double asked = plan.Now();
+  plan.SetCost(asked - begin, NumRollouts(scene, traits.gradient));
+  RefinementOptions refinement_options = RefinementOf(findings, options.refinement);
+  const bool depends = DependsOnThePast(box.get(), scene, traits, refinement_options, stop, &findings);
+  plan.SetSingleCost((plan.Now() - asked) / kRepeats);
+  if (interrupted()) return audit;
   if (reference && !reference->ambiguous.empty()) {
     audit.verdict = Verdict::kAmbiguous;
     audit.ambiguous = reference->ambiguous;
     audit.spread = reference->spread;
+    return audit;
+  }
+  if (depends) return audit;
+  const auto too_long = [&](const std::string& what, double seconds) {
+    return what + Format(" takes about %.2g s, more than is left of the %.2g s allowed", seconds, time.seconds);
+  };
+  const double of_widths = plan.OfSingleRollouts(NumRolloutsOfWidths(scene));
+  const double of_verdict = reference ? plan.OfStudies(kLeastLevels, kSamples[2]) : of_widths;
+  if (!plan.Fits(of_verdict)) {
+    findings.remarks.insert(findings.remarks.begin(), too_long("the shortest study that gives a verdict", of_verdict));
     return audit;
   }
   if (const std::optional<Meeting> meeting = FirstMeeting(scene, reference)) {
@@ -282,8 +447,12 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     ContactRecognition recognition;
     recognition.words = impact.reason();
     if (impact.reason().empty()) {
-      findings.head_on = impact.Measure(1);
-      findings.finer = impact.Measure(10);
+      for (const auto& [found, finer] : {std::pair(&findings.head_on, 1), std::pair(&findings.finer, kFiner)}) {
+        const double seconds = plan.OfRollouts(finer * kHeadOnRollouts);
+        if (!plan.Fits(of_verdict + seconds)) continue;
+        plan.Say("head-on impact", seconds);
+        *found = impact.Measure(finer);
+      }
       recognition = RecogniseOnBench(impact, impact.step(), impact.FarBefore(), scene.contact.restitution);
     }
     if (interrupted()) return audit;
@@ -296,25 +465,35 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
   }
   if (reference) {
     audit.error = CompareGradients(AsMeasured(audit.gradient, findings), *reference);
-    StudyMotion(box.get(), scene, traits, *reference, stop, &findings);
-    RefinementStudy refinement = StudyRefinement(contact, scene, RefinementOf(findings, options.refinement), stop);
+    plan.Fit(&refinement_options);
+    plan.Say("motion", plan.OfMotion(refinement_options.samples));
+    StudyMotion(box.get(), scene, traits, *reference, refinement_options.samples, stop, &findings);
+    plan.Say("refinement", plan.OfRefinement(refinement_options.levels, refinement_options.samples));
+    RefinementStudy refinement = StudyRefinement(contact, scene, refinement_options, stop);
     if (interrupted()) return audit;
     audit.verdict = refinement.verdict;
     audit.refinement = std::move(refinement);
-    if (options.attribution && traits.step && IsWrong(audit.verdict)) {
+    if (options.attribution && traits.step && IsWrong(audit.verdict) && plan.Fits(0)) {
       AskingOptions touching = AskingWith(findings);
       touching.touches = true;
+      double seconds = options.attribution_seconds;
+      if (plan.limited()) seconds = seconds > 0 ? std::min(seconds, plan.Left()) : plan.Left();
       Attribution attribution =
-          AttributeError(ContactOf(box, traits, touching), scene, {stop, options.attribution_seconds, options.status});
+          AttributeError(ContactOf(box, traits, touching), scene, {stop, seconds, options.status});
       if (interrupted()) return audit;
       audit.attribution = std::move(attribution);
     }
   }
   if (options.width_sweep || !reference || !traits.gradient) {
-    WidthSweepStudy widths = SweepWidths(contact, scene, WidthsOf(findings, options.widths), stop);
-    if (interrupted()) return audit;
-    if (!reference) audit.verdict = widths.verdict;
-    audit.widths = std::move(widths);
+    if (plan.Fits(of_widths)) {
+      plan.Say("differences of every width", of_widths);
+      WidthSweepStudy widths = SweepWidths(contact, scene, WidthsOf(findings, options.widths), stop);
+      if (interrupted()) return audit;
+      if (!reference) audit.verdict = widths.verdict;
+      audit.widths = std::move(widths);
+    } else {
+      findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
+    }
   }
   if (!HasFailed(box.get(), scene, &audit)) Remark(audit, &findings);
   return audit;

@@ -25,6 +25,10 @@ constexpr double kLeastFelt = 1e-9;
 
 }  // namespace
 
+double WidthOfDifferences(double noise, double extent, double moved) {
+  return moved * std::clamp(kAboveNoise * std::max(noise, kRounding) * extent / moved, kNarrow, kWidest);
+}
+
 Question BlackBoxSimulator::Ask(Kind kind, int steps) const {
   const std::size_t width = control_width(), all = steps * model_.grid_steps;
   return {kind,
@@ -154,12 +158,6 @@ double BlackBoxSimulator::LargestSpeed(std::span<const double> x) const {
     largest = std::max(largest, std::hypot(x[kNumbers * i + 2], x[kNumbers * i + 3]));
   }
   return largest;
-}
-
-double BlackBoxSimulator::Width(double speed, double extent) const {
-  const double moved = speed * step();
-  const double noise = std::max(options_.noise, kRounding) * extent;
-  return moved * std::clamp(kAboveNoise * noise / moved, kNarrow, kWidest);
 }
 
 std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_control) const {

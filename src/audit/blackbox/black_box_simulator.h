@@ -11,6 +11,10 @@
 
 namespace saltus {
 
+// Width of differences by positions, m, for answers with a relative noise, of discs that get `extent`, m, from the
+// origin and move by `moved`, m, in a step.
+double WidthOfDifferences(double noise, double extent, double moved);
+
 class BlackBoxSimulator final : public Simulator {
  public:
   static constexpr int kNumbers = 4;  // of a disc
@@ -60,8 +64,7 @@ class BlackBoxSimulator final : public Simulator {
   bool AdjointByItself(std::span<const double> cotangent, const SensitivityView& out);
   void AdjointByDifferences(std::span<const double> cotangent, const SensitivityView& out);
   std::vector<Variable> Variables(bool with_control) const;
-  // Of differences of positions, m.
-  double Width(double speed, double extent) const;
+  double Width(double speed, double extent) const { return WidthOfDifferences(options_.noise, extent, speed * step()); }
   double LargestSpeed(std::span<const double> x) const;
 
   Question StepFrom(std::span<const double> x, std::span<const double> force) const;

@@ -197,7 +197,7 @@ class SpringDescent {
   int iterations = 20;
   double alpha = 1;
   int substeps = 10;
-  bool implicit = false;
+  bool implicit = true;
   double tolerance = 1e-6;  // m/s
 
   template <typename T, typename H>

@@ -29,7 +29,7 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   RollOut(DiscMotions(scene, no_terms), plan, solution.intervals, &attempt);
   // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
   if (attempt.converged && attempt.realized &&
-      CertifyTrial(scene, attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
+      run->Certify(attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
     PlanStart found{{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
     PlanAttempt last = TryByTranscription(run, plan, found, may_go_on);
     if (last.feasible() && last.converged) attempt = std::move(last);

@@ -65,7 +65,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
   if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
     return attempt;
   if (attempt.converged) {
-    if (CertifyTrial(run->scene(), attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
+    if (run->Certify(attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
   } else if (run->scene().contact.friction > 0) {
     return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
   }

@@ -338,9 +338,15 @@ std::vector<HybridMotion> HybridPhaseRun::LeaveSaddle(const HybridMotion& motion
   const double least = motion.exact.loss - 1e-12 * std::abs(motion.exact.loss);
   for (int power = kLargest; power > kLargest - kLengths; --power) {
     for (const double sign : {1.0, -1.0}) {
+      const double length = sign * std::ldexp(size, power);
       HybridMotion moved = motion;
-      for (size_t i = 0; i < std::min(moved.control.size(), curvature.direction.size()); ++i) {
-        moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
+      auto next = curvature.direction.begin();
+      for (double& u : moved.control) u += length * *next++;
+      for (const int i : problem_.free.initial) moved.initial[i] += length * *next++;
+      for (const int i : problem_.free.parameters) moved.parameters[i] += length * *next++;
+      if (problem_.free.duration) {
+        const double whole = DurationOf(motion), stretch = std::max(0.1, 1 + length * *next / whole);
+        for (double& duration : moved.durations) duration *= stretch;
       }
       MoveWithin(&moved);
       Simulate(&moved);

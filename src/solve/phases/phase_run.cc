@@ -191,6 +191,13 @@ bool PhaseRun::HasCertificate() const {
   return scene_.objective.effort > 0 || scene_.control.IsBounded();
 }
 
+const Certificate& PhaseRun::Certify(const Trial& trial) {
+  if (!certified_ || certified_->control != trial.control || certified_->durations != trial.durations) {
+    certified_ = {trial.control, trial.durations, CertifyTrial(scene_, trial)};
+  }
+  return certified_->certificate;
+}
+
 std::string PhaseRun::NameOf(const PhasePlan& plan) const { return NameFrom(scene_, plan, 0); }
 
 std::string PhaseRun::NamesOf(const std::vector<PhasePlan>& plans) const {

@@ -87,7 +87,8 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
 
   // Whether the conditions of the certificate are those of this problem.
   bool HasCertificate() const;
-  Certificate Certify(const Trial& trial) const { return CertifyTrial(scene_, trial); }
+  // That of the last control is kept: an optimum is certified by the solve that found it, for saddles and in the end.
+  const Certificate& Certify(const Trial& trial);
   std::vector<Trial> LeaveSaddle(const Trial& trial, const Curvature& curvature) const {
     return saltus::LeaveSaddle(scene_, trial, curvature);
   }
@@ -109,6 +110,11 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   const Scene& scene_;
   const std::vector<OwnTerm>& terms_;
   Trial guess_;
+  struct Certified {
+    std::vector<double> control, durations;
+    Certificate certificate;
+  };
+  std::optional<Certified> certified_;
 };
 
 // The transcriptions of one plan, and the motions of what they find.

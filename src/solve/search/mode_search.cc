@@ -202,7 +202,7 @@ class ModeSearch {
   void MendUnstationary() {
     if (end_ || !HasBestOptimum()) return;
     if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
-    if (certificate_->verdict != Certificate::Verdict::kNotStationary) return;
+    if (!IsOff(certificate_)) return;
     std::optional<SearchTask> mend{
         {.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_optimum_)}};
     WorkOff([&] { return std::exchange(mend, std::nullopt); });
@@ -327,12 +327,23 @@ class ModeSearch {
     best_remark_ = remark;
   }
 
+  static bool IsOff(const std::optional<Certificate>& certificate) {
+    return certificate && certificate->verdict == Certificate::Verdict::kNotStationary;
+  }
+
   void Keep(const Trial& trial, std::optional<Certificate> certificate) {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};
     for (const Event& event : trial.exact.events) found.times.push_back(event.time);
-    for (const LocalOptimum& known : optima_) {
+    for (LocalOptimum& known : optima_) {
       const double difference = std::abs(known.loss - found.loss);
-      if (known.sequence == found.sequence && difference <= kSameLoss * std::abs(found.loss)) return;
+      if (known.sequence != found.sequence || difference > kSameLoss * std::abs(found.loss)) continue;
+      // The best optimum, from another solve: it may meet the conditions that the first one has missed.
+      if (known.loss == best_optimum_.exact.loss && IsOff(certificate_) && certificate && !IsOff(certificate)) {
+        known = std::move(found);
+        best_optimum_ = trial;
+        certificate_ = std::move(certificate);
+      }
+      return;
     }
     if (optima_.empty() || found.loss < best_optimum_.exact.loss) {
       best_optimum_ = trial;

@@ -66,6 +66,31 @@ TEST(SearchWork, MoreWorkIsNoWorseAndWithoutALimitNoneIsNamed) {
   EXPECT_THAT(whole.reason, testing::Not(HasSubstr("limit of work")));
 }
 
+// A ball that bounces 37 times in a box: arcs leave its optimum off the condition of the Hamiltonian, and a solve that
+// ends nearer by, with the same loss, does not.
+TEST(SearchWork, TheBestOptimumMeetsItsConditionsWhenTheLimitEndsTheSearch) {
+  Scene scene;
+  scene.name = "box_37_bounces";
+  scene.duration = 4;
+  scene.steps = 2000;
+  scene.bodies = {{.name = "ball", .radius = 0.1, .position = {0.2, 0.3}, .velocity = {4.5, 2.7}}};
+  scene.planes = {{"left", {-0.5, 0}, {1, 0}},
+                  {"right", {0.5, 0}, {-1, 0}},
+                  {"floor", {0, -0.5}, {0, 1}},
+                  {"roof", {0, 0.5}, {0, -1}}};
+  scene.contact.restitution = 1;
+  scene.control = {{0}, {{0, 0}}};
+  scene.objective.terminal = {{.body = 0, .target = {0.1, -0.2}}};
+  scene.objective.effort = 1e-3;
+  scene.optimize = Optimize::kControl;
+  const SolveReport report = Solve("mode_search", {scene, "event"}, Limited(3e5, 2));
+  EXPECT_THAT(report.reason, HasSubstr("the limit of work"));
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  EXPECT_NEAR(report.final_loss, 9.374561153842e-07, 1e-16);  // of ceres_phases, which finds it too
+}
+
 // A long solve is cut as well: one limit of iterations alone would let it go on.
 TEST(SearchWork, NoSolveTakesMoreThanWhatWasLeftWhenItWasDrawn) {
   const Scene scene = ProblemScene("two_balls");

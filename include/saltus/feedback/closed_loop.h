@@ -1,0 +1,115 @@
+// Simulation of a plan under feedback and noise, of hybrid systems and of scenes under any contact model, and its
+// statistics.
+//
+// Rule for events that come early or late (reference spreading; Rijnen, Saccon, Nijmeijer 2015): what is compared is
+// the state after as many events as have happened.
+//
+//   * If the plan's event has not happened yet, the reference is the planned motion before the event, continued without
+//     it, with the control and the gain of the last interval that begins before it.
+//   * If it has happened already, the reference is the planned motion after the event, continued backwards, with the
+//     control and the gain of the first interval that begins after it.
+//   * If other events have happened than planned, or two more or fewer, there is no feedback: the planned control acts.
+//
+// Of a hybrid system, the motion is continued by the flow of the mode; of a scene, by free flight of the discs of the
+// event, with a constant angular velocity.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "saltus/feedback/covariance.h"
+#include "saltus/feedback/regulator.h"
+
+namespace saltus {
+
+// Which event: mode, guard and next mode of a hybrid system; disc, disc or wall (Candidate) and 1 for a wall in a
+// scene.
+struct EventLabel {
+  int a = 0, b = 0, c = 0;
+  friend bool operator==(const EventLabel&, const EventLabel&) = default;
+};
+
+// A motion with what feedback needs of it.
+struct Plan {
+  int num_controls = 0;                      // m
+  std::vector<double> control = {};          // K x m
+  std::vector<Eigen::VectorXd> states = {};  // K + 1: at the beginning of each interval, and at the end
+  std::vector<int> phases = {};              // K + 1: how many events have happened then
+  std::vector<EventLabel> events = {};
+  // Of each event: the motion before it, continued to the beginnings of intervals `first` and later that follow it and
+  // precede the next event; and the motion after it, continued backwards to those between the event before and it.
+  struct Branch {
+    int first = 0;
+    std::vector<Eigen::VectorXd> states = {};
+  };
+  std::vector<Branch> late = {}, early = {};
+
+  int num_intervals() const { return static_cast<int>(phases.size()) - 1; }
+};
+// Of the last rollout, which succeeded, of `input` or under `control`.
+Plan MakePlan(HybridSimulator& motion, const HybridInput& input);
+Plan MakePlan(const Simulator& motion, std::span<const double> control);
+
+// The control of interval k, given the state at its beginning and the events that have happened. Writes the planned
+// control and returns false if there is no feedback by the rule above. `gains` as in Regulator; empty: planned control.
+bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, int k, const Eigen::VectorXd& x,
+                     std::span<const EventLabel> events, std::span<double> u);
+
+// What is controlled: it advances by one interval after the other.
+class Plant {
+ public:
+  virtual ~Plant() = default;
+  virtual void Start(const Eigen::VectorXd& x) = 0;
+  // Through interval k under a constant control. False if there is no motion.
+  virtual bool Advance(int k, std::span<const double> u) = 0;
+
+  int mode() const { return mode_; }
+  Eigen::VectorXd& state() { return x_; }  // noise is added to it
+  const std::vector<EventLabel>& events() const { return events_; }
+
+ protected:
+  int mode_ = 0;
+  Eigen::VectorXd x_ = {};
+  std::vector<EventLabel> events_ = {};  // since Start
+};
+// The system itself, from the mode and in the intervals of `input`. A state that noise has put behind a guard has its
+// event at once if the guard falls there, and otherwise waits until it is above zero. steps_per_interval: of the
+// integration.
+std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval);
+// The scene under the contact model of the simulator. Contact that lasts over several steps is one event.
+std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);
+
+struct ClosedLoopRun {
+  bool ok = false;
+  bool as_planned = false;  // the events, in their order
+  int mode = 0;             // at the end
+  Eigen::VectorXd final_state = {};
+  std::vector<double> control = {};  // that acted, K x m, noise included
+};
+// One run with the noise of number `sample` of a seed, from the planned initial state.
+ClosedLoopRun RunClosedLoop(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,
+                            std::uint64_t seed, int sample, Plant* plant);
+
+struct MonteCarloOptions {
+  int samples = 1000;
+  std::uint64_t seed = 1;
+  int threads = 0;  // 0: one per core. Results do not depend on it.
+};
+struct MonteCarlo {
+  int failed = 0;                   // runs without a motion, which the others do not count
+  int otherwise = 0;                // runs whose events are not those planned
+  int counted = 0;                  // runs that end with a state of the planned size, of which mean and covariance are
+  Eigen::VectorXd mean = {};        // of the final state
+  Eigen::MatrixXd covariance = {};  // of the final state, about the mean
+  double loss = 0, loss_error = 0;  // mean over the runs with a motion, and its standard error
+};
+// `loss` of a run, if there is one, is called from several threads.
+MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,
+                         const std::function<std::unique_ptr<Plant>()>& make_plant, const MonteCarloOptions& options,
+                         const std::function<double(const ClosedLoopRun&)>& loss = nullptr);
+
+}  // namespace saltus

@@ -1,0 +1,54 @@
+// The covariance of the error of a motion, to first order through its events, and how likely another sequence of events
+// is.
+//
+// At the beginning of each interval the state is measured; the control then differs from the plan by -K (dx + error of
+// the measurement) and by its own noise:
+//
+//   P_{k+1} = (A - B K) P_k (A - B K)' + B (K V K' + U) B' + W,
+//
+// with K = 0 in open loop. A and B have the saltation matrices of the events, P+ = Xi P- Xi', in them.
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "saltus/feedback/regulator.h"
+
+namespace saltus {
+
+// Independent normal errors with mean zero: covariance matrices, symmetric and positive semidefinite. None: no error.
+struct Noise {
+  Eigen::MatrixXd initial = {};      // P_0, of the initial state
+  Eigen::MatrixXd control = {};      // U, of the control in each interval
+  Eigen::MatrixXd process = {};      // W, of the state at the end of each interval
+  Eigen::MatrixXd measurement = {};  // V, of the measured state at the beginning of each interval
+};
+
+// As "found x, expected y"; empty if nothing is: sizes, and whether they are symmetric and positive semidefinite.
+std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
+
+// The sequence of events may change here.
+struct SequenceRisk {
+  std::string what = {};   // "'a' comes after 'b'", "'a' comes after the end", "'a' comes ..."
+  double time = 0;         // s, of the planned event, or of the guard's value
+  double probability = 0;  // to first order
+};
+
+struct Covariance {
+  std::vector<Eigen::MatrixXd> nodes = {};  // K + 1: at the beginning of each interval, and at the end
+  std::vector<double> event_times = {};     // standard deviations of the times of the events, s
+  // All with a probability of 1e-12 or more, the largest first. An event after the next one or after the end, or before
+  // the beginning: from the normal distribution of the difference of the times. A guard that should stay above zero:
+  // from that of its value at the beginnings of the intervals; what happens within an interval is not seen.
+  std::vector<SequenceRisk> risks = {};
+  // An upper bound (Boole's inequality) on the probability that one of them happens, at most 1.
+  double change_probability = 0;
+  // Says which risk is largest, if change_probability is above `small`; empty otherwise. First order then ends.
+  std::string Warning(double small = 0.01) const;
+};
+
+// In open loop without a regulator. Precondition: nothing is wrong with the noise, and sizes match.
+Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator = nullptr);
+
+}  // namespace saltus

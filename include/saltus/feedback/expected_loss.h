@@ -1,0 +1,34 @@
+// Optima that forgive errors: the least expected loss under normal errors of the initial state and of the decision
+// variables as they are executed.
+//
+// The expectation is that of the 2 r points of the spherical rule of degree 3 (McNamee, Stenger 1967), +-sqrt(r) l_j
+// with equal weights, where l_j are the r columns of a square root of the covariance. It is exact for losses that are
+// cubic in the error. To second order it is the loss plus half the trace of its Hessian times the covariance: for a
+// terminal cost |x - target|^2, the trace of the covariance of the final state is added. Each point is a motion through
+// its own events, so that the gradient, the mean of adjoints, has the derivatives of the saltation matrices in it, and
+// a loss with a kink where an event meets a jump of the control is rounded off.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+// Covariance matrices, symmetric and positive semidefinite, one of them not zero. None: no error.
+struct Errors {
+  // Of the initial state of a hybrid system, or that of a scene in the shape of simulator.h (initial_size() numbers).
+  // In a scene, only of positions, velocities and angular velocities.
+  Eigen::MatrixXd initial = {};
+  // Of the decision variables, as in SingleShooting or HybridShooting: such as of the velocity of a shot.
+  Eigen::MatrixXd variables = {};
+};
+
+// Minimises the expected loss by L-BFGS, states eliminated by simulation, on the variables of the request or problem.
+// Options: iterations, callback, stop. The report's losses are expected losses. kNotApplicable with a reason for a
+// problem that ceres_lbfgs cannot take.
+SolveReport SolveExpectedLoss(const SolveRequest& request, const Errors& errors, const SolverOptions& options);
+SolveReport SolveExpectedLoss(const HybridProblem& problem, const Errors& errors, const SolverOptions& options);
+
+}  // namespace saltus

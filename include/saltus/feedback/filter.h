@@ -1,0 +1,62 @@
+// An extended Kalman filter whose mean flows through events and whose covariance passes them by saltation matrices
+// (Kong, Payne, Zhu, Johnson 2021, The salted Kalman filter).
+//
+// The mean follows the exact motion of the system. The estimate may be in another mode than the truth: before the
+// truth's event, the estimate is already behind its own, or the other way round. The rules are:
+//
+//   * The mode of the estimate is that of its mean. A measurement corrects the mean and does not change its mode.
+//   * A mean that a correction has put behind a guard which falls has the guard's event at once, in the next Predict;
+//     its covariance then passes the saltation matrix there. Where the guard rises, its next event is that after the
+//     guard has been above zero.
+//   * Until the estimate and the truth are in the same mode, the innovations are larger than their covariance says.
+//   This
+//     lasts for about the standard deviation of the time of the event.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace saltus {
+
+class SaltedKalmanFilter {
+ public:
+  // The estimate at a time: mode, mean, and covariance (symmetric, positive semidefinite).
+  SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode, Eigen::VectorXd mean,
+                     Eigen::MatrixXd covariance, HybridOptions integration = {});
+
+  // To a later time under a constant control (none: zeros): P <- F P F' + W, with F the derivative of the flow,
+  // saltation matrices included. False if the mean has no motion; WhyFailed() then says why, and the estimate is as
+  // before. Precondition: time >= this->time(); `process`, W, has the size of the state at the end, or none.
+  bool Predict(double time, std::span<const double> control = {}, const Eigen::MatrixXd& process = {});
+
+  // A measurement z = h(x) + error, given h at the mean, its Jacobian C there, and the covariance V of the error, which
+  // is positive definite. Returns the log likelihood of the innovation. The covariance is updated in Joseph's form.
+  double Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V);
+  // Of h(x) = C x.
+  double Update(const Eigen::VectorXd& z, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V) {
+    return Update(z, C * mean_, C, V);
+  }
+
+  double time() const { return time_; }
+  int mode() const { return mode_; }
+  const Eigen::VectorXd& mean() const { return mean_; }
+  const Eigen::MatrixXd& covariance() const { return covariance_; }
+  // Events of the mean in the last Predict.
+  const std::vector<HybridEvent>& events() const { return simulator_.events(); }
+  const std::string& WhyFailed() const { return why_; }
+
+ private:
+  HybridSimulator simulator_;
+  std::vector<double> parameters_;
+  double time_ = 0, longest_ = 0;
+  int mode_ = 0;
+  Eigen::VectorXd mean_;
+  Eigen::MatrixXd covariance_;
+  std::string why_;
+};
+
+}  // namespace saltus

@@ -1,0 +1,96 @@
+// Feedback along a motion with events: its linearization, and the linear-quadratic regulator with jumps.
+//
+// A motion is linearized over its control intervals,
+//
+//   dx_{k+1} = A_k dx_k + B_k du_k,
+//
+// from state to state at the fixed times at which the intervals begin. Events within an interval contribute their
+// saltation matrices, so that A_k has the size of the state at the end times that at the beginning. Hybrid systems,
+// mechanical ones among them, and scenes of discs supply the same form.
+//
+// Sources: Kong, Payne, Council, Johnson 2021, The salted Kalman filter and hybrid iLQR; Kong, Payne, Zhu, Johnson
+// 2024, Saltation matrices, section V.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/simulate/simulator.h"
+
+namespace saltus {
+
+// An event of the motion, and how its time follows what the interval begins with.
+struct LinearEvent {
+  double time = 0;                                    // s
+  std::string name = {};                              // "guard 'ground' in mode 'flight'"; "a and b" of a scene
+  Eigen::RowVectorXd by_state = {}, by_control = {};  // of the time, by x_k and u_k
+};
+
+// A guard that stays above zero, at the beginning of an interval.
+struct LinearGuard {
+  std::string name = {};
+  double value = 0;                  // > 0
+  Eigen::RowVectorXd by_state = {};  // by x_k
+};
+
+struct LinearInterval {
+  double begin = 0;  // s
+  int mode = 0;      // at the beginning
+  Eigen::MatrixXd A = {}, B = {};
+  std::vector<LinearEvent> events = {};
+  std::vector<LinearGuard> guards = {};
+};
+
+struct LinearMotion {
+  std::vector<LinearInterval> intervals = {};  // K
+  double end = 0;                              // s
+};
+
+// Of the last rollout, which succeeded, of `input`. Precondition: WhyNotDifferentiable() is empty.
+LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input);
+// Of a rollout of a scene under a control (K rows of the scene's control width); du_k is a row of it. The event-driven
+// model has its saltation matrices in A_k and B_k; other models have what they make of contact.
+// Precondition: Rollout returned true.
+LinearMotion Linearize(const Simulator& motion, std::span<const double> control);
+
+// Sum over the intervals of dx' Q dx + du' R du, plus dx_K' QT dx_K, without a factor 1/2. For TrackContinuously the
+// sum is an integral over time. Q: one symmetric matrix for all modes, or one for each mode. R: symmetric and positive
+// definite.
+struct TrackingCost {
+  std::vector<Eigen::MatrixXd> Q = {};
+  Eigen::MatrixXd R = {}, QT = {};
+};
+
+struct Regulator {
+  std::vector<Eigen::MatrixXd> gains = {};        // K: du = -gains[k] dx at the beginning of interval k
+  std::vector<Eigen::MatrixXd> cost_to_go = {};   // K + 1: dx' cost_to_go[k] dx, symmetric
+  std::vector<Eigen::MatrixXd> closed_loop = {};  // K: dx_{k+1} = closed_loop[k] dx_k
+  // TrackContinuously only: at the events, in their order.
+  struct AtEvent {
+    double time = 0;
+    Eigen::MatrixXd saltation = {}, gain_before = {}, gain_after = {}, cost_before = {}, cost_after = {};
+  };
+  std::vector<AtEvent> events = {};
+};
+
+// As "found x, expected y"; empty if nothing is: sizes, and whether matrices are symmetric and R positive definite.
+std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
+// Likewise, of gains.
+std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
+
+// The regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices of the
+// size of the state. Precondition: sizes match, R is positive definite.
+Regulator Track(const LinearMotion& motion, const TrackingCost& cost);
+
+// The regulator with du continuous in time: -S' = Q + S A + A' S - S B R^-1 B' S between events, S- = Xi' S+ Xi at an
+// event, du = -R^-1 B' S dx; of the last rollout of `input`. A flow over a time s is the transition matrix of the
+// Hamiltonian system of (dx, S dx), integrated by the Runge-Kutta method of order 8 with as many steps as
+// change the result by less than `tolerance`, relatively. Empty gains, if the motion has two transitions without time
+// between them, or states that are projected.
+Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& input, const TrackingCost& cost,
+                            double tolerance = 1e-13);
+
+}  // namespace saltus

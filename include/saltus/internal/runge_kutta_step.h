@@ -1,0 +1,153 @@
+// One step of an explicit Runge-Kutta method of order 8, as a template on the flow.
+//
+// The method of Cooper and Verner (SIAM J. Numer. Anal. 9, 1972): 11 stages, with coefficients in closed form,
+//
+//   k_i = f(t + c_i h, X_i),   X_i = x + h sum_{j < i} a_ij k_j,   x' = x + h sum_i b_i k_i.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <utility>
+
+namespace saltus {
+
+namespace cooper_verner {
+
+inline constexpr int kStages = 11;
+inline constexpr double kRoot21 = 4.58257569495584000658804719372800849;
+
+inline constexpr double kA[kStages][kStages] = {
+    {},
+    {1.0 / 2},
+    {1.0 / 4, 1.0 / 4},
+    {1.0 / 7, (-7 - 3 * kRoot21) / 98, (21 + 5 * kRoot21) / 49},
+    {(11 + kRoot21) / 84, 0, (18 + 4 * kRoot21) / 63, (21 - kRoot21) / 252},
+    {(5 + kRoot21) / 48, 0, (9 + kRoot21) / 36, (-231 + 14 * kRoot21) / 360, (63 - 7 * kRoot21) / 80},
+    {(10 - kRoot21) / 42,
+     0,
+     (-432 + 92 * kRoot21) / 315,
+     (633 - 145 * kRoot21) / 90,
+     (-504 + 115 * kRoot21) / 70,
+     (63 - 13 * kRoot21) / 35},
+    {1.0 / 14, 0, 0, 0, (14 - 3 * kRoot21) / 126, (13 - 3 * kRoot21) / 63, 1.0 / 9},
+    {1.0 / 32, 0, 0, 0, (91 - 21 * kRoot21) / 576, 11.0 / 72, (-385 - 75 * kRoot21) / 1152, (63 + 13 * kRoot21) / 128},
+    {1.0 / 14,
+     0,
+     0,
+     0,
+     1.0 / 9,
+     (-733 - 147 * kRoot21) / 2205,
+     (515 + 111 * kRoot21) / 504,
+     (-51 - 11 * kRoot21) / 56,
+     (132 + 28 * kRoot21) / 245},
+    {0,
+     0,
+     0,
+     0,
+     (-42 + 7 * kRoot21) / 18,
+     (-18 + 28 * kRoot21) / 45,
+     (-273 - 53 * kRoot21) / 72,
+     (301 + 53 * kRoot21) / 72,
+     (28 - 28 * kRoot21) / 45,
+     (49 - 7 * kRoot21) / 18}};
+inline constexpr double kB[kStages] = {1.0 / 20, 0, 0, 0, 0, 0, 0, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
+inline constexpr double kC[kStages] = {0,
+                                       0.5,
+                                       0.5,
+                                       (7 + kRoot21) / 14,
+                                       (7 + kRoot21) / 14,
+                                       0.5,
+                                       (7 - kRoot21) / 14,
+                                       (7 - kRoot21) / 14,
+                                       0.5,
+                                       (7 + kRoot21) / 14,
+                                       1};
+
+// The coefficients that are not zero: those of b as row kStages.
+struct Term {
+  int stage;
+  double factor;
+};
+struct Row {
+  int count = 0;
+  std::array<Term, kStages> terms{};
+};
+constexpr std::array<Row, kStages + 1> MakeRows() {
+  std::array<Row, kStages + 1> rows{};
+  for (int i = 0; i <= kStages; ++i) {
+    for (int j = 0; j < kStages; ++j) {
+      const double factor = i < kStages ? kA[i][j] : kB[j];
+      if (factor != 0) rows[i].terms[rows[i].count++] = {j, factor};
+    }
+  }
+  return rows;
+}
+inline constexpr std::array<Row, kStages + 1> kRows = MakeRows();
+
+// out = x + h sum of the slopes of row kRow, which stand one after the other.
+template <int kRow, int kSize>
+[[gnu::always_inline]] inline void Combine(double h, const double* x, const double* slopes, double* out) {
+  double sum[kSize] = {};
+  [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
+    [[maybe_unused]] const auto add = [&](double factor, const double* slope) __attribute__((always_inline)) {
+      for (int i = 0; i < kSize; ++i) sum[i] += factor * slope[i];
+    };
+    (add(kRows[kRow].terms[k].factor, slopes + kRows[kRow].terms[k].stage * kSize), ...);
+  }
+  (std::make_index_sequence<kRows[kRow].count>());
+  for (int i = 0; i < kSize; ++i) out[i] = x[i] + h * sum[i];
+}
+// The same of a state whose size is known as the program runs.
+inline void Combine(int row, int size, double h, const double* x, const double* slopes, double* out) {
+  for (int i = 0; i < size; ++i) {
+    double sum = 0;
+    for (int k = 0; k < kRows[row].count; ++k) {
+      sum += kRows[row].terms[k].factor * slopes[kRows[row].terms[k].stage * size + i];
+    }
+    out[i] = x[i] + h * sum;
+  }
+}
+
+}  // namespace cooper_verner
+
+// Where a step begins and how long it is.
+struct FlowStep {
+  int mode = 0;
+  double t = 0, h = 0;
+  const double* x = nullptr;  // state of the mode
+  const double* u = nullptr;  // control
+  const double* p = nullptr;  // parameters
+};
+
+// Evaluates x' by flow(t, X, k), given k_0.
+template <int kSize, typename Flow>
+void EvaluateStep(const FlowStep& step, const Flow& flow, const double* slope, double* after) {
+  using namespace cooper_verner;
+  double x[kSize], stage[kSize], slopes[kStages * kSize];
+  std::copy_n(step.x, kSize, x);
+  std::copy_n(slope, kSize, slopes);
+  [&]<std::size_t... i>(std::index_sequence<i...>) __attribute__((always_inline)) {
+    ((Combine<i + 1, kSize>(step.h, x, slopes, stage),
+      flow(step.t + kC[i + 1] * step.h, stage, slopes + (i + 1) * kSize)),
+     ...);
+  }
+  (std::make_index_sequence<kStages - 1>());
+  Combine<kStages, kSize>(step.h, x, slopes, after);
+}
+
+// Evaluates all k_i and the Jacobians of f at the stages, `stride` numbers each, by flow(t, X, k, jacobian).
+template <int kSize, typename FlowJacobian>
+void LinearizeStep(const FlowStep& step, std::size_t stride, const FlowJacobian& flow, double* slopes,
+                   double* jacobians) {
+  using namespace cooper_verner;
+  double stage[kSize];
+  [&]<std::size_t... i>(std::index_sequence<i...>) __attribute__((always_inline)) {
+    ((Combine<i, kSize>(step.h, step.x, slopes, stage),
+      flow(step.t + kC[i] * step.h, stage, slopes + i * kSize, jacobians + i * stride)),
+     ...);
+  }
+  (std::make_index_sequence<kStages>());
+}
+
+}  // namespace saltus

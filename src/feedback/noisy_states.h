@@ -1,0 +1,27 @@
+// Normal errors of states, and how a hybrid system goes on from a state that noise or a measurement has put behind a
+// guard.
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_simulator.h"
+
+namespace saltus {
+
+// The mode in which the motion goes on under a control; guards that are below zero there and fall have their events at
+// once. Adds the guards to `events`, if it is not null; multiplies `saltation` from the left by the saltation matrices,
+// if it is not null. False if there is no such mode, or if there are more than 100 events.
+bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<const double> control,
+                            std::span<const double> parameters, int* mode, Eigen::VectorXd* x,
+                            std::vector<HybridEvent>* events, Eigen::MatrixXd* saltation);
+
+// Of a symmetric matrix of `size` rows that is positive semidefinite, or positive definite, as "found x, expected y".
+std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite);
+
+// A matrix L with L L' = covariance, of as many columns as its rank; no columns if it is empty.
+Eigen::MatrixXd RootOfCovariance(const Eigen::MatrixXd& covariance);
+
+}  // namespace saltus

@@ -1,0 +1,360 @@
+#include "saltus/feedback/regulator.h"
+
+#include <glog/logging.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "base/linear_algebra.h"
+#include "feedback/noisy_states.h"
+#include "hybrid/runge_kutta.h"
+#include "saltus/simulate/events.h"
+
+namespace saltus {
+namespace {
+
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+constexpr int kMostSubsteps = 1 << 12;  // of a step of the motion, for the Riccati equation
+
+const Eigen::MatrixXd& WeightOf(const TrackingCost& cost, int mode, Eigen::Index size) {
+  const Eigen::MatrixXd& Q = cost.Q[cost.Q.size() == 1 ? 0 : mode];
+  CHECK(Q.rows() == size && Q.cols() == size) << "Q has another size than the state";
+  return Q;
+}
+
+// The flow of a mode and the Hamiltonian system [A -B R^-1 B'; -Q -A'] along it.
+class Hamiltonian {
+ public:
+  Hamiltonian(const HybridSystem& system, const HybridInput& input, const TrackingCost& cost)
+      : system_(system), input_(input), cost_(cost), inverse_(cost.R.llt()) {
+    CHECK(inverse_.info() == Eigen::Success) << "R is not positive definite";
+  }
+
+  // The transition matrix over a step in so many substeps.
+  Eigen::MatrixXd Transition(const FlowStep& step, int substeps) {
+    const int n = system_.state_size(step.mode);
+    Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(step.x, n);
+    Eigen::MatrixXd M = Eigen::MatrixXd::Identity(2 * n, 2 * n);
+    const double h = step.h / substeps;
+    using cooper_verner::kStages;
+    std::array<Eigen::VectorXd, kStages> slopes;
+    std::array<Eigen::MatrixXd, kStages> changes;
+    for (int i = 0; i < substeps; ++i) {
+      const auto combine = [&](int row, Eigen::VectorXd* stage, Eigen::MatrixXd* matrix) {
+        *stage = x;
+        *matrix = M;
+        for (int j = 0; j < cooper_verner::kRows[row].count; ++j) {
+          const cooper_verner::Term& term = cooper_verner::kRows[row].terms[j];
+          *stage += h * term.factor * slopes[term.stage];
+          *matrix += h * term.factor * changes[term.stage];
+        }
+      };
+      Eigen::VectorXd stage;
+      Eigen::MatrixXd matrix;
+      for (int s = 0; s < kStages; ++s) {
+        combine(s, &stage, &matrix);
+        Evaluate(step, step.t + (i + cooper_verner::kC[s]) * h, stage, &slopes[s]);
+        changes[s] = matrix_ * matrix;
+      }
+      combine(kStages, &stage, &matrix);
+      x = stage;
+      M = matrix;
+    }
+    return M;
+  }
+
+  Eigen::MatrixXd Gain(const FlowStep& at, const Eigen::MatrixXd& S) {
+    Eigen::VectorXd slope;
+    Evaluate(at, at.t, Eigen::Map<const Eigen::VectorXd>(at.x, system_.state_size(at.mode)), &slope);
+    return inverse_.solve(B_.transpose() * S);
+  }
+
+ private:
+  void Evaluate(const FlowStep& step, double t, const Eigen::VectorXd& x, Eigen::VectorXd* slope) {
+    const Eigen::Index n = x.size(), m = system_.num_controls();
+    RowMajor jacobian(n, n + 1 + system_.num_parameters() + m);
+    slope->resize(n);
+    system_.functions().FlowJacobian(step.mode, t, x.data(), step.u, step.p, slope->data(), jacobian.data());
+    B_ = jacobian.rightCols(m);
+    matrix_.resize(2 * n, 2 * n);
+    matrix_ << jacobian.leftCols(n), -B_ * inverse_.solve(B_.transpose()), -WeightOf(cost_, step.mode, n),
+        -jacobian.leftCols(n).transpose();
+  }
+
+  const HybridSystem& system_;
+  const HybridInput& input_;
+  const TrackingCost& cost_;
+  const Eigen::LLT<Eigen::MatrixXd> inverse_;
+  Eigen::MatrixXd B_, matrix_;
+};
+
+// The derivative of the time of an event in a step by one of the numbers of x or force, which is given back as it was:
+// by a central difference, whose width is far below that of a change of the sequence. Not a number if the event does
+// not happen on both sides.
+double TimeDifference(const Simulator& motion, const Touch& event, std::span<const double> x,
+                      std::span<const double> force, double* number) {
+  constexpr double kWidth = 1e-6;
+  const double was = *number, width = kWidth * std::max(1.0, std::abs(was));
+  std::vector<double> next(x.size());
+  std::vector<Touch> touches;
+  double times[2];
+  for (int side : {0, 1}) {
+    *number = was + (side == 0 ? -width : width);
+    touches.clear();
+    motion.Step(x, force, next, &touches);
+    const auto same = std::find_if(
+        touches.begin(), touches.end(), [&](const Touch& touch) { return touch.candidate == event.candidate; });
+    times[side] = same == touches.end() ? std::numeric_limits<double>::quiet_NaN() : same->time;
+  }
+  *number = was;
+  return (times[1] - times[0]) / (2 * width);
+}
+
+Eigen::MatrixXd Symmetric(const Eigen::MatrixXd& S) { return 0.5 * (S + S.transpose()); }
+
+}  // namespace
+
+LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
+  const HybridSystem& system = motion.system();
+  const int num_controls = system.num_controls();
+  const std::vector<double> times = input.Times(), zeros(num_controls);
+  const std::vector<HybridSensitivity> sensitivities = motion.IntervalSensitivities();
+  LinearMotion linear;
+  linear.end = times.back();
+  std::size_t event = 0;
+  for (int k = 0; k < input.num_intervals; ++k) {
+    const HybridSensitivity& by = sensitivities[k];
+    LinearInterval interval;
+    interval.begin = times[k];
+    interval.mode = k == 0 ? input.mode : motion.ModeAt(k);
+    const int n = by.columns - num_controls;
+    const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
+    interval.A = end.leftCols(n);
+    interval.B = end.rightCols(num_controls);
+    // Guards that the interval does not end by an event, and whether they do is a question of the noise.
+    std::vector<char> fires(system.num_guards(interval.mode));
+    const std::size_t first = event;
+    for (const std::vector<double>& time : by.times) {
+      const HybridEvent& happened = motion.events()[event++];
+      const Eigen::Map<const Eigen::RowVectorXd> row(time.data(), by.columns);
+      interval.events.push_back({.time = happened.time,
+                                 .name = "guard '" + system.GuardName(happened.mode, happened.guard) + "' in mode '" +
+                                         system.ModeName(happened.mode) + "'",
+                                 .by_state = row.head(n),
+                                 .by_control = row.tail(num_controls)});
+    }
+    // The guard of the event that ends the phase goes to zero as planned; that of the event before comes from zero.
+    const auto planned = [&](std::size_t i, int guard) {
+      return i < motion.events().size() && motion.events()[i].mode == interval.mode &&
+             motion.events()[i].guard == guard;
+    };
+    const double* u = input.control.empty() ? zeros.data() : &input.control[static_cast<std::size_t>(k) * num_controls];
+    const std::span<const double> x = k == 0 ? std::span<const double>(input.initial) : motion.StateAt(k);
+    std::vector<double> gradient(n + 1 + system.num_parameters() + num_controls);
+    for (int guard = 0; guard < system.num_guards(interval.mode); ++guard) {
+      if (planned(first, guard) || (first > 0 && planned(first - 1, guard))) continue;
+      const double value = system.functions().GuardGradient(
+          interval.mode, guard, interval.begin, x.data(), u, input.parameters.data(), gradient.data());
+      if (!(value > 0)) continue;
+      interval.guards.push_back({.name = "guard '" + system.GuardName(interval.mode, guard) + "' in mode '" +
+                                         system.ModeName(interval.mode) + "'",
+                                 .value = value,
+                                 .by_state = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), n)});
+    }
+    linear.intervals.push_back(std::move(interval));
+  }
+  return linear;
+}
+
+LinearMotion Linearize(const Simulator& motion, std::span<const double> control) {
+  const int K = motion.num_steps(), n = motion.state_size(), m = motion.control_width();
+  CHECK_EQ(static_cast<int>(control.size()), motion.control_size());
+  // Of the numbers of the forces, those of a row of the control.
+  std::vector<double> numbers(motion.force_size()), columns(m), x(n), force(motion.force_size());
+  std::iota(numbers.begin(), numbers.end(), 0);
+  motion.SelectControl(numbers, columns);
+  const std::vector<StepTouch> touches = EventTouches(motion);
+  const std::vector<Event> events = EventsOf(motion);
+  LinearMotion linear;
+  linear.end = motion.scene().duration;
+  StepLinearization step;
+  Eigen::MatrixXd by_force;
+  std::size_t event = 0;
+  for (int k = 0; k < K; ++k) {
+    LinearInterval interval{.begin = k * motion.step()};
+    motion.GetState(k, x);
+    motion.ExpandForce(control, k, force);
+    motion.Linearize(x, force, /*with_parameters=*/false, &step);
+    step.ToDense(&interval.A, &by_force);
+    interval.B.resize(n, m);
+    for (int j = 0; j < m; ++j) interval.B.col(j) = by_force.col(static_cast<Eigen::Index>(columns[j]));
+    for (; event < touches.size() && touches[event].step == k; ++event) {
+      LinearEvent at{.time = events[event].time,
+                     .name = events[event].a + " and " + events[event].b,
+                     .by_state = Eigen::RowVectorXd(n),
+                     .by_control = Eigen::RowVectorXd(m)};
+      for (int j = 0; j < n; ++j) at.by_state[j] = TimeDifference(motion, touches[event].touch, x, force, &x[j]);
+      for (int j = 0; j < m; ++j) {
+        at.by_control[j] =
+            TimeDifference(motion, touches[event].touch, x, force, &force[static_cast<std::size_t>(columns[j])]);
+      }
+      if (at.by_state.allFinite() && at.by_control.allFinite()) interval.events.push_back(std::move(at));
+    }
+    linear.intervals.push_back(std::move(interval));
+  }
+  return linear;
+}
+
+std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion) {
+  const HybridSystem& system = motion.system();
+  const auto count = static_cast<int>(cost.Q.size());
+  if (count != 1 && count != system.num_modes()) {
+    return "Q: found " + std::to_string(count) + " matrices, expected 1 or one for each of " +
+           std::to_string(system.num_modes()) + " modes";
+  }
+  for (int i = 0; i < motion.num_steps(); ++i) {
+    const int mode = motion.StepMode(i);
+    if (i > 0 && mode == motion.StepMode(i - 1)) continue;
+    const std::string wrong =
+        WhatIsWrongWithSymmetric(cost.Q[count == 1 ? 0 : mode], system.state_size(mode), /*definite=*/false);
+    if (!wrong.empty()) return "Q of mode '" + system.ModeName(mode) + "': " + wrong;
+  }
+  if (std::string wrong = WhatIsWrongWithSymmetric(cost.R, system.num_controls(), /*definite=*/true); !wrong.empty()) {
+    return "R: " + wrong;
+  }
+  const std::string wrong =
+      WhatIsWrongWithSymmetric(cost.QT, system.state_size(motion.final_mode()), /*definite=*/false);
+  return wrong.empty() ? "" : "QT: " + wrong;
+}
+
+std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion) {
+  if (regulator.gains.size() != motion.intervals.size()) {
+    return "gains: found " + std::to_string(regulator.gains.size()) + ", expected one for each of " +
+           std::to_string(motion.intervals.size()) + " intervals";
+  }
+  for (std::size_t k = 0; k < regulator.gains.size(); ++k) {
+    const LinearInterval& at = motion.intervals[k];
+    if (regulator.gains[k].rows() == at.B.cols() && regulator.gains[k].cols() == at.A.cols()) continue;
+    return "gains: that of interval " + std::to_string(k) + " has another shape than " + std::to_string(at.B.cols()) +
+           " x " + std::to_string(at.A.cols());
+  }
+  return "";
+}
+
+Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {
+  const auto K = static_cast<int>(motion.intervals.size());
+  Regulator regulator;
+  regulator.gains.resize(K);
+  regulator.closed_loop.resize(K);
+  regulator.cost_to_go.resize(K + 1);
+  regulator.cost_to_go[K] = cost.QT;
+  for (int k = K - 1; k >= 0; --k) {
+    const LinearInterval& at = motion.intervals[k];
+    const Eigen::MatrixXd& S = regulator.cost_to_go[k + 1];
+    CHECK(S.rows() == at.A.rows()) << "QT has another size than the final state";
+    const Eigen::MatrixXd SB = S * at.B;
+    const Eigen::LLT<Eigen::MatrixXd> factors(cost.R + at.B.transpose() * SB);
+    CHECK(factors.info() == Eigen::Success) << "R is not positive definite";
+    regulator.gains[k] = factors.solve(SB.transpose() * at.A);
+    regulator.closed_loop[k] = at.A - at.B * regulator.gains[k];
+    regulator.cost_to_go[k] =
+        Symmetric(WeightOf(cost, at.mode, at.A.cols()) + at.A.transpose() * S * regulator.closed_loop[k]);
+  }
+  return regulator;
+}
+
+Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& input, const TrackingCost& cost,
+                            double tolerance) {
+  const HybridSystem& system = motion.system();
+  const std::vector<double> zeros(system.num_controls());
+  const int K = input.num_intervals, num_steps = motion.num_steps();
+  if (std::any_of(motion.events().begin(), motion.events().end(), [](const HybridEvent& e) { return e.at_once; })) {
+    return {};
+  }
+  // The steps of the motion with their controls, and the step with which each interval begins.
+  std::vector<FlowStep> steps(num_steps);
+  std::vector<int> begins(K + 1, num_steps);
+  for (int i = 0, k = -1; i < num_steps; ++i) {
+    while (k + 1 < K && motion.StateAt(k + 1).data() == motion.StepState(i).data()) begins[++k] = i;
+    const double end = i + 1 < num_steps ? motion.StepTime(i + 1) : input.begin + input.duration;
+    steps[i] = {.mode = motion.StepMode(i),
+                .t = motion.StepTime(i),
+                .h = motion.IsReset(i) ? 0 : end - motion.StepTime(i),
+                .x = motion.StepState(i).data(),
+                .u = input.control.empty() ? zeros.data()
+                                           : &input.control[static_cast<std::size_t>(std::max(k, 0)) * zeros.size()],
+                .p = input.parameters.data()};
+    if (system.functions().Projects(steps[i].mode)) return {};
+  }
+  begins[0] = 0;
+  Hamiltonian hamiltonian(system, input, cost);
+  const auto sweep = [&](int substeps) {
+    Regulator regulator;
+    regulator.gains.resize(K);
+    regulator.closed_loop.resize(K);
+    regulator.cost_to_go.resize(K + 1);
+    regulator.events.resize(motion.events().size());
+    Eigen::MatrixXd S = regulator.cost_to_go[K] = cost.QT;
+    std::size_t event = motion.events().size();
+    for (int k = K - 1; k >= 0; --k) {
+      Eigen::MatrixXd transition = Eigen::MatrixXd::Identity(S.rows(), S.rows());
+      for (int i = begins[k + 1] - 1; i >= begins[k]; --i) {
+        const FlowStep& step = steps[i];
+        const int n = system.state_size(step.mode);
+        if (motion.IsReset(i)) {
+          const HybridEvent& happened = motion.events()[--event];
+          Regulator::AtEvent& at = regulator.events[event];
+          const std::vector<double> xi = SaltationMatrix(system,
+                                                         happened.mode,
+                                                         happened.guard,
+                                                         happened.time,
+                                                         happened.before,
+                                                         {step.u, zeros.size()},
+                                                         input.parameters);
+          at.time = happened.time;
+          at.saltation = Eigen::Map<const RowMajor>(xi.data(), xi.size() / n, n);
+          FlowStep after = step;
+          after.mode = happened.next_mode;
+          after.x = happened.after.data();
+          at.cost_after = S;
+          at.gain_after = hamiltonian.Gain(after, S);
+          S = at.cost_before = Symmetric(at.saltation.transpose() * S * at.saltation);
+          at.gain_before = hamiltonian.Gain(step, S);
+          transition = transition * at.saltation;
+          continue;
+        }
+        const Eigen::MatrixXd M = hamiltonian.Transition(step, substeps);
+        S = Symmetric(SolveLuColumns(S * M.topRightCorner(n, n) - M.bottomRightCorner(n, n),
+                                     M.bottomLeftCorner(n, n) - S * M.topLeftCorner(n, n)));
+        transition = transition * (M.topLeftCorner(n, n) + M.topRightCorner(n, n) * S);
+      }
+      regulator.gains[k] = hamiltonian.Gain(steps[begins[k]], S);
+      regulator.cost_to_go[k] = S;
+      regulator.closed_loop[k] = transition;
+    }
+    return regulator;
+  };
+  Regulator regulator = sweep(1);
+  double last = std::numeric_limits<double>::infinity();
+  for (int substeps = 2; substeps <= kMostSubsteps; substeps *= 2) {
+    Regulator finer = sweep(substeps);
+    double error = 0;
+    for (int k = 0; k < K; ++k) {
+      error = std::max({error,
+                        (finer.cost_to_go[k] - regulator.cost_to_go[k]).norm() / finer.cost_to_go[k].norm(),
+                        (finer.closed_loop[k] - regulator.closed_loop[k]).norm() / finer.closed_loop[k].norm()});
+    }
+    regulator = std::move(finer);
+    // An error that more steps do not lower is rounding.
+    if (error <= tolerance || (error < 1e-7 && error > 0.1 * last)) break;
+    last = error;
+  }
+  return regulator;
+}
+
+}  // namespace saltus
