@@ -11,8 +11,8 @@
 // obliquely that is another limit. With stiff springs in a crowd alpha 1 may diverge; 1 over the contacts of a disc is
 // safe.
 //
-// Derivatives are those of r = 0, which without convergence are not those of the value, or (implicit=0) pass through the
-// iterations, as published. Momentum is conserved.
+// Derivatives pass through the iterations, or (implicit=1) are those of r = 0, which without convergence are not those
+// of the value. Momentum is conserved.
 #pragma once
 
 #include <vector>

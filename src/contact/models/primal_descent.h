@@ -8,8 +8,8 @@
 // cycle, with 0.5 they converge. newton=1 is Newton's method on r instead, and what it and exponent 2 give is the
 // penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
 //
-// Derivatives are those of r = 0, which without convergence are not those of the value, or (implicit=0, but not with
-// Newton's method) pass through the iterations, as published. Momentum is conserved at convergence.
+// Derivatives pass through the iterations, or (implicit=1, and always with Newton's method) are those of r = 0, which
+// without convergence are not those of the value. Momentum is conserved at convergence.
 #pragma once
 
 #include <Eigen/Core>

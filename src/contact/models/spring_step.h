@@ -197,7 +197,7 @@ class SpringDescent {
   int iterations = 20;
   double alpha = 1;
   int substeps = 10;
-  bool implicit = true;
+  bool implicit = false;
   double tolerance = 1e-6;  // m/s
 
   template <typename T, typename H>
