@@ -19,7 +19,8 @@ Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
-                loss_and_gradient, solve, hybrid_solvers, audit; track and propagate: feedback and uncertainty
+                loss_and_gradient, solve, hybrid_solvers, audit
+Feedback        track (gives a Regulator) and propagate (gives a Covariance), of a HybridProblem
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
 Other packages  EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient with jac=True

@@ -117,9 +117,12 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
   const double duration = steps * scene.dt();
   Question own{Question::Kind::kSimulate, steps, duration, InitialState(scene), InitialControl(scene, steps), {}};
   Question reversed = own, displaced = own;
-  if (traits.gradient) {
+  if (traits.gradient) {  // that of the loss, as some simulators know no other
+    const Answer end = box->Ask(scene, {own}, stop).front();
+    if (!end.error.empty()) return false;
     own.kind = Question::Kind::kGradient;
-    own.of_final.assign(own.initial.size(), 1.0);
+    own.of_final.resize(end.final.size());
+    TerminalGradient(scene.objective, end.final, 4, own.of_final);
   }
   for (double& force : reversed.control) force = 0;
   for (int i = 0; i < 4 * scene.num_bodies(); ++i) {
