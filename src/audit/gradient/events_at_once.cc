@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <map>
 #include <optional>
 #include <utility>
 
@@ -20,6 +22,7 @@ constexpr int kWidths = 3;
 constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
 constexpr double kMostWork = 1e7;    // entries times discs times steps
+constexpr double kPasses = 1e-9;     // gap at which two discs pass each other, of the sum of their radii
 
 bool HasImpactAtOnce(const Simulator& simulator) {
   const Scene& scene = simulator.scene();
@@ -33,6 +36,68 @@ bool HasImpactAtOnce(const Simulator& simulator) {
     for (std::size_t j = k; j-- > 0 && time_of(events[k]) - time_of(events[j]) <= kSameTime * scene.duration;) {
       const bool impact = events[k].touch.kind == ContactKind::kImpact || events[j].touch.kind == ContactKind::kImpact;
       if (impact && share(events[k].touch.candidate, events[j].touch.candidate)) return true;
+    }
+  }
+  return false;
+}
+
+// Whether two discs pass each other with a gap of zero but for rounding, and without an event: moved closer, they meet.
+// In steps with events of one of them it is looked for before the first of these and after the last, of discs that no
+// force but gravity acts on.
+bool HasPassWithoutGap(const Simulator& simulator) {
+  const Scene& scene = simulator.scene();
+  const double h = simulator.step();
+  struct Span {
+    double first = std::numeric_limits<double>::infinity(), last = -1;  // s, in the step
+    void Add(double time) { first = std::min(first, time), last = std::max(last, time); }
+  };
+  std::map<std::pair<int, int>, Span> events;  // of steps and discs
+  for (const StepTouch& at : simulator.touches()) {
+    events[{at.step, at.touch.candidate.a}].Add(at.touch.time);
+    if (!at.touch.candidate.plane) events[{at.step, at.touch.candidate.b}].Add(at.touch.time);
+  }
+  const auto coasts = [&](int i) { return !scene.table && std::ranges::count(scene.control.bodies, i) == 0; };
+  std::vector<double> from(simulator.state_size()), to(simulator.state_size());
+  const auto difference = [&](const std::vector<double>& x, int a, int b, int offset) {
+    const double *at_a = &x[a * simulator.body_size() + offset], *at_b = &x[b * simulator.body_size() + offset];
+    return Vec2d(at_a[0] - at_b[0], at_a[1] - at_b[1]);
+  };
+  simulator.GetState(0, to);
+  for (int k = 0; k < simulator.num_steps(); ++k) {
+    from.swap(to);
+    simulator.GetState(k + 1, to);
+    for (int a = 0; a < scene.num_bodies(); ++a) {
+      for (int b = a + 1; b < scene.num_bodies(); ++b) {
+        const double touching = scene.bodies[a].radius + scene.bodies[b].radius;
+        // On a path from p and v, from one time to another.
+        const auto passes =
+            [&](const Vec2d& p, const Vec2d& v, const Vec2d& acceleration, double closing, double parting) {
+              const auto place = [&](double t) -> Vec2d { return p + t * (v + 0.5 * t * acceleration); };
+              const auto closes = [&](double t) { return place(t).dot(v + t * acceleration) < 0; };
+              if (!closes(closing) || closes(parting)) return false;
+              for (int i = 0; i < std::numeric_limits<double>::digits; ++i) {
+                const double t = 0.5 * (closing + parting);
+                (closes(t) ? closing : parting) = t;
+              }
+              return std::abs(place(parting).norm() - touching) <= kPasses * touching;
+            };
+        const Vec2d p = difference(from, a, b, 0), v = difference(from, a, b, 2);
+        const Vec2d p_end = difference(to, a, b, 0), v_end = difference(to, a, b, 2);
+        Span span;
+        for (const int i : {a, b}) {
+          if (const auto found = events.find({k, i}); found != events.end()) {
+            span.Add(found->second.first);
+            span.Add(found->second.last);
+          }
+        }
+        if (span.last < 0) {
+          if (passes(p, v, (v_end - v) / h, 0, h)) return true;
+        } else if (coasts(a) && coasts(b)) {
+          const Vec2d falls = scene.gravity * (scene.bodies[b].fixed - scene.bodies[a].fixed);
+          if (passes(p, v, falls, 0, span.first)) return true;
+          if (passes(p_end, v_end, falls, span.last - h, 0)) return true;
+        }
+      }
     }
   }
   return false;
@@ -113,9 +178,9 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
   std::vector<double> gradient(shooting.num_variables());
   double loss = 0;
   if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
-  if (!HasImpactAtOnce(shooting.simulator())) return found;
   const std::vector<Entry> entries = EntriesOf(scene);
   if (static_cast<double>(entries.size()) * scene.num_bodies() * scene.steps > kMostWork) return found;
+  if (!HasImpactAtOnce(shooting.simulator()) && !HasPassWithoutGap(shooting.simulator())) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
     for (const Entry& entry : entries) {
