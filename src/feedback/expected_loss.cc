@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -124,15 +125,20 @@ std::string WhatIsWrongWith(const Errors& errors, Eigen::Index initial_size, Eig
   return "";
 }
 
+// The report of L-BFGS if it refuses the problem, for example because of bounds; it is asked for no iteration.
+template <typename Problem>
+std::optional<SolveReport> RefusalOfLbfgs(const Problem& problem, SolverOptions options) {
+  options.iterations = 0;
+  options.callback = nullptr;
+  SolveReport report = Solve("ceres_lbfgs", problem, options);
+  const bool refused = report.termination == Termination::kNotApplicable || report.termination == Termination::kFailed;
+  return refused ? std::optional(std::move(report)) : std::nullopt;
+}
+
 }  // namespace
 
 SolveReport SolveExpectedLoss(const SolveRequest& request, const Errors& errors, const SolverOptions& options) {
-  // Bounds and other refusals are those of L-BFGS, which says so in no iteration.
-  SolverOptions none = options;
-  none.iterations = 0;
-  none.callback = nullptr;
-  SolveReport plain = Solve("ceres_lbfgs", request, none);
-  if (plain.termination == Termination::kNotApplicable || plain.termination == Termination::kFailed) return plain;
+  if (const auto refusal = RefusalOfLbfgs(request, options)) return *refusal;
   if (!request.terms.empty()) return NotApplicable("the expected loss does not take terms of users");
   const auto make = [&](const Eigen::VectorXd& change) -> std::unique_ptr<ShootingFunction> {
     Scene scene = request.scene;
@@ -154,11 +160,7 @@ SolveReport SolveExpectedLoss(const SolveRequest& request, const Errors& errors,
 }
 
 SolveReport SolveExpectedLoss(const HybridProblem& problem, const Errors& errors, const SolverOptions& options) {
-  SolverOptions none = options;
-  none.iterations = 0;
-  none.callback = nullptr;
-  SolveReport plain = Solve("ceres_lbfgs", problem, none);
-  if (plain.termination == Termination::kNotApplicable || plain.termination == Termination::kFailed) return plain;
+  if (const auto refusal = RefusalOfLbfgs(problem, options)) return *refusal;
   const auto make = [&](const Eigen::VectorXd& change) -> std::unique_ptr<ShootingFunction> {
     HybridProblem changed = problem;
     for (std::size_t i = 0; i < changed.guess.initial.size(); ++i) changed.guess.initial[i] += change[i];

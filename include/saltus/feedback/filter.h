@@ -9,8 +9,7 @@
 //     its covariance then passes the saltation matrix there. Where the guard rises, its next event is that after the
 //     guard has been above zero.
 //   * Until the estimate and the truth are in the same mode, the innovations are larger than their covariance says.
-//   This
-//     lasts for about the standard deviation of the time of the event.
+//     This lasts for about the standard deviation of the time of the event.
 #pragma once
 
 #include <Eigen/Core>

@@ -41,9 +41,9 @@ bool HasImpactAtOnce(const Simulator& simulator) {
   return false;
 }
 
-// Whether two discs pass each other with a gap of zero but for rounding, and without an event: moved closer, they meet.
-// In steps with events of one of them it is looked for before the first of these and after the last, of discs that no
-// force but gravity acts on.
+// Whether two discs pass each other without an event and with a gap that is zero within rounding: moved closer, they
+// meet. In a step with events of one of them only the time before the first of these and after the last is searched,
+// for discs on which gravity is the only force.
 bool HasPassWithoutGap(const Simulator& simulator) {
   const Scene& scene = simulator.scene();
   const double h = simulator.step();

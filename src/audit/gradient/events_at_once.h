@@ -1,5 +1,5 @@
-// Derivatives of the exact loss that exist from one side only because events happen at the same time on the way, or
-// because two discs pass each other with a gap of zero.
+// Derivatives of the exact loss that exist from one side only because events happen at the same time, or because
+// two discs pass each other with a gap of zero.
 //
 // Where a disc meets two others at once, a change of the initial state makes it meet one of them first. If the motion
 // is the same in both orders, the loss is continuous there, but its slopes to either side may differ: the gradient of
