@@ -48,8 +48,8 @@ done
 PYTHONPATH=${python:-$PWD/python} SALTUS_PYTHON=$python SALTUS_DOXYGEN=$work/doxygen PYTHONDONTWRITEBYTECODE=1 \
   /usr/bin/python3 -m sphinx -q -W --keep-going -b html -d "$work/doctrees" docs "$output"
 if [[ $check ]]; then
-  # Suh is an author, PositionOf a function.
-  codespell --skip='*.ipynb,*.svg' --ignore-words-list=suh,positionof README.md CHANGELOG.md CONTRIBUTING.md docs include
+  # Suh is an author, Numer. a journal, PositionOf a function.
+  codespell --skip='*.ipynb,*.svg' --ignore-words-list=suh,numer,positionof README.md CHANGELOG.md CONTRIBUTING.md docs include
   linkchecker --no-robots --no-warnings "$output/index.html" | tail -2
   # Of the theme's own markup, labels around blocks are reported; MathML is unknown to tidy.
   find "$output" -name '*.html' -not -path "$output/cpp/*" -print0 | xargs -0 -n 1 tidy -q -e --drop-empty-elements no 2>&1 |
