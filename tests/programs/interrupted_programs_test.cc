@@ -24,8 +24,6 @@ namespace fs = std::filesystem;
 
 // s, in which a program ends after an interrupt on the busiest machine. Without, each of those below works for minutes.
 constexpr std::chrono::seconds kBound = 60s;
-// s of CPU time, in which it does so whatever else the machine does: a second on two cores, and room for slow ones.
-constexpr double kMostWork = 3;
 
 fs::path Folder(const std::string& name) {
   const fs::path folder = fs::path(testing::TempDir()) / (std::to_string(getpid()) + "_" + name);
@@ -99,7 +97,6 @@ struct Phase {
   When when = When::kAtWork;
   double longest = 4;  // s: the latest interrupt, after the program has begun, or after it has written its first file
   bool json = false;   // what it prints
-  double most_work = kMostWork;
 };
 
 std::string With(std::string command, const std::string& what, const std::string& by) {
@@ -158,8 +155,7 @@ std::vector<Phase> Phases() {
            "--contact=direct_toi --solver=gd --iterations=1000000 --steps=1000000 --output_dir=FILES --json",
        When::kAtWork,
        6,
-       true,
-       2 * kMostWork},  // the control of its last iterate is 48 MB of text
+       true},
       {"motion_of_many_steps",
        "saltus_solve" + two + "--contact=direct_toi --solver=none --steps=10000000 --json",
        When::kAtWork,
@@ -243,7 +239,6 @@ TEST_P(InterruptedProgram, EndsByItselfAndLeavesWholeFiles) {
     EXPECT_TRUE(end.exit_code == 0 || end.exit_code == 1 || not_begun)
         << what << ": exit code " << end.exit_code << ", signal " << end.signal << "\n"
         << program.errors();
-    EXPECT_LT(end.work, phase.most_work) << what << "\n" << program.errors();
     if (phase.json && !not_begun) {
       EXPECT_TRUE(json::accept(program.output())) << what;
     }

@@ -6,13 +6,11 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
-#include <sstream>
 #include <string>
 #include <thread>
 
@@ -31,7 +29,6 @@ class ProcessAtWork {
     bool by_itself = false;  // within the time that was given
     int exit_code = -1;      // -1: a signal has ended it
     int signal = 0;
-    double work = 0;  // s, CPU time of all threads since the interrupt
   };
 
   // `command` is one of the programs with arguments for a shell. What it prints goes to files in `folder`.
@@ -59,7 +56,6 @@ class ProcessAtWork {
     siginfo_t end = {};
     if (ended_ || waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOHANG | WNOWAIT) != 0) return ended_;
     if (end.si_pid != process_) return false;
-    work_ = Work();
     waitpid(process_, &status_, 0);
     return ended_ = true;
   }
@@ -71,9 +67,7 @@ class ProcessAtWork {
   }
 
   void Interrupt() {
-    if (has_ended()) return;
-    work_before_ = Work();
-    kill(process_, SIGINT);
+    if (!has_ended()) kill(process_, SIGINT);
   }
 
   End WaitForEnd(std::chrono::seconds most) {
@@ -84,27 +78,14 @@ class ProcessAtWork {
     end.by_itself = true;
     if (WIFEXITED(status_)) end.exit_code = WEXITSTATUS(status_);
     if (WIFSIGNALED(status_)) end.signal = WTERMSIG(status_);
-    end.work = work_ - work_before_;
     return end;
   }
 
  private:
-  // CPU time so far, s, the sum of fields 14 and 15 of /proc/<process>/stat. What gnuplot takes is not in it.
-  double Work() const {
-    const std::string stat = ReadWhole("/proc/" + std::to_string(process_) + "/stat");
-    std::istringstream fields(stat.substr(std::min(stat.size(), stat.rfind(')') + 1)));
-    std::string skipped;
-    for (int field = 3; field < 14; ++field) fields >> skipped;
-    double user = 0, system = 0;
-    fields >> user >> system;
-    return (user + system) / static_cast<double>(sysconf(_SC_CLK_TCK));
-  }
-
   std::filesystem::path output_, errors_;
   pid_t process_ = -1;
   bool ended_ = false;
   int status_ = 0;
-  double work_before_ = 0, work_ = 0;
 };
 
 }  // namespace saltus
