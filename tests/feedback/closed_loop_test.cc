@@ -158,6 +158,27 @@ TEST_F(BallInClosedLoop, ProbabilityThatTheImpactComesTooLate) {
       samples.otherwise / 4000.0, covariance.change_probability, 0.1 * expected + 4 * std::sqrt(expected / 4000));
 }
 
+// Two bounces in one interval: the second may come before the first, whose times are correlated.
+TEST_F(BallInClosedLoop, TwoImpactsInOneInterval) {
+  const HybridInput input{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 2.5};
+  ASSERT_TRUE(motion_.Rollout(input));
+  ASSERT_EQ(motion_.events().size(), 2u);
+  const Noise noise{.initial = Eigen::Vector2d(1, 0).asDiagonal()};
+  const Covariance covariance = Propagate(Linearize(motion_, input), noise);
+  // t_1 = s and t_2 = s (1 + 2 e), with ds = dy / (g s).
+  const double s = std::sqrt(8 / 9.8), deviation = 1 / (9.8 * s);
+  ASSERT_EQ(covariance.event_times.size(), 2u);
+  EXPECT_NEAR(covariance.event_times[0], deviation, 1e-10);
+  EXPECT_NEAR(covariance.event_times[1], 2.4 * deviation, 1e-10);
+  // Both in two intervals.
+  HybridInput halves = input;
+  halves.num_intervals = 2;
+  ASSERT_TRUE(motion_.Rollout(halves));
+  const Covariance in_halves = Propagate(Linearize(motion_, halves), noise);
+  EXPECT_GT(covariance.change_probability, 0.05);
+  EXPECT_NEAR(in_halves.change_probability, covariance.change_probability, 1e-9);
+}
+
 class DiscsInClosedLoop : public ::testing::Test {
  protected:
   DiscsInClosedLoop() {
