@@ -71,7 +71,8 @@ void AppendFeedback(const Json& feedback, SweepRow* row) {
   }
 }
 
-// Of a solution, in one thread: points are computed in several processes.
+// Of a solution, in one thread: points are computed in several processes. A reason why there is none is added to an
+// empty remark.
 void AppendFeedback(const Request& request, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations, SweepRow* row, std::string* remark) {
   if (!request.feedback) return;
@@ -102,7 +103,7 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
                      options);
   const SolveReport& report = run.report;
   result.status = StatusOf(report.termination);
-  std::string remark = RemarkOn(run);
+  std::string no_feedback;
   const std::vector<double>& losses = report.losses;
   if (losses.empty()) {
     result.row.resize(result.row.size() + 7);
@@ -117,12 +118,13 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
-    AppendFeedback(request, report.initial_state, report.control, report.durations, &result.row, &remark);
+    AppendFeedback(request, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
-  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : remark}, &result.row);
+  const std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
+  Append({std::string(TerminationToString(termination)), remark.empty() ? no_feedback : remark}, &result.row);
   return result;
 }
 
