@@ -83,6 +83,33 @@ class RigidBodies2D {
   }
   double EnergyOf(const double* x, const double* p) const;
 
+  // Outlines of bodies, a radius of each disc, and planes, for the replay of a program (programs/hybrid_program.h).
+  template <typename Drawing>
+  void Draw(int /*mode*/, double /*t*/, const double* x, const double* /*p*/, Drawing* drawing) const {
+    constexpr double kReach = 2;  // m, of a plane to each side of its point
+    for (const RigidPlane2D& plane : scene_.planes) {
+      const double along_x = kReach * plane.normal[1], along_y = -kReach * plane.normal[0];
+      drawing->Line(
+          plane.point[0] - along_x, plane.point[1] - along_y, plane.point[0] + along_x, plane.point[1] + along_y);
+    }
+    for (std::size_t b = 0; b < scene_.bodies.size(); ++b) {
+      const RigidBody2D& body = scene_.bodies[b];
+      const Pose<double> pose = PoseAt(static_cast<int>(b), x);
+      const double c = std::cos(pose.angle), s = std::sin(pose.angle);
+      const auto place = [&](const Point2D& of) {
+        return Point2D{pose.x + c * of[0] - s * of[1], pose.y + s * of[0] + c * of[1]};
+      };
+      for (std::size_t i = 0; i < body.polygon.size(); ++i) {
+        const Point2D from = place(body.polygon[i]), to = place(body.polygon[(i + 1) % body.polygon.size()]);
+        drawing->Line(from[0], from[1], to[0], to[1]);
+      }
+      if (!body.polygon.empty()) continue;
+      const Point2D rim = place({body.radius, 0});
+      drawing->Circle(pose.x, pose.y, body.radius);
+      drawing->Line(pose.x, pose.y, rim[0], rim[1]);
+    }
+  }
+
   template <typename T>
   void Mass(const T*, const T*, T* M) const {
     for (int i = 0; i < size_ * size_; ++i) M[i] = T(0.0);
