@@ -9,6 +9,9 @@
 #include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
+#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -39,21 +42,8 @@ std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double
   return std::vector<double>(intervals, scene.duration / intervals);
 }
 
-}  // namespace
-
-Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                    const std::vector<double>& durations, const StopRequest& stop) {
-  if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
-    const UnitFactors by(scene.units, natural.units);
-    return InUnits(Certify(natural,
-                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
-                           Multiplied(control, by.force),
-                           Multiplied(durations, by.time),
-                           stop),
-                   natural.units,
-                   scene.units);
-  }
+Certificate CertifyControl(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                           const std::vector<double>& durations, const StopRequest& stop) {
   Certificate certificate;
   const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
   certificate.reason = WhyNotCertify(scene, exact);
@@ -73,6 +63,120 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }
 
+double LargestOf(const std::vector<double>& numbers) {
+  double largest = 0;
+  for (const double number : numbers) largest = std::max(largest, std::abs(number));
+  return largest;
+}
+
+// The largest derivative by what is optimized of the initial state.
+double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
+  double largest = 0;
+  const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;
+  for (const int body : scene.free) {
+    for (int j = 0; j < 2; ++j) largest = std::max(largest, std::abs(initial[4 * body + offset + j]));
+  }
+  for (const int body : scene.free_spin) {
+    largest = std::max(largest, std::abs(initial[4 * scene.num_bodies() + kSpin * body + 1]));
+  }
+  return largest;
+}
+
+std::string WhyNotByParameters(const Scene& scene, const std::vector<double>& durations) {
+  if (scene.objective.duration || !scene.objective.running.empty() || !scene.objective.via.empty()) {
+    return "path costs and a free duration have no derivatives by parameters";
+  }
+  if (scene.objective.HasConstraints()) return "terminal equality constraints have no derivatives by parameters";
+  if (!durations.empty()) return "on unequal intervals there are no derivatives by parameters";
+  return "";
+}
+
+// In natural units: costates vanish with a loss that reaches zero.
+constexpr double kNaturalCostate = 1;
+
+// Adds the conditions of the scene's design parameters to those of its control.
+void CertifyParameters(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                       const std::vector<double>& durations, const StopRequest& stop, Certificate* certificate) {
+  using enum Certificate::Verdict;
+  const bool controls = scene.optimize == Optimize::kControl;
+  if (certificate->verdict == kAmbiguous || (controls && certificate->verdict == kNotApplicable)) return;
+  const auto refuse = [&](const std::string& why) {
+    *certificate = {};
+    certificate->reason = why;
+  };
+  const std::string why = WhyNotByParameters(scene, durations);
+  if (!why.empty()) return refuse(why);
+  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
+  if (!exact.ok) return refuse(exact.reason);
+  JudgeTies(exact.ambiguous, certificate);
+  if (certificate->verdict == kAmbiguous) return;
+  if (!exact.only_impacts) {
+    return refuse("discs rest on or graze each other or a wall; the conditions are those of impacts");
+  }
+
+  Scene rolled = scene;
+  if (scene.num_controlled() > 0) rolled.steps = static_cast<int>(control.size()) / scene.control_width();
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(Contact(ExactModel()->name), rolled, Precision::kDouble);
+  simulator->set_stop(stop);
+  if (!simulator->Rollout(initial, control)) return refuse(simulator->WhyFailed());
+  std::vector<double> end(simulator->state_size()), cotangent(simulator->state_size());
+  simulator->GetState(simulator->num_steps(), end);
+  TerminalGradient(scene.objective, end, simulator->body_size(), cotangent);
+  Sensitivity gradient;
+  simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);
+  if (simulator->stopped()) return refuse(kStopped);
+
+  const double scale = std::max({LargestOf(cotangent), LargestOf(gradient.initial), kNaturalCostate});
+  if (!controls) {
+    *certificate = {};
+    certificate->initial = LargestOfFree(scene, gradient.initial) / scale;
+  }
+  double worst = certificate->initial.value_or(0);
+  std::string of = "initial state";
+  for (std::size_t i = 0; i < scene.design.size(); ++i) {
+    const SceneParameter& parameter = scene.design[i].parameter;
+    ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
+    entry.derivative = gradient.parameters.design[i];
+    const ParameterRange range = RangeOf(scene.design[i]);
+    const bool held =
+        (entry.value <= range.min && entry.derivative > 0) || (entry.value >= range.max && entry.derivative < 0);
+    if (!held) entry.residual = std::abs(entry.derivative) / scale;
+    if (!(entry.residual <= worst)) {
+      worst = entry.residual;
+      of = entry.name;
+    }
+    certificate->parameters.push_back(std::move(entry));
+  }
+  if (worst <= kCertificateTolerance) {
+    if (!controls) certificate->verdict = kStationary;
+    return;
+  }
+  if (!controls || certificate->IsStationary()) {
+    certificate->verdict = kNotStationary;
+    certificate->reason = "the largest residual is that of the derivative by " + of;
+  }
+}
+
+}  // namespace
+
+Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations, const StopRequest& stop) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors by(scene.units, natural.units);
+    return InUnits(Certify(natural,
+                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
+                           Multiplied(control, by.force),
+                           Multiplied(durations, by.time),
+                           stop),
+                   natural.units,
+                   scene.units);
+  }
+  Certificate certificate = CertifyControl(scene, initial, control, durations, stop);
+  if (!scene.design.empty()) CertifyParameters(scene, initial, control, durations, stop, &certificate);
+  return certificate;
+}
+
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
   const UnitFactors by(from, to);
   for (ImpactCertificate& impact : certificate.impacts) {
@@ -82,6 +186,10 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
   }
   for (ConstraintCertificate& constraint : certificate.constraints) {
     constraint.multiplier *= by.loss / FactorOf(constraint.quantity, by);
+  }
+  for (ParameterCertificate& entry : certificate.parameters) {
+    entry.value = ConvertParameter(entry.parameter, entry.value, from, to);
+    entry.derivative *= by.loss / by.of(entry.parameter);
   }
   for (Tie& tie : certificate.ambiguous) tie.time *= by.time;
   for (std::optional<double>* gradient :

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
@@ -81,6 +82,10 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
   if (const std::string found = BeyondTerminalCost(request.scene); !found.empty()) {
     return "the scene has " + found + "; surrogates are of a loss at the end";
   }
+  if (!request.scene.design.empty()) {
+    return "optimize: found " + NameOf(request.scene.design.front().parameter, request.scene) +
+           "; surrogates have no derivatives by parameters of the scene";
+  }
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
   return WhyNotApplicable(surrogate, request.contact, request.scene);
 }
@@ -93,12 +98,19 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
   return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
+std::string WhyNotDesign(const SolverEntry& entry, const Scene& scene) {
+  if (scene.design.empty() || entry.design) return "";
+  return "optimize: found " + NameOf(scene.design.front().parameter, scene) +
+         ", a parameter of the scene, which this solver does not change; gd, ceres_lbfgs and ceres_lm do";
+}
+
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* report) {
-  const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
-  if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
-  if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
+  const Scene scene = WithDesign(request.scene, report->parameters);
+  const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
+                       (scene.objective.effort != 0 || !BeyondTerminalCost(scene).empty());
+  if (!control && scene.design.empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations, stop);
   }
@@ -131,10 +143,27 @@ void ForEachLoss(SolveReport* report, const Apply& apply) {
   for (LocalOptimum& optimum : report->optima) apply(&optimum.loss);
 }
 
-// The next three functions are the border between the units of users, SI, and those in which a solver works on `scene`.
-// First the decision variables (single_shooting.h), from the latter to SI.
+// The next functions are the border between the units of users, SI, and those in which a solver works on `scene`.
+// First the values of design parameters and the decision variables (single_shooting.h), from the latter to SI.
+void ConvertDesign(const Scene& scene, std::vector<double>* values) {
+  for (size_t i = 0; i < values->size(); ++i) {
+    (*values)[i] = ConvertParameter(scene.design[i].parameter, (*values)[i], scene.units, {});
+  }
+}
+
 void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
   const UnitFactors to_si(scene.units, {});
+  const size_t variables = z->size() - scene.design.size();
+  std::vector<double> design(z->begin() + static_cast<std::ptrdiff_t>(variables), z->end());
+  if (!design.empty()) {
+    Scene others = scene;
+    others.design.clear();
+    z->resize(variables);
+    ConvertDecisions(others, z);
+    ConvertDesign(scene, &design);
+    z->insert(z->end(), design.begin(), design.end());
+    return;
+  }
   if (scene.optimize == Optimize::kControl && scene.objective.duration) {
     const double duration = z->back() * to_si.time;
     *z = Multiplied(std::move(*z), to_si.force);
@@ -180,6 +209,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
     motion->control = Multiplied(std::move(motion->control), to_si.force);
     motion->durations = Multiplied(std::move(motion->durations), to_si.time);
+    ConvertDesign(scene, &motion->parameters);
   };
   ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
   convert_motion(&report);
@@ -203,9 +233,9 @@ std::string WhyNotValid(const SearchOptions& options) {
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
-      {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true},
-      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true},
-      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true},
+      {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true, false, true},
+      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true, false, true},
+      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true, false, true},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
@@ -246,6 +276,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
+  if (reason.empty()) reason = WhyNotDesign(*entry, request.scene);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
