@@ -6,12 +6,12 @@
 #include <numeric>
 #include <string>
 
+#include "optimality/design_gradient.h"
 #include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -63,12 +63,6 @@ Certificate CertifyControl(const Scene& scene, const std::vector<double>& initia
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }
 
-double LargestOf(const std::vector<double>& numbers) {
-  double largest = 0;
-  for (const double number : numbers) largest = std::max(largest, std::abs(number));
-  return largest;
-}
-
 // The largest derivative by what is optimized of the initial state.
 double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
   double largest = 0;
@@ -80,15 +74,6 @@ double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
     largest = std::max(largest, std::abs(initial[4 * scene.num_bodies() + kSpin * body + 1]));
   }
   return largest;
-}
-
-std::string WhyNotByParameters(const Scene& scene, const std::vector<double>& durations) {
-  if (scene.objective.duration || !scene.objective.running.empty() || !scene.objective.via.empty()) {
-    return "path costs and a free duration have no derivatives by parameters";
-  }
-  if (scene.objective.HasConstraints()) return "terminal equality constraints have no derivatives by parameters";
-  if (!durations.empty()) return "on unequal intervals there are no derivatives by parameters";
-  return "";
 }
 
 // In natural units: costates vanish with a loss that reaches zero.
@@ -104,39 +89,26 @@ void CertifyParameters(const Scene& scene, const std::vector<double>& initial, c
     *certificate = {};
     certificate->reason = why;
   };
-  const std::string why = WhyNotByParameters(scene, durations);
-  if (!why.empty()) return refuse(why);
-  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
-  if (!exact.ok) return refuse(exact.reason);
-  JudgeTies(exact.ambiguous, certificate);
-  if (certificate->verdict == kAmbiguous) return;
-  if (!exact.only_impacts) {
-    return refuse("discs rest on or graze each other or a wall; the conditions are those of impacts");
+  const auto one_sided = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
+  if (durations.empty() && std::ranges::any_of(certificate->impacts, one_sided)) {
+    return refuse("an impact is on a node of the grid, where the derivatives by parameters are one-sided");
   }
-
-  Scene rolled = scene;
-  if (scene.num_controlled() > 0) rolled.steps = static_cast<int>(control.size()) / scene.control_width();
-  const std::unique_ptr<Simulator> simulator = MakeSimulator(Contact(ExactModel()->name), rolled, Precision::kDouble);
-  simulator->set_stop(stop);
-  if (!simulator->Rollout(initial, control)) return refuse(simulator->WhyFailed());
-  std::vector<double> end(simulator->state_size()), cotangent(simulator->state_size());
-  simulator->GetState(simulator->num_steps(), end);
-  TerminalGradient(scene.objective, end, simulator->body_size(), cotangent);
-  Sensitivity gradient;
-  simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);
-  if (simulator->stopped()) return refuse(kStopped);
-
-  const double scale = std::max({LargestOf(cotangent), LargestOf(gradient.initial), kNaturalCostate});
+  const DesignGradient gradient = GradientByDesign(scene, initial, control, durations, stop);
+  if (!gradient.ok()) {
+    refuse(gradient.reason);
+    return JudgeTies(gradient.ambiguous, certificate);
+  }
+  const double scale = std::max(gradient.costate, kNaturalCostate);
   if (!controls) {
     *certificate = {};
-    certificate->initial = LargestOfFree(scene, gradient.initial) / scale;
+    certificate->initial = gradient.initial.empty() ? 0.0 : LargestOfFree(scene, gradient.initial) / scale;
   }
   double worst = certificate->initial.value_or(0);
   std::string of = "initial state";
   for (std::size_t i = 0; i < scene.design.size(); ++i) {
     const SceneParameter& parameter = scene.design[i].parameter;
     ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
-    entry.derivative = gradient.parameters.design[i];
+    entry.derivative = gradient.by[i];
     const ParameterRange range = RangeOf(scene.design[i]);
     const bool held =
         (entry.value <= range.min && entry.derivative > 0) || (entry.value >= range.max && entry.derivative < 0);

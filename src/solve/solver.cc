@@ -9,6 +9,7 @@
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
+#include "solve/design_descent.h"
 #include "solve/grid_solver.h"
 #include "solve/hmp.h"
 #include "solve/phases/ceres_event.h"
@@ -98,10 +99,16 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
   return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
-std::string WhyNotDesign(const SolverEntry& entry, const Scene& scene) {
+std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) {
+  const Scene& scene = request.scene;
   if (scene.design.empty() || entry.design) return "";
-  return "optimize: found " + NameOf(scene.design.front().parameter, scene) +
-         ", a parameter of the scene, which this solver does not change; gd, ceres_lbfgs and ceres_lm do";
+  const std::string found = "optimize: found " + NameOf(scene.design.front().parameter, scene);
+  if (!entry.given_design) {
+    return found + ", a parameter of the scene, which this solver does not change; gd, ceres_lbfgs, ceres_lm, " +
+           "ceres_event, ceres_phases, hmp and mode_search do";
+  }
+  if (!IsExact(request)) return found + ", which this solver changes under the contact model event only";
+  return WhyNotDescent(scene);
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -239,10 +246,10 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
-      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
-      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
+      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true, false, false, false, false, false, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true, false, true},
+      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true, false, false, true},
+      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true, false, true},
   };
   // clang-format on
   return solvers;
@@ -276,19 +283,20 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
-  if (reason.empty()) reason = WhyNotDesign(*entry, request.scene);
+  if (reason.empty()) reason = WhyNotDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
     converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
-    reason = entry->why_not(converted);
+    reason = entry->why_not(entry->design ? converted : WithGivenDesign(converted));
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
 
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
-    report = entry->solve(converted, own);
+    const bool descends = !converted.scene.design.empty() && !entry->design;
+    report = descends ? DescendDesign(*entry, converted, own) : entry->solve(converted, own);
     Confirm(converted, options.stop, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

@@ -171,6 +171,9 @@ struct SolverEntry {
   bool constraints = false;      // takes what BeyondTerminalCost() names; why_not says which of it not
   bool own_terms = false;        // takes SolveRequest::terms
   bool design = false;           // takes Scene::design
+  // Finds optima in exact dynamics whose impacts are on boundaries of control intervals, if on any: Scene::design is
+  // then changed by a descent around it.
+  bool given_design = false;
 };
 
 const std::vector<SolverEntry>& AllSolvers();

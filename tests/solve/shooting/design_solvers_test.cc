@@ -121,15 +121,51 @@ TEST(DesignSolvers, OptimizeControlAndParametersTogether) {
   EXPECT_EQ(report.control.size(), 120u);
 }
 
+// The descent around a solver of controls: the derivative by the mass is that of the least loss, whose differences are
+// taken over solves with given masses.
+TEST(DesignSolvers, TheDerivativeOfTheLeastLossIsThatOfItsDifferences) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  scene.design = {Design("mass.target", scene), Design("restitution", scene)};
+  scene.design[0].min = 0.5;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_EQ(report.parameters.size(), 2u);
+  EXPECT_EQ(report.parameters[0], 0.5);  // lighter is cheaper
+  EXPECT_EQ(report.parameters[1], 1);    // so is more bouncing
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
+  ASSERT_EQ(report.certificate->parameters.size(), 2u);
+  constexpr double kStep = 1e-3;
+  const auto least_loss = [&](double mass, double restitution) {
+    Scene given = scene;
+    given.design.clear();
+    given.bodies[1].mass = mass;
+    given.contact.restitution = restitution;
+    return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
+        .final_loss;
+  };
+  EXPECT_NEAR(report.certificate->parameters[0].derivative,
+              (least_loss(0.5 + kStep, 1) - least_loss(0.5 - kStep, 1)) / (2 * kStep),
+              1e-5);
+  const double by_restitution =
+      (3 * least_loss(0.5, 1) - 4 * least_loss(0.5, 1 - kStep) + least_loss(0.5, 1 - 2 * kStep)) / (2 * kStep);
+  EXPECT_NEAR(report.certificate->parameters[1].derivative, by_restitution, 1e-5);
+  EXPECT_LT(by_restitution, -0.1);
+}
+
 TEST(DesignSolvers, ThatDoNotTakeParametersNameTheKey) {
   Scene scene = ProblemScene("two_balls");
   scene.design = {Design("mass.target", scene)};
-  for (const std::string solver :
-       {"ceres_shooting", "ceres_lagrangian", "grid_optimum", "ceres_event", "ceres_phases", "hmp", "mode_search"}) {
+  for (const std::string solver : {"ceres_shooting", "ceres_lagrangian", "grid_optimum"}) {
     const SolveReport report = Solve(solver, {scene, "event"}, {});
     EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver;
     EXPECT_THAT(report.reason, HasSubstr("optimize: found mass.target")) << solver;
   }
+  scene.objective.terminal[0].hard = true;
+  EXPECT_THAT(Solve("ceres_phases", {scene, "event"}, {}).reason, HasSubstr("found mass.target beside constraints"));
+  scene.objective.terminal[0].hard = false;
+  EXPECT_THAT(Solve("ceres_phases", {HeadOn(), "event"}, {}).reason, HasSubstr("found mass.target without a control"));
   EXPECT_THAT(Solve("gd", {scene, "event", Precision::kFloat}, {}).reason, HasSubstr("optimize: found mass.target"));
   scene.objective.via = {{.body = 0, .time = 0.5}};
   EXPECT_THAT(Solve("ceres_lm", {scene, "event"}, {}).reason, HasSubstr("mass.target beside waypoint costs"));
