@@ -265,7 +265,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   }
   arrays["contact"] = ScalarText(report.contact);
   arrays["solver"] = ScalarText(report.solver);
-  arrays["scene"] = ScalarText(WriteScene(request.scene));
+  arrays["scene"] = ScalarText(WriteScene(WithDesign(request.scene, report.parameters)));
   return arrays;
 }
 
