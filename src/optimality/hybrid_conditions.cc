@@ -133,6 +133,10 @@ class HybridConditions {
   const double* ControlOf(int interval) const { return input_.control.data() + interval * width(); }
 
   std::string WhyNot() const {
+    for (int step = 0; functions_.CreatesModes() && step < simulator().num_steps(); ++step) {
+      if (!functions_.Projects(simulator().StepMode(step))) continue;
+      return "a contact is closed for a while: the conditions are those of impacts of contacts that open again";
+    }
     for (const HybridEvent& event : events()) {
       if (event.at_once) return "guards have transitions at once; the conditions are those of events that take time";
     }
@@ -1001,11 +1005,6 @@ Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
   if (input.begin != 0) {
     Certificate certificate;
     certificate.reason = "the motion does not begin at time 0";
-    return certificate;
-  }
-  if (problem.system.functions().CreatesModes()) {
-    Certificate certificate;
-    certificate.reason = "the system creates its modes as a motion meets them";
     return certificate;
   }
   return HybridConditions(problem, input).Run();

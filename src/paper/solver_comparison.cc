@@ -16,8 +16,8 @@
 namespace saltus {
 namespace {
 
-constexpr int kShootingIterations = 500;    // by then it has ended
-constexpr int kLagrangianIterations = 200;  // by then it has stalled or gone astray
+constexpr int kShootingIterations = 500;   // by then it has ended
+constexpr int kLagrangianIterations = 60;  // by then it has stalled or gone astray
 constexpr int kFineSteps = 1000;
 // A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
 constexpr double kSlow = 2e-3;

@@ -4,10 +4,12 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -361,6 +363,184 @@ TEST(MechanicalReference, Hopper) {
                             T(0.0),
                             T(0.0)};
   }).ExpectReference();
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Stored outputs of the event-driven integrator of Siconos, to their accuracy.
+
+// A ball of mass 1 between a floor and a ceiling.
+struct BallBetweenPlates {
+  static constexpr int kNumCoordinates = 1, kNumControls = 0, kNumParameters = 3, kNumContacts = 2;
+  static constexpr std::array<const char*, 3> kParameterNames = {"g", "e", "ceiling"};
+
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = T(1.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T*, const T* p, T* h) const {
+    h[0] = -p[0];
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T* p) const {
+    return contact == 0 ? q[0] : T(p[2] - q[0]);
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[1];
+  }
+};
+
+// A point mass on a taut string of length 1, y downwards: a contact that lasts, whose gap is no distance.
+struct TautString {
+  static constexpr int kNumCoordinates = 2, kNumControls = 0, kNumParameters = 1, kNumContacts = 1;
+  static constexpr std::array<const char*, 1> kParameterNames = {"g"};
+
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(1.0);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T*, const T* p, T* h) const {
+    h[0] = T(0.0);
+    h[1] = p[0];
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return 1.0 - q[0] * q[0] - q[1] * q[1];
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+};
+
+// A block without friction whose contacts are the points (-a, -b) and (a, -b) of it.
+struct BlockOnCorners {
+  static constexpr int kNumCoordinates = 3, kNumControls = 0, kNumParameters = 5, kNumContacts = 2;
+  static constexpr std::array<const char*, 5> kParameterNames = {"J", "a", "b", "g", "e"};
+
+  template <typename T>
+  void Mass(const T*, const T* p, T* M) const {
+    for (int i = 0; i < 9; ++i) M[i] = T(0.0);
+    M[0] = M[4] = T(1.0);
+    M[8] = p[0];
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T*, const T* p, T* h) const {
+    h[0] = h[2] = T(0.0);
+    h[1] = -p[3];
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T* p) const {
+    using std::cos, std::sin;
+    return q[1] + (contact == 0 ? -1.0 : 1.0) * p[1] * sin(q[2]) - p[2] * cos(q[2]);
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[4];
+  }
+};
+
+const json& Siconos(const std::string& example) {
+  static const json outputs = [] {
+    std::ifstream file(SourceFolder() + "/data/siconos_event_driven.json");
+    return json::parse(file);
+  }();
+  return outputs.at(example);
+}
+
+// Simulates an example on as many intervals as it has rows, and compares these.
+HybridSimulator SimulateExample(const MechanicalSystem& system, const json& example, const std::vector<double>& initial,
+                                const std::vector<double>& parameters, double tolerance) {
+  HybridInput input{.initial = initial, .parameters = parameters, .duration = example.at("T")};
+  const json rows = example.value("rows", json::array());
+  input.num_intervals = std::max<int>(1, static_cast<int>(rows.size()));
+  const MechanicalSystem::Start start = system.FindMode(initial, {}, parameters);
+  EXPECT_GE(start.mode, 0) << start.why;
+  input.mode = start.mode;
+  HybridSimulator simulator(system.hybrid(), {.tolerance = 1e-14});
+  EXPECT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  for (int k = 0; k < static_cast<int>(rows.size()); ++k) {
+    for (int i = 0; i < static_cast<int>(rows[k].size()); ++i) {
+      EXPECT_NEAR(simulator.StateAt(k + 1)[i], rows[k][i].get<double>(), tolerance) << "row " << k << ", number " << i;
+    }
+  }
+  return simulator;
+}
+
+TEST(Siconos, BouncingBall) {
+  const MechanicalSystem system{BallBetweenPlates()};
+  const json& example = Siconos("ball");
+  const HybridSimulator simulator = SimulateExample(system, example, {1, 0}, {9.81, 0.9, 10}, 1e-10);
+  ASSERT_EQ(simulator.events().size(), 44u);
+  for (int i = 0; i < 44; ++i) {
+    EXPECT_NEAR(simulator.events()[i].time, example["impacts"][i][0].get<double>(), 1e-11) << i;
+    EXPECT_NEAR(simulator.events()[i].after[1], example["impacts"][i][1].get<double>(), 1e-10) << i;
+  }
+  // The exact values, of which the stored ones miss the tenth digit.
+  EXPECT_NEAR(simulator.final_state()[0], 5.565551008992671e-06, 1e-13);
+  EXPECT_NEAR(simulator.final_state()[1], -0.041665195809813558, 1e-12);
+}
+
+// Bounces accumulate on the floor at 6.2072.
+TEST(Siconos, BallBetweenTwoPlates) {
+  const MechanicalSystem system{BallBetweenPlates()};
+  const json& example = Siconos("two_contacts");
+  const HybridSimulator simulator = SimulateExample(system, example, {1, 10}, {10, 0.8, 1.5}, 1e-7);
+  for (int i = 0; i < static_cast<int>(example["impacts"].size()); ++i) {
+    EXPECT_NEAR(simulator.events()[i].time, example["impacts"][i][0].get<double>(), 1e-11) << i;
+    EXPECT_NEAR(simulator.events()[i].after[1], example["impacts"][i][1].get<double>(), 1e-10) << i;
+  }
+  HybridInput input{.initial = {1, 10}, .parameters = {10, 0.8, 1.5}, .duration = 10};
+  const MechanicalReport report = system.Examine(simulator, input);
+  ASSERT_EQ(report.accumulations.size(), 1u);
+  EXPECT_NEAR(report.impacts[report.accumulations[0]].accumulates_at, 6.2072372420863110777, 1e-10);
+  EXPECT_EQ(simulator.final_state()[0], 0);
+  EXPECT_EQ(simulator.final_state()[1], 0);
+}
+
+TEST(Siconos, PendulumOnATautString) {
+  const MechanicalSystem system{TautString()};
+  const double angle = std::numbers::pi / 3;
+  const HybridSimulator simulator =
+      SimulateExample(system, Siconos("pendulum"), {std::sin(angle), std::cos(angle), 0, 0}, {9.81}, 5e-11);
+  const double exact[] = {-0.60666849592177808, 0.79495492705939469, 1.9123608074244532, 1.4594148865666048};
+  for (int i = 0; i < 4; ++i) EXPECT_NEAR(simulator.final_state()[i], exact[i], 1e-11) << i;
+}
+
+TEST(Siconos, BlockOnACorner) {
+  const MechanicalSystem system{BlockOnCorners()};
+  const json& example = Siconos("block");
+  const double angle = std::numbers::pi / 3, height = 0.5 * std::sin(angle) + 0.25 * std::cos(angle);
+  SimulateExample(system,
+                  example,
+                  {0.25 - 0.25 * std::sin(angle), height, angle, 0, 0, 0},
+                  {5.0 / 48, 0.5, 0.25, 9.81, 0.8},
+                  2e-12);
+}
+
+// The stored impacts are resolved by a compliant law, so they have the error of its steps; the exact ones are beside.
+TEST(Siconos, BlockThatFalls) {
+  constexpr double kExact[7][2] = {{0.301680702028328097, -0.342425178898207011},
+                                   {0.785010956691233713, -1.35888153844638954},
+                                   {1.17872590477343967, -3.74935703306414183},
+                                   {1.41750974015758361, -2.42653484048266828},
+                                   {1.64973312395241579, -2.43672380927177345},
+                                   {1.83572272856110105, -3.1495396423864641},
+                                   {1.98899391771037268, -4.15104585305978797}};
+  const MechanicalSystem system{BlockOnCorners()};
+  const json& example = Siconos("block_that_falls");
+  const HybridSimulator simulator = SimulateExample(
+      system, example, {0, 0.55801270189221930, std::numbers::pi / 3, 0, 0, 0}, {5.0 / 48, 0.1, 0.05, 9.81, 0.8}, 0);
+  ASSERT_EQ(simulator.events().size(), 7u);
+  for (int i = 0; i < 7; ++i) {
+    EXPECT_NEAR(simulator.events()[i].time, kExact[i][0], 1e-11) << i;
+    EXPECT_NEAR(simulator.events()[i].after[5], kExact[i][1], 1e-9) << i;
+    EXPECT_NEAR(simulator.events()[i].time, example["impacts"][i][0].get<double>(), 1e-4) << i;
+    EXPECT_NEAR(simulator.events()[i].after[5], example["impacts"][i][1].get<double>(), 2e-3) << i;
+  }
 }
 
 }  // namespace

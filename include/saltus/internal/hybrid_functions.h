@@ -107,8 +107,8 @@ class HybridFunctions {
   // event.
   virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
 
-  // Whether modes are created as a motion meets them, and guards depend on the control. Solvers in phases, the search
-  // over event sequences and the certificate do not support such systems.
+  // Whether modes are created as a motion meets them, and guards of modes that project depend on the control. Solvers
+  // in phases, the search over event sequences and the certificate support the other modes of such systems only.
   virtual bool CreatesModes() const { return false; }
 
   // Whether the resets themselves end an accumulation of events (Zeno behaviour).

@@ -6,6 +6,7 @@
 #include <limits>
 #include <map>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include "saltus/control/single_shooting.h"
@@ -41,26 +42,29 @@ bool HasImpactAtOnce(const Simulator& simulator) {
   return false;
 }
 
-// Whether two discs pass each other without an event and with a gap that is zero within rounding: moved closer, they
-// meet. In a step with events of one of them only the time before the first of these and after the last is searched,
-// for discs on which gravity is the only force.
-bool HasPassWithoutGap(const Simulator& simulator) {
+// Whether two discs may come as close to each other, without an event of theirs, as touching within rounding: moved
+// closer, they meet. The paths in a step with events of one of them are known before the first of these and after the
+// last, if gravity is the only force; else, and between these, two discs may touch if they are fast enough to.
+bool MayPassWithoutGap(const Simulator& simulator) {
   const Scene& scene = simulator.scene();
   const double h = simulator.step();
   struct Span {
     double first = std::numeric_limits<double>::infinity(), last = -1;  // s, in the step
     void Add(double time) { first = std::min(first, time), last = std::max(last, time); }
   };
-  std::map<std::pair<int, int>, Span> events;  // of steps and discs
+  std::map<std::pair<int, int>, Span> events;      // of steps and discs
+  std::set<std::array<int, 3>> events_of_the_two;  // steps and pairs
   for (const StepTouch& at : simulator.touches()) {
-    events[{at.step, at.touch.candidate.a}].Add(at.touch.time);
-    if (!at.touch.candidate.plane) events[{at.step, at.touch.candidate.b}].Add(at.touch.time);
+    const Candidate& c = at.touch.candidate;
+    events[{at.step, c.a}].Add(at.touch.time);
+    if (c.plane) continue;
+    events[{at.step, c.b}].Add(at.touch.time);
+    events_of_the_two.insert({at.step, std::min(c.a, c.b), std::max(c.a, c.b)});
   }
   const auto coasts = [&](int i) { return !scene.table && std::ranges::count(scene.control.bodies, i) == 0; };
   std::vector<double> from(simulator.state_size()), to(simulator.state_size());
-  const auto difference = [&](const std::vector<double>& x, int a, int b, int offset) {
-    const double *at_a = &x[a * simulator.body_size() + offset], *at_b = &x[b * simulator.body_size() + offset];
-    return Vec2d(at_a[0] - at_b[0], at_a[1] - at_b[1]);
+  const auto vector_at = [&](const std::vector<double>& x, int body, int offset) {
+    return Vec2d(x[body * simulator.body_size() + offset], x[body * simulator.body_size() + offset + 1]);
   };
   simulator.GetState(0, to);
   for (int k = 0; k < simulator.num_steps(); ++k) {
@@ -68,21 +72,24 @@ bool HasPassWithoutGap(const Simulator& simulator) {
     simulator.GetState(k + 1, to);
     for (int a = 0; a < scene.num_bodies(); ++a) {
       for (int b = a + 1; b < scene.num_bodies(); ++b) {
+        if (events_of_the_two.contains({k, a, b})) continue;
         const double touching = scene.bodies[a].radius + scene.bodies[b].radius;
-        // On a path from p and v, from one time to another.
-        const auto passes =
+        // On a path from p and v: the gap is least at one of the two times or where the discs cease to close.
+        const auto touches =
             [&](const Vec2d& p, const Vec2d& v, const Vec2d& acceleration, double closing, double parting) {
               const auto place = [&](double t) -> Vec2d { return p + t * (v + 0.5 * t * acceleration); };
               const auto closes = [&](double t) { return place(t).dot(v + t * acceleration) < 0; };
-              if (!closes(closing) || closes(parting)) return false;
-              for (int i = 0; i < std::numeric_limits<double>::digits; ++i) {
+              if (!closes(closing)) parting = closing;
+              for (int i = 0; i < std::numeric_limits<double>::digits && !closes(parting); ++i) {
                 const double t = 0.5 * (closing + parting);
                 (closes(t) ? closing : parting) = t;
               }
               return std::abs(place(parting).norm() - touching) <= kPasses * touching;
             };
-        const Vec2d p = difference(from, a, b, 0), v = difference(from, a, b, 2);
-        const Vec2d p_end = difference(to, a, b, 0), v_end = difference(to, a, b, 2);
+        const Vec2d p = vector_at(from, a, 0) - vector_at(from, b, 0),
+                    v = vector_at(from, a, 2) - vector_at(from, b, 2);
+        const Vec2d p_end = vector_at(to, a, 0) - vector_at(to, b, 0),
+                    v_end = vector_at(to, a, 2) - vector_at(to, b, 2);
         Span span;
         for (const int i : {a, b}) {
           if (const auto found = events.find({k, i}); found != events.end()) {
@@ -91,12 +98,17 @@ bool HasPassWithoutGap(const Simulator& simulator) {
           }
         }
         if (span.last < 0) {
-          if (passes(p, v, (v_end - v) / h, 0, h)) return true;
-        } else if (coasts(a) && coasts(b)) {
-          const Vec2d falls = scene.gravity * (scene.bodies[b].fixed - scene.bodies[a].fixed);
-          if (passes(p, v, falls, 0, span.first)) return true;
-          if (passes(p_end, v_end, falls, span.last - h, 0)) return true;
+          if (touches(p, v, (v_end - v) / h, 0, h)) return true;
+          continue;
         }
+        const bool known = coasts(a) && coasts(b);
+        const Vec2d falls = scene.gravity * (scene.bodies[b].fixed - scene.bodies[a].fixed);
+        if (known && touches(p, v, falls, 0, span.first)) return true;
+        if (known && touches(p_end, v_end, falls, span.last - h, 0)) return true;
+        if (known && span.first == span.last) continue;
+        double fastest = 0;
+        for (const int i : {a, b}) fastest += std::max(vector_at(from, i, 2).norm(), vector_at(to, i, 2).norm());
+        if (std::min(p.norm(), p_end.norm()) - touching <= fastest * h) return true;
       }
     }
   }
@@ -180,7 +192,7 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
   if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
   const std::vector<Entry> entries = EntriesOf(scene);
   if (static_cast<double>(entries.size()) * scene.num_bodies() * scene.steps > kMostWork) return found;
-  if (!HasImpactAtOnce(shooting.simulator()) && !HasPassWithoutGap(shooting.simulator())) return found;
+  if (!HasImpactAtOnce(shooting.simulator()) && !MayPassWithoutGap(shooting.simulator())) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
     for (const Entry& entry : entries) {

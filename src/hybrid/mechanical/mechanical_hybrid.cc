@@ -108,6 +108,7 @@ MechanicalHybrid::MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> fu
       functions_(std::move(functions)),
       options_(options),
       equations_(*functions_),
+      no_control_(functions_->layout().num_controls, 0.0),
       id_(NextId()) {
   ModeOf(std::string(functions_->layout().num_contacts, 'o'));
 }
@@ -861,8 +862,7 @@ void MechanicalHybrid::ProjectJacobian(int mode, const double* x, const double* 
                                        double* jacobian) const {
   const int columns = equations_.num_columns(false);
   Project(mode, x, p, x_plus);
-  const std::vector<double> no_control(functions_->layout().num_controls, 0.0);
-  const Point at = PointAt(0, x_plus, no_control.data(), p);
+  const Point at = PointAt(0, x_plus, nullptr, p);
   for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
     Block q, v;
     equations_.ProjectDerivative(ModeAt(mode).closed, equations_.SeedColumns(at, first), at, &q, &v);

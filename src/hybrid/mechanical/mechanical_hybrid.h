@@ -91,8 +91,9 @@ class MechanicalHybrid final : public HybridFunctions {
   // The contacts at x that have a gap of zero and neither approach nor part. `why`: of a contact that penetrates.
   Closing Touching(const Point& at, std::string* why) const;
 
+  // Without a control (null) where none is known, as of a guard of open contacts: zeros.
   Point PointAt(double t, const double* x, const double* u, const double* p) const {
-    return {t, x, x + equations_.n(), u, p};
+    return {t, x, x + equations_.n(), u != nullptr ? u : no_control_.data(), p};
   }
   std::string ContactName(int contact) const;
 
@@ -165,6 +166,7 @@ class MechanicalHybrid final : public HybridFunctions {
   const std::shared_ptr<const MechanicalFunctions> functions_;
   const MechanicalOptions options_;
   const MechanicalEquations equations_;
+  const std::vector<double> no_control_;
   const int id_;
   mutable std::shared_mutex mutex_;
   mutable std::deque<Mode> modes_;            // under mutex_; the elements do not move

@@ -117,6 +117,11 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
+  if (!IsPossible(guess_.exact.contacts)) {
+    return Refuse(Termination::kNotApplicable,
+                  "in the initial guess a contact is closed for a while; phases support impacts of contacts that open "
+                  "again");
+  }
   if (guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
@@ -246,8 +251,11 @@ void HybridPhaseRun::BlendStart(const HybridMotion& to, const HybridMotion& from
 
 bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
   int mode = problem_.guess.mode;
+  const HybridFunctions& functions = problem_.system.functions();
+  const auto supported = [&](int m) { return !functions.CreatesModes() || !functions.Projects(m); };
+  if (!supported(mode)) return false;
   for (const ModeEvent& event : sequence) {
-    if (event.mode != mode) return false;
+    if (event.mode != mode || !supported(event.next_mode)) return false;
     mode = event.next_mode;
   }
   return std::all_of(problem_.terms.begin(), problem_.terms.end(), [&](const HybridTerm& term) {
@@ -381,7 +389,6 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 }
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
-  if (problem.system.functions().CreatesModes()) return "the system creates its modes as a motion meets them";
   const HybridFree& free = problem.free;
   if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
     return "the problem leaves nothing to optimize";

@@ -478,7 +478,7 @@ void HybridTranscription::AddGuards(double margin) {
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
     const int count = phase.intervals * substeps_;
-    for (int guard = 0; guard < functions_.layout().num_guards[phase.mode]; ++guard) {
+    for (int guard = 0; guard < functions_.num_guards(phase.mode); ++guard) {
       const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
         return event.mode == phase.mode && event.guard == guard;
       });

@@ -152,13 +152,18 @@ class HybridSearch {
     };
     const std::vector<int>& sizes = system.layout().state_sizes;
     std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
+    const bool creates = system.functions().CreatesModes();
     for (int mode = 0; mode < system.num_modes(); ++mode) {
+      if (creates && system.functions().Projects(mode)) continue;
       std::vector<double> x(system.state_size(mode), 1.0);
       if (mode == problem_.guess.mode) x = problem_.guess.initial;
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
-        const int next =
-            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
+        // Contacts open again after an impact.
+        const int next = creates
+                             ? mode
+                             : system.functions().Reset(
+                                   mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }
