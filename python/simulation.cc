@@ -14,17 +14,13 @@ constexpr double kMebibyte = 1 << 20;
 
 SingleShooting MakeShooting(const Contact& contact, const Scene& near, const std::string& precision) {
   CheckTakes(contact, near);
-  SingleShooting::OfDuration of_duration;
+  SingleShooting::OfScene of_scene;
   const bool exact = FindContactModel(contact)->event_driven && ReadPrecision(precision) == Precision::kDouble;
   if (near.objective.duration && exact && near.optimize == Optimize::kControl) {
-    of_duration = [contact, near](double duration) {
-      Scene of_other_length = near;
-      of_other_length.duration = duration;
-      return MakeSimulator(contact, of_other_length, Precision::kDouble);
-    };
+    of_scene = [contact](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
   }
   return SingleShooting(
-      MakeSimulator(contact, near, ReadPrecision(precision)), SingleShooting::Variables::kOfScene, of_duration);
+      MakeSimulator(contact, near, ReadPrecision(precision)), SingleShooting::Variables::kOfScene, of_scene);
 }
 
 }  // namespace

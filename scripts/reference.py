@@ -70,6 +70,7 @@ LAUNCH = (("optimize", "velocity"), ("control", None), ("objective.effort", None
 SPIN = (("bodies.0.inertia", "solid"), ("bodies.1.inertia", "solid"))
 TORQUE = (*SPIN, ("control.torque", ["a"]), ("control.initial", [[2, 0.1, 0]]))
 POST = ("bodies.2", {"name": "post", "radius": 0.1, "fixed": True, "position": [3, 3]})
+DESIGN = ("optimize", [{"parameter": "mass.b"}, "control"])
 TERM = "objective.terminal.0"
 RUNNING = ("objective.running", [{"body": "a", "quantity": "position", "target": [[0, 0, 0]], "weight": 0.1}])
 VIA = ("objective.via", [{"body": "a", "time": 0.2, "quantity": "position", "target": [0, 0], "weight": 0.1}])
@@ -206,8 +207,12 @@ KEYS = [
     ("objective.duration.weight", NUMBER, "1/s", 0, "adds weight * T", scene(FREE)),
     ("no_contact", "list of [disc, disc or plane]", "", None, "pairs that must not touch",
      scene(POST, ("no_contact", [["a", "post"]]))),
-    ("optimize", "`control`, `velocity`, `position` or `none`", "", REQUIRED,
-     "what a solver changes: the control, or velocities or positions at the start", scene()),
+    ("optimize", "`control`, `velocity`, `position` or `none`, or a list", "", REQUIRED,
+     "what a solver changes: the control, or velocities or positions at the start; a list has one of these at most, and "
+     "names of [parameters of the scene](../how-to/design.md), or maps with bounds", scene()),
+    ("optimize[].parameter", "name", "", REQUIRED, "a parameter of the scene", scene(DESIGN)),
+    ("optimize[].min", NUMBER, "as the parameter", None, "its least value", scene(DESIGN, ("optimize.0.min", 0.5))),
+    ("optimize[].max", NUMBER, "as the parameter", None, "its largest value", scene(DESIGN, ("optimize.0.max", 2))),
     ("free", "list of names", "", None, "discs whose velocities or positions are free; default: all that move",
      scene(*LAUNCH, ("free", ["a"]))),
     ("free_spin", "list of names", "", None, "discs whose angular velocities are free too; with `optimize: velocity`",

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "control/way_costs.h"
+#include "saltus/scene/scene_parameter.h"
 
 namespace saltus {
 namespace {
@@ -43,9 +44,10 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
 
 }  // namespace
 
-SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables, OfDuration of_duration)
+SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables, OfScene of_scene)
     : simulator_(std::move(simulator)),
-      of_duration_(scene().objective.duration ? std::move(of_duration) : nullptr),
+      of_scene_(std::move(of_scene)),
+      has_duration_(of_scene_ != nullptr && scene().objective.duration.has_value()),
       way_(WayCosts::Make(*simulator_)),
       controls_(variables == Variables::kOfScene && scene().optimize == Optimize::kControl),
       initial_(InitialState(simulator_->scene())),
@@ -58,6 +60,7 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
       const FreeDuration& free = *scene().objective.duration;
       guess_.push_back(std::clamp(scene().duration, free.min, free.max));
     }
+    AddDesign();
     return;
   }
   control_ = InitialControl(scene(), simulator_->num_steps());
@@ -65,10 +68,20 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
       variables == Variables::kInitialState ? IndicesOfInitialState(scene()) : IndicesOfDecisionVariables(scene());
   for (int index : variables_) guess_.push_back(initial_[index]);
   if (!variables_.empty()) initial_gradient_.resize(initial_.size());
+  if (variables == Variables::kOfScene) AddDesign();
+}
+
+void SingleShooting::AddDesign() {
+  if (of_scene_ == nullptr || way_ != nullptr || scene().design.empty()) return;
+  given_ = scene();
+  const std::vector<double> design = DesignOf(given_);
+  num_design_ = static_cast<int>(design.size());
+  guess_.insert(guess_.end(), design.begin(), design.end());
 }
 
 std::vector<double> SingleShooting::InitialStateAt(std::span<const double> z) const {
-  std::vector<double> initial = InitialState(scene());
+  std::vector<double> initial =
+      InitialState(num_design_ > 0 ? WithDesign(given_, z.last(static_cast<std::size_t>(num_design_))) : scene());
   for (size_t i = 0; i < variables_.size(); ++i) initial[variables_[i]] = z[i];
   return initial;
 }
@@ -77,7 +90,7 @@ SingleShooting::SingleShooting(SingleShooting&&) noexcept = default;
 SingleShooting::~SingleShooting() = default;
 
 std::span<const double> SingleShooting::ControlIn(std::span<const double> z) const {
-  if (controls_) return z.first(z.size() - has_duration());
+  if (controls_) return WithoutDesign(z).first(z.size() - num_design_ - has_duration());
   return control_;
 }
 
@@ -91,17 +104,43 @@ std::vector<double> SingleShooting::DurationsAt(std::span<const double> z) const
   return std::vector<double>(simulator_->num_steps(), z.back() / simulator_->num_steps());
 }
 
-bool SingleShooting::SetDuration(double duration) {
-  if (!(duration > 0) || !std::isfinite(duration)) return false;
-  for (const ViaTerm& term : scene().objective.via) {
-    if (term.time >= duration) return false;
+std::vector<double> SingleShooting::ParametersAt(std::span<const double> z) const {
+  const std::span<const double> design = z.last(static_cast<std::size_t>(num_design_));
+  return {design.begin(), design.end()};
+}
+
+std::string SingleShooting::SetScene(std::span<const double> z) {
+  const auto move_to = [&](const Scene& scene) {
+    const std::size_t memory_limit = simulator_->memory_limit();
+    simulator_ = of_scene_(scene);
+    simulator_->set_memory_limit(memory_limit);
+    simulator_->set_stop(stop_);
+  };
+  if (has_duration_) {
+    const double duration = z.back();
+    const auto& via = scene().objective.via;
+    if (!(duration > 0) || !std::isfinite(duration) ||
+        std::any_of(via.begin(), via.end(), [&](const ViaTerm& term) { return term.time >= duration; })) {
+      return "the final time is not after the times of all waypoint costs";
+    }
+    if (duration == scene().duration) return "";
+    Scene lasting = scene();
+    lasting.duration = duration;
+    move_to(lasting);
   }
-  if (duration == scene().duration) return true;
-  const std::size_t memory_limit = simulator_->memory_limit();
-  simulator_ = of_duration_(duration);
-  simulator_->set_memory_limit(memory_limit);
-  simulator_->set_stop(stop_);
-  return true;
+  if (num_design_ == 0) return "";
+  const std::span<const double> design = z.last(static_cast<std::size_t>(num_design_));
+  for (std::size_t i = 0; i < design.size(); ++i) {
+    const ParameterRange range = RangeOf(given_.design[i]);
+    if (design[i] >= range.min && design[i] <= range.max) continue;
+    return NameOf(given_.design[i].parameter, given_) + " is out of its bounds";
+  }
+  const Scene designed = WithDesign(given_, design);
+  if (designed == scene()) return "";
+  if (const std::optional<SceneError> error = Validate(designed)) return error->ToString();
+  move_to(designed);
+  initial_ = InitialState(designed);
+  return "";
 }
 
 std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? simulator_->WhyFailed() : way_failure_; }
@@ -109,10 +148,8 @@ std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? si
 bool SingleShooting::Rollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
   way_failure_.clear();
-  if (has_duration() && !SetDuration(z.back())) {
-    way_failure_ = "the final time is not after the times of all waypoint costs";
-    return false;
-  }
+  way_failure_ = SetScene(z);
+  if (!way_failure_.empty()) return false;
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
   ++num_rollouts_;
   if (!simulator_->Rollout(initial_, ControlIn(z))) return false;
@@ -150,12 +187,15 @@ void SingleShooting::PullBack(double effort, std::span<const double> z, double* 
   SensitivityView out;
   out.initial = initial_gradient_;
   if (controls_) {
-    out.control = {gradient, guess_.size()};
+    out.control = {gradient, guess_.size() - num_design_};
     out.factor = effort;
-    out.addend = z;
+    if (!z.empty()) out.addend = WithoutDesign(z);
   }
+  if (num_design_ > 0) out.parameters = &parameters_;
   simulator_->AdjointInto(cotangent_, out);
   for (int index : variables_) *gradient++ = initial_gradient_[index];
+  if (num_design_ == 0) return;
+  std::copy(parameters_.design.begin(), parameters_.design.end(), gradient + out.control.size());
 }
 
 bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {

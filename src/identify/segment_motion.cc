@@ -262,8 +262,7 @@ class Sweep {
         constexpr int kPlaces[kLawParametersAtOnce] = {0, 2, 3};
         return kPlaces[unknown.component % kLawParametersAtOnce];
       }
-      case Kind::kGravity:
-      case Kind::kForce:
+      default:
         break;
     }
     return -1;

@@ -17,15 +17,6 @@ bool IsPositive(Kind kind) {
   return kind == Kind::kFriction || kind == Kind::kStiffness || kind == Kind::kDamping || kind == Kind::kMass;
 }
 
-struct NamedKind {
-  const char* name;
-  Kind kind;
-};
-constexpr NamedKind kContactKinds[] = {{"restitution", Kind::kRestitution},
-                                       {"friction", Kind::kFriction},
-                                       {"stiffness", Kind::kStiffness},
-                                       {"damping", Kind::kDamping}};
-
 std::vector<std::string> Split(std::string_view text, char separator) {
   std::vector<std::string> parts(1);
   for (const char c : text) {
@@ -38,91 +29,17 @@ std::vector<std::string> Split(std::string_view text, char separator) {
   return parts;
 }
 
-// Both components, or the one that is named: "x" or "y".
-bool AddComponents(Unknown unknown, const std::optional<std::string>& component, std::vector<Unknown>* all) {
-  if (component && *component != "x" && *component != "y") return false;
-  for (int j = 0; j < 2; ++j) {
-    if (component && (*component == "y") != (j == 1)) continue;
-    unknown.component = j;
-    all->push_back(unknown);
-  }
+// Those that recordings can determine; the others are of the scene's geometry.
+bool IsIdentified(Kind kind) { return kind <= Kind::kForce; }
+
+bool Add(const std::string& name, const Scene& scene, std::vector<Unknown>* all) {
+  const std::vector<Unknown> found = ParametersNamed(name, scene);
+  if (found.empty() || !IsIdentified(found.front().kind)) return false;
+  all->insert(all->end(), found.begin(), found.end());
   return true;
 }
 
-// A disc's name may have dots, so it is looked for from the longest on.
-std::optional<int> FindBody(const std::string& name, const Scene& scene) {
-  for (int i = 0; i < scene.num_bodies(); ++i) {
-    if (scene.bodies[i].name == name && !scene.bodies[i].fixed) return i;
-  }
-  return std::nullopt;
-}
-
-bool Add(const std::string& name, const Scene& scene, std::vector<Unknown>* all) {
-  for (const NamedKind& kind : kContactKinds) {
-    if (name != kind.name) continue;
-    all->push_back({kind.kind});
-    return true;
-  }
-  if (name == "gravity") return AddComponents({Kind::kGravity}, std::nullopt, all);
-  if (name == "gravity.x" || name == "gravity.y") return AddComponents({Kind::kGravity}, name.substr(8), all);
-  if (name.starts_with("mass.")) {
-    const std::optional<int> body = FindBody(name.substr(5), scene);
-    if (body) all->push_back({Kind::kMass, *body});
-    return body.has_value();
-  }
-  if (!name.starts_with("force.")) return false;
-  const std::string rest = name.substr(6);
-  if (const std::optional<int> body = FindBody(rest, scene)) return AddComponents({Kind::kForce, *body}, {}, all);
-  const std::size_t dot = rest.rfind('.');
-  if (dot == std::string::npos) return false;
-  const std::optional<int> body = FindBody(rest.substr(0, dot), scene);
-  return body && AddComponents({Kind::kForce, *body}, rest.substr(dot + 1), all);
-}
-
-// The index of a disc among the controlled ones; their number if it is not controlled.
-int PlaceInControl(const Scene& scene, int body) {
-  const auto& bodies = scene.control.bodies;
-  return static_cast<int>(std::find(bodies.begin(), bodies.end(), body) - bodies.begin());
-}
-
-// Where an unknown stands in a scene, which may be const; null for parameters of a law, and for the force on a disc
-// that is not controlled.
-template <typename SomeScene>
-auto EntryOf(const Unknown& unknown, SomeScene* scene) -> decltype(&scene->contact.friction) {
-  switch (unknown.kind) {
-    case Kind::kRestitution:
-      return &scene->contact.restitution;
-    case Kind::kFriction:
-      return &scene->contact.friction;
-    case Kind::kStiffness:
-      return &scene->contact.stiffness;
-    case Kind::kDamping:
-      return &scene->contact.damping;
-    case Kind::kMass:
-      return &scene->bodies[unknown.body].mass;
-    case Kind::kGravity:
-      return &scene->gravity[unknown.component];
-    case Kind::kLaw:
-      return nullptr;
-    case Kind::kForce:
-      break;
-  }
-  const int place = PlaceInControl(*scene, unknown.body);
-  return place < scene->num_controlled() ? &scene->control.initial[place][unknown.component] : nullptr;
-}
-
 }  // namespace
-
-std::string NameOf(const Unknown& unknown, const Scene& scene) {
-  for (const NamedKind& kind : kContactKinds) {
-    if (unknown.kind == kind.kind) return kind.name;
-  }
-  if (unknown.kind == Kind::kLaw) return "law." + std::to_string(unknown.component);
-  const std::string component = unknown.component == 0 ? ".x" : ".y";
-  if (unknown.kind == Kind::kGravity) return "gravity" + component;
-  const std::string& body = scene.bodies[unknown.body].name;
-  return unknown.kind == Kind::kMass ? "mass." + body : "force." + body + component;
-}
 
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene) {
   std::vector<Unknown> all;
@@ -139,19 +56,6 @@ std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view n
     }
   }
   return all;
-}
-
-double ValueOf(const Unknown& unknown, const Scene& scene) {
-  const double* entry = EntryOf(unknown, &scene);
-  return entry == nullptr ? 0 : *entry;
-}
-
-void SetValue(const Unknown& unknown, double value, Scene* scene) {
-  if (unknown.kind == Kind::kForce && PlaceInControl(*scene, unknown.body) == scene->num_controlled()) {
-    scene->control.bodies.push_back(unknown.body);
-    scene->control.initial.push_back({0, 0});
-  }
-  if (double* entry = EntryOf(unknown, scene)) *entry = value;
 }
 
 bool HasBounds(const Unknown& unknown) { return unknown.kind == Kind::kRestitution || IsPositive(unknown.kind); }

@@ -1,13 +1,9 @@
-// The numbers that are identified: where they stand in a scene, and how their bounds are kept.
+// The numbers that are identified: how their bounds are kept, and what change of them matters.
 #pragma once
 
 #include "saltus/identify/identify.h"
 
 namespace saltus {
-
-// Of a law's parameters, which stand in no scene: 0, and nothing.
-double ValueOf(const Unknown& unknown, const Scene& scene);
-void SetValue(const Unknown& unknown, double value, Scene* scene);
 
 // Whether its coordinate is another than its value.
 bool HasBounds(const Unknown& unknown);

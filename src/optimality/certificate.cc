@@ -6,9 +6,12 @@
 #include <numeric>
 #include <string>
 
+#include "optimality/design_gradient.h"
 #include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
+#include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -39,21 +42,8 @@ std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double
   return std::vector<double>(intervals, scene.duration / intervals);
 }
 
-}  // namespace
-
-Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                    const std::vector<double>& durations, const StopRequest& stop) {
-  if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
-    const UnitFactors by(scene.units, natural.units);
-    return InUnits(Certify(natural,
-                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
-                           Multiplied(control, by.force),
-                           Multiplied(durations, by.time),
-                           stop),
-                   natural.units,
-                   scene.units);
-  }
+Certificate CertifyControl(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                           const std::vector<double>& durations, const StopRequest& stop) {
   Certificate certificate;
   const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
   certificate.reason = WhyNotCertify(scene, exact);
@@ -73,6 +63,92 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }
 
+// The largest derivative by what is optimized of the initial state.
+double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
+  double largest = 0;
+  const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;
+  for (const int body : scene.free) {
+    for (int j = 0; j < 2; ++j) largest = std::max(largest, std::abs(initial[4 * body + offset + j]));
+  }
+  for (const int body : scene.free_spin) {
+    largest = std::max(largest, std::abs(initial[4 * scene.num_bodies() + kSpin * body + 1]));
+  }
+  return largest;
+}
+
+// In natural units: costates vanish with a loss that reaches zero.
+constexpr double kNaturalCostate = 1;
+
+// Adds the conditions of the scene's design parameters to those of its control.
+void CertifyParameters(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                       const std::vector<double>& durations, const StopRequest& stop, Certificate* certificate) {
+  using enum Certificate::Verdict;
+  const bool controls = scene.optimize == Optimize::kControl;
+  if (certificate->verdict == kAmbiguous || (controls && certificate->verdict == kNotApplicable)) return;
+  const auto refuse = [&](const std::string& why) {
+    *certificate = {};
+    certificate->reason = why;
+  };
+  const auto one_sided = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
+  if (durations.empty() && std::ranges::any_of(certificate->impacts, one_sided)) {
+    return refuse("an impact is on a node of the grid, where the derivatives by parameters are one-sided");
+  }
+  const DesignGradient gradient = GradientByDesign(scene, initial, control, durations, stop);
+  if (!gradient.ok()) {
+    refuse(gradient.reason);
+    return JudgeTies(gradient.ambiguous, certificate);
+  }
+  const double scale = std::max(gradient.costate, kNaturalCostate);
+  if (!controls) {
+    *certificate = {};
+    certificate->initial = gradient.initial.empty() ? 0.0 : LargestOfFree(scene, gradient.initial) / scale;
+  }
+  double worst = certificate->initial.value_or(0);
+  std::string of = "initial state";
+  for (std::size_t i = 0; i < scene.design.size(); ++i) {
+    const SceneParameter& parameter = scene.design[i].parameter;
+    ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
+    entry.derivative = gradient.by[i];
+    const ParameterRange range = RangeOf(scene.design[i]);
+    const bool held =
+        (entry.value <= range.min && entry.derivative > 0) || (entry.value >= range.max && entry.derivative < 0);
+    if (!held) entry.residual = std::abs(entry.derivative) / scale;
+    if (!(entry.residual <= worst)) {
+      worst = entry.residual;
+      of = entry.name;
+    }
+    certificate->parameters.push_back(std::move(entry));
+  }
+  if (worst <= kCertificateTolerance) {
+    if (!controls) certificate->verdict = kStationary;
+    return;
+  }
+  if (!controls || certificate->IsStationary()) {
+    certificate->verdict = kNotStationary;
+    certificate->reason = "the largest residual is that of the derivative by " + of;
+  }
+}
+
+}  // namespace
+
+Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations, const StopRequest& stop) {
+  if (!scene.units.natural) {
+    const Scene natural = InNaturalUnits(scene);
+    const UnitFactors by(scene.units, natural.units);
+    return InUnits(Certify(natural,
+                           ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
+                           Multiplied(control, by.force),
+                           Multiplied(durations, by.time),
+                           stop),
+                   natural.units,
+                   scene.units);
+  }
+  Certificate certificate = CertifyControl(scene, initial, control, durations, stop);
+  if (!scene.design.empty()) CertifyParameters(scene, initial, control, durations, stop, &certificate);
+  return certificate;
+}
+
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
   const UnitFactors by(from, to);
   for (ImpactCertificate& impact : certificate.impacts) {
@@ -82,6 +158,10 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
   }
   for (ConstraintCertificate& constraint : certificate.constraints) {
     constraint.multiplier *= by.loss / FactorOf(constraint.quantity, by);
+  }
+  for (ParameterCertificate& entry : certificate.parameters) {
+    entry.value = ConvertParameter(entry.parameter, entry.value, from, to);
+    entry.derivative *= by.loss / by.of(entry.parameter);
   }
   for (Tie& tie : certificate.ambiguous) tie.time *= by.time;
   for (std::optional<double>* gradient :

@@ -9,6 +9,7 @@
 #include "output/json_number.h"
 #include "programs/surrogate_flags.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -23,7 +24,7 @@ Cell CellOf(const Json& value) {
   return value.is_structured() ? Cell(value.size()) : Cell();
 }
 
-Json ParametersToJson(const ParameterGradient& p) {
+Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   if (p.mass.empty()) return nullptr;
   Json mass = Json::array(), force = Json::array();
   for (double value : p.mass) mass.push_back(NumberToJson(value));
@@ -36,6 +37,7 @@ Json ParametersToJson(const ParameterGradient& p) {
                {"mass", mass},
                {"force", force}};
   for (double value : p.inertia) item["inertia"].push_back(NumberToJson(value));
+  if (!p.design.empty()) item["design"] = DesignToJson(scene, p.design);
   return item;
 }
 
@@ -127,6 +129,13 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
                          {"direction", ControlToJson(scene, certificate.curvature->direction)}};
   }
   if (certificate.final_time) item["final_time"] = NumberToJson(*certificate.final_time);
+  if (certificate.initial) item["initial"] = NumberToJson(*certificate.initial);
+  for (const ParameterCertificate& entry : certificate.parameters) {
+    item["parameters"].push_back({{"name", entry.name},
+                                  {"value", NumberToJson(entry.value)},
+                                  {"derivative", NumberToJson(entry.derivative)},
+                                  {"residual", NumberToJson(entry.residual)}});
+  }
   for (const ConstraintCertificate& constraint : certificate.constraints) {
     constexpr const char* kQuantities[] = {"position", "velocity", "angle", "angular_velocity"};
     const Vec2d& nu = constraint.multiplier;
@@ -193,10 +202,18 @@ Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
   Json item = {{"position", VectorsToJson(scene, gradient.initial, 0)},
                {"velocity", VectorsToJson(scene, gradient.initial, 2)},
                {"control", ControlGradientToJson(scene, gradient.control)},
-               {"parameters", ParametersToJson(gradient.parameters)}};
+               {"parameters", ParametersToJson(scene, gradient.parameters)}};
   if (!scene.Spins()) return item;
   item["angle"] = RotationsToJson(scene, gradient.initial, 0);
   item["angular_velocity"] = RotationsToJson(scene, gradient.initial, 1);
+  return item;
+}
+
+Json DesignToJson(const Scene& scene, const std::vector<double>& values) {
+  Json item = Json::object();
+  for (size_t i = 0; i < values.size(); ++i) {
+    item[NameOf(scene.design[i].parameter, scene)] = NumberToJson(values[i]);
+  }
   return item;
 }
 

@@ -27,6 +27,8 @@ Json EventsToJson(const std::vector<Event>& events);
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);
 // Without masses there are no derivatives by parameters: null.
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
+// The values of the scene's design parameters, by their names.
+Json DesignToJson(const Scene& scene, const std::vector<double>& values);
 // Entries of a gradient that exist from one side only.
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 

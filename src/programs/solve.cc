@@ -226,6 +226,10 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
   const TextLayout layout = LayoutOfStandardOutput();
   const std::string& name = request.scene.name;
   std::cout << name << ": " << request.scene.steps << " steps\n\n" << RunTable(solved).ToText(layout) << std::endl;
+  const Table design = DesignTable(request.scene, solved);
+  if (!design.rows().empty()) {
+    std::cout << name << ": parameters that were optimized, SI units\n\n" << design.ToText(layout) << std::endl;
+  }
   const Table certificates = CertificateTable(solved);
   const auto print_feedback = [&] {
     const NamedStudies studies = StudiesOf(solved);

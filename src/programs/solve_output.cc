@@ -15,6 +15,7 @@
 #include "programs/surrogate_flags.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/scene_file.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 
@@ -28,6 +29,7 @@ using enum Certificate::Verdict;
 
 // Of a control at which the loss does not change to first order.
 std::string MeaningOfStationary(const Certificate& certificate) {
+  if (certificate.initial) return "to first order no change of what is optimized lowers the loss";
   const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
   if (!certificate.curvature) {
     return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
@@ -51,11 +53,15 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
       return certificate.gradient;
     case kStationary:
     case kGlobal:
-    case kNotStationary:
-      return std::max({certificate.stationarity,
-                       certificate.costate_jump,
-                       std::abs(certificate.hamiltonian),
-                       certificate.transversality});
+    case kNotStationary: {
+      double residual = std::max({certificate.stationarity,
+                                  certificate.costate_jump,
+                                  std::abs(certificate.hamiltonian),
+                                  certificate.transversality,
+                                  certificate.initial.value_or(0)});
+      for (const ParameterCertificate& entry : certificate.parameters) residual = std::max(residual, entry.residual);
+      return residual;
+    }
     case kAmbiguous:
     case kNotApplicable:
       return std::nullopt;
@@ -66,7 +72,9 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
 std::string MeaningOf(const Certificate& certificate) {
   switch (certificate.verdict) {
     case kNotStationary:
-      return "small changes of the control lower the loss: " + certificate.reason;
+      return std::string("small changes of ") + (certificate.initial ? "what is optimized" : "the control") +
+             (certificate.parameters.empty() || certificate.initial ? "" : " or the parameters") +
+             " lower the loss: " + certificate.reason;
     case kAmbiguous:
     case kNotApplicable:
       return certificate.reason;
@@ -82,6 +90,24 @@ std::string MeaningOf(const Certificate& certificate) {
                 (certificate.sequences_searched == 1 ? " sequence of impacts" : " sequences of impacts")
           : "other sequences of impacts may be better";
   return MeaningOfStationary(certificate) + "; " + searched;
+}
+
+Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
+  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 12}, {"derivative of exact loss", 3}},
+              3);
+  const std::vector<double> given = DesignOf(scene);
+  for (const SolvedRun& run : solved.runs) {
+    for (size_t i = 0; i < run.report.parameters.size(); ++i) {
+      const bool certified = run.certificate && i < run.certificate->parameters.size();
+      table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
+                    run.report.solver,
+                    NameOf(scene.design[i].parameter, scene),
+                    given[i],
+                    run.report.parameters[i],
+                    certified ? std::optional(run.certificate->parameters[i].derivative) : std::nullopt});
+    }
+  }
+  return table;
 }
 
 Table CertificateTable(const SolvedRuns& solved) {
@@ -214,6 +240,12 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
     arrays["control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.control)};
     if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
   }
+  if (!report.parameters.empty()) {
+    std::vector<std::string> names;
+    for (const DesignParameter& design : request.scene.design) names.push_back(NameOf(design.parameter, request.scene));
+    arrays["parameter_names"] = {{static_cast<int64_t>(names.size())}, names};
+    arrays["parameters"] = {{static_cast<int64_t>(names.size())}, report.parameters};
+  }
   if (report.best && !report.best->initial_state.empty()) {
     arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
     AddInitial("best_initial_", report.best->initial_state, bodies, &arrays);
@@ -233,7 +265,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   }
   arrays["contact"] = ScalarText(report.contact);
   arrays["solver"] = ScalarText(report.solver);
-  arrays["scene"] = ScalarText(WriteScene(request.scene));
+  arrays["scene"] = ScalarText(WriteScene(WithDesign(request.scene, report.parameters)));
   return arrays;
 }
 
@@ -439,13 +471,14 @@ RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>
 
 void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
                   Page* page) {
-  Replay replay = ReplayOf(request.scene);
+  const Scene scene = runs.empty() ? request.scene : WithDesign(request.scene, runs[0]->report.parameters);
+  Replay replay = ReplayOf(scene);
   const auto add = [&](size_t i, const Motion& motion, bool exact) {
     if (motion.times.empty()) return;
     const SolveReport& run = runs[i]->report;
     const RunStyle style = StyleOfRun(request, run);
     ReplayMotion drawn = ToReplayMotion(
-        request.scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+        scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
@@ -486,6 +519,10 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                  "`final loss` is the loss under the contact model, `exact loss` that of the same solution under exact "
                  "dynamics: only "
                  "exact losses may be compared between models.");
+  const Table design = DesignTable(request.scene, solved);
+  if (!design.rows().empty()) {
+    page->AddTable(design, "Parameters of the scene that were optimized, in SI units.");
+  }
   const Table certificates = CertificateTable(solved);
   if (!certificates.rows().empty()) {
     page->AddTable(

@@ -18,6 +18,8 @@ std::optional<double> ResidualOf(const Certificate& certificate);
 // What the verdict says of the control, in a sentence or two.
 std::string MeaningOf(const Certificate& certificate);
 
+// One row for each design parameter of each run: its values in the scene and in the solution.
+Table DesignTable(const Scene& scene, const SolvedRuns& solved);
 // One row a run with a certificate: verdict, residual, smallest curvature and what they mean.
 Table CertificateTable(const SolvedRuns& solved);
 

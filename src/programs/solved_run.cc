@@ -9,6 +9,7 @@
 #include "programs/surrogate_flags.h"
 #include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"
 
@@ -70,6 +71,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
         item["angular_velocity"] = RotationsToJson(request.scene, report.initial_state, 1);
       }
       item["control"] = ControlToJson(request.scene, report.control);
+      if (!report.parameters.empty()) item["parameters"] = DesignToJson(request.scene, report.parameters);
       if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
       if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
       if (report.best && !report.best->initial_state.empty()) {
@@ -78,6 +80,9 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
           item["best_angular_velocity"] = RotationsToJson(request.scene, report.best->initial_state, 1);
         }
         item["best_control"] = ControlToJson(request.scene, report.best->control);
+        if (!report.best->parameters.empty()) {
+          item["best_parameters"] = DesignToJson(request.scene, report.best->parameters);
+        }
         if (!report.best->durations.empty()) item["best_durations"] = NumbersToJson(report.best->durations);
         if (request.scene.optimize == Optimize::kPosition) {
           item["best_position"] = VectorsToJson(request.scene, report.best->initial_state, 0);
@@ -177,7 +182,9 @@ void CheckExactly(const Scene& scene, SolvedRun* run) {
   run->exact =
       SimulateExactly(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
   run->certificate = report.certificate;
-  if (!run->certificate && scene.optimize == Optimize::kControl && scene.objective.effort > 0) {
+  const bool control = scene.optimize == Optimize::kControl && scene.objective.effort > 0;
+  const bool design = !report.parameters.empty();
+  if (!run->certificate && (control || design)) {
     run->certificate =
         Certify(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
   }
@@ -195,7 +202,8 @@ void FindFinalState(const Scene& scene, const Contact& contact, Precision precis
 
 }  // namespace
 
-void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
+void CheckRun(const Scene& given, const Contact& contact, Precision precision, SolvedRun* run) {
+  const Scene scene = WithDesign(given, run->report.parameters);
   CheckExactly(scene, run);
   if (IsExact(contact) && run->exact.ok) {
     run->final_state = run->exact.end;
@@ -244,8 +252,8 @@ Motion MotionOf(const Request& request, const SolveReport& report, bool exact, c
   MotionOptions own = options;
   own.precision = request.precision;
   own.stop = InterruptGuard::GraceIsOver;
-  return exact ? SimulateExactMotion(request.scene, input, own)
-               : SimulateMotion(request.scene, report.contact, input, own);
+  const Scene scene = WithDesign(request.scene, report.parameters);
+  return exact ? SimulateExactMotion(scene, input, own) : SimulateMotion(scene, report.contact, input, own);
 }
 
 std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {

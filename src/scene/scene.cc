@@ -10,6 +10,7 @@
 #include <unordered_map>
 
 #include "base/number_text.h"
+#include "saltus/scene/scene_parameter.h"
 #include "scene/polygon.h"
 #include "scene/scene_overlap.h"
 #include "scene/scene_rules.h"
@@ -104,6 +105,7 @@ class Rules {
     CheckObjective();
     CheckFree();
     CheckFreeSpin();
+    CheckDesign();
     CheckNoContact();
     return error_;
   }
@@ -437,7 +439,7 @@ class Rules {
     CheckVia();
     CheckFreeDuration();
     if (!all_) return;
-    Expect(scene_.optimize == Optimize::kNone || !terms.empty(),
+    Expect((scene_.optimize == Optimize::kNone && scene_.design.empty()) || !terms.empty(),
            {"objective.terminal"},
            "found no term, expected at least one: there is something to optimize");
   }
@@ -461,6 +463,64 @@ class Rules {
     Expect(scene_.optimize == Optimize::kVelocity,
            {"free_spin"},
            "found bodies, expected none: angular velocities are optimized with optimize: velocity");
+  }
+
+  // How many things a parameter of this kind may be of, -1: of nothing in particular.
+  int NumberOf(SceneParameter::Kind kind) const {
+    using Kind = SceneParameter::Kind;
+    if (kind == Kind::kMass || kind == Kind::kRadius || kind == Kind::kPosition) return scene_.num_bodies();
+    if (kind == Kind::kPlaneOffset || kind == Kind::kPlaneAngle) return static_cast<int>(scene_.planes.size());
+    if (kind == Kind::kSegmentOffset || kind == Kind::kSegmentAngle) return static_cast<int>(scene_.segments.size());
+    return -1;
+  }
+
+  void CheckDesign() {
+    using Kind = SceneParameter::Kind;
+    const Key key{"optimize"};
+    for (std::size_t i = 0; i < scene_.design.size() && !error_; ++i) {
+      const auto& [parameter, min, max] = scene_.design[i];
+      const Kind kind = parameter.kind;
+      Expect(kind >= Kind{} && kind <= Kind::kSegmentAngle && kind != Kind::kForce && kind != Kind::kLaw,
+             key,
+             "found a force or a law, expected a parameter of the scene");
+      const int number = NumberOf(kind);
+      Expect(number < 0 || (parameter.body >= 0 && parameter.body < number), key, [&] {
+        return "found the index " + std::to_string(parameter.body) + ", expected one below " + std::to_string(number);
+      });
+      Expect(parameter.component == 0 || parameter.component == 1, key, "found a component, expected 0 or 1");
+      if (error_) return;
+      const auto found = [&] { return "found " + NameOf(parameter, scene_); };
+      const bool fixed = (kind == Kind::kMass || kind == Kind::kPosition) && scene_.bodies[parameter.body].fixed;
+      Expect(kind != Kind::kMass || !fixed, key, [&] { return found() + ", expected the mass of a body that moves"; });
+      Expect(kind != Kind::kPosition || fixed, key, [&] {
+        return found() + ", expected the position of a fixed body; those that move have optimize: position";
+      });
+      const std::vector<int>& turned = scene_.control.turned;
+      const bool of_turned =
+          kind == Kind::kRadius && std::find(turned.begin(), turned.end(), parameter.body) != turned.end();
+      Expect(!of_turned, key, [&] { return found() + ", expected the radius of a body without a torque on it"; });
+      for (std::size_t j = 0; j < i; ++j) {
+        const SceneParameter& other = scene_.design[j].parameter;
+        Expect(!(other == parameter), key, [&] { return found() + " again, expected it once"; });
+        // The order of the two would matter at its ends.
+        const bool of_segment = kind >= Kind::kSegmentOffset && other.kind >= Kind::kSegmentOffset;
+        Expect(!of_segment || other.body != parameter.body, key, [&] {
+          return found() + " beside " + NameOf(other, scene_) + ", expected one of them";
+        });
+      }
+      for (const std::optional<double>& bound : {min, max}) {
+        if (bound) Number(key, *bound, in_.any);
+      }
+      const ParameterRange range = RangeOf(scene_.design[i]);
+      const double value = ValueOf(parameter, scene_);
+      Expect(range.min < range.max, key, [&] {
+        return found() + " between " + ToText(range.min) + " and " + ToText(range.max) + ", expected min < max";
+      });
+      Expect(!all_ || (value >= range.min && value <= range.max), key, [&] {
+        return found() + ", which is " + ToText(value) + " in the scene, expected a value from " + ToText(range.min) +
+               " to " + ToText(range.max);
+      });
+    }
   }
 
   const Scene& scene_;

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "base/suggestion.h"
+#include "saltus/scene/scene_parameter.h"
 #include "scene/yaml_text.h"
 
 namespace saltus::internal {
@@ -332,6 +333,56 @@ void SceneReader::FixDuration() {
   if (duration->weight == 0) duration.reset();
 }
 
+void SceneReader::ReadOptimize(const Value& value) {
+  constexpr Optimize kChoices[] = {Optimize::kControl, Optimize::kVelocity, Optimize::kPosition, Optimize::kNone};
+  if (!value.node.IsSequence()) {
+    scene_.optimize = kChoices[ReadChoice(value, {"control", "velocity", "position", "none"})];
+    return;
+  }
+  const std::vector<Value> items = ReadList(value, "a list");
+  if (items.empty()) FailExpected(value, "at least one of control, velocity, position and parameters");
+  for (const Value& item : items) {
+    const std::string word = item.node.IsScalar() ? item.node.Scalar() : "";
+    const auto* choice = std::find_if(std::begin(kChoices), std::end(kChoices), [&](Optimize one) {
+      return one != Optimize::kNone && word == OptimizeToString(one);
+    });
+    if (choice == std::end(kChoices)) {
+      ReadUnknown(item);
+    } else if (scene_.optimize != Optimize::kNone) {
+      Fail(item,
+           "found " + word + " beside " + OptimizeToString(scene_.optimize) +
+               ", expected one of control, velocity and position");
+    } else {
+      scene_.optimize = *choice;
+    }
+  }
+}
+
+// The name of a parameter, or a map with bounds.
+void SceneReader::ReadUnknown(const Value& value) {
+  constexpr char kExpected[] =
+      "control, velocity, position, or a parameter: restitution, friction, stiffness, damping, gravity.x, gravity.y, "
+      "mass.BODY of a body that moves, radius.BODY, position.BODY of a fixed body, offset.WALL or angle.WALL of a "
+      "plane "
+      "or a segment";
+  DesignParameter design;
+  Value name = value;
+  if (value.node.IsMap()) {
+    const Fields fields = ReadFields(value, {"parameter", "min", "max"});
+    name = fields.Require("parameter", "the name of a parameter");
+    if (const Value* min = fields.Find("min")) design.min = ReadNumber(*min);
+    if (const Value* max = fields.Find("max")) design.max = ReadNumber(*max);
+  }
+  if (!name.node.IsScalar()) FailExpected(name, kExpected);
+  const std::vector<SceneParameter> found = ParametersNamed(name.node.Scalar(), scene_);
+  const bool of_scene = !found.empty() && found.front().kind != SceneParameter::Kind::kForce;
+  if (!of_scene) FailExpected(name, kExpected);
+  for (const SceneParameter& parameter : found) {
+    design.parameter = parameter;
+    scene_.design.push_back(design);
+  }
+}
+
 Scene SceneReader::Read(const YAML::Node& root) {
   const Fields fields = ReadFields({root, "", 1},
                                    {"name",
@@ -379,9 +430,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
   if (const Value* pairs = fields.Find("no_contact")) {
     for (const Value& pair : ReadList(*pairs, "a list of pairs")) scene_.no_contact.push_back(ReadNoContact(pair));
   }
-  const Value& optimize = fields.Require("optimize", "control, velocity, position or none");
-  constexpr Optimize kChoices[] = {Optimize::kControl, Optimize::kVelocity, Optimize::kPosition, Optimize::kNone};
-  scene_.optimize = kChoices[ReadChoice(optimize, {"control", "velocity", "position", "none"})];
+  ReadOptimize(fields.Require("optimize", "control, velocity, position or none"));
   const bool starts = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
   if (const Value* free = fields.Find("free")) {
     const bool lacks_control = scene_.optimize == Optimize::kControl && scene_.num_controlled() == 0;

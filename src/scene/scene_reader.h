@@ -56,6 +56,8 @@ class SceneReader {
   NoContact ReadNoContact(const Value& value);
   Objective ReadObjective(const Value& value);
   void ReadBodies(const Value& value);
+  void ReadOptimize(const Value& value);
+  void ReadUnknown(const Value& value);
   void FixDuration();
 
   Scene scene_;

@@ -8,6 +8,7 @@
 
 #include "base/number_text.h"
 #include "saltus/scene/scene_file.h"
+#include "saltus/scene/scene_parameter.h"
 #include "scene/scene_reader.h"
 
 namespace saltus {
@@ -221,6 +222,20 @@ void WriteFreeDuration(YAML::Emitter* out, const FreeDuration& duration) {
   *out << YAML::EndMap;
 }
 
+void WriteOptimize(YAML::Emitter* out, const Scene& scene) {
+  if (scene.design.empty()) return WriteField(out, "optimize", OptimizeToString(scene.optimize));
+  *out << YAML::Key << "optimize" << YAML::Value << YAML::BeginSeq;
+  if (scene.optimize != Optimize::kNone) *out << OptimizeToString(scene.optimize);
+  for (const DesignParameter& design : scene.design) {
+    *out << YAML::Flow << YAML::BeginMap;
+    WriteField(out, "parameter", NameOf(design.parameter, scene));
+    if (design.min) WriteField(out, "min", *design.min);
+    if (design.max) WriteField(out, "max", *design.max);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
 // A list of terms, or of edges, under a key, if there are any.
 template <typename Term>
 void WriteTerms(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<Term>& terms,
@@ -275,7 +290,7 @@ std::string WriteScene(const Scene& scene) {
   if (scene.num_controlled() > 0) WriteControl(&out, scene);
   WriteObjective(&out, scene);
   WriteTerms(&out, "no_contact", scene, scene.no_contact, WriteNoContact);
-  WriteField(&out, "optimize", OptimizeToString(scene.optimize));
+  WriteOptimize(&out, scene);
   const bool starts = scene.optimize == Optimize::kVelocity || scene.optimize == Optimize::kPosition;
   if (starts && !scene.free.empty()) WriteNames(&out, "free", scene, scene.free);
   if (!scene.free_spin.empty()) WriteNames(&out, "free_spin", scene, scene.free_spin);

@@ -157,6 +157,34 @@ UnitFactors::UnitFactors(const Units& from, const Units& to)
       rate(to.time / from.time),
       moment_of_inertia(from.moment_of_inertia() / to.moment_of_inertia()) {}
 
+double UnitFactors::of(const SceneParameter& parameter) const {
+  using Kind = SceneParameter::Kind;
+  switch (parameter.kind) {
+    case Kind::kRestitution:
+    case Kind::kFriction:
+    case Kind::kLaw:
+    case Kind::kPlaneAngle:
+    case Kind::kSegmentAngle:
+      return 1;
+    case Kind::kStiffness:
+      return force / length;
+    case Kind::kDamping:
+      return force / speed;
+    case Kind::kMass:
+      return mass;
+    case Kind::kGravity:
+      return acceleration;
+    case Kind::kForce:
+      return force;
+    case Kind::kRadius:
+    case Kind::kPosition:
+    case Kind::kPlaneOffset:
+    case Kind::kSegmentOffset:
+      break;
+  }
+  return length;
+}
+
 Units NaturalUnits(const Scene& scene) {
   if (scene.units.natural) return scene.units;
   if (BrokenRule(scene)) {  // whoever asks is told so by what checks it
@@ -191,6 +219,13 @@ Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to)
   Vec2d moved = from.length * position;
   if (from.origin != to.origin) moved = (moved + from.origin) - to.origin;
   return moved / to.length;
+}
+
+double ConvertParameter(const SceneParameter& parameter, double value, const Units& from, const Units& to) {
+  if (parameter.kind != SceneParameter::Kind::kPosition) return UnitFactors(from, to).of(parameter) * value;
+  Vec2d position = from.origin;
+  position[parameter.component] = value;
+  return ConvertPosition(position, from, to)[parameter.component];
 }
 
 double ConvertLoss(double loss, const Units& from, const Units& to) {
@@ -304,6 +339,11 @@ Scene InUnits(const Scene& scene, const Units& units) {
     free->weight *= by.loss / by.time;
   }
   out.objective.effort *= by.loss / (by.force * by.force * by.time);
+  for (DesignParameter& design : out.design) {
+    for (std::optional<double>* bound : {&design.min, &design.max}) {
+      if (*bound) *bound = ConvertParameter(design.parameter, **bound, scene.units, units);
+    }
+  }
   return out;
 }
 

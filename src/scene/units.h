@@ -30,6 +30,9 @@ struct UnitFactors {
   UnitFactors(const Units& from, const Units& to);
   double length, time, mass, loss, speed, acceleration, force;
   double rate, moment_of_inertia;  // of angular velocities, 1/time; mass length^2
+
+  // That of a parameter's changes.
+  double of(const SceneParameter& parameter) const;
 };
 
 // The same scene in other units. Precondition: `scene` is valid in SI units.
@@ -51,6 +54,9 @@ Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to)
 std::vector<double> ConvertStates(std::vector<double> states, const Units& from, const Units& to);
 // An initial state of so many bodies: their states, and then the rotations of the discs, if any spin.
 std::vector<double> ConvertInitial(std::vector<double> initial, int bodies, const Units& from, const Units& to);
+
+// The value of a parameter.
+double ConvertParameter(const SceneParameter& parameter, double value, const Units& from, const Units& to);
 
 double ConvertLoss(double loss, const Units& from, const Units& to);
 

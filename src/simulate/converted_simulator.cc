@@ -195,6 +195,9 @@ class ConvertedSimulator final : public Simulator {
     for (double& mass : gradient->mass) mass *= to_inner_.mass;
     for (double& inertia : gradient->inertia) inertia *= to_inner_.moment_of_inertia;
     for (Vec2d& force : gradient->force) force *= to_inner_.force;
+    for (std::size_t i = 0; i < gradient->design.size(); ++i) {
+      gradient->design[i] *= to_inner_.of(scene_.design[i].parameter);
+    }
   }
 
   double Stiffness() const { return to_inner_.force / to_inner_.length; }

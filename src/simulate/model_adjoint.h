@@ -14,6 +14,7 @@
 
 #include "saltus/simulate/simulator.h"
 #include "simulate/free_flight.h"
+#include "simulate/geometry_derivative.h"
 #include "simulate/island_derivative.h"
 #include "simulate/rollout_record.h"
 #include "simulate/stepper.h"
@@ -29,15 +30,16 @@ class ModelAdjoint {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
-  // All must outlive this object.
-  ModelAdjoint(const Model& model, const TypedScene<S>& scene, const HeldControl<S>& control)
-      : model_(model), scene_(scene), control_(control) {}
+  // All must outlive this object. `scene` is `given` in the scalar of the simulator.
+  ModelAdjoint(const Model& model, const Scene& given, const TypedScene<S>& scene, const HeldControl<S>& control)
+      : model_(model), given_(given), scene_(scene), control_(control), geometry_(model, given, scene) {}
   void set_free_flight(const FreeFlightJacobian<S>& free) { free_ = free; }
 
   // `cotangent` is that of the state in which step k begins.
   void Begin(int k, std::span<const double> cotangent, const SensitivityView& out) {
     out_ = out;
     if (out.parameters != nullptr) ClearParameters(out.parameters);
+    if (out.parameters != nullptr) geometry_.Clear();
     lambda_.assign(cotangent.begin(), cotangent.end());
     pulled_to_.assign(scene_.num_bodies(), k);
   }
@@ -96,6 +98,7 @@ class ModelAdjoint {
     for (int i = 0; out_.parameters != nullptr && i < scene_.num_bodies(); ++i) {
       out_.parameters->gravity += double(scene_.bodies[i].mass) * out_.parameters->force[i];
     }
+    if (out_.parameters != nullptr) FindDesign(out_.parameters);
     const std::size_t moves = out_.initial.empty() ? 0 : 4 * static_cast<std::size_t>(scene_.num_bodies());
     for (std::size_t i = 0; i < moves; ++i) {
       out_.initial[i] = scene_.fixed[i / 4] ? 0.0 : double(lambda_[i / 4 * kSize + i % 4]);
@@ -136,6 +139,42 @@ class ModelAdjoint {
     }
   }
 
+  // The total derivatives by Scene::design, from those by the numbers that a step has.
+  void FindDesign(ParameterGradient* parameters) const {
+    using Kind = SceneParameter::Kind;
+    parameters->design.clear();
+    for (std::size_t i = 0; i < given_.design.size(); ++i) {
+      const auto& [kind, body, component] = given_.design[i].parameter;
+      const auto by = [&]() -> double {
+        switch (kind) {
+          case Kind::kRestitution:
+            return parameters->restitution;
+          case Kind::kFriction:
+            return parameters->friction;
+          case Kind::kStiffness:
+            return parameters->stiffness;
+          case Kind::kDamping:
+            return parameters->damping;
+          case Kind::kGravity:
+            return parameters->gravity[component];
+          case Kind::kForce:
+            return parameters->force[body][component];
+          case Kind::kMass: {
+            const double mass = parameters->mass[body];
+            if (given_.bodies[body].inertia.kind != Inertia::Kind::kSolid || parameters->inertia.empty()) return mass;
+            const double radius = given_.bodies[body].radius;
+            return mass + 0.5 * radius * radius * parameters->inertia[body];
+          }
+          case Kind::kPosition:
+            return lambda_[body * kSize + component];
+          default:
+            return geometry_.By(i);
+        }
+      };
+      parameters->design.push_back(by());
+    }
+  }
+
   void PullBackIsland(int k, std::span<const int> island, Stepper<S, kRotation>* stepper) {
     const int n = static_cast<int>(island.size());
     const bool with_parameters = out_.parameters != nullptr;
@@ -145,9 +184,14 @@ class ModelAdjoint {
     derivative_.ApplyTranspose(
         model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
     stepper->ReleaseScratch();
+    if (with_parameters) geometry_.Add(island, after_, stepper);
     for (int i = 0; i < n; ++i) {
       const int body = island[i];
-      if (scene_.fixed[body]) continue;
+      if (scene_.fixed[body]) {
+        // The cotangent of its position, which stays: that of the disc as a design parameter.
+        if (with_parameters && !given_.design.empty()) std::copy_n(&before_[i * kSize], 2, &lambda_[body * kSize]);
+        continue;
+      }
       std::copy_n(&before_[i * kSize], kSize, &lambda_[body * kSize]);
       pulled_to_[body] = k;
       const Vec2<S> push(before_[n * kSize + 2 * i], before_[n * kSize + 2 * i + 1]);
@@ -306,8 +350,10 @@ class ModelAdjoint {
   }
 
   const Model& model_;
+  const Scene& given_;
   const TypedScene<S>& scene_;
   const HeldControl<S>& control_;
+  GeometryDerivative<S, kRotation> geometry_;
   FreeFlightJacobian<S> free_{};
   SensitivityView out_;
   std::vector<S> lambda_;          // B x kSize: of disc i the cotangent of its state in which step pulled_to_[i] begins

@@ -42,7 +42,7 @@ class StepSimulator final : public Simulator {
         typed_(scene, step()),
         control_(scene),
         stepper_(*model_, typed_, step()),
-        adjoint_(*model_, typed_, control_) {
+        adjoint_(*model_, scene_, typed_, control_) {
     free_ = DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(0));
     free_is_affine_ = free_ == DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(1));
     adjoint_.set_free_flight(free_);

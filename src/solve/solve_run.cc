@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"
@@ -11,17 +13,10 @@ namespace saltus {
 namespace {
 
 SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request) {
-  SingleShooting::OfDuration of_duration;
-  if (request.scene.objective.duration) {
-    of_duration = [contact, request](double duration) {
-      Scene scene = request.scene;
-      scene.duration = duration;
-      return MakeSimulator(contact, scene, request.precision);
-    };
-  }
-  return SingleShooting(MakeSimulator(contact, request.scene, request.precision),
+  const Precision precision = request.precision;
+  return SingleShooting(MakeSimulator(contact, request.scene, precision),
                         SingleShooting::Variables::kOfScene,
-                        std::move(of_duration));
+                        [contact, precision](const Scene& scene) { return MakeSimulator(contact, scene, precision); });
 }
 
 // The decision variables of a control that is given.
@@ -32,6 +27,8 @@ std::vector<double> DecisionsOf(const ControlGuess& guess, const SingleShooting&
     const FreeDuration& free = *scene.objective.duration;
     z.push_back(std::clamp(DurationOf(guess, scene), free.min, free.max));
   }
+  const std::vector<double> design = shooting.ParametersAt(shooting.initial_guess());
+  z.insert(z.end(), design.begin(), design.end());
   return z;
 }
 
@@ -132,7 +129,7 @@ SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const S
 }
 
 std::string SolveRun::RemarkOn(std::span<const double> z, Termination termination) {
-  const Scene& scene = shooting_.scene();
+  const Scene scene = shooting_.scene();  // an evaluation may go on to another
   double loss = 0;
   if (termination != Termination::kConverged || scene.pockets.empty() || !shooting_.Evaluate(z, &loss, nullptr)) {
     return "";
@@ -164,6 +161,18 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
   if (!scene.control.max_norm.empty() && !bounds.norm) {
     return refuse("bounds on the control's norm", "which its steps would leave");
   }
+  if (!scene.design.empty()) {
+    const std::string design = "optimize: found " + NameOf(scene.design.front().parameter, scene);
+    if (request.precision != Precision::kDouble) return design + ", whose derivatives are taken in double precision";
+    for (const DesignParameter& one : scene.design) {
+      if ((!one.min && !one.max) || bounds.components) continue;
+      return "optimize: found bounds on " + NameOf(one.parameter, scene) + ", which its steps would leave";
+    }
+    if (scene.objective.duration) return design + " beside a free duration, expected one of the two";
+    if (const std::string beyond = BeyondTerminalCost(scene); beyond.find("costs") != std::string::npos) {
+      return design + " beside " + beyond + ", which have no derivatives by parameters";
+    }
+  }
   if (!scene.objective.duration) return "";
   if (scene.optimize != Optimize::kControl) return "the scene has a free duration, and no control is optimized";
   const ModelTraits* model = FindContactModel(request.contact);
@@ -175,6 +184,7 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
 }
 
 std::string WhyNothingToOptimize(const Scene& scene) {
+  if (!scene.design.empty()) return "";
   const bool nothing = scene.optimize == Optimize::kNone ||
                        (scene.optimize == Optimize::kControl ? scene.control.bodies.empty() : scene.free.empty());
   return nothing ? "the scene leaves nothing to optimize" : "";

@@ -5,9 +5,11 @@
 #include <utility>
 
 #include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
+#include "solve/design_descent.h"
 #include "solve/grid_solver.h"
 #include "solve/hmp.h"
 #include "solve/phases/ceres_event.h"
@@ -81,6 +83,10 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
   if (const std::string found = BeyondTerminalCost(request.scene); !found.empty()) {
     return "the scene has " + found + "; surrogates are of a loss at the end";
   }
+  if (!request.scene.design.empty()) {
+    return "optimize: found " + NameOf(request.scene.design.front().parameter, request.scene) +
+           "; surrogates have no derivatives by parameters of the scene";
+  }
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
   return WhyNotApplicable(surrogate, request.contact, request.scene);
 }
@@ -93,12 +99,25 @@ std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request
   return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
+std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) {
+  const Scene& scene = request.scene;
+  if (scene.design.empty() || entry.design) return "";
+  const std::string found = "optimize: found " + NameOf(scene.design.front().parameter, scene);
+  if (!entry.given_design) {
+    return found + ", a parameter of the scene, which this solver does not change; gd, ceres_lbfgs, ceres_lm, " +
+           "ceres_event, ceres_phases, hmp and mode_search do";
+  }
+  if (!IsExact(request)) return found + ", which this solver changes under the contact model event only";
+  return WhyNotDescent(scene);
+}
+
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* report) {
-  const Scene& scene = request.scene;
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
-  if (scene.optimize != Optimize::kControl || !request.terms.empty()) return;
-  if (scene.objective.effort == 0 && BeyondTerminalCost(scene).empty()) return;
+  const Scene scene = WithDesign(request.scene, report->parameters);
+  const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
+                       (scene.objective.effort != 0 || !BeyondTerminalCost(scene).empty());
+  if (!control && scene.design.empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations, stop);
   }
@@ -131,10 +150,27 @@ void ForEachLoss(SolveReport* report, const Apply& apply) {
   for (LocalOptimum& optimum : report->optima) apply(&optimum.loss);
 }
 
-// The next three functions are the border between the units of users, SI, and those in which a solver works on `scene`.
-// First the decision variables (single_shooting.h), from the latter to SI.
+// The next functions are the border between the units of users, SI, and those in which a solver works on `scene`.
+// First the values of design parameters and the decision variables (single_shooting.h), from the latter to SI.
+void ConvertDesign(const Scene& scene, std::vector<double>* values) {
+  for (size_t i = 0; i < values->size(); ++i) {
+    (*values)[i] = ConvertParameter(scene.design[i].parameter, (*values)[i], scene.units, {});
+  }
+}
+
 void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
   const UnitFactors to_si(scene.units, {});
+  const size_t variables = z->size() - scene.design.size();
+  std::vector<double> design(z->begin() + static_cast<std::ptrdiff_t>(variables), z->end());
+  if (!design.empty()) {
+    Scene others = scene;
+    others.design.clear();
+    z->resize(variables);
+    ConvertDecisions(others, z);
+    ConvertDesign(scene, &design);
+    z->insert(z->end(), design.begin(), design.end());
+    return;
+  }
   if (scene.optimize == Optimize::kControl && scene.objective.duration) {
     const double duration = z->back() * to_si.time;
     *z = Multiplied(std::move(*z), to_si.force);
@@ -180,6 +216,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
     motion->control = Multiplied(std::move(motion->control), to_si.force);
     motion->durations = Multiplied(std::move(motion->durations), to_si.time);
+    ConvertDesign(scene, &motion->parameters);
   };
   ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
   convert_motion(&report);
@@ -203,16 +240,16 @@ std::string WhyNotValid(const SearchOptions& options) {
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
-      {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true},
-      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true},
-      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true},
+      {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true, false, true},
+      {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true, false, true},
+      {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true, false, true},
       {"ceres_shooting", "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout", WhyNotLeastSquares, SolveByCeresShooting},
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
-      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true},
-      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true},
-      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true},
+      {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true, false, false, false, false, false, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true, false, true},
+      {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true, false, false, true},
+      {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true, false, true},
   };
   // clang-format on
   return solvers;
@@ -246,18 +283,20 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
   if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
+  if (reason.empty()) reason = WhyNotDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
     converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
-    reason = entry->why_not(converted);
+    reason = entry->why_not(entry->design ? converted : WithGivenDesign(converted));
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
 
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
-    report = entry->solve(converted, own);
+    const bool descends = !converted.scene.design.empty() && !entry->design;
+    report = descends ? DescendDesign(*entry, converted, own) : entry->solve(converted, own);
     Confirm(converted, options.stop, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

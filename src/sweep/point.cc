@@ -9,6 +9,7 @@
 #include "programs/feedback_study.h"
 #include "programs/simulators.h"
 #include "programs/solve.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "sweep/options.h"
@@ -109,7 +110,8 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
     result.row.resize(result.row.size() + 7);
     if (request.feedback) AppendFeedback(Json::object(), &result.row);
   } else {
-    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
+    run.exact = SimulateExactly(
+        WithDesign(request.scene, report.parameters), report.initial_state, report.control, report.durations);
     Append({FiniteOrNothing(report.initial_loss),
             FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
             FiniteOrNothing(report.final_loss),

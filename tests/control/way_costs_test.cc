@@ -36,16 +36,12 @@ Scene Struck() {
 }
 
 SingleShooting Shooting(const Scene& scene, const std::string& contact) {
-  SingleShooting::OfDuration of_duration;
+  SingleShooting::OfScene of_scene;
   if (scene.objective.duration) {
-    of_duration = [=](double duration) {
-      Scene other = scene;
-      other.duration = duration;
-      return MakeSimulator(contact, other, Precision::kDouble);
-    };
+    of_scene = [=](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
   }
   return SingleShooting(
-      MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kOfScene, of_duration);
+      MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kOfScene, of_scene);
 }
 
 // Forces that differ from step to step.

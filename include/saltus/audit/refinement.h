@@ -53,12 +53,14 @@ const char* VerdictToString(Verdict verdict);  // as above
 bool IsWrong(Verdict verdict);
 
 // A part of the gradient whose entries have one unit, judged on its own.
-enum class Quantity { kPosition, kVelocity, kControl, kRestitution, kFriction, kMass, kGravity };
+// kGeometry and kWallAngle are of those of Scene::design that are a length and an angle.
+enum class Quantity { kPosition, kVelocity, kControl, kRestitution, kFriction, kMass, kGravity, kGeometry, kWallAngle };
 const char* QuantityToString(Quantity quantity);
 
 // Names of the entries of a quantity, and the entries themselves: two for each disc that moves (position, velocity),
-// two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), or one number.
-// Precondition: the gradient's number of steps is a multiple of `intervals`.
+// two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), one for each
+// design parameter of that kind, or one number. Precondition: the gradient's number of steps is a multiple of
+// `intervals`.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
 // Of derivatives of the loss by that quantity in the units `from`: multiply by it to have them in `to`.

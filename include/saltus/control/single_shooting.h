@@ -6,8 +6,9 @@
 //              Scene::free_spin
 //   position   the initial positions of Scene::free, likewise
 //   none       empty
-// if the final time is free, followed by it; or, whatever the scene optimizes, the whole initial state: the positions
-// of all discs that move, then their velocities; then angle and angular velocity of those that spin.
+// if the final time is free, followed by it; then the values of Scene::design. Or, whatever the scene optimizes, the
+// whole initial state: the positions of all discs that move, then their velocities; then angle and angular velocity of
+// those that spin.
 #pragma once
 
 #include <Eigen/Core>
@@ -31,13 +32,14 @@ class WayCosts;
 class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
-  // The simulator of the scene with another duration.
-  using OfDuration = std::function<std::unique_ptr<Simulator>(double duration)>;
+  // The simulator of the scene with another duration or other values of its design parameters.
+  using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // Only with `of_duration`, exact dynamics and Variables::kOfScene is a free final time a variable; else it stays at
-  // the scene's.
+  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time
+  // in exact dynamics only, and design parameters only without path costs and a free final time; else they stay as they
+  // are in the scene.
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
-                          OfDuration of_duration = nullptr);
+                          OfScene of_scene = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
   ~SingleShooting() override;
 
@@ -80,19 +82,26 @@ class SingleShooting final : public ShootingFunction {
   std::vector<double> InitialStateAt(std::span<const double> z) const override;
   std::vector<double> ControlAt(std::span<const double> z) const override;
   // Whether the last variable is the final time; then the lengths of the steps, else nothing.
-  bool has_duration() const { return of_duration_ != nullptr; }
+  bool has_duration() const { return has_duration_; }
   std::vector<double> DurationsAt(std::span<const double> z) const override;
+  // The values of the scene's design parameters, the last num_design() variables.
+  std::vector<double> ParametersAt(std::span<const double> z) const override;
+  int num_design() const { return num_design_; }
 
   // How often a rollout and an adjoint have been computed.
   int num_rollouts() const { return num_rollouts_; }
   int num_adjoints() const override { return num_adjoints_; }
 
  private:
+  void AddDesign();
   bool Rollout(std::span<const double> z);
   // `z` as in the last rollout.
   double LossOfLastRollout(std::span<const double> z) const;
-  bool SetDuration(double duration);
+  // Moves on to the simulator of the scene that z stands for; returns why there is none, or nothing.
+  std::string SetScene(std::span<const double> z);
   void WayGradient(std::span<const double> z, double* gradient);
+  // z without the design parameters.
+  std::span<const double> WithoutDesign(std::span<const double> z) const { return z.first(z.size() - num_design_); }
   // The control that z stands for, without a copy.
   std::span<const double> ControlIn(std::span<const double> z) const;
   // The derivative by z of a function of the final state with derivative cotangent_, plus `effort` times z if z is the
@@ -100,7 +109,11 @@ class SingleShooting final : public ShootingFunction {
   void PullBack(double effort, std::span<const double> z, double* gradient);
 
   std::unique_ptr<Simulator> simulator_;
-  OfDuration of_duration_;         // none: the final time is no variable
+  OfScene of_scene_;  // none: only initial state and control are variables
+  bool has_duration_ = false;
+  int num_design_ = 0;
+  Scene given_;  // whose design parameters are those of the start; only if there are any
+  ParameterGradient parameters_;
   std::unique_ptr<WayCosts> way_;  // null if the loss is that of the end and the effort
   std::string way_failure_;
   StopRequest stop_;

@@ -25,21 +25,13 @@
 #include "saltus/contact/event_functions.h"
 #include "saltus/contact/impact_law.h"
 #include "saltus/identify/recording.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
 
-// One number to identify.
-struct Unknown {
-  enum class Kind { kRestitution, kFriction, kStiffness, kDamping, kMass, kGravity, kForce, kLaw };
-  Kind kind = Kind::kRestitution;
-  int body = -1;      // of a mass or a force
-  int component = 0;  // of gravity or a force: 0 is x, 1 is y; or the number of a law's parameter
-
-  bool operator==(const Unknown&) const = default;
-};
-// "restitution", "mass.ball", "gravity.y", "force.ball.x".
-std::string NameOf(const Unknown& unknown, const Scene& scene);
+// One number to identify: of a contact parameter, mass, gravity, a force or a law.
+using Unknown = SceneParameter;
 // Names separated by commas; "gravity" and "force.ball" are both components. Else what was found and expected.
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene);
 

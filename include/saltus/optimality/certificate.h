@@ -26,6 +26,9 @@
 //                   of outward normals of the active bounds
 //   Hamiltonian     as above, less the change by moving targets of running terms; at a free final time, -weight.
 //
+// With design parameters, the derivatives of the loss by them vanish too, or point out of their bounds. The curvature
+// is that along controls, with the parameters as they are.
+//
 // First-order conditions do not compare with other sequences of impacts, which may be better.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
@@ -59,6 +62,16 @@ struct ConstraintCertificate {
   std::string body;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
   Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; of an angle or angular velocity its first entry, 1/rad or s/rad
+};
+
+// A design parameter of the scene: the derivative of the loss by it.
+struct ParameterCertificate {
+  SceneParameter parameter;
+  std::string name;       // scene_parameter.h
+  double value = 0;       // in the parameter's unit
+  double derivative = 0;  // by the value
+  // In natural units, relative to the largest costate, or to 1 if that is more; 0 at a bound which the loss would fall beyond.
+  double residual = 0;
 };
 
 // The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
@@ -95,7 +108,11 @@ struct Certificate {
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
   std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
-  std::optional<double> final_time;                // if that is free: residual of the derivative of the loss by it
+  // Of the scene's design parameters: one more condition, of stationarity. Where no control is optimized, it and the
+  // derivatives by the initial velocities or positions that are, in `initial`, are all conditions.
+  std::vector<ParameterCertificate> parameters;
+  std::optional<double> initial;
+  std::optional<double> final_time;  // if that is free: residual of the derivative of the loss by it
 
   // The gradient of the loss by the control on the given intervals, combined with the thetas: the largest mean of
   // 2 effort m u + lambda_v over an interval, relative to the largest costate.

@@ -229,7 +229,41 @@ struct NoContact {
   bool operator==(const NoContact&) const = default;
 };
 
-// What the solvers may change.
+// One number of a scene that may be unknown: it is identified from recordings (identify.h), or a solver chooses it as a
+// design parameter. Names and values: scene_parameter.h.
+struct SceneParameter {
+  enum class Kind {
+    kRestitution,
+    kFriction,
+    kStiffness,
+    kDamping,
+    kMass,
+    kGravity,
+    kForce,          // on a disc, constant; of identification only
+    kLaw,            // of a learned law of impact, which stands in no scene; of identification only
+    kRadius,         // m
+    kPosition,       // m, of a fixed disc
+    kPlaneOffset,    // m, by which the plane is moved along its normal
+    kPlaneAngle,     // rad, by which it is turned about its point, counter-clockwise
+    kSegmentOffset,  // m, by which the segment is moved to its left, seen from its first end
+    kSegmentAngle,   // rad, by which it is turned about its middle, counter-clockwise
+  };
+  Kind kind = Kind::kRestitution;
+  int body = -1;      // of a mass, force, radius or position; or the index of a plane or a segment
+  int component = 0;  // of gravity, a force or a position: 0 is x, 1 is y; or the number of a law's parameter
+
+  bool operator==(const SceneParameter&) const = default;
+};
+
+// A number of the scene that solvers choose beside what Optimize names. They begin at its value in the scene.
+struct DesignParameter {
+  SceneParameter parameter;
+  std::optional<double> min = std::nullopt, max = std::nullopt;  // in the parameter's unit; min < max
+
+  bool operator==(const DesignParameter&) const = default;
+};
+
+// What the solvers may change, beside Scene::design.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
 
 // As written in scene files: "control", "velocity", "position", "none".
@@ -257,6 +291,8 @@ struct Scene {
   std::vector<int> free;
   // For kVelocity: whose angular velocities too. Indices of bodies that spin, without repetition.
   std::vector<int> free_spin = {};
+  // What solvers may change too; without repetition. Offsets and angles are 0 in the scene as it stands.
+  std::vector<DesignParameter> design = {};
   Units units = {};  // SI in every scene that users give
 
   double dt() const { return duration / steps; }

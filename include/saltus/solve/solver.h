@@ -146,7 +146,7 @@ struct SolveReport {
   std::vector<double> initial_state;       // B x 4
   std::vector<double> control;             // K x C x 2
   std::vector<double> durations;           // of the K control intervals, s; none if they are equal
-  std::vector<double> parameters;          // of a hybrid system
+  std::vector<double> parameters;          // of a hybrid system; or the values of Scene::design
   double integration_error = 0;            // of a hybrid system: relative, of final state and event times
   std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
@@ -170,6 +170,10 @@ struct SolverEntry {
   bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
   bool constraints = false;      // takes what BeyondTerminalCost() names; why_not says which of it not
   bool own_terms = false;        // takes SolveRequest::terms
+  bool design = false;           // takes Scene::design
+  // Finds optima in exact dynamics whose impacts are on boundaries of control intervals, if on any: Scene::design is
+  // then changed by a descent around it.
+  bool given_design = false;
 };
 
 const std::vector<SolverEntry>& AllSolvers();

@@ -3,12 +3,26 @@
 
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
+#include "saltus/scene/scene_parameter.h"
 #include "scene/units.h"
 
 namespace saltus {
 
+namespace {
+
+// Whether a design parameter belongs to the quantity: kGeometry or kWallAngle.
+bool IsOf(Quantity quantity, const SceneParameter& parameter) {
+  using Kind = SceneParameter::Kind;
+  const Kind kind = parameter.kind;
+  if (quantity == Quantity::kWallAngle) return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle;
+  return kind == Kind::kRadius || kind == Kind::kPosition || kind == Kind::kPlaneOffset || kind == Kind::kSegmentOffset;
+}
+
+}  // namespace
+
 const char* QuantityToString(Quantity quantity) {
-  constexpr const char* kNames[] = {"position", "velocity", "control", "restitution", "friction", "mass", "gravity"};
+  constexpr const char* kNames[] = {
+      "position", "velocity", "control", "restitution", "friction", "mass", "gravity", "geometry", "wall_angle"};
   return kNames[static_cast<int>(quantity)];
 }
 
@@ -20,7 +34,9 @@ double GradientFactor(Quantity quantity, const Units& from, const Units& to) {
                             by.loss,
                             by.loss,
                             by.loss / by.mass,
-                            by.loss / by.acceleration};  // in the order of the enum
+                            by.loss / by.acceleration,
+                            by.loss / by.length,
+                            by.loss};  // in the order of the enum
   return factors[static_cast<int>(quantity)];
 }
 
@@ -59,6 +75,12 @@ std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int i
     case Quantity::kFriction:
       names.push_back(QuantityToString(quantity));
       break;
+    case Quantity::kGeometry:
+    case Quantity::kWallAngle:
+      for (const DesignParameter& design : scene.design) {
+        if (IsOf(quantity, design.parameter)) names.push_back(NameOf(design.parameter, scene));
+      }
+      break;
   }
   return names;
 }
@@ -90,6 +112,13 @@ std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient,
       break;
     case Quantity::kGravity:
       entries = {g.parameters.gravity[0], g.parameters.gravity[1]};
+      break;
+    case Quantity::kGeometry:
+    case Quantity::kWallAngle:
+      for (std::size_t i = 0; i < scene.design.size(); ++i) {
+        if (!IsOf(quantity, scene.design[i].parameter)) continue;
+        entries.push_back(i < g.parameters.design.size() ? g.parameters.design[i] : 0.0);
+      }
       break;
   }
   return entries;

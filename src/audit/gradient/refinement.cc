@@ -31,6 +31,9 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
   quantities.push_back(Quantity::kMass);
   quantities.push_back(Quantity::kGravity);
+  for (const Quantity design : {Quantity::kGeometry, Quantity::kWallAngle}) {
+    if (!EntryNames(scene, design, 0).empty()) quantities.push_back(design);
+  }
   return quantities;
 }
 

@@ -17,6 +17,7 @@
 #include "control/phase_costs.h"
 #include "control/smoothed_gradient.h"
 #include "control/step_shooting.h"
+#include "saltus/scene/scene_parameter.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
@@ -41,9 +42,11 @@ class Step {
  public:
   Step(const SingleShooting& shooting, const SolverOptions& options)
       : scene_(shooting.scene()),
-        forces_(shooting.num_variables() - shooting.has_duration()),
+        design_(shooting.num_design()),
+        forces_(shooting.num_variables() - shooting.has_duration() - design_),
         rate_(options.learning_rate),
-        rate_of_time_(options.learning_rate) {
+        rate_of_time_(options.learning_rate),
+        rate_of_design_(options.learning_rate) {
     const double length = shooting.simulator().step();
     if (options.rate_per_time) {
       rate_ /= length;
@@ -55,20 +58,26 @@ class Step {
 
   void operator()(const std::vector<double>& gradient, std::vector<double>* z) const {
     update_(rate_, gradient, 0, forces_, z);
-    if (forces_ < z->size()) update_(rate_of_time_, gradient, forces_, 1, z);
+    if (forces_ + design_ < z->size()) update_(rate_of_time_, gradient, forces_, 1, z);
+    update_(rate_of_design_, gradient, z->size() - design_, design_, z);
     MoveWithin(z);
   }
 
   void MoveWithin(std::vector<double>* z) const {
     if (scene_.optimize == Optimize::kControl) MoveWithinBounds(scene_, std::span(*z).first(forces_));
-    if (forces_ == z->size()) return;
+    for (size_t i = 0; i < design_; ++i) {
+      const ParameterRange range = RangeOf(scene_.design[i]);
+      double& value = (*z)[z->size() - design_ + i];
+      value = std::clamp(value, range.min, range.max);
+    }
+    if (forces_ + design_ == z->size()) return;
     z->back() = std::clamp(z->back(), scene_.objective.duration->min, scene_.objective.duration->max);
   }
 
  private:
   Scene scene_;
-  size_t forces_;
-  double rate_, rate_of_time_;
+  size_t design_, forces_;
+  double rate_, rate_of_time_, rate_of_design_;
   void (*update_)(double, const std::vector<double>&, size_t, size_t, std::vector<double>*);
 };
 
@@ -164,9 +173,9 @@ class Loss final : public ceres::FirstOrderFunction {
 constexpr int kBlockSize = 8;        // variables
 constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
 
-// The variables, cut into blocks, some of which may be smaller; the last `num_times` have blocks of their own.
-std::vector<int> BlockSizes(int num_variables, int num_times) {
-  num_variables -= num_times;
+// The variables, cut into blocks, some of which may be smaller; the last `num_own` have blocks of their own.
+std::vector<int> BlockSizes(int num_variables, int num_own) {
+  num_variables -= num_own;
   std::vector<int> sizes;
   if (num_variables > kMostInOneBlock) {
     sizes.assign(num_variables / kBlockSize, kBlockSize);
@@ -174,7 +183,7 @@ std::vector<int> BlockSizes(int num_variables, int num_times) {
   } else if (num_variables > 0) {
     sizes = {num_variables};
   }
-  sizes.insert(sizes.end(), num_times, 1);
+  sizes.insert(sizes.end(), num_own, 1);
   return sizes;
 }
 
@@ -282,7 +291,7 @@ void AddEffort(const SingleShooting& shooting, const VariableBlocks& variables, 
   }
   if (scene.optimize != Optimize::kControl || scene.objective.effort == 0) return;
   const double scale = std::sqrt(scene.objective.effort * shooting.simulator().step());
-  for (size_t i = 0; i < blocks.size(); ++i) {
+  for (size_t i = 0; i < blocks.size() - shooting.num_design(); ++i) {
     problem->AddResidualBlock(new EffortCost(scale, sizes[i]), nullptr, blocks[i]);
   }
 }
@@ -294,13 +303,20 @@ double LargestComponent(const Scene& scene, int entry) {
   return scene.control.max.empty() ? std::numeric_limits<double>::infinity() : scene.control.max[entry / 2];
 }
 
-// Bounds on each component of each force, and on torques; the variables are within them.
+// Bounds on design parameters, on each component of each force, and on torques; the variables are within them.
 void SetBounds(const SingleShooting& shooting, const VariableBlocks& variables, ceres::Problem* problem) {
   const Scene& scene = shooting.scene();
+  const size_t design = variables.blocks.size() - shooting.num_design();
+  for (size_t i = 0; design + i < variables.blocks.size(); ++i) {
+    const ParameterRange range = RangeOf(scene.design[i]);
+    if (std::isfinite(range.min)) problem->SetParameterLowerBound(variables.blocks[design + i], 0, range.min);
+    if (std::isfinite(range.max)) problem->SetParameterUpperBound(variables.blocks[design + i], 0, range.max);
+  }
   if (scene.optimize != Optimize::kControl || !scene.control.IsBounded()) return;
+  const int forces = shooting.num_variables() - shooting.has_duration() - shooting.num_design();
   int at = 0;
   for (size_t block = 0; block < variables.sizes.size(); ++block) {
-    for (int i = 0; i < variables.sizes[block] && at + i < shooting.num_variables() - shooting.has_duration(); ++i) {
+    for (int i = 0; i < variables.sizes[block] && at + i < forces; ++i) {
       const double most = LargestComponent(scene, (at + i) % scene.control_width());
       if (std::isinf(most)) continue;
       problem->SetParameterLowerBound(variables.blocks[block], i, -most);
@@ -375,14 +391,14 @@ SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& 
 }
 
 SolveReport MinimizeLeastSquares(
-    ShootingRun* run, std::vector<double> z, int num_times, double offset,
+    ShootingRun* run, std::vector<double> z, int num_own, double offset,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms) {
   double guess_loss = 0;
   if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
     return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
   ceres::Problem problem;
-  VariableBlocks variables{BlockSizes(run->function().num_variables(), num_times), {}};
+  VariableBlocks variables{BlockSizes(run->function().num_variables(), num_own), {}};
   double* next = z.data();
   for (const int size : variables.sizes) {
     variables.blocks.push_back(next);
@@ -408,11 +424,11 @@ SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& opt
   const SingleShooting& shooting = run.shooting();
   std::vector<double> z = run.initial_guess();
   if (shooting.scene().optimize == Optimize::kControl) {
-    MoveWithinBounds(shooting.scene(), std::span(z).first(z.size() - shooting.has_duration()));
+    MoveWithinBounds(shooting.scene(), std::span(z).first(z.size() - shooting.has_duration() - shooting.num_design()));
   }
   return MinimizeLeastSquares(&run,
                               std::move(z),
-                              shooting.has_duration(),
+                              shooting.has_duration() + shooting.num_design(),
                               GivenEffort(shooting),
                               [&](const VariableBlocks& variables, ceres::Problem* problem) {
                                 AddEffort(shooting, variables, problem);

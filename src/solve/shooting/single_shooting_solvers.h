@@ -49,13 +49,13 @@ struct VariableBlocks {
 
 // Levenberg-Marquardt, by ceres::Solver, on the residuals of the run's function, from z, plus the terms that
 // `add_terms` adds, whose loss is without `offset`. `add_terms` may also set bounds, within which z is. The last
-// `num_times` variables have blocks of their own.
+// `num_own` variables have blocks of their own.
 //
 // The Gauss-Newton matrix is a multiple of the identity plus one rank per terminal residual. It is never formed: the
 // variables come in small blocks, and conjugate gradients need one iteration per distinct eigenvalue, three for one
 // terminal term.
 SolveReport MinimizeLeastSquares(
-    ShootingRun* run, std::vector<double> z, int num_times, double offset,
+    ShootingRun* run, std::vector<double> z, int num_own, double offset,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms);
 
 // The residuals are the terminal ones and sqrt(effort dt) u; running terms at Gauss' nodes of each step, via terms and

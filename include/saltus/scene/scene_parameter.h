@@ -1,0 +1,51 @@
+// The names and values of the numbers of a scene that may be unknown (SceneParameter in scene.h).
+//
+//   restitution, friction, stiffness, damping    those of contact
+//   gravity.x, gravity.y                         m/s^2; "gravity" is both
+//   mass.BODY                                    kg, of a disc that moves
+//   force.BODY.x, force.BODY.y                   N, constant, on a disc that moves; "force.BODY" is both
+//   radius.BODY                                  m
+//   position.BODY.x, position.BODY.y             m, of a fixed disc; "position.BODY" is both
+//   offset.WALL                                  m, by which a plane is moved along its normal, or a segment to its
+//   left
+//                                                seen from its first end
+//   angle.WALL                                   rad, by which a plane is turned about its point, or a segment about
+//   its
+//                                                middle, counter-clockwise
+//
+// Offsets and angles are 0 in the scene as it stands: to set one is to move the wall from there.
+#pragma once
+
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+
+namespace saltus {
+
+// The parameters of that name, one or both components; none if there are none.
+std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& scene);
+// "restitution", "mass.ball", "gravity.y", "position.post.x", "offset.wall". Precondition: it is one of the scene's.
+std::string NameOf(const SceneParameter& parameter, const Scene& scene);
+
+// Its value, in the scene's units; 0 for a parameter of a law, and for the force on a disc that is not controlled.
+double ValueOf(const SceneParameter& parameter, const Scene& scene);
+// Does nothing for a parameter of a law.
+void SetValue(const SceneParameter& parameter, double value, Scene* scene);
+
+// The values that solvers may give a design parameter: between its own bounds, and within what its kind allows
+// (restitution from 0 to 1; mass, radius, friction, stiffness and damping not negative). Infinite without a bound.
+struct ParameterRange {
+  double min = 0, max = 0;
+};
+ParameterRange RangeOf(const DesignParameter& design);
+
+// The values of Scene::design in the scene, in its order.
+std::vector<double> DesignOf(const Scene& scene);
+// The scene with these values: one for each of Scene::design, or none, which leaves the scene as it is. Walls are
+// turned before they are moved.
+Scene WithDesign(const Scene& scene, std::span<const double> values);
+
+}  // namespace saltus

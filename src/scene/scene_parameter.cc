@@ -1,0 +1,258 @@
+#include "saltus/scene/scene_parameter.h"
+
+#include <glog/logging.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+namespace saltus {
+namespace {
+
+using Kind = SceneParameter::Kind;
+
+struct NamedKind {
+  std::string_view name;
+  Kind kind;
+};
+constexpr NamedKind kContactKinds[] = {{"restitution", Kind::kRestitution},
+                                       {"friction", Kind::kFriction},
+                                       {"stiffness", Kind::kStiffness},
+                                       {"damping", Kind::kDamping}};
+
+// Both components, or the one that is named: "x" or "y".
+std::vector<SceneParameter> Components(SceneParameter parameter, std::optional<std::string_view> component) {
+  std::vector<SceneParameter> all;
+  if (component && *component != "x" && *component != "y") return all;
+  for (int j = 0; j < 2; ++j) {
+    if (component && (*component == "y") != (j == 1)) continue;
+    parameter.component = j;
+    all.push_back(parameter);
+  }
+  return all;
+}
+
+template <typename Named>
+int IndexOf(std::string_view name, const std::vector<Named>& all) {
+  const auto found = std::find_if(all.begin(), all.end(), [&](const Named& one) { return one.name == name; });
+  return found == all.end() ? -1 : static_cast<int>(found - all.begin());
+}
+
+// A disc that is fixed or moves, as asked for; -1 without one of that name.
+int FindBody(std::string_view name, const Scene& scene, bool fixed) {
+  const int body = IndexOf(name, scene.bodies);
+  return body >= 0 && scene.bodies[body].fixed == fixed ? body : -1;
+}
+
+// Of "BODY" or "BODY.x". A disc's name may have dots, so the whole is looked for first.
+std::vector<SceneParameter> ComponentsOfBody(Kind kind, std::string_view rest, const Scene& scene, bool fixed) {
+  if (const int body = FindBody(rest, scene, fixed); body >= 0) return Components({kind, body}, std::nullopt);
+  const std::size_t dot = rest.rfind('.');
+  if (dot == std::string_view::npos) return {};
+  const int body = FindBody(rest.substr(0, dot), scene, fixed);
+  return body < 0 ? std::vector<SceneParameter>{} : Components({kind, body}, rest.substr(dot + 1));
+}
+
+std::vector<SceneParameter> OfWall(Kind of_plane, Kind of_segment, std::string_view name, const Scene& scene) {
+  if (const int plane = IndexOf(name, scene.planes); plane >= 0) return {{of_plane, plane}};
+  if (const int segment = IndexOf(name, scene.segments); segment >= 0) return {{of_segment, segment}};
+  return {};
+}
+
+// The index of a disc among the controlled ones; their number if it is not controlled.
+int PlaceInControl(const Scene& scene, int body) {
+  const auto& bodies = scene.control.bodies;
+  return static_cast<int>(std::find(bodies.begin(), bodies.end(), body) - bodies.begin());
+}
+
+// Where a parameter stands in a scene, which may be const; null for what is no number of it.
+template <typename SomeScene>
+auto EntryOf(const SceneParameter& parameter, SomeScene* scene) -> decltype(&scene->contact.friction) {
+  switch (parameter.kind) {
+    case Kind::kRestitution:
+      return &scene->contact.restitution;
+    case Kind::kFriction:
+      return &scene->contact.friction;
+    case Kind::kStiffness:
+      return &scene->contact.stiffness;
+    case Kind::kDamping:
+      return &scene->contact.damping;
+    case Kind::kMass:
+      return &scene->bodies[parameter.body].mass;
+    case Kind::kGravity:
+      return &scene->gravity[parameter.component];
+    case Kind::kRadius:
+      return &scene->bodies[parameter.body].radius;
+    case Kind::kPosition:
+      return &scene->bodies[parameter.body].position[parameter.component];
+    case Kind::kForce: {
+      const int place = PlaceInControl(*scene, parameter.body);
+      return place < scene->num_controlled() ? &scene->control.initial[place][parameter.component] : nullptr;
+    }
+    case Kind::kLaw:
+    case Kind::kPlaneOffset:
+    case Kind::kPlaneAngle:
+    case Kind::kSegmentOffset:
+    case Kind::kSegmentAngle:
+      break;
+  }
+  return nullptr;
+}
+
+Vec2d Turned(const Vec2d& vector, double angle) {
+  const double c = std::cos(angle), s = std::sin(angle);
+  return {c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]};
+}
+
+bool IsAngle(Kind kind) { return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle; }
+
+// Moves or turns a wall.
+void MoveWall(const SceneParameter& parameter, double by, Scene* scene) {
+  if (by == 0) return;
+  if (parameter.kind == Kind::kPlaneOffset || parameter.kind == Kind::kPlaneAngle) {
+    Plane& plane = scene->planes[parameter.body];
+    if (IsAngle(parameter.kind)) {
+      plane.normal = Turned(plane.normal, by);
+    } else {
+      plane.point += by * plane.normal.normalized();
+    }
+    return;
+  }
+  EdgeSegment& segment = scene->segments[parameter.body];
+  const Vec2d half = 0.5 * (segment.to - segment.from), middle = segment.from + half;
+  if (IsAngle(parameter.kind)) {
+    const Vec2d turned = Turned(half, by);
+    segment.from = middle - turned;
+    segment.to = middle + turned;
+  } else {
+    const Vec2d shift = by * Perpendicular(half).normalized();
+    segment.from += shift;
+    segment.to += shift;
+  }
+}
+
+bool IsOfWall(Kind kind) { return kind >= Kind::kPlaneOffset; }
+
+}  // namespace
+
+std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& scene) {
+  for (const NamedKind& kind : kContactKinds) {
+    if (name == kind.name) return {{kind.kind}};
+  }
+  const auto rest = [&](std::string_view prefix) -> std::optional<std::string_view> {
+    return name.starts_with(prefix) ? std::optional(name.substr(prefix.size())) : std::nullopt;
+  };
+  if (name == "gravity") return Components({Kind::kGravity}, std::nullopt);
+  if (const auto component = rest("gravity.")) return Components({Kind::kGravity}, component);
+  if (const auto body = rest("mass.")) {
+    const int index = FindBody(*body, scene, false);
+    if (index < 0) return {};
+    return {{Kind::kMass, index}};
+  }
+  if (const auto body = rest("radius.")) {
+    const int index = IndexOf(*body, scene.bodies);
+    if (index < 0) return {};
+    return {{Kind::kRadius, index}};
+  }
+  if (const auto body = rest("force.")) return ComponentsOfBody(Kind::kForce, *body, scene, false);
+  if (const auto body = rest("position.")) return ComponentsOfBody(Kind::kPosition, *body, scene, true);
+  if (const auto wall = rest("offset.")) return OfWall(Kind::kPlaneOffset, Kind::kSegmentOffset, *wall, scene);
+  if (const auto wall = rest("angle.")) return OfWall(Kind::kPlaneAngle, Kind::kSegmentAngle, *wall, scene);
+  return {};
+}
+
+std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
+  const std::string component = parameter.component == 0 ? ".x" : ".y";
+  const auto body = [&]() -> const std::string& { return scene.bodies[parameter.body].name; };
+  switch (parameter.kind) {
+    case Kind::kRestitution:
+    case Kind::kFriction:
+    case Kind::kStiffness:
+    case Kind::kDamping:
+      for (const NamedKind& kind : kContactKinds) {
+        if (parameter.kind == kind.kind) return std::string(kind.name);
+      }
+      break;
+    case Kind::kMass:
+      return "mass." + body();
+    case Kind::kGravity:
+      return "gravity" + component;
+    case Kind::kForce:
+      return "force." + body() + component;
+    case Kind::kLaw:
+      return "law." + std::to_string(parameter.component);
+    case Kind::kRadius:
+      return "radius." + body();
+    case Kind::kPosition:
+      return "position." + body() + component;
+    case Kind::kPlaneOffset:
+      return "offset." + scene.planes[parameter.body].name;
+    case Kind::kPlaneAngle:
+      return "angle." + scene.planes[parameter.body].name;
+    case Kind::kSegmentOffset:
+      return "offset." + scene.segments[parameter.body].name;
+    case Kind::kSegmentAngle:
+      return "angle." + scene.segments[parameter.body].name;
+  }
+  LOG(FATAL) << "not a kind of parameter: " << static_cast<int>(parameter.kind);
+}
+
+double ValueOf(const SceneParameter& parameter, const Scene& scene) {
+  const double* entry = EntryOf(parameter, &scene);
+  return entry == nullptr ? 0 : *entry;
+}
+
+void SetValue(const SceneParameter& parameter, double value, Scene* scene) {
+  if (IsOfWall(parameter.kind)) return MoveWall(parameter, value, scene);
+  if (parameter.kind == Kind::kForce && PlaceInControl(*scene, parameter.body) == scene->num_controlled()) {
+    scene->control.bodies.push_back(parameter.body);
+    scene->control.initial.push_back({0, 0});
+  }
+  if (double* entry = EntryOf(parameter, scene)) *entry = value;
+}
+
+ParameterRange RangeOf(const DesignParameter& design) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  ParameterRange range{-kInfinity, kInfinity};
+  switch (design.parameter.kind) {
+    case Kind::kRestitution:
+      range = {0, 1};
+      break;
+    case Kind::kFriction:
+    case Kind::kStiffness:
+    case Kind::kDamping:
+      range.min = 0;
+      break;
+    case Kind::kMass:
+    case Kind::kRadius:
+      range.min = kSmallestPositive;
+      break;
+    default:
+      break;
+  }
+  if (design.min) range.min = std::max(range.min, *design.min);
+  if (design.max) range.max = std::min(range.max, *design.max);
+  return range;
+}
+
+std::vector<double> DesignOf(const Scene& scene) {
+  std::vector<double> values;
+  for (const DesignParameter& design : scene.design) values.push_back(ValueOf(design.parameter, scene));
+  return values;
+}
+
+Scene WithDesign(const Scene& scene, std::span<const double> values) {
+  if (values.empty()) return scene;
+  CHECK_EQ(values.size(), scene.design.size());
+  Scene designed = scene;
+  for (const bool angles : {true, false}) {
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      const SceneParameter& parameter = scene.design[i].parameter;
+      if (IsAngle(parameter.kind) == angles) SetValue(parameter, values[i], &designed);
+    }
+  }
+  return designed;
+}
+
+}  // namespace saltus

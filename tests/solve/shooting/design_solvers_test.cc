@@ -1,0 +1,175 @@
+// Optima over parameters of the scene, against closed forms.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+
+#include "saltus/scene/scene_file.h"
+#include "saltus/scene/scene_parameter.h"
+#include "saltus/solve/solver.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using Verdict = Certificate::Verdict;
+
+DesignParameter Design(const std::string& name, const Scene& scene) { return {ParametersNamed(name, scene).at(0)}; }
+
+// Task 1 with a target: the ball meets the ground after 0.45 s at 2 m/s, and is at the height 0.1 + e 2 0.55 at the
+// end.
+Scene BounceToHeight(double height) {
+  Scene scene = ProblemScene("bounce_once");
+  scene.objective.terminal = {{.body = 0, .target = {1, height}}};
+  scene.design = {Design("restitution", scene)};
+  return scene;
+}
+constexpr double kHeight = 0.65, kRestitution = 0.5;
+
+// A disc strikes another head-on: it leaves with 2 / (1 + m) times the speed of the first, which has the mass 1. After
+// 0.3 s at 2 m/s they touch.
+Scene HeadOn() {
+  Scene scene;
+  scene.name = "head_on";
+  scene.duration = 1;
+  scene.steps = 100;
+  scene.bodies = {{.name = "striker", .radius = 0.2, .mass = 1, .position = {-1, 0}, .velocity = {2, 0}},
+                  {.name = "target", .radius = 0.2, .mass = 1, .position = {0, 0}}};
+  scene.objective.terminal = {{.body = 1, .target = {0.7, 0}}};
+  scene.design = {Design("mass.target", scene)};
+  return scene;
+}
+constexpr double kMass = 3;  // 2 2 / (1 + m) 0.7 = 0.7
+
+TEST(DesignSolvers, FindTheRestitutionThatReachesAHeight) {
+  for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
+    SCOPED_TRACE(solver);
+    const SolveReport report =
+        Solve(solver, {BounceToHeight(kHeight), "event"}, {.iterations = 500, .learning_rate = 0.2});
+    ASSERT_EQ(report.parameters.size(), 1u);
+    EXPECT_NEAR(report.parameters[0], kRestitution, 1e-7);
+    if (solver == "gd") continue;  // it may go on in the last bits
+    EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+    ASSERT_TRUE(report.certificate);
+    EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
+  }
+}
+
+TEST(DesignSolvers, StopAtABound) {
+  Scene scene = BounceToHeight(kHeight);
+  scene.contact.restitution = 0.2;
+  scene.design[0].max = 0.4;
+  for (const std::string solver : {"gd", "ceres_lm"}) {
+    SCOPED_TRACE(solver);
+    const SolveReport report = Solve(solver, {scene, "event"}, {.iterations = 500, .learning_rate = 0.2});
+    EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+    ASSERT_EQ(report.parameters.size(), 1u);
+    EXPECT_EQ(report.parameters[0], 0.4);
+    ASSERT_TRUE(report.certificate);
+    EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
+    // d/de (0.1 + 1.1 e - 0.65)^2 there
+    EXPECT_NEAR(report.certificate->parameters.at(0).derivative, 2 * 1.1 * (0.54 - kHeight), 1e-9);
+  }
+  EXPECT_THAT(Solve("ceres_lbfgs", {scene, "event"}, {}).reason, HasSubstr("found bounds on restitution"));
+}
+
+TEST(DesignSolvers, FindTheMassThatSendsADiscSoFar) {
+  for (const std::string contact : {"event", "direct_toi"}) {
+    for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
+      SCOPED_TRACE(solver + " " + contact);
+      const SolveReport report = Solve(solver, {HeadOn(), contact}, {.iterations = 3000, .learning_rate = 2});
+      EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+      ASSERT_EQ(report.parameters.size(), 1u);
+      EXPECT_NEAR(report.parameters[0], kMass, 1e-5);
+    }
+  }
+}
+
+TEST(DesignSolvers, GiveTheSameInOtherUnits) {
+  Scene scene = HeadOn(), large = scene;
+  for (Body& body : large.bodies) {
+    body.position *= 1024;
+    body.radius *= 1024;
+    body.velocity *= 1024;
+    body.mass *= 64;
+  }
+  large.objective.terminal[0].target *= 1024;
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {}), other = Solve("ceres_lm", {large, "event"}, {});
+  ASSERT_EQ(other.parameters.size(), 1u);
+  EXPECT_EQ(other.parameters[0], 64 * report.parameters[0]);
+  EXPECT_EQ(other.iterations, report.iterations);
+}
+
+// At an optimum in control and mass together each has a vanishing derivative.
+TEST(DesignSolvers, OptimizeControlAndParametersTogether) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  scene.objective.terminal.push_back(
+      {.body = 1, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0.5, 0.5}, .weight = 0.5});
+  scene.design = {Design("mass.target", scene), Design("restitution", scene)};
+  scene.design[0].min = 0.25;
+  scene.design[0].max = 4;
+  const double alone = [&] {
+    Scene fixed = scene;
+    fixed.design.clear();
+    return Solve("ceres_lm", {fixed, "event"}, {}).final_loss;
+  }();
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 200});
+  ASSERT_EQ(report.parameters.size(), 2u);
+  EXPECT_LT(report.final_loss, alone - 1e-3);
+  EXPECT_EQ(report.control.size(), 120u);
+}
+
+// The descent around a solver of controls: the derivative by the mass is that of the least loss, whose differences are
+// taken over solves with given masses.
+TEST(DesignSolvers, TheDerivativeOfTheLeastLossIsThatOfItsDifferences) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  scene.design = {Design("mass.target", scene), Design("restitution", scene)};
+  scene.design[0].min = 0.5;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_EQ(report.parameters.size(), 2u);
+  EXPECT_EQ(report.parameters[0], 0.5);  // lighter is cheaper
+  EXPECT_EQ(report.parameters[1], 1);    // so is more bouncing
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
+  ASSERT_EQ(report.certificate->parameters.size(), 2u);
+  constexpr double kStep = 1e-3;
+  const auto least_loss = [&](double mass, double restitution) {
+    Scene given = scene;
+    given.design.clear();
+    given.bodies[1].mass = mass;
+    given.contact.restitution = restitution;
+    return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
+        .final_loss;
+  };
+  EXPECT_NEAR(report.certificate->parameters[0].derivative,
+              (least_loss(0.5 + kStep, 1) - least_loss(0.5 - kStep, 1)) / (2 * kStep),
+              1e-5);
+  const double by_restitution =
+      (3 * least_loss(0.5, 1) - 4 * least_loss(0.5, 1 - kStep) + least_loss(0.5, 1 - 2 * kStep)) / (2 * kStep);
+  EXPECT_NEAR(report.certificate->parameters[1].derivative, by_restitution, 1e-5);
+  EXPECT_LT(by_restitution, -0.1);
+}
+
+TEST(DesignSolvers, ThatDoNotTakeParametersNameTheKey) {
+  Scene scene = ProblemScene("two_balls");
+  scene.design = {Design("mass.target", scene)};
+  for (const std::string solver : {"ceres_shooting", "ceres_lagrangian", "grid_optimum"}) {
+    const SolveReport report = Solve(solver, {scene, "event"}, {});
+    EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver;
+    EXPECT_THAT(report.reason, HasSubstr("optimize: found mass.target")) << solver;
+  }
+  scene.objective.terminal[0].hard = true;
+  EXPECT_THAT(Solve("ceres_phases", {scene, "event"}, {}).reason, HasSubstr("found mass.target beside constraints"));
+  scene.objective.terminal[0].hard = false;
+  EXPECT_THAT(Solve("ceres_phases", {HeadOn(), "event"}, {}).reason, HasSubstr("found mass.target without a control"));
+  EXPECT_THAT(Solve("gd", {scene, "event", Precision::kFloat}, {}).reason, HasSubstr("optimize: found mass.target"));
+  scene.objective.via = {{.body = 0, .time = 0.5}};
+  EXPECT_THAT(Solve("ceres_lm", {scene, "event"}, {}).reason, HasSubstr("mass.target beside waypoint costs"));
+}
+
+}  // namespace
+}  // namespace saltus
