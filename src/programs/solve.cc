@@ -14,6 +14,7 @@
 #include "programs/solve_output.h"
 #include "programs/solved_run.h"
 #include "programs/surrogate_flags.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -151,7 +152,7 @@ SolvedRuns SolveAll(const Request& request) {
           if (!request.feedback || !run.HasSolution()) return run;
           keep(run);
           const SolveReport& report = run.report;
-          run.feedback = StudyFeedback(request.scene,
+          run.feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
                                        report.initial_state,
                                        report.control,
                                        report.durations,

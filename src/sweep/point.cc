@@ -74,11 +74,11 @@ void AppendFeedback(const Json& feedback, SweepRow* row) {
 
 // Of a solution, in one thread: points are computed in several processes. A reason why there is none is added to an
 // empty remark.
-void AppendFeedback(const Request& request, const std::vector<double>& initial, const std::vector<double>& control,
-                    const std::vector<double>& durations, SweepRow* row, std::string* remark) {
+void AppendFeedback(const Request& request, const Scene& scene, const std::vector<double>& initial,
+                    const std::vector<double>& control, const std::vector<double>& durations, SweepRow* row,
+                    std::string* remark) {
   if (!request.feedback) return;
-  const FeedbackStudy study =
-      StudyFeedback(request.scene, initial, control, durations, *request.feedback, /*threads=*/1);
+  const FeedbackStudy study = StudyFeedback(scene, initial, control, durations, *request.feedback, /*threads=*/1);
   if (remark->empty()) *remark = study.reason;
   AppendFeedback(FeedbackToJson(study, /*states=*/false), row);
 }
@@ -110,8 +110,8 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
     result.row.resize(result.row.size() + 7);
     if (request.feedback) AppendFeedback(Json::object(), &result.row);
   } else {
-    run.exact = SimulateExactly(
-        WithDesign(request.scene, report.parameters), report.initial_state, report.control, report.durations);
+    const Scene scene = WithDesign(request.scene, report.parameters);
+    run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
     Append({FiniteOrNothing(report.initial_loss),
             FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
             FiniteOrNothing(report.final_loss),
@@ -120,7 +120,7 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
-    AppendFeedback(request, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
+    AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
   const bool stopped = report.termination == Termination::kInterrupted;
@@ -175,6 +175,7 @@ PointResult GradientPoint(const Request& request, PointResult result) {
           error},
          &result.row);
   AppendFeedback(request,
+                 request.scene,
                  InitialState(request.scene),
                  InitialControl(request.scene, request.scene.steps),
                  {},
