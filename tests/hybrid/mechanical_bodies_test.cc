@@ -1,0 +1,239 @@
+// Planar rigid bodies: boxes against exact values, discs against the contact model `event`, and random tosses.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <vector>
+
+#include "campaign/tossed_boxes.h"
+#include "folders.h"
+#include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/hybrid/mechanical_system.h"
+#include "saltus/hybrid/rigid_bodies.h"
+#include "saltus/simulate/registry.h"
+#include "saltus/simulate/simulator.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+TEST(RigidBodies, ATossedBoxHasTheExactMotion) {
+  std::ifstream file(SourceFolder() + "/data/mechanical_references.json");
+  const nlohmann::json reference = nlohmann::json::parse(file).at("P4r");
+  const RigidBodies2D scene({.bodies = {{.name = "box",
+                                         .polygon = BoxPolygon(0.3, 0.2),
+                                         .mass = 0.8,
+                                         .position = {0, 0.9},
+                                         .velocity = {1.5, -0.5},
+                                         .angle = 0.6,
+                                         .spin = -3}},
+                             .planes = {{}},
+                             .restitution = 0.6,
+                             .friction = 0.3});
+  const MechanicalSystem system(scene);
+  HybridSimulator simulator(system.hybrid(), {.tolerance = 1e-14});
+  ASSERT_TRUE(simulator.Rollout({.initial = scene.InitialState(), .parameters = scene.Parameters(), .duration = 1.05}));
+  ASSERT_EQ(simulator.events().size(), reference.at("events").size());
+  const std::vector<std::string> corners = {"A", "B", "C", "D"};
+  for (size_t i = 0; i < simulator.events().size(); ++i) {
+    const HybridEvent& event = simulator.events()[i];
+    const auto expected = reference["events"][i].at("contact").get<std::string>();
+    EXPECT_EQ(system.hybrid().GuardName(event.mode, event.guard),
+              "box." + std::to_string(std::find(corners.begin(), corners.end(), expected) - corners.begin()) +
+                  "-plane 0 hit");
+  }
+  for (int i = 0; i < 6; ++i) {
+    EXPECT_NEAR(simulator.final_state()[i], std::stod(reference.at("state_at_T")[i].get<std::string>()), 1e-10);
+  }
+}
+
+// Discs of a scene without edges and pockets. Those that do not spin do not turn.
+RigidScene2D RigidOf(const Scene& scene) {
+  RigidScene2D out{.bodies = {},
+                   .planes = {},
+                   .gravity = {scene.gravity[0], scene.gravity[1]},
+                   .restitution = scene.contact.restitution,
+                   .friction = scene.contact.friction};
+  for (size_t i = 0; i < scene.bodies.size(); ++i) {
+    const Body& body = scene.bodies[i];
+    RigidBody2D disc{.name = body.name,
+                     .radius = body.radius,
+                     .mass = body.mass,
+                     .position = {body.position[0], body.position[1]},
+                     .velocity = {body.velocity[0], body.velocity[1]},
+                     .angle = body.angle,
+                     .spin = body.angular_velocity};
+    if (body.Spins()) disc.inertia = body.MomentOfInertia();
+    disc.joint.kind = body.fixed     ? RigidJoint2D::Kind::kWeld
+                      : body.Spins() ? RigidJoint2D::Kind::kFree
+                                     : RigidJoint2D::Kind::kTranslation;
+    disc.pushed = std::count(scene.control.bodies.begin(), scene.control.bodies.end(), static_cast<int>(i)) > 0;
+    out.bodies.push_back(disc);
+  }
+  for (const Plane& plane : scene.planes) {
+    const double length = std::hypot(plane.normal[0], plane.normal[1]);
+    out.planes.push_back(
+        {.point = {plane.point[0], plane.point[1]}, .normal = {plane.normal[0] / length, plane.normal[1] / length}});
+  }
+  return out;
+}
+
+// The motion of a scene by `event` and as a mechanical system: final positions and velocities, and their derivatives by
+// these at the start.
+void ExpectSameMotion(const Scene& scene, double tolerance, double gradient_tolerance) {
+  const auto exact = MakeSimulator({"event"}, scene, Precision::kDouble);
+  const std::vector<double> x0 = InitialState(scene), control = InitialControl(scene, exact->num_steps());
+  ASSERT_TRUE(exact->Rollout(x0, control));
+  std::vector<double> state(exact->state_size());
+  exact->GetState(exact->num_steps(), state);
+
+  const RigidBodies2D bodies(RigidOf(scene));
+  const MechanicalSystem system(bodies);
+  HybridInput input{.initial = bodies.InitialState(),
+                    .parameters = bodies.Parameters(),
+                    .duration = scene.duration,
+                    .num_intervals = scene.steps};
+  const int width = system.hybrid().num_controls();
+  for (int k = 0; k < scene.steps && width > 0; ++k) {
+    std::vector<double> forces(width, 0.0);
+    int place = 0;
+    for (size_t b = 0; b < scene.bodies.size(); ++b) {
+      const auto found = std::find(scene.control.bodies.begin(), scene.control.bodies.end(), static_cast<int>(b));
+      if (found == scene.control.bodies.end()) continue;
+      const size_t index = found - scene.control.bodies.begin();
+      for (int i = 0; i < 2; ++i) forces[place + i] = control[(k * scene.control.bodies.size() + index) * 2 + i];
+      place += 3;
+    }
+    input.control.insert(input.control.end(), forces.begin(), forces.end());
+  }
+  const MechanicalSystem::Start start =
+      system.FindMode(input.initial, std::span(input.control).first(width), input.parameters);
+  ASSERT_GE(start.mode, 0) << start.why;
+  input.mode = start.mode;
+  HybridSimulator simulator(system.hybrid(), {.tolerance = 1e-13});
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  // Where x, y of a disc and their rates are in the states of the scene, in its initial state and in the mechanical
+  // ones.
+  struct Place {
+    int of_scene, at_start, of_system;
+  };
+  std::vector<Place> places;
+  const int n = static_cast<int>(input.initial.size()) / 2, per_body = exact->body_size();
+  int coordinate = 0;
+  for (size_t b = 0; b < scene.bodies.size(); ++b) {
+    if (scene.bodies[b].fixed) continue;
+    for (int i = 0; i < 2; ++i) {
+      const int disc = static_cast<int>(b);
+      places.push_back({disc * per_body + i, disc * 4 + i, coordinate + i});
+      places.push_back({disc * per_body + 2 + i, disc * 4 + 2 + i, n + coordinate + i});
+    }
+    coordinate += scene.bodies[b].Spins() ? 3 : 2;
+  }
+  for (const Place& place : places) {
+    EXPECT_NEAR(simulator.final_state()[place.of_system], state[place.of_scene], tolerance) << place.of_scene;
+  }
+  for (const Place& of : places) {
+    std::vector<double> cotangent(state.size()), own(2 * n);
+    cotangent[of.of_scene] = 1;
+    own[of.of_system] = 1;
+    Sensitivity expected;
+    exact->Adjoint(cotangent, /*with_parameters=*/false, &expected);
+    const HybridGradient gradient = simulator.Adjoint(own);
+    double largest = 1;
+    for (const double entry : expected.initial) largest = std::max(largest, std::abs(entry));
+    for (const Place& by : places) {
+      EXPECT_NEAR(gradient.initial[by.of_system], expected.initial[by.at_start], gradient_tolerance * largest)
+          << of.of_scene << " by " << by.at_start;
+    }
+  }
+}
+
+TEST(DiscsAsRigidBodies, EqualTheModelEvent) {
+  {
+    SCOPED_TRACE("two_balls");
+    ExpectSameMotion(ProblemScene("two_balls"), 1e-10, 1e-9);
+  }
+  for (const double friction : {0.0, 0.3}) {
+    SCOPED_TRACE(friction);
+    ExpectSameMotion(FourDiscs(friction), 1e-10, 1e-9);
+  }
+}
+
+TEST(DiscsAsRigidBodies, EqualTheModelEventInClosedContact) {
+  Scene scene;
+  scene.name = "slope";
+  scene.duration = 1.5;
+  scene.steps = 60;
+  scene.gravity = {0, -9.81};
+  scene.planes = {{"slope", {0, 0}, {0.3, 1}}};
+  scene.contact = {.restitution = 0, .friction = 0.2};
+  scene.bodies = {{.name = "disc", .radius = 0.2, .mass = 1.5, .position = {0, 1}, .velocity = {1, 0}}};
+  scene.optimize = Optimize::kVelocity;
+  ExpectSameMotion(scene, 1e-10, 1e-9);  // it lands and slides on
+  scene.contact.restitution = 0.5;
+  scene.duration = 2.5;
+  ExpectSameMotion(scene, 1e-8, 1e-6);  // its bounces accumulate before
+  scene.contact.friction = 0.6;
+  ExpectSameMotion(scene, 1e-8, 1e-6);  // it comes to rest
+  scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
+  scene.contact.restitution = 0;
+  ExpectSameMotion(scene, 1e-10, 1e-9);  // it rolls
+}
+
+TEST(RigidBodies, JointsToTheWorld) {
+  // A rod that turns about its end is a pendulum; a block on a slide falls along it.
+  const RigidBodies2D scene({.bodies = {{.name = "rod",
+                                         .polygon = BoxPolygon(0.01, 0.5),
+                                         .mass = 2,
+                                         .position = {0, -0.5},
+                                         .angle = 0.1,
+                                         .joint = {.kind = RigidJoint2D::Kind::kRevolute, .point = {0, 0}}},
+                                        {.name = "block",
+                                         .polygon = BoxPolygon(0.1, 0.1),
+                                         .mass = 3,
+                                         .position = {5, 0},
+                                         .joint = {.kind = RigidJoint2D::Kind::kPrismatic, .axis = {0.6, -0.8}}}},
+                             .friction = 0});
+  const MechanicalSystem system(scene);
+  const std::vector<double> x = scene.InitialState();
+  const MechanicalSystem::Motion motion = system.MotionIn(0, x, {}, scene.Parameters());
+  // The centre is at (0, -0.5) when the angle is 0.1, so gravity has no moment there.
+  EXPECT_NEAR(motion.acceleration[0], 0, 1e-15);
+  EXPECT_NEAR(motion.acceleration[1], 0.8 * 9.81, 1e-14);
+  std::vector<double> turned = x;
+  turned[0] += 0.5;
+  const double inertia = 2 * (0.01 * 0.01 + 0.25) / 3 + 2 * 0.25;
+  EXPECT_NEAR(system.MotionIn(0, turned, {}, scene.Parameters()).acceleration[0],
+              -2 * 9.81 * 0.5 * std::sin(0.5) / inertia,
+              1e-13);
+}
+
+TEST(RigidBodies, WrongScenesAreReported) {
+  EXPECT_EQ(WhatIsWrongWith(RigidScene2D{.bodies = {{.name = "box", .polygon = BoxPolygon(1, 1)}}}), "");
+  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.name = "box"}}}), HasSubstr("either a polygon or a radius"));
+  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.polygon = {{0, 0}, {0, 1}, {1, 0}}}}}),
+              HasSubstr("not convex"));
+  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.radius = 1, .mass = -1}}}), HasSubstr("mass"));
+  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.radius = 1}}, .planes = {{.normal = {1, 1}}}}),
+              HasSubstr("normal of a plane"));
+}
+
+TEST(RigidBodies, RandomTosses) {
+  int simulated = 0, with_gradient = 0;
+  for (int seed = 1; seed <= 12; ++seed) {
+    const TossedBoxes::Result result = TossedBoxes(seed).Run(/*with_gradient=*/seed <= 6);
+    EXPECT_EQ(result.wrong, "") << "seed " << seed;
+    simulated += result.refused.empty() ? 1 : 0;
+    with_gradient += result.gradient_compared ? 1 : 0;
+  }
+  EXPECT_GT(simulated, 8);
+  EXPECT_GT(with_gradient, 1);
+}
+
+}  // namespace
+}  // namespace saltus
