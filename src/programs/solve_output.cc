@@ -93,8 +93,7 @@ std::string MeaningOf(const Certificate& certificate) {
 }
 
 Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
-  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 12}, {"derivative of exact loss", 3}},
-              3);
+  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 8}, {"derivative of exact loss", 3}}, 3);
   const std::vector<double> given = DesignOf(scene);
   for (const SolvedRun& run : solved.runs) {
     for (size_t i = 0; i < run.report.parameters.size(); ++i) {
