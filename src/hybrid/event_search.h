@@ -44,9 +44,8 @@ class EventSearch {
 
   RungeKutta& integrator() { return integrator_; }
 
-  GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
-
  private:
+  GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
