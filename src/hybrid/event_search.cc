@@ -185,9 +185,14 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return Locate(step, slope, guard, above, s, closing, curvature);
   }
   if (begin.rate < 0 && begin.value < 0) return {};
+  const bool closes = closing != kNever && closing > 0;
   double above = 0;
-  if (!FindAbove(step, slope, guard, closing == kNever || closing <= 0 ? h : closing, &above)) return {};
-  return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
+  if (FindAbove(step, slope, guard, closes ? closing : h, &above)) {
+    return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
+  }
+  // It rises by less than rounding.
+  if (!closes || !(begin.rate > 0) || !(step.t + closing > step.t)) return {};
+  return After(step, slope, guard, closing).rate < 0 ? Found{Found::What::kEvent, closing} : Found{};
 }
 
 }  // namespace saltus

@@ -44,8 +44,9 @@ class EventSearch {
 
   RungeKutta& integrator() { return integrator_; }
 
- private:
   GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
+
+ private:
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);

@@ -81,6 +81,7 @@ TEST(HybridProgram, EveryProblemIsSolved) {
       {"switched_line", "--solver=ceres_lm --iterations=100", 1.52377277537495711456, 1e-8},
       {"switched_oscillator", "--iterations=200", 0, 1e-15},
       {"thermostat", "--iterations=200", 0, 1e-15},
+      {"tossed_box", "--solver=ceres_lm --iterations=100", 0, 1e-15},
       {"turbo_car", "", 40.0 / 3, 1e-8},
       {"two_mass_hopper", "--solver=ceres_lm --iterations=200", 0.0184634928516979, 1e-9},
   };

@@ -323,9 +323,16 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
   // Where contacts are hit in turn, an impact of one parts the others: all of them close together.
   for (const Restitution restitution : {Restitution::kNone, Restitution::kNoneAndHeld}) {
     Impact plastic = HitWith(mode, contact, at, restitution);
-    bool closes = plastic.why.empty();
+    if (!plastic.why.empty()) continue;
+    bool closes = true;
     for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
       if (impact.rebounds[i]) closes = plastic.next[impact.contacts[i]] != 'o';
+    }
+    // None is left that parts too slowly.
+    const Eigen::VectorXd then = plastic.before + plastic.W * plastic.impulse;
+    for (std::size_t i = 0; closes && restitution == Restitution::kNone && i < plastic.contacts.size(); ++i) {
+      const double speed = then[2 * static_cast<Eigen::Index>(i)];
+      closes = plastic.next[plastic.contacts[i]] != 'o' || speed <= 0 || speed >= options_.rest_speed;
     }
     if (!closes) continue;
     plastic.ends_bouncing = true;
@@ -357,7 +364,8 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     if (i == contact) continue;
     if (mode.status[i] == 'o') {
       if (std::abs(equations_.Gap(i, at)) > kAtZero * equations_.GapScale(i, at)) continue;
-      if (!(equations_.RateAlong({i, false}, at.q, at.v, at.p) < 0)) continue;
+      // Where bounces accumulate, contacts that part too slowly to leave close as well.
+      if (!(equations_.RateAlong({i, false}, at.q, at.v, at.p) < (plastic ? options_.rest_speed : 0))) continue;
     }
     candidates.push_back(i);
   }
