@@ -1,8 +1,9 @@
-// What feedback costs on two balls with 480 steps: the linearization of the motion, the gains of the regulator about
-// it, and the propagation of a covariance in closed loop.
+// What feedback costs on two balls with 480 steps, beside a gradient of the loss: the linearization of the motion, the
+// gains of the regulator about it, and the propagation of a covariance in closed loop.
 #include <benchmark/benchmark.h>
 #include <glog/logging.h>
 
+#include "saltus/control/single_shooting.h"
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/regulator.h"
 #include "saltus/scene/scene_file.h"
@@ -28,6 +29,16 @@ struct TwoBalls {
   LinearMotion linear;
   TrackingCost cost;
 };
+
+// The unit of the others: a loss with its gradient.
+void BM_Gradient(benchmark::State& state) {
+  SingleShooting shooting(MakeSimulator({"event"}, TwoBalls::ReadScene(), Precision::kDouble));
+  const std::vector<double> z = shooting.initial_guess();
+  std::vector<double> gradient(z.size());
+  double loss = 0;
+  for (auto _ : state) benchmark::DoNotOptimize(shooting.Evaluate(z, &loss, gradient.data()));
+}
+BENCHMARK(BM_Gradient)->Unit(benchmark::kMillisecond);
 
 void BM_Linearize(benchmark::State& state) {
   const TwoBalls balls;

@@ -44,6 +44,7 @@ void BindSolve(py::module_* module);
 void BindAudit(py::module_* module);
 void BindIdentify(py::module_* module);
 void BindContact(py::module_* module);
+void BindFeedback(py::module_* module);
 void BindHybrid(py::module_* module);
 
 }  // namespace saltus::python

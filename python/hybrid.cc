@@ -2,7 +2,6 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
-#include <array>
 #include <memory>
 #include <mutex>
 #include <tuple>
@@ -12,10 +11,9 @@
 #include "computation.h"
 #include "control/hybrid_shooting.h"
 #include "convert.h"
+#include "feedback.h"
 #include "hybrid/recorded_functions.h"
 #include "programs/hybrid_document.h"
-#include "saltus/feedback/covariance.h"
-#include "saltus/feedback/regulator.h"
 
 namespace saltus::python {
 namespace {
@@ -290,10 +288,26 @@ class Problem {
     return py::make_tuple(ToPython(document), computation.StoppedBy());
   }
 
-  // Gains, cost to go and closed loop of each interval; and of a regulator in continuous time, at the events: time,
-  // saltation matrix, gains and costs before and after.
-  py::tuple Track(const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R, const Eigen::MatrixXd& QT,
-                  bool continuous) {
+  // The motion from the guess, for feedback.
+  PlannedMotion Planned() {
+    PlannedMotion planned;
+    Compute([&] {
+      const auto simulator = std::make_shared<HybridSimulator>(problem_.system, problem_.integration);
+      if (!simulator->Rollout(problem_.guess)) throw std::runtime_error(simulator->WhyFailed());
+      planned = {
+          .plan = MakePlan(*simulator, problem_.guess),
+          .linear = Linearize(*simulator, problem_.guess),
+          .what_is_wrong_with = [simulator](const TrackingCost& cost) { return WhatIsWrongWith(cost, *simulator); },
+          .make_plant = [system = problem_.system,
+                         guess = problem_.guess,
+                         steps = simulator->steps_per_interval()] { return MakePlant(system, guess, steps); },
+          .remark = simulator->WhyNotDifferentiable()};
+    });
+    return planned;
+  }
+
+  py::tuple TrackContinuously(const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
+                              const Eigen::MatrixXd& QT) {
     Regulator regulator;
     std::string remark;
     Compute([&] {
@@ -303,42 +317,13 @@ class Problem {
       if (const std::string wrong = WhatIsWrongWith(cost, simulator); !wrong.empty()) {
         throw std::invalid_argument(wrong);
       }
-      regulator = continuous ? TrackContinuously(simulator, problem_.guess, cost)
-                             : saltus::Track(Linearize(simulator, problem_.guess), cost);
+      regulator = saltus::TrackContinuously(simulator, problem_.guess, cost);
       if (regulator.gains.empty()) {
         throw std::runtime_error("two transitions without time between them: no regulator in continuous time");
       }
       remark = simulator.WhyNotDifferentiable();
     });
-    py::list events;
-    for (const Regulator::AtEvent& at : regulator.events) {
-      events.append(
-          py::make_tuple(at.time, at.saltation, at.gain_before, at.gain_after, at.cost_before, at.cost_after));
-    }
-    return py::make_tuple(regulator.gains, regulator.cost_to_go, regulator.closed_loop, events, remark);
-  }
-
-  // Covariances at the nodes, standard deviations of the events' times, risks, the probability of them, the warning.
-  py::tuple Propagate(const std::array<Eigen::MatrixXd, 4>& covariances, const std::vector<Eigen::MatrixXd>& gains) {
-    Covariance found;
-    std::string remark;
-    Compute([&] {
-      HybridSimulator simulator(problem_.system, problem_.integration);
-      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
-      const LinearMotion motion = Linearize(simulator, problem_.guess);
-      const Noise noise{covariances[0], covariances[1], covariances[2], covariances[3]};
-      if (const std::string wrong = WhatIsWrongWith(noise, motion); !wrong.empty()) throw std::invalid_argument(wrong);
-      const Regulator regulator{.gains = gains};
-      if (const std::string wrong = WhatIsWrongWith(regulator, motion); !gains.empty() && !wrong.empty()) {
-        throw std::invalid_argument(wrong);
-      }
-      found = saltus::Propagate(motion, noise, gains.empty() ? nullptr : &regulator);
-      remark = simulator.WhyNotDifferentiable();
-    });
-    std::vector<std::tuple<std::string, double, double>> risks;
-    for (const SequenceRisk& risk : found.risks) risks.emplace_back(risk.what, risk.time, risk.probability);
-    const std::string warning = found.Warning();
-    return py::make_tuple(found.nodes, found.event_times, risks, found.change_probability, warning, remark);
+    return RegulatorToPython(regulator, remark);
   }
 
   // Of a scheme in Python, or if `command` is not empty of that command.
@@ -430,8 +415,8 @@ void BindHybrid(py::module_* module) {
            py::arg("iterations"),
            py::arg("learning_rate"),
            py::arg("callback"));
-  problem.def("track", &Problem::Track, py::arg("Q"), py::arg("R"), py::arg("QT"), py::arg("continuous"))
-      .def("propagate", &Problem::Propagate, py::arg("covariances"), py::arg("gains"));
+  problem.def("planned", &Problem::Planned)
+      .def("track_continuously", &Problem::TrackContinuously, py::arg("Q"), py::arg("R"), py::arg("QT"));
   problem.def("audit",
               &Problem::Audit,
               py::arg("name"),

@@ -15,5 +15,6 @@ PYBIND11_MODULE(_saltus, module) {
   BindSolve(&module);
   BindAudit(&module);
   BindIdentify(&module);
+  BindFeedback(&module);
   BindHybrid(&module);
 }

@@ -20,7 +20,8 @@ Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
                 loss_and_gradient, solve, hybrid_solvers, audit
-Feedback        track (gives a Regulator) and propagate (gives a Covariance), of a HybridProblem
+Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
+                a scene; SaltedKalmanFilter
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
 Other packages  EndState (for automatic differentiation), saltus.torch, saltus.plot (matplotlib); scipy.optimize takes
                 Simulation.loss_and_gradient with jac=True
@@ -39,23 +40,20 @@ computation.
 """
 
 from ._expression import where
+from ._feedback import Covariance, NoisyRuns, Regulator, SaltedKalmanFilter, noisy_runs, propagate, track
 from ._hybrid import (
-    Covariance,
     HybridAudit,
     HybridGradient,
     HybridProblem,
     HybridRollout,
     HybridRun,
     HybridSystem,
-    Regulator,
     effort,
     final_derivatives,
     final_time,
     hybrid_solvers,
-    propagate,
     residuals,
     terminal,
-    track,
 )
 from ._identify import identify
 from ._own import ContactModel
@@ -79,10 +77,12 @@ __all__ = [
     "HybridRollout",
     "HybridRun",
     "HybridSystem",
+    "NoisyRuns",
     "Regulator",
     "Result",
     "Rollout",
     "Run",
+    "SaltedKalmanFilter",
     "Scene",
     "SceneError",
     "Simulation",
@@ -99,6 +99,7 @@ __all__ = [
     "load_result",
     "load_scene",
     "loss_and_gradient",
+    "noisy_runs",
     "propagate",
     "residuals",
     "rollout",

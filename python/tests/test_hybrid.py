@@ -310,3 +310,69 @@ def test_track():
         saltus.propagate(drop, process=-np.eye(2))
     with pytest.raises(ValueError, match="continuous time"):
         saltus.propagate(drop, errors, regulator=continuous)
+    # The runs have the covariance to first order, within four standard errors of its entries.
+    runs = saltus.noisy_runs(drop, errors, regulator=regulator, samples=400)
+    expected = closed.covariances[20]
+    error = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / 400)
+    assert (abs(runs.covariance - expected) < 4 * error).all()
+    assert (runs.counted, runs.failed, runs.otherwise) == (400, 0, 0)
+
+
+def test_feedback_of_a_scene():
+    # The height of a disc is that of the ball; the other direction has no part in it.
+    scene = saltus.Scene(
+        name="ball", duration=1.0, steps=20, optimize="control", gravity=[0, -9.8],
+        bodies=[{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 4.1]}],
+        planes=[{"name": "ground", "point": [0, 0], "normal": [0, 1]}], contact={"restitution": 0.7},
+        control={"bodies": ["ball"], "initial": [[0, 0]]},
+        objective={"terminal": [{"body": "ball", "quantity": "position", "target": [0, 1], "weight": 1}], "effort": 0.1},
+    )
+    drop = ball_problem(initial=[4, 0], parameters=[9.8, 0.7], duration=1.0, control=np.zeros((20, 1)))
+    of_ball = saltus.track(drop, Q=np.diag([1, 0.1]), R=[[0.05]], QT=np.diag([20, 5]))
+    regulator = saltus.track(scene, Q=np.diag([1, 1, 0.1, 0.1]), R=0.05 * np.eye(2), QT=np.diag([20, 20, 5, 5]))
+    for of_disc, of_height in zip(regulator.gains, of_ball.gains):
+        assert_allclose(of_disc[1, [1, 3]], of_height[0], rtol=1e-9)
+    errors = 1e-4 * np.eye(4)
+    closed = saltus.propagate(scene, errors, regulator=regulator).covariances[-1]
+    of_height = saltus.propagate(drop, errors[:2, :2], regulator=of_ball).covariances[-1]
+    assert_allclose(closed[np.ix_([1, 3], [1, 3])], of_height, rtol=1e-8)
+    # A plan of its own, in another model, whose positions follow the velocities at the ends of steps.
+    plan = np.tile([[0.5, 0.0]], (20, 1, 1))
+    runs = saltus.noisy_runs(scene, 1e-6 * np.eye(4), plan=plan, contact="toi_velocity", samples=50)
+    assert runs.counted == 50 and abs(runs.mean[0] - 0.5 * 0.05**2 * 20 * 21 / 2) < 1e-3
+    with pytest.raises(ValueError, match="R: found a matrix of 1 x 1, expected 2 x 2"):
+        saltus.track(scene, Q=np.eye(4), R=[[1.0]], QT=np.eye(4))
+    with pytest.raises(ValueError, match="plan"):
+        saltus.propagate(scene, errors, plan=np.zeros((3, 1, 2)))
+    with pytest.raises(ValueError, match="HybridProblem"):
+        saltus.track(scene, Q=np.eye(4), R=np.eye(2), QT=np.eye(4), continuous=True)
+
+
+def test_filter():
+    # Exact values: prediction and update of the falling ball, by hand; the disc has the same.
+    ball = ball_problem(initial=[1, 0], parameters=[9.8, 0.7], duration=1.0, control=np.zeros((1, 1))).system
+    disc = {"name": "ball", "duration": 1, "steps": 1, "gravity": [0, -9.8], "contact": {"restitution": 0.7},
+            "bodies": [{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 4]}],
+            "planes": [{"name": "ground", "point": [0, 0], "normal": [0, 1]}],
+            "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 1], "weight": 1}]},
+            "optimize": "velocity"}
+    P = np.diag([0.01, 0.04])
+    filters = [
+        (saltus.SaltedKalmanFilter(ball, [1, 0], P, parameters=[9.8, 0.7]), [0, 1], 0),
+        (saltus.SaltedKalmanFilter(disc, [0, 1.1, 0, 0], np.diag([1, 0.01, 1, 0.04])), [1, 3], 0.1),
+    ]
+    for estimate, (y, v), ground in filters:
+        estimate.predict(0.1)
+        assert_allclose(estimate.mean[[y, v]], [0.951 + ground, -0.98], rtol=1e-10)
+        C = np.eye(len(estimate.mean))[[y]]
+        before = estimate.covariance[y, y]
+        assert_allclose(before, 0.01 + 0.01 * 0.04, rtol=1e-10)
+        estimate.update([1.02 + ground], C, [[0.0025]])
+        assert_allclose(estimate.mean[y], 0.951 + ground + before / (before + 0.0025) * 0.069, rtol=1e-10)
+        estimate.predict(0.6)  # past the impact
+        assert estimate.mean[v] > 0 and estimate.time == 0.6
+        with pytest.raises(ValueError, match="time"):
+            estimate.predict(0.5)
+    assert filters[0][0].mode == "flight" and filters[1][0].mode == ""
+    with pytest.raises(ValueError, match="mean: expected 4 numbers"):
+        saltus.SaltedKalmanFilter(disc, [0, 1], P)

@@ -104,12 +104,11 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
         // One follows from the other.
       } else if (last) {
         // Covariance with the time of the event before.
-        double covariance = (last_by_state * by_state.transpose()).value();
-        if (before.size() > 0) {
-          covariance =
-              (before * P * by_state.transpose() + before_by_control * of_control * event.by_control.transpose())
-                  .value();
-        }
+        const double covariance =
+            before.size() > 0
+                ? (before * P * by_state.transpose() + before_by_control * of_control * event.by_control.transpose())
+                      .value()
+                : (last_by_state * by_state.transpose()).value();
         const double difference = std::max(0.0, variance + last->variance - 2 * covariance);
         add_risk(event.name + " comes before " + last->name,
                  event.time,

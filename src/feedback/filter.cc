@@ -3,10 +3,14 @@
 #include <glog/logging.h>
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include "feedback/noisy_states.h"
+#include "saltus/simulate/registry.h"
+#include "scene/scene_overlap.h"
 
 namespace saltus {
 namespace {
@@ -20,53 +24,196 @@ HybridOptions BehindGuards(HybridOptions options) {
 
 }  // namespace
 
+namespace internal {
+
+// What the mean of a filter follows.
+class FilterMotion {
+ public:
+  virtual ~FilterMotion() = default;
+  // Moves the mean over a time > 0, s, and gives the derivative F of the state at the end by that at the beginning.
+  // Returns why it cannot, or an empty text.
+  virtual std::string Advance(double from, double duration, std::span<const double> control, int* mode,
+                              Eigen::VectorXd* x, Eigen::MatrixXd* F) = 0;
+  virtual const std::vector<HybridEvent>& events() const = 0;
+};
+
+}  // namespace internal
+
+namespace {
+
+class HybridMotion final : public internal::FilterMotion {
+ public:
+  HybridMotion(HybridSystem system, std::vector<double> parameters, HybridOptions integration)
+      : simulator_(std::move(system), BehindGuards(integration)), parameters_(std::move(parameters)) {}
+
+  const HybridSystem& system() const { return simulator_.system(); }
+  const std::vector<HybridEvent>& events() const override { return simulator_.events(); }
+
+  std::string Advance(double from, double duration, std::span<const double> control, int* mode, Eigen::VectorXd* x,
+                      Eigen::MatrixXd* F) override {
+    HybridInput input{.parameters = parameters_, .duration = duration, .begin = from};
+    input.control.assign(control.begin(), control.end());
+    input.control.resize(system().num_controls());
+    *F = Eigen::MatrixXd::Identity(x->size(), x->size());
+    if (!TakeEventsBehindGuards(system(), from, input.control, parameters_, mode, x, nullptr, F)) {
+      return "the mean is behind a guard whose resets do not end";
+    }
+    input.mode = *mode;
+    input.initial.assign(x->data(), x->data() + x->size());
+    if (duration > longest_) simulator_.ChooseStepsAnew();
+    longest_ = std::max(longest_, duration);
+    if (!simulator_.Rollout(input)) return simulator_.WhyFailed();
+    const HybridSensitivity by = simulator_.IntervalSensitivities()[0];
+    const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
+    *F = end.leftCols(x->size()) * *F;
+    const std::span<const double> final_state = simulator_.final_state();
+    *x = Eigen::Map<const Eigen::VectorXd>(final_state.data(), final_state.size());
+    *mode = simulator_.final_mode();
+    return "";
+  }
+
+ private:
+  HybridSimulator simulator_;
+  std::vector<double> parameters_;
+  double longest_ = 0;
+};
+
+class SceneMotion final : public internal::FilterMotion {
+ public:
+  explicit SceneMotion(Scene scene) : scene_(std::move(scene)) {
+    scene_.steps = 1;
+    scene_.free.clear();
+    scene_.optimize = scene_.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
+    scene_.objective = {};
+  }
+
+  const std::vector<HybridEvent>& events() const override { return no_events_; }
+
+  std::string Advance(double /*from*/, double duration, std::span<const double> control, int* /*mode*/,
+                      Eigen::VectorXd* x, Eigen::MatrixXd* F) override {
+    std::vector<double> row(control.begin(), control.end());
+    row.resize(scene_.control_width());
+    const double before = TimeSinceTouch(*x, row);
+    Eigen::MatrixXd backwards = Eigen::MatrixXd::Identity(x->size(), x->size());
+    if (before > 0) {
+      *x = Flown(*x, row, -before);
+      const int size = BodySize(*x);
+      for (int b = 0; b < scene_.num_bodies(); ++b) {
+        if (scene_.bodies[b].fixed) continue;
+        for (int j = 0; j < 2; ++j) backwards(size * b + j, size * b + 2 + j) = -before;
+        if (size > 4) backwards(size * b + 4, size * b + 5) = -before;
+      }
+    }
+    if (duration + before != scene_.duration || !simulator_) {
+      scene_.duration = duration + before;
+      simulator_ = MakeSimulator({"event"}, scene_, Precision::kDouble);
+    }
+    std::vector<double> force(simulator_->force_size());
+    simulator_->ExpandForce(row, 0, force);
+    const std::span<const double> state(x->data(), static_cast<std::size_t>(x->size()));
+    StepLinearization step;
+    simulator_->Linearize(state, force, /*with_parameters=*/false, &step);
+    Eigen::MatrixXd by_force;
+    step.ToDense(F, &by_force);
+    *F = *F * backwards;
+    Eigen::VectorXd next(x->size());
+    simulator_->Step(state, force, {next.data(), state.size()});
+    if (!next.allFinite() || !F->allFinite()) return "the mean has no motion of rigid discs, or no derivative of it";
+    *x = next;
+    return "";
+  }
+
+ private:
+  int BodySize(const Eigen::VectorXd& x) const { return static_cast<int>(x.size()) / scene_.num_bodies(); }
+
+  // Free flight for a time that may be negative.
+  Eigen::VectorXd Flown(Eigen::VectorXd x, std::span<const double> row, double time) const {
+    const int size = BodySize(x);
+    std::vector<Vec2d> acceleration(scene_.num_bodies(), scene_.gravity);
+    for (int c = 0; c < static_cast<int>(scene_.control.bodies.size()); ++c) {
+      const int body = scene_.control.bodies[c];
+      acceleration[body] += Vec2d(row[2 * c], row[2 * c + 1]) / scene_.bodies[body].mass;
+    }
+    for (int b = 0; b < scene_.num_bodies(); ++b) {
+      if (scene_.bodies[b].fixed) continue;
+      for (int j = 0; j < 2; ++j) {
+        double &p = x[size * b + j], &v = x[size * b + 2 + j];
+        p += time * (v + 0.5 * time * acceleration[b][j]);
+        v += time * acceleration[b][j];
+      }
+      if (size > 4) x[size * b + 4] += time * x[size * b + 5];
+    }
+    return x;
+  }
+
+  bool Overlaps(const Eigen::VectorXd& x) const {
+    Scene scene = scene_;
+    const int size = BodySize(x);
+    for (int b = 0; b < scene.num_bodies(); ++b) scene.bodies[b].position = Vec2d(x[size * b], x[size * b + 1]);
+    return FindOverlap(scene).has_value();
+  }
+
+  // How long ago discs that overlap touched, s; 0 if none overlap, or if they did not touch within kLongest.
+  double TimeSinceTouch(const Eigen::VectorXd& x, std::span<const double> row) const {
+    constexpr double kLongest = 1, kRounding = 1e-15;
+    if (!Overlaps(x)) return 0;
+    double inside = 0, outside = 1e-6;
+    while (Overlaps(Flown(x, row, -outside))) {
+      inside = outside;
+      outside *= 2;
+      if (outside > kLongest) return 0;
+    }
+    while (outside - inside > kRounding + 1e-12 * outside) {
+      const double middle = 0.5 * (inside + outside);
+      (Overlaps(Flown(x, row, -middle)) ? inside : outside) = middle;
+    }
+    return outside;
+  }
+
+  Scene scene_;
+  std::unique_ptr<Simulator> simulator_;
+  const std::vector<HybridEvent> no_events_;
+};
+
+}  // namespace
+
 SaltedKalmanFilter::SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode,
                                        Eigen::VectorXd mean, Eigen::MatrixXd covariance, HybridOptions integration)
-    : simulator_(std::move(system), BehindGuards(integration)),
-      parameters_(std::move(parameters)),
-      time_(time),
-      mode_(mode),
-      mean_(std::move(mean)),
-      covariance_(std::move(covariance)) {
-  CHECK(mode_ >= 0 && mode_ < simulator_.system().num_modes());
-  CHECK_EQ(mean_.size(), simulator_.system().state_size(mode_));
+    : time_(time), mode_(mode), mean_(std::move(mean)), covariance_(std::move(covariance)) {
+  CHECK(mode_ >= 0 && mode_ < system.num_modes());
+  CHECK_EQ(mean_.size(), system.state_size(mode_));
   CHECK(covariance_.rows() == mean_.size() && covariance_.cols() == mean_.size());
+  motion_ = std::make_unique<HybridMotion>(std::move(system), std::move(parameters), integration);
 }
 
+SaltedKalmanFilter::SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance)
+    : time_(time), mean_(std::move(mean)), covariance_(std::move(covariance)) {
+  CHECK_EQ(mean_.size(), InitialSize(scene));
+  CHECK(covariance_.rows() == mean_.size() && covariance_.cols() == mean_.size());
+  motion_ = std::make_unique<SceneMotion>(std::move(scene));
+}
+
+SaltedKalmanFilter::~SaltedKalmanFilter() = default;
+SaltedKalmanFilter::SaltedKalmanFilter(SaltedKalmanFilter&&) noexcept = default;
+SaltedKalmanFilter& SaltedKalmanFilter::operator=(SaltedKalmanFilter&&) noexcept = default;
+
+const std::vector<HybridEvent>& SaltedKalmanFilter::events() const { return motion_->events(); }
+
 bool SaltedKalmanFilter::Predict(double time, std::span<const double> control, const Eigen::MatrixXd& process) {
-  const HybridSystem& system = simulator_.system();
-  const double duration = time - time_;
-  CHECK_GE(duration, 0.0) << "a filter predicts forwards";
-  if (duration == 0) return true;
-  HybridInput input{.parameters = parameters_, .duration = duration, .begin = time_};
-  input.control.assign(control.begin(), control.end());
-  input.control.resize(system.num_controls());
+  CHECK_GE(time, time_) << "a filter predicts forwards";
+  if (time == time_) return true;
   int mode = mode_;
   Eigen::VectorXd x = mean_;
-  Eigen::MatrixXd F = Eigen::MatrixXd::Identity(x.size(), x.size());
-  if (!TakeEventsBehindGuards(system, time_, input.control, parameters_, &mode, &x, nullptr, &F)) {
-    why_ = "the mean is behind a guard whose resets do not end";
-    return false;
-  }
-  input.mode = mode;
-  input.initial.assign(x.data(), x.data() + x.size());
-  if (duration > longest_) simulator_.ChooseStepsAnew();
-  longest_ = std::max(longest_, duration);
-  if (!simulator_.Rollout(input)) {
-    why_ = simulator_.WhyFailed();
-    return false;
-  }
-  const HybridSensitivity by = simulator_.IntervalSensitivities()[0];
-  const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
-  F = end.leftCols(x.size()) * F;
+  Eigen::MatrixXd F;
+  why_ = motion_->Advance(time_, time - time_, control, &mode, &x, &F);
+  if (!why_.empty()) return false;
   covariance_ = F * covariance_ * F.transpose();
   if (process.size() > 0) {
     CHECK(process.rows() == covariance_.rows() && process.cols() == covariance_.cols()) << "W has another size";
     covariance_ += process;
   }
-  const std::span<const double> final_state = simulator_.final_state();
-  mean_ = Eigen::Map<const Eigen::VectorXd>(final_state.data(), final_state.size());
-  mode_ = simulator_.final_mode();
+  mean_ = std::move(x);
+  mode_ = mode;
   time_ = time;
   return true;
 }

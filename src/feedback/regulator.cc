@@ -115,6 +115,36 @@ double TimeDifference(const Simulator& motion, const Touch& event, std::span<con
   return (times[1] - times[0]) / (2 * width);
 }
 
+// By how much the paths of two discs that collide overlap, across their relative velocity w: the sum d of their radii
+// minus the offset across, which is cross(r, w) / |w| for the relative position r, on either side.
+void AddOverlaps(const Simulator& motion, const Touch& event, std::span<const double> x, LinearInterval* interval) {
+  const Candidate& pair = event.candidate;
+  if (pair.plane || event.kind != ContactKind::kImpact) return;
+  const Scene& scene = motion.scene();
+  const Body &one = scene.bodies[pair.a], &other = scene.bodies[pair.b];
+  const int a = motion.body_size() * pair.a, b = motion.body_size() * pair.b;
+  const Vec2d r(x[a] - x[b], x[a + 1] - x[b + 1]), w(x[a + 2] - x[b + 2], x[a + 3] - x[b + 3]);
+  const double speed = w.norm();
+  if (!(speed > 0)) return;
+  const double offset = (r[0] * w[1] - r[1] * w[0]) / speed;
+  const Vec2d by_r = Vec2d(w[1], -w[0]) / speed;
+  const Vec2d by_w = Vec2d(-r[1], r[0]) / speed - offset / (speed * speed) * w;
+  for (const double side : {-1.0, 1.0}) {
+    const double value = one.radius + other.radius + side * offset;
+    if (!(value > 0)) continue;
+    Eigen::RowVectorXd row = Eigen::RowVectorXd::Zero(static_cast<Eigen::Index>(x.size()));
+    for (int j = 0; j < 2; ++j) {
+      row[a + j] = side * by_r[j];
+      row[b + j] = -side * by_r[j];
+      row[a + 2 + j] = side * by_w[j];
+      row[b + 2 + j] = -side * by_w[j];
+    }
+    interval->guards.push_back({.name = "the overlap of the paths of " + one.name + " and " + other.name,
+                                .value = value,
+                                .by_state = std::move(row)});
+  }
+}
+
 Eigen::MatrixXd Symmetric(const Eigen::MatrixXd& S) { return 0.5 * (S + S.transpose()); }
 
 }  // namespace
@@ -194,6 +224,7 @@ LinearMotion Linearize(const Simulator& motion, std::span<const double> control)
     interval.B.resize(n, m);
     for (int j = 0; j < m; ++j) interval.B.col(j) = by_force.col(static_cast<Eigen::Index>(columns[j]));
     for (; event < touches.size() && touches[event].step == k; ++event) {
+      AddOverlaps(motion, touches[event].touch, x, &interval);
       LinearEvent at{.time = events[event].time,
                      .name = events[event].a + " and " + events[event].b,
                      .by_state = Eigen::RowVectorXd(n),

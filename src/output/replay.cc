@@ -135,23 +135,29 @@ Json MotionToJson(const ReplayMotion& motion, size_t discs, double size, double 
   CHECK(motion.torques.empty() || motion.torques.size() == motion.ends.size() * motion.pushed.size());
   const double position = kPositionQuantum * size, velocity = kOtherQuantum * speed;
   const double force = kOtherQuantum * Largest(motion.control, 0, 2);
-  return {{"label", motion.label},
-          {"remark", motion.remark},
-          {"shown", motion.shown},
-          {"colour", motion.colour},
-          {"dash", DashName(motion.dash)},
-          {"arcs", motion.arcs},
-          {"times", Base64(motion.times)},
-          {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
-          {"angles", motion.angles.empty() ? Json() : Pack(motion.angles, discs, {kAngleQuantum})},
-          {"touches", TouchesToJson(motion)},
-          {"pushed", motion.pushed},
-          {"ends", Base64(motion.ends)},
-          {"control", Pack(motion.control, 2 * motion.pushed.size(), {force})},
-          {"torques",
-           motion.torques.empty()
-               ? Json()
-               : Pack(motion.torques, motion.pushed.size(), {kOtherQuantum * Largest(motion.torques, 0, 1)})}};
+  Json json = {{"label", motion.label},
+               {"remark", motion.remark},
+               {"shown", motion.shown},
+               {"colour", motion.colour},
+               {"dash", DashName(motion.dash)},
+               {"arcs", motion.arcs},
+               {"times", Base64(motion.times)},
+               {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
+               {"angles", motion.angles.empty() ? Json() : Pack(motion.angles, discs, {kAngleQuantum})},
+               {"touches", TouchesToJson(motion)},
+               {"pushed", motion.pushed},
+               {"ends", Base64(motion.ends)},
+               {"control", Pack(motion.control, 2 * motion.pushed.size(), {force})},
+               {"torques",
+                motion.torques.empty()
+                    ? Json()
+                    : Pack(motion.torques, motion.pushed.size(), {kOtherQuantum * Largest(motion.torques, 0, 1)})}};
+  for (const ReplaySpread& spread : motion.spreads) {
+    CHECK_EQ(spread.covariances.size(), spread.times.size() * discs * 3);
+    json["spreads"].push_back(
+        {{"label", spread.label}, {"times", Base64(spread.times)}, {"covariances", Base64(spread.covariances)}});
+  }
+  return json;
 }
 
 }  // namespace

@@ -41,6 +41,13 @@ struct ReplayTouch {
   std::array<double, 2> impulse = {0, 0};  // N s, on disc a, or of the one on disc b the opposite if a is fixed
 };
 
+// How far positions scatter about a motion.
+struct ReplaySpread {
+  std::string label;                // "closed loop"
+  std::vector<double> times;        // s, rising
+  std::vector<double> covariances;  // times.size() x discs x 3: of x, of x and y, of y, m^2
+};
+
 struct ReplayMotion {
   std::string label, remark;  // the remark may be empty
   bool shown = true;          // at first; the reader may change it
@@ -55,6 +62,7 @@ struct ReplayMotion {
   std::vector<double> control;  // K x pushed x 2, N
   std::vector<double> torques;  // K x pushed, N m; empty if no disc is turned
   std::vector<double> ends;     // of the K intervals, s
+  std::vector<ReplaySpread> spreads = {};
 };
 
 struct Replay {

@@ -3,7 +3,6 @@
 #include <gflags/gflags.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <iostream>
@@ -13,6 +12,7 @@
 #include "blackbox/command_scheme.h"
 #include "output/table.h"
 #include "output/text_layout.h"
+#include "programs/feedback_study.h"
 #include "programs/hybrid_document.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
@@ -52,19 +52,11 @@ struct HybridRequest {
   std::vector<std::string> solvers = {};
   std::vector<std::shared_ptr<HybridScheme>> schemes = {};
   SolverOptions options = {};
+  std::optional<FeedbackOptions> feedback = {};
   ProgressMode progress = ProgressMode::kAuto;
 };
 
-double ReadNumber(const std::string& item, const std::string& text) {
-  double value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
-    throw InputError("--set=" + item + ": found '" + text + "', expected a finite number");
-  }
-  return value;
-}
-
-// Where --set puts the value of a name, or null.
+// Where --set puts the value of a name of NamesOf.
 double* PlaceOf(const std::string& name, HybridProblem* problem) {
   const HybridSystem& system = problem->system;
   HybridInput& guess = problem->guess;
@@ -75,7 +67,7 @@ double* PlaceOf(const std::string& name, HybridProblem* problem) {
     if (system.StateName(guess.mode, i) == name) return &guess.initial.at(i);
   }
   if (name == "duration") return &guess.duration;
-  return name == "tolerance" ? &problem->integration.tolerance : nullptr;
+  return &problem->integration.tolerance;
 }
 
 std::vector<std::string> NamesOf(const HybridProblem& problem) {
@@ -88,25 +80,9 @@ std::vector<std::string> NamesOf(const HybridProblem& problem) {
   return names;
 }
 
-std::string Join(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
-}
-
 void ReadSet(HybridProblem* problem) {
-  for (const std::string& item : SplitAtCommas(FLAGS_set)) {
-    const std::size_t equals = item.find('=');
-    if (equals == std::string::npos) throw InputError("--set=" + item + ": expected name=value");
-    const std::string name = item.substr(0, equals);
-    double* place = PlaceOf(name, problem);
-    if (place == nullptr) {
-      const std::vector<std::string> names = NamesOf(*problem);
-      throw InputError("--set=" + item + ": '" + name + "' is unknown; expected some of " + Join(names) +
-                       Suggestion(name, names));
-    }
-    *place = ReadNumber(item, item.substr(equals + 1));
-  }
+  for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, NamesOf(*problem)))
+    *PlaceOf(name, problem) = value;
 }
 
 // The guess's control on another number of intervals: the mean over each.
@@ -128,6 +104,16 @@ void Resample(int intervals, HybridInput* guess, int width) {
   guess->lengths.clear();
 }
 
+std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
+  std::vector<std::string> states, controls;
+  const HybridSystem& system = problem.system;
+  for (int i = 0; i < system.state_size(problem.guess.mode); ++i) {
+    states.push_back(system.StateName(problem.guess.mode, i));
+  }
+  for (int i = 0; i < system.num_controls(); ++i) controls.push_back(system.ControlName(i));
+  return FeedbackFromFlags(states, controls);
+}
+
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   std::vector<std::string> known, names;
   for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
@@ -145,7 +131,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   for (const std::string& name : SplitAtCommas(FLAGS_solver)) {
     if (std::find(known.begin(), known.end(), name) == known.end()) {
       throw InputError("--solver=" + FLAGS_solver + ": '" + name + "' is unknown; expected 'all', 'none' or some of " +
-                       Join(known) + Suggestion(name, known));
+                       Joined(known) + Suggestion(name, known));
     }
     if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
   }
@@ -167,6 +153,7 @@ bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
     Resample(std::max(1, FLAGS_steps), &problem.guess, problem.system.num_controls());
   if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw InputError(wrong);
   request->solvers = ReadSolvers(problem);
+  request->feedback = ReadFeedback(problem);
   request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : ProgramDefaults().iterations;
   if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
   if (IsGiven("learning_rate")) {
@@ -236,6 +223,7 @@ struct HybridResults {
   Json document;
   std::vector<SolveReport> reports;
   std::vector<HybridAudit> audits;
+  std::vector<std::pair<std::string, FeedbackStudy>> studies;  // of each solution; of the guess without solvers
 };
 
 HybridResults Compute(const HybridRequest& request) {
@@ -253,12 +241,20 @@ HybridResults Compute(const HybridRequest& request) {
   const std::size_t tasks = request.solvers.size() + request.schemes.size();
   Progress progress(request.progress, stderr, request.name, static_cast<std::int64_t>(tasks));
   progress.UnitsDiffer();
+  const auto study = [&](const std::string& label, const HybridInput& input, Json* item) {
+    if (!request.feedback) return;
+    results.studies.emplace_back(label, StudyFeedback(problem, input, *request.feedback, request.options.threads));
+    (*item)["feedback"] = FeedbackToJson(results.studies.back().second, FLAGS_states);
+  };
+  if (request.solvers.empty()) study("initial guess", problem.guess, &document);
   for (const std::string& solver : request.solvers) {
     progress.Advance(0, solver);
     results.reports.push_back(Solve(solver, problem, request.options));
     progress.Advance();
     results.reports.back().contact = request.name;
     document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), FLAGS_states));
+    if (results.reports.back().losses.empty()) continue;
+    study(solver, SolutionOf(problem, results.reports.back()), &document["runs"].back());
   }
   HybridAuditOptions options{.width_sweep = FLAGS_width_sweep, .stop = InterruptGuard::Interrupted};
   if (FLAGS_steps > 0) options.steps = FLAGS_steps;
@@ -409,6 +405,12 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
   }
   print(request.name + ": solvers", RunsTable(results.reports));
   print(request.name + ": solutions", SolutionTable(request.problem, results.reports));
+  if (!results.studies.empty()) {
+    NamedStudies studies;
+    for (const auto& [label, study] : results.studies) studies.emplace_back(label, &study);
+    print(request.name + ": " + FeedbackCaption(*request.feedback), FeedbackTable(studies));
+    for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, layout.width) << std::endl;
+  }
   print(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
 }
 

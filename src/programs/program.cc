@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <charconv>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -24,6 +25,7 @@
 #include "base/interrupt.h"
 #include "base/suggestion.h"
 #include "output/text_layout.h"
+#include "programs/feedback_study.h"
 #include "programs/program_flags.h"
 #include "programs/saved_solution.h"
 #include "programs/surrogate_flags.h"
@@ -185,6 +187,28 @@ std::vector<std::string> SplitAtCommas(const std::string& list) {
   std::stringstream stream(list);
   for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
   return items;
+}
+
+std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& flag, const std::string& list,
+                                                            const std::vector<std::string>& names) {
+  std::vector<std::pair<std::string, double>> pairs;
+  for (const std::string& item : SplitAtCommas(list)) {
+    const std::string place = "--" + flag + "=" + item + ": ";
+    const size_t equals = item.find('=');
+    if (equals == std::string::npos) throw InputError(place + "expected name=value");
+    const std::string name = item.substr(0, equals), text = item.substr(equals + 1);
+    if (std::find(names.begin(), names.end(), name) == names.end()) {
+      throw InputError(place + "'" + name + "' is unknown; expected some of " + Joined(names) +
+                       Suggestion(name, names));
+    }
+    double value = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
+      throw InputError(place + "found '" + text + "', expected a finite number");
+    }
+    pairs.emplace_back(name, value);
+  }
+  return pairs;
 }
 
 void CheckCommandLine(int argc, char** argv, const Program& program) {
@@ -512,6 +536,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   }
   request->options.search_options = SearchFromFlags();
   request->options.surrogate = SurrogateFromFlags();
+  request->feedback = SceneFeedbackFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
   request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
   request->threads = ThreadsFromFlags();

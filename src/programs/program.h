@@ -1,10 +1,12 @@
 // What all programs share: flags, the scene they describe, exit codes, memory, pages.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "output/page.h"
@@ -32,6 +34,11 @@ void HoldMemoryBackAgain();
 // The items of a comma-separated list; none of an empty one.
 std::vector<std::string> SplitAtCommas(const std::string& list);
 
+// The pairs of a flag's comma-separated list of name=value. Throws InputError for a name that is not one of `names`,
+// and for a value that is no finite number.
+std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& flag, const std::string& list,
+                                                            const std::vector<std::string>& names);
+
 // Throws InputError for a flag that the program does not have, and for flag files that cannot be read.
 void CheckCommandLine(int argc, char** argv, const Program& program);
 
@@ -52,6 +59,18 @@ struct InputError : std::runtime_error {
 // The name of no solver, --solver=none.
 inline constexpr char kNoSolver[] = "none";
 
+// What --feedback asks for.
+struct FeedbackOptions {
+  // The regulator minimizes the integral of state |dx|^2 + control |du|^2, plus final |dx|^2 at the end, in SI units.
+  double state = 10, control = 1e-3, final = 10;
+  // Standard deviations of independent normal errors, by name; not yet multiplied by `scale`.
+  std::vector<std::pair<std::string, double>> deviations;
+  double scale = 1;
+  std::string plant = "event";  // the contact model of the simulated runs of a scene
+  int samples = 1000;           // 0: no runs
+  std::uint64_t seed = 1;
+};
+
 // What the common flags ask for.
 struct Request {
   Scene scene;
@@ -61,8 +80,9 @@ struct Request {
   SolverOptions options;
   int threads = 1;
   std::optional<ControlGuess> start;  // the control that a flag gives, also where none is optimized
-  bool states = false;                // --states
-  std::string output_dir;             // empty: write no files
+  std::optional<FeedbackOptions> feedback = {};
+  bool states = false;     // --states
+  std::string output_dir;  // empty: write no files
   bool json = false;
   ProgressMode progress = ProgressMode::kAuto;
 };

@@ -38,6 +38,21 @@ const FlagGroup kStart = {"Initial guess (these flags override the scene)", {"co
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
     {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
+const FlagGroup kFeedback = {"Feedback and uncertainty",
+                             {"feedback",
+                              "feedback_weights=LIST",
+                              "feedback_noise=LIST",
+                              "feedback_scale=X",
+                              "feedback_plant=MODEL",
+                              "feedback_samples=N",
+                              "feedback_seed=N"}};
+const FlagGroup kHybridFeedback = {"Feedback and uncertainty",
+                                   {"feedback",
+                                    "feedback_weights=LIST",
+                                    "feedback_noise=LIST",
+                                    "feedback_scale=X",
+                                    "feedback_samples=N",
+                                    "feedback_seed=N"}};
 const FlagGroup kOutput = {"Output", {"json", "output_dir=DIR", "progress=NAME", "threads=N"}};
 
 // "scene" of "scene=FILE", "all_formulations" of "[no]all_formulations".
@@ -79,7 +94,14 @@ std::vector<Program> MakePrograms() {
       {kProblems,
        "Computes the gradients of every contact model, and optimises, for a problem of the papers",
        {"[--contact=LIST] [--solver=LIST|none] [--json]"},
-       {kScene, kModels, kSolvers, kStart, {"Audit", {"attribution_seconds=S", "width_sweep"}}, kSurrogate, kOutput}},
+       {kScene,
+        kModels,
+        kSolvers,
+        kStart,
+        {"Audit", {"attribution_seconds=S", "width_sweep"}},
+        kSurrogate,
+        kFeedback,
+        kOutput}},
       {kHybridProblems,
        "Motion, loss with gradient, optimisation and audit of a problem of a hybrid system",
        {"[--set=NAME=VALUE,...] [--solver=LIST|none] [--audit] [--json]"},
@@ -94,6 +116,7 @@ std::vector<Program> MakePrograms() {
           "search_memory=MIB",
           "search_starts=N",
           "search_seed=N"}},
+        kHybridFeedback,
         {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
         {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}},
        "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
@@ -110,7 +133,7 @@ std::vector<Program> MakePrograms() {
       {"saltus_solve",
        "Optimises a scene with the chosen contact models and solvers",
        {"--scene=FILE [--contact=LIST] [--solver=LIST|none] [--json]"},
-       {kScene, kModels, kSolvers, kStart, kSurrogate, {"States", {"states"}}, kOutput}},
+       {kScene, kModels, kSolvers, kStart, kSurrogate, kFeedback, {"States", {"states"}}, kOutput}},
       {"saltus_replay",
        "Writes a page that plays saved motions",
        {"FILE... [--scene=FILE] [--output=FILE.html]"},
@@ -127,6 +150,7 @@ std::vector<Program> MakePrograms() {
         kModelsAndSimulators,
         kSolvers,
         kSurrogate,
+        kFeedback,
         kOutput},
        "With --output_dir, every finished point is written to DIR/sweep.sqlite immediately, and the same command "
        "continues after an interruption or a crash. At the end, DIR has sweep.csv, sweep.npz and figures.\n"

@@ -145,8 +145,19 @@ SolvedRuns SolveAll(const Request& request) {
         options.stop = AskedToStop;
         options.status = say;
         try {
-          if (solver == kNoSolver) return SimulateOnly(request, contact);
-          return SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+          SolvedRun run = solver == kNoSolver
+                              ? SimulateOnly(request, contact)
+                              : SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+          if (!request.feedback || !run.HasSolution()) return run;
+          keep(run);
+          const SolveReport& report = run.report;
+          run.feedback = StudyFeedback(request.scene,
+                                       report.initial_state,
+                                       report.control,
+                                       report.durations,
+                                       *request.feedback,
+                                       tasks.size() == 1 ? request.threads : 1);
+          return run;
         } catch (const std::bad_alloc&) {
           HoldMemoryBackAgain();
           return WithoutLosses(solver, contact, Termination::kFailed, kMemoryRanOut);
@@ -220,7 +231,14 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
     std::cout << name << ": parameters that were optimized, SI units\n\n" << design.ToText(layout) << std::endl;
   }
   const Table certificates = CertificateTable(solved);
-  if (certificates.rows().empty()) return;
+  const auto print_feedback = [&] {
+    const NamedStudies studies = StudiesOf(solved);
+    if (studies.empty()) return;
+    std::cout << Paragraph(name + ": " + FeedbackCaption(*request.feedback), layout.width) << "\n"
+              << FeedbackTable(studies).ToText(layout) << std::endl;
+    for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, layout.width) << std::endl;
+  };
+  if (certificates.rows().empty()) return print_feedback();
   char tolerance[16];
   std::snprintf(tolerance, sizeof tolerance, "%g", kCertificateTolerance);
   std::cout << Paragraph(name + ": certificates of the exact loss, stationary with a residual of at most " + tolerance +
@@ -228,6 +246,7 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
                          layout.width)
             << "\n"
             << certificates.ToText(layout) << std::endl;
+  print_feedback();
 }
 
 std::string RemarkOn(const SolvedRun& run) {

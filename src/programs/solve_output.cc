@@ -93,8 +93,7 @@ std::string MeaningOf(const Certificate& certificate) {
 }
 
 Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
-  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 12}, {"derivative of exact loss", 3}},
-              3);
+  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 8}, {"derivative of exact loss", 3}}, 3);
   const std::vector<double> given = DesignOf(scene);
   for (const SolvedRun& run : solved.runs) {
     for (size_t i = 0; i < run.report.parameters.size(); ++i) {
@@ -344,6 +343,18 @@ void AddDrawn(const Scene& scene, Json* document) {
   }
 }
 
+std::string LabelOfRun(const SolveReport& report) {
+  return LabelOf(report.contact, report.surrogate) + (report.solver == kNoSolver ? "" : " " + report.solver);
+}
+
+NamedStudies StudiesOf(const SolvedRuns& solved) {
+  NamedStudies studies;
+  for (const SolvedRun& run : solved.runs) {
+    if (run.feedback) studies.emplace_back(LabelOfRun(run.report), &*run.feedback);
+  }
+  return studies;
+}
+
 std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
   return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
 }
@@ -363,10 +374,6 @@ void WriteSolutions(const Request& request, const SolvedRuns& solved) {
 namespace {
 
 constexpr size_t kMostMotions = 8;  // in a replay
-
-std::string LabelOfRun(const SolveReport& report) {
-  return LabelOf(report.contact, report.surrogate) + (report.solver == kNoSolver ? "" : " " + report.solver);
-}
 
 // Colours tell contact models apart, dashes the solvers.
 struct RunStyle {
@@ -422,6 +429,28 @@ bool IsExact(const SolveReport& report) { return FindContactModel(report.contact
 
 MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
 
+// The covariances of the positions along a plan, at 400 nodes at most.
+std::vector<ReplaySpread> SpreadsOf(const Scene& scene, const FeedbackStudy& study) {
+  std::vector<ReplaySpread> spreads;
+  if (!study.reason.empty()) return spreads;
+  const size_t every = study.times.size() / 400 + 1;
+  const auto add = [&](const char* label, const Covariance& covariance) {
+    ReplaySpread& spread = spreads.emplace_back();
+    spread.label = label;
+    const Eigen::Index size = study.planned.size() / scene.num_bodies();
+    for (size_t k = 0; k < study.times.size(); k += every) {
+      spread.times.push_back(study.times[k]);
+      const Eigen::MatrixXd& P = covariance.nodes[k];
+      for (Eigen::Index i = 0; i < P.rows(); i += size) {
+        spread.covariances.insert(spread.covariances.end(), {P(i, i), P(i, i + 1), P(i + 1, i + 1)});
+      }
+    }
+  };
+  if (study.closed) add("closed loop", study.closed->covariance);
+  add("open loop", study.open.covariance);
+  return spreads;
+}
+
 // The motions that are shown, of the best runs: each under its own model, and the best in exact dynamics.
 struct RunMotions {
   std::vector<Motion> own;
@@ -452,6 +481,7 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
+    if (runs[i]->feedback && (exact || IsExact(run))) drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
     replay.motions.push_back(std::move(drawn));
   };
   for (size_t i = 0; i < motions.own.size(); ++i) {
@@ -499,7 +529,21 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
         "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of the effort alone.");
   }
   AddImpacts(request.scene, runs, page);
+  const NamedStudies studies = StudiesOf(solved);
+  if (!studies.empty()) {
+    page->AddHeading("Feedback");
+    page->AddTable(FeedbackTable(studies), "The " + FeedbackCaption(*request.feedback) + ".");
+    if (const std::vector<std::string> warnings = FeedbackWarnings(studies); !warnings.empty()) {
+      page->AddList(warnings);
+    }
+  }
   AddRunReplay(request, runs, MotionsOf(request, runs), page);
+  if (!studies.empty()) {
+    page->AddPlot(
+        "spreads",
+        "Deviations of the positions from the plan, which have a probability of 0.95 in each direction, to first "
+        "order. Dotted: impacts.");
+  }
   for (const SolvedRun& run : solved.runs) {
     const RunStyle style = StyleOfRun(request, run.report);
     page->AddStyle(LabelOfRun(run.report), style.colour, style.dash);

@@ -31,6 +31,11 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item);
 // any, by their keys in scene files.
 void AddDrawn(const Scene& scene, Json* document);
 
+// "contact solver", or the contact model alone where nothing was solved.
+std::string LabelOfRun(const SolveReport& report);
+// Those of the runs that have one, by the label of the run.
+NamedStudies StudiesOf(const SolvedRuns& solved);
+
 // <scene>_<contact>_<solver>.npz
 std::string SolutionFileName(const Scene& scene, const SolveReport& report);
 

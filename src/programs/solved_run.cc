@@ -93,6 +93,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition)
         item["position"] = VectorsToJson(request.scene, report.initial_state, 0);
+      if (run.feedback) item["feedback"] = FeedbackToJson(*run.feedback, request.states);
       AddStates(request, run, &item);
     }
     list.push_back(std::move(item));

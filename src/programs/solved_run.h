@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "programs/feedback_study.h"
 #include "programs/json_output.h"
 #include "programs/motion.h"
 #include "programs/program.h"
@@ -18,8 +19,9 @@ struct SolvedRun {
   SolveReport report;
   ExactRun exact;
   std::optional<Certificate> certificate;
-  std::vector<double> final_state;  // B x 4, under its contact model; empty if that fails
-  bool simulated = false;           // nothing was solved, and the start has a finite loss
+  std::vector<double> final_state;        // B x 4, under its contact model; empty if that fails
+  bool simulated = false;                 // nothing was solved, and the start has a finite loss
+  std::optional<FeedbackStudy> feedback;  // if asked for
 
   // Whether there is an initial state and a control to look at.
   bool HasSolution() const { return simulated || !report.losses.empty(); }

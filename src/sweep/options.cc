@@ -26,6 +26,11 @@ Surrogate& SurrogateOf(Request* request) {
   return *request->options.surrogate;
 }
 
+FeedbackOptions& FeedbackOf(Request* request) {
+  if (!request->feedback) throw InputError("the numbers of feedback need --feedback");
+  return *request->feedback;
+}
+
 uint64_t NotNegative(const char* name, double value) {
   if (value < 0) throw InputError(std::string(name) + " must not be negative");
   return static_cast<uint64_t>(value);
@@ -66,6 +71,20 @@ constexpr NumberOption kNumbers[] = {
     {"surrogate_segments",
      kInteger,
      [](double value, Request* r) { SurrogateOf(r).segments = static_cast<int>(value); }},
+    {"feedback_scale",
+     kReal,
+     [](double value, Request* r) {
+       if (!(value >= 0)) throw InputError("feedback_scale must not be negative");
+       FeedbackOf(r).scale = value;
+     }},
+    {"feedback_samples",
+     kInteger,
+     [](double value, Request* r) {
+       FeedbackOf(r).samples = static_cast<int>(NotNegative("feedback_samples", value));
+     }},
+    {"feedback_seed",
+     kInteger,
+     [](double value, Request* r) { FeedbackOf(r).seed = NotNegative("feedback_seed", value); }},
 };
 
 struct BodyOption {
@@ -163,6 +182,8 @@ std::optional<SweepProgram> kept_program;
 std::optional<SweepOptionKind> FindProgramOption(const std::string& name) {
   if (name == "solver") return SweepOptionKind::kWord;
   if (name == "steps" || name == "iterations") return kInteger;
+  if (kept_program->feedback && (name == "feedback_samples" || name == "feedback_seed")) return kInteger;
+  if (kept_program->feedback && name == "feedback_scale") return kReal;
   const std::vector<std::string>& names = kept_program->names;
   const bool known = name == "learning_rate" || std::find(names.begin(), names.end(), name) != names.end();
   return known ? std::optional(kReal) : std::nullopt;
@@ -210,6 +231,7 @@ std::vector<std::string> SweepOptionNames() {
   if (kept_program) {
     std::vector<std::string> names = {"solver", "steps", "iterations", "learning_rate"};
     names.insert(names.end(), kept_program->names.begin(), kept_program->names.end());
+    if (kept_program->feedback) names.insert(names.end(), {"feedback_scale", "feedback_samples", "feedback_seed"});
     return names;
   }
   std::vector<std::string> names = {"contact", "solver", "precision"};

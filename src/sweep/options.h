@@ -16,11 +16,13 @@
 namespace saltus {
 
 // A program of a hybrid system (programs/hybrid_program.h) that is swept in the place of a scene. Its options are
-// `names`, the values of its flag --set, and "solver", "steps", "iterations" and "learning_rate".
+// `names`, the values of its flag --set, "solver", "steps", "iterations" and "learning_rate", and with --feedback in
+// its command "feedback_scale", "feedback_samples" and "feedback_seed".
 struct SweepProgram {
   std::string command;             // for /bin/sh
   std::string name;                // of what it solves
   std::vector<std::string> names;  //
+  bool feedback = false;           // the command has --feedback
 };
 // Keeps it for the functions below and for the points of a study. To be called once, before them.
 void KeepProgram(SweepProgram program);

@@ -6,6 +6,7 @@
 
 #include "output/table.h"
 #include "programs/audit.h"
+#include "programs/feedback_study.h"
 #include "programs/simulators.h"
 #include "programs/solve.h"
 #include "saltus/scene/scene_parameter.h"
@@ -32,6 +33,56 @@ PointResult StartRow(const SweepStudy& study, int64_t point) {
   return result;
 }
 
+// The number under a key, or nothing.
+SweepValue ValueOf(const Json& json, const char* key) {
+  const auto found = json.find(key);
+  if (found == json.end()) return {};
+  if (found->is_string()) return found->get<std::string>();
+  if (found->is_number_integer()) return found->get<int64_t>();
+  return found->is_number() ? FiniteOrNothing(found->get<double>()) : SweepValue();
+}
+
+// The columns of a loop with --feedback, and where its document has them.
+struct FeedbackColumn {
+  const char* name;
+  bool of_runs;
+  const char* key;
+};
+constexpr FeedbackColumn kFeedbackColumns[] = {{"error", true, "final_error"},
+                                               {"error_first_order", false, "final_error"},
+                                               {"loss", true, "loss"},
+                                               {"loss_error", true, "loss_error"},
+                                               {"loss_first_order", false, "expected_loss"},
+                                               {"otherwise", true, "otherwise"},
+                                               {"change_probability", false, "change_probability"},
+                                               {"failed", true, "failed"}};
+
+// The cells of a document's "feedback"; empty ones of an empty document.
+void AppendFeedback(const Json& feedback, SweepRow* row) {
+  const Json none = Json::object();
+  const auto part = [&](const Json& json, const char* key) -> const Json& {
+    const auto found = json.find(key);
+    return found == json.end() ? none : *found;
+  };
+  for (const char* loop : {"open", "closed"}) {
+    const Json& of_loop = part(feedback, loop);
+    for (const FeedbackColumn& column : kFeedbackColumns) {
+      row->push_back(ValueOf(column.of_runs ? part(of_loop, "runs") : of_loop, column.key));
+    }
+  }
+}
+
+// Of a solution, in one thread: points are computed in several processes. A reason why there is none is added to an
+// empty remark.
+void AppendFeedback(const Request& request, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations, SweepRow* row, std::string* remark) {
+  if (!request.feedback) return;
+  const FeedbackStudy study =
+      StudyFeedback(request.scene, initial, control, durations, *request.feedback, /*threads=*/1);
+  if (remark->empty()) *remark = study.reason;
+  AppendFeedback(FeedbackToJson(study, /*states=*/false), row);
+}
+
 bool HasStandardError(const std::optional<Surrogate>& surrogate) { return surrogate && surrogate->smooths(); }
 
 PointStatus StatusOf(Termination termination) {
@@ -53,9 +104,11 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
                      options);
   const SolveReport& report = run.report;
   result.status = StatusOf(report.termination);
+  std::string no_feedback;
   const std::vector<double>& losses = report.losses;
   if (losses.empty()) {
     result.row.resize(result.row.size() + 7);
+    if (request.feedback) AppendFeedback(Json::object(), &result.row);
   } else {
     run.exact = SimulateExactly(
         WithDesign(request.scene, report.parameters), report.initial_state, report.control, report.durations);
@@ -67,12 +120,13 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
+    AppendFeedback(request, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
-  Append({std::string(TerminationToString(termination)), stopped ? TimeLimitReason(seconds) : RemarkOn(run)},
-         &result.row);
+  const std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
+  Append({std::string(TerminationToString(termination)), remark.empty() ? no_feedback : remark}, &result.row);
   return result;
 }
 
@@ -99,7 +153,9 @@ PointResult GradientPoint(const Request& request, PointResult result) {
   if (!gradient.ok()) {
     const bool failed = HasFailed(contact.name(), request.scene) || !IsNotApplicable(gradient, request.scene);
     result.status = failed ? PointStatus::kFailed : PointStatus::kNotApplicable;
-    result.row.resize(result.row.size() + (HasStandardError(surrogate) ? 6 : 5));
+    result.row.resize(result.row.size() + 5);
+    if (request.feedback) AppendFeedback(Json::object(), &result.row);
+    if (HasStandardError(surrogate)) result.row.emplace_back();
     Append({gradient.reason}, &result.row);
     return result;
   }
@@ -118,21 +174,18 @@ PointResult GradientPoint(const Request& request, PointResult result) {
           FiniteOrNothing(Norm(gradient.gradient.control)),
           error},
          &result.row);
+  AppendFeedback(request,
+                 InitialState(request.scene),
+                 InitialControl(request.scene, request.scene.steps),
+                 {},
+                 &result.row,
+                 &remark);
   if (HasStandardError(surrogate)) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
     Append({FiniteOrNothing(norm)}, &result.row);
   }
   Append({remark}, &result.row);
   return result;
-}
-
-// The number under a key, or nothing.
-SweepValue ValueOf(const Json& json, const char* key) {
-  const auto found = json.find(key);
-  if (found == json.end()) return {};
-  if (found->is_string()) return found->get<std::string>();
-  if (found->is_number_integer()) return found->get<int64_t>();
-  return found->is_number() ? FiniteOrNothing(found->get<double>()) : SweepValue();
 }
 
 // The numbers of nested lists.
@@ -162,7 +215,8 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   for (size_t i = 0; i < values.size(); ++i) {
     const std::string& option = study.options()[i];
     const std::string value = ToCell(values[i]).Exact();
-    const bool flag = option == "solver" || option == "steps" || option == "iterations" || option == "learning_rate";
+    const bool flag = option == "solver" || option == "steps" || option == "iterations" || option == "learning_rate" ||
+                      option.starts_with("feedback_");
     (flag ? arguments : set) += flag ? " --" + option + "=" + value : (set.empty() ? "" : ",") + option + "=" + value;
   }
   const SolverOptions& options = study.request().options;
@@ -185,9 +239,10 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
             norm("control"),
             norm("parameters"),
             document.contains("audits") ? ErrorOfAudit(document.at("audits").at(0)) : SweepValue(),
-            static_cast<int64_t>(motion.at("events").size()),
-            std::holds_alternative<std::monostate>(reason) ? SweepValue(std::string()) : reason},
+            static_cast<int64_t>(motion.at("events").size())},
            &result.row);
+    if (KeptProgram()->feedback) AppendFeedback(document.value("feedback", Json::object()), &result.row);
+    Append({std::holds_alternative<std::monostate>(reason) ? SweepValue(std::string()) : reason}, &result.row);
     return result;
   }
   const Json& run = document.at("runs").at(0);
@@ -201,10 +256,10 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
           ValueOf(run, "final_loss"),
           ValueOf(run, "iterations"),
           ValueOf(run, "evaluations"),
-          ValueOf(run, "seconds"),
-          termination,
-          run.value("reason", std::string())},
+          ValueOf(run, "seconds")},
          &result.row);
+  if (KeptProgram()->feedback) AppendFeedback(run.value("feedback", Json::object()), &result.row);
+  Append({termination, run.value("reason", std::string())}, &result.row);
   return result;
 }
 
@@ -218,17 +273,27 @@ std::vector<std::string> ResultColumns(const SweepStudy& study) {
   const auto add = [&](std::initializer_list<const char*> names) {
     columns.insert(columns.end(), names.begin(), names.end());
   };
+  const auto add_feedback = [&] {
+    if (KeptProgram() != nullptr ? !KeptProgram()->feedback : !study.request().feedback) return;
+    for (const std::string loop : {"open_", "closed_"}) {
+      for (const FeedbackColumn& column : kFeedbackColumns) columns.push_back(loop + column.name);
+    }
+  };
   if (study.solving()) {
     add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
+    add_feedback();
     if (study.generates()) add({"memory_mib"});
     add({"termination", "reason"});
     return columns;
   }
   if (KeptProgram() != nullptr) {
-    add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events", "reason"});
+    add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events"});
+    add_feedback();
+    add({"reason"});
     return columns;
   }
   add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
+  add_feedback();
   if (HasStandardError(surrogate)) add({"norm_standard_error"});
   add({"reason"});
   return columns;

@@ -18,6 +18,11 @@ namespace saltus {
 // where the reason of a row with results names ambiguous ties (a gradient then has no relative_error),
 // and before either, of a surrogate: surrogate, and of biased gradients: biased ("yes" or "no"). Before the reason of a
 // gradient that was estimated comes norm_standard_error (over the initial state and the control).
+// With --feedback, before memory_mib, norm_standard_error, termination or reason, of either loop, "open_" and
+// "closed_":
+//   error, error_first_order, loss, loss_error, loss_first_order, otherwise, change_probability, failed
+// (programs/feedback_study.h: final errors and expected losses of the noisy runs and to first order, runs with other
+// events than planned and without a motion). Samples of several seeds are independent.
 // The gradient of a program (options.h) is
 //   loss, norm_dinitial, norm_dcontrol, norm_dparameters, relative_error (of the first scheme that it audits), events,
 //   reason.

@@ -85,7 +85,8 @@ class Solved {
     for (size_t i = 0; i < study_.options().size(); ++i) {
       const std::string& option = study_.options()[i];
       if (option == "contact" || option == "solver" || option == "precision" || option == "iterations" ||
-          option == "learning_rate" || option.starts_with("search_") || option.starts_with("surrogate_")) {
+          option == "learning_rate" || option.starts_with("search_") || option.starts_with("surrogate_") ||
+          option.starts_with("feedback_")) {
         continue;
       }
       problem += option + "=" + ToCell(point.result.row[i]).Exact() + " ";

@@ -166,6 +166,14 @@ std::string SweepStudy::Description() const {
   if (search.seed != usual.seed) description["search_seed"] = search.seed;
   if (request_.options.rate_per_time) description["rate_per_time"] = true;
   AddSurrogate(request_.options.surrogate, &description);
+  if (const std::optional<FeedbackOptions>& feedback = request_.feedback) {
+    description["feedback"] = {{"weights", {feedback->state, feedback->control, feedback->final}},
+                               {"noise", feedback->deviations},
+                               {"scale", feedback->scale},
+                               {"plant", feedback->plant},
+                               {"samples", feedback->samples},
+                               {"seed", feedback->seed}};
+  }
   for (const std::string& contact : request_.contacts) {
     if (const SimulatorCommand* simulator = FindSimulator(contact)) {
       description["simulators"][contact] = simulator->command;

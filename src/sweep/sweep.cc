@@ -256,6 +256,7 @@ void AskProgram() {
       if (mode.at("name") != document.at("guess").at("mode")) continue;
       for (const Json& name : mode.at("states")) program.names.push_back(name);
     }
+    program.feedback = document.contains("feedback");
   } catch (const Json::exception&) {
     throw InputError("--program=" + FLAGS_program + ": is no program of a hybrid system");
   }
@@ -271,6 +272,7 @@ int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
     defaults.generated = std::make_shared<const Scene>(std::move(scene));
   };
   if (!FLAGS_program.empty()) {
+    if (IsGiven("feedback")) throw InputError("--feedback: expected it in the command of --program");
     AskProgram();
     generate(KeptProgram()->name);
   }

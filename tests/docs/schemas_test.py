@@ -33,9 +33,15 @@ RUNS = [
     ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=direct --surrogate=smoothed_zeroth --steps=60 --iterations=3"),
     ("solve", "saltus_solve --scene=problems/back_spin.yaml --contact=event --solver=gd,ceres_phases --states --iterations=5"),
     ("solve", "saltus_solve --scene={bounded} --contact=event --solver=gd,ceres_phases,hmp --iterations=50"),
+    ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=event --solver=none --steps=60 --states --feedback "
+              "--feedback_samples=20 --feedback_noise=state=0.1,force=0.1 --feedback_plant=lcp"),
+    ("solve", "saltus_solve --scene=problems/ground_wall.yaml --contact=event --solver=gd --iterations=3 --steps=60 --feedback "
+              "--feedback_samples=20"),
     ("problem", "two_balls --contact=event,direct --solver=gd --iterations=3"),
     ("hybrid", "slip_hopper --states"),
     ("hybrid", "controlled_ball --solver=all --iterations=20"),
+    ("hybrid", "controlled_ball --solver=ceres_lm --iterations=20 --states --feedback --feedback_samples=20"),
+    ("hybrid", "bouncing_ball --solver=none --feedback --feedback_samples=20"),
     ("hybrid", "bouncing_ball --audit --width_sweep --solver=none --steps=40 --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2"),
     ("hybrid", "bouncing_ball --solver=all --set=e=0.5"),
     ("identify", f"saltus_identify {DROPS} --unknown=restitution,gravity.y"),

@@ -8,6 +8,7 @@
 #include <numbers>
 #include <vector>
 
+#include "feedback/bouncing_disc.h"
 #include "problems/hybrid/bouncing_ball.h"
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/filter.h"
@@ -157,6 +158,27 @@ TEST_F(BallInClosedLoop, ProbabilityThatTheImpactComesTooLate) {
       samples.otherwise / 4000.0, covariance.change_probability, 0.1 * expected + 4 * std::sqrt(expected / 4000));
 }
 
+// Two bounces in one interval: the second may come before the first, whose times are correlated.
+TEST_F(BallInClosedLoop, TwoImpactsInOneInterval) {
+  const HybridInput input{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 2.5};
+  ASSERT_TRUE(motion_.Rollout(input));
+  ASSERT_EQ(motion_.events().size(), 2u);
+  const Noise noise{.initial = Eigen::Vector2d(1, 0).asDiagonal()};
+  const Covariance covariance = Propagate(Linearize(motion_, input), noise);
+  // t_1 = s and t_2 = s (1 + 2 e), with ds = dy / (g s).
+  const double s = std::sqrt(8 / 9.8), deviation = 1 / (9.8 * s);
+  ASSERT_EQ(covariance.event_times.size(), 2u);
+  EXPECT_NEAR(covariance.event_times[0], deviation, 1e-10);
+  EXPECT_NEAR(covariance.event_times[1], 2.4 * deviation, 1e-10);
+  // Both in two intervals.
+  HybridInput halves = input;
+  halves.num_intervals = 2;
+  ASSERT_TRUE(motion_.Rollout(halves));
+  const Covariance in_halves = Propagate(Linearize(motion_, halves), noise);
+  EXPECT_GT(covariance.change_probability, 0.05);
+  EXPECT_NEAR(in_halves.change_probability, covariance.change_probability, 1e-9);
+}
+
 class DiscsInClosedLoop : public ::testing::Test {
  protected:
   DiscsInClosedLoop() {
@@ -212,6 +234,24 @@ TEST_F(DiscsInClosedLoop, SamplesHaveThePropagatedCovariance) {
   EXPECT_LT(closed.covariance.trace(), open.covariance.trace());
 }
 
+// Discs with large errors miss each other: as often as the overlap of their paths says.
+TEST_F(DiscsInClosedLoop, ProbabilityThatTheDiscsMiss) {
+  const Noise noise{.initial = 0.01 * MatrixXd::Identity(8, 8)};
+  const Covariance covariance = Propagate(linear_, noise);
+  EXPECT_NE(covariance.Warning().find("the overlap of the paths of striker and target falls below zero"),
+            std::string::npos)
+      << covariance.Warning();
+  // Head-on: the offset across is that of positions at the time at which the centres would meet.
+  const auto k = static_cast<std::size_t>(std::lround(covariance.risks[0].time / motion_->step()));
+  const VectorXd& x = plan_.states[k];
+  const double distance = std::hypot(x[0] - x[4], x[1] - x[5]), speed = std::hypot(x[2] - x[6], x[3] - x[7]);
+  const double time = linear_.intervals[k].begin + distance / speed, deviation = std::sqrt(0.02 * (1 + time * time));
+  EXPECT_NEAR(covariance.risks[0].probability, 0.5 * std::erfc(0.4 / deviation / std::numbers::sqrt2), 1e-9);
+  const MonteCarlo samples = RunMonteCarlo(plan_, {}, noise, [&] { return Discs("event"); }, {.samples = 2000});
+  const double expected = covariance.change_probability;
+  EXPECT_NEAR(samples.otherwise / 2000.0, expected, 0.5 * expected + 4 * std::sqrt(expected / 2000));
+}
+
 // The plan of exact dynamics, followed under a model that resolves no impact times.
 TEST_F(DiscsInClosedLoop, FollowsThePlanUnderAnotherModel) {
   const std::unique_ptr<Plant> discs = Discs("lcp");
@@ -237,6 +277,40 @@ TEST(Filter, MeanBehindAGuard) {
   Eigen::Matrix2d salted{{-0.7, 0}, {1.7 * 9.8 / 3, -0.7}}, flow{{1, 0.1}, {0, 1}};
   const MatrixXd F = flow * salted, expected = F * Eigen::Vector2d(0.005, 0.01).asDiagonal() * F.transpose();
   EXPECT_LE((filter.covariance() - expected).cwiseAbs().maxCoeff(), 1e-14);
+}
+
+// A disc that a measurement has put into the ground bounces where it touched: the mean and the derivative are those of
+// the closed form, as of a disc that is followed from before the bounce.
+TEST(Filter, MeanOfADiscInTheGround) {
+  Scene scene;
+  scene.bodies = {{.name = "disc", .radius = kDiscRadius, .position = Vec2d(0, 1)}};
+  scene.planes = {{.name = "ground", .point = Vec2d(0, 0), .normal = Vec2d(0, 1)}};
+  scene.gravity = Vec2d(0, -kDiscGravity);
+  scene.contact.restitution = kDiscRestitution;
+  const Eigen::Vector4d x(0.3, kDiscRadius - 0.02, 1, -3);
+  const MatrixXd P = Eigen::Vector4d(0.04, 0.01, 0.02, 0.03).asDiagonal();
+  SaltedKalmanFilter filter(scene, 0, x, P);
+  ASSERT_TRUE(filter.Predict(0.1)) << filter.WhyFailed();
+  const Eigen::Vector4d expected = BounceFor(x, 0.1);
+  EXPECT_GT(expected[3], 0);
+  EXPECT_LE((filter.mean() - expected).cwiseAbs().maxCoeff(), 1e-10);
+  MatrixXd F(4, 4);
+  for (int j = 0; j < 4; ++j) {
+    const Eigen::Vector4d width = 1e-6 * Eigen::Vector4d::Unit(j);
+    F.col(j) = (BounceFor(x + width, 0.1) - BounceFor(x - width, 0.1)) / 2e-6;
+  }
+  EXPECT_LE((filter.covariance() - F * P * F.transpose()).cwiseAbs().maxCoeff(), 1e-8);
+}
+
+// On recordings of another simulator, with outliers: ellipsoids that hold what they promise, which those without
+// saltation matrices do not, and less error.
+TEST(Filter, RecordingsOfABouncingDisc) {
+  const FilterScores scores = CompareFilters(50);
+  EXPECT_EQ(scores.salted.lost, 0);
+  EXPECT_LT(scores.salted.position, scores.plain.position);
+  EXPECT_LT(scores.salted.velocity, scores.plain.velocity);
+  EXPECT_NEAR(scores.salted.covered, 0.95, 0.03);
+  EXPECT_LT(scores.plain.covered, 0.87);
 }
 
 }  // namespace

@@ -181,15 +181,20 @@ TEST_F(PassiveBall, SampledRegulator) {
              {8.0271828309788786e-7, -0.0000041792147402346302, -0.0000041792147402346302, 0.000038770574513935986}));
 }
 
-TEST(FeedbackReference, Filter) {
-  SaltedKalmanFilter filter(HybridSystem(BouncingBall()),
-                            {9.8, 0.7},
-                            0,
-                            0,
-                            Eigen::Vector2d(1, 0),
-                            Matrix(2, {0.01, 0, 0, 0.04}),
-                            {.tolerance = 1e-14});
-  const MatrixXd W = Matrix(2, {1e-4, 0, 0, 4e-4}), C = Matrix(1, {1, 0}), V = Matrix(1, {0.0025});
+// The table of a filter of a ball's height and speed, which are entries `y` and y + `apart` of the state; the height is
+// that of the ball above `ground`.
+void FollowTable(SaltedKalmanFilter* filter, int y, int apart, double ground) {
+  const int v = y + apart;
+  const bool of_system = ground == 0;  // which has events
+  const Eigen::Index n = filter->mean().size();
+  MatrixXd W = MatrixXd::Zero(n, n), C = MatrixXd::Zero(1, n), V = Matrix(1, {0.0025});
+  W(y, y) = 1e-4;
+  W(v, v) = 4e-4;
+  C(0, y) = 1;
+  const auto covariance = [&] {
+    const MatrixXd& P = filter->covariance();
+    return Matrix(2, {P(y, y), P(y, v), P(v, y), P(v, v)});
+  };
   // z, predicted y and v, y, v, P11, P12, P22.
   const double table[10][8] = {{1.02,
                                 0.951,
@@ -274,22 +279,44 @@ TEST(FeedbackReference, Filter) {
   double log_likelihood = 0;
   for (int step = 0; step < 10; ++step) {
     const double* row = table[step];
-    ASSERT_TRUE(filter.Predict(0.1 * (step + 1), {}, W)) << filter.WhyFailed();
-    EXPECT_EQ(filter.events().size(), step == 4 ? 1u : 0u);
-    EXPECT_NEAR(filter.mean()[0], row[1], kTolerance);
-    EXPECT_NEAR(filter.mean()[1], row[2], kTolerance);
+    ASSERT_TRUE(filter->Predict(0.1 * (step + 1), {}, W)) << filter->WhyFailed();
+    if (of_system) {
+      ASSERT_EQ(filter->events().size(), step == 4 ? 1u : 0u);
+      if (step == 4) {
+        EXPECT_NEAR(filter->events()[0].time, 0.46727694944161565, kTolerance);
+        EXPECT_NEAR(filter->events()[0].before[1], -4.5522319043099288, kTolerance);
+      }
+    }
+    EXPECT_NEAR(filter->mean()[y] - ground, row[1], kTolerance);
+    EXPECT_NEAR(filter->mean()[v], row[2], kTolerance);
     if (step == 4) {
-      EXPECT_NEAR(filter.events()[0].time, 0.46727694944161565, kTolerance);
-      EXPECT_NEAR(filter.events()[0].before[1], -4.5522319043099288, kTolerance);
-      ExpectClose(filter.covariance(),
+      ExpectClose(covariance(),
                   Matrix(2, {0.000802004324870578, -0.00175041886643505, -0.00175041886643505, 0.00981215966826378}));
     }
-    log_likelihood += filter.Update(Eigen::VectorXd::Constant(1, row[0]), C, V);
-    EXPECT_NEAR(filter.mean()[0], row[3], kTolerance);
-    EXPECT_NEAR(filter.mean()[1], row[4], kTolerance);
-    ExpectClose(filter.covariance(), Matrix(2, {row[5], row[6], row[6], row[7]}));
+    log_likelihood += filter->Update(Eigen::VectorXd::Constant(1, row[0] + ground), C, V);
+    EXPECT_NEAR(filter->mean()[y] - ground, row[3], kTolerance);
+    EXPECT_NEAR(filter->mean()[v], row[4], kTolerance);
+    ExpectClose(covariance(), Matrix(2, {row[5], row[6], row[6], row[7]}));
   }
   EXPECT_NEAR(log_likelihood, 16.3066638320523, 1e-9);
+}
+
+TEST(FeedbackReference, Filter) {
+  const MatrixXd P = Matrix(2, {0.01, 0, 0, 0.04});
+  SaltedKalmanFilter filter(
+      HybridSystem(BouncingBall()), {9.8, 0.7}, 0, 0, Eigen::Vector2d(1, 0), P, {.tolerance = 1e-14});
+  FollowTable(&filter, 0, 1, 0);
+}
+
+TEST(FeedbackReference, FilterOfADisc) {
+  Scene scene;
+  scene.bodies = {{.name = "ball", .radius = 0.25, .position = Vec2d(0, 1.25)}};
+  scene.planes = {{.name = "ground", .point = Vec2d(0, 0), .normal = Vec2d(0, 1)}};
+  scene.gravity = Vec2d(0, -9.8);
+  scene.contact.restitution = 0.7;
+  SaltedKalmanFilter filter(
+      scene, 0, Eigen::Vector4d(0, 1.25, 0, 0), Eigen::Vector4d(1, 0.01, 1, 0.04).asDiagonal().toDenseMatrix());
+  FollowTable(&filter, 1, 2, 0.25);
 }
 
 }  // namespace

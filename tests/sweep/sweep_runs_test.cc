@@ -341,6 +341,36 @@ TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
   EXPECT_THAT(both.errors, HasSubstr("--scene"));
 }
 
+// Monte Carlo: each point has the runs of a seed, whichever process computes it.
+TEST_F(SweepRunsTest, FeedbackHasColumnsThatThreadsDoNotChange) {
+  const std::string sweep = "saltus_sweep" + Scene("two_balls") +
+                            "--contact=event --steps=60 --progress=none --feedback --feedback_samples=60 "
+                            "--sweep='feedback_scale=0.1,1; feedback_seed=1,2' ";
+  const Outcome one = RunProgram(sweep + "--solver=none --threads=1");
+  ASSERT_EQ(one.exit_code, 0) << one.errors;
+  EXPECT_TRUE(RunProgram(sweep + "--solver=none --threads=3").output == one.output);
+  const StatusOr<CsvDocument> csv = ParseCsv(one.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 4u);
+  const auto number = [&](size_t row, const char* name) { return std::stod(csv->rows[row][*csv->Find(name)]); };
+  for (size_t row : {0, 1}) {
+    EXPECT_NEAR(
+        number(row, "closed_error"), number(row, "closed_error_first_order"), 0.2 * number(row, "closed_error"));
+    EXPECT_NEAR(number(row + 2, "open_error_first_order"), 10 * number(row, "open_error_first_order"), 1e-12);
+    EXPECT_EQ(number(row, "closed_otherwise"), 0);
+  }
+  EXPECT_NE(number(0, "open_loss"), number(1, "open_loss"));
+  EXPECT_GT(number(0, "closed_loss_error"), 0);
+  const Outcome solved = RunProgram(sweep + "--solver=ceres_lm --iterations=5");
+  ASSERT_EQ(solved.exit_code, 0) << solved.errors;
+  EXPECT_THAT(solved.output, HasSubstr("closed_loss_first_order"));
+  const Outcome program = RunProgram("saltus_sweep --program='" + BuildFolder() +
+                                     "/bin/bouncing_ball --feedback --feedback_samples=20' --solver=none "
+                                     "--sweep='feedback_scale=1,2' --progress=none");
+  ASSERT_EQ(program.exit_code, 0) << program.errors;
+  EXPECT_THAT(program.output, HasSubstr("open_error_first_order"));
+}
+
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
   const std::string base = BuildFolder() + "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {

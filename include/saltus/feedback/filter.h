@@ -1,31 +1,46 @@
 // An extended Kalman filter whose mean flows through events and whose covariance passes them by saltation matrices
 // (Kong, Payne, Zhu, Johnson 2021, The salted Kalman filter).
 //
-// The mean follows the exact motion of the system. The estimate may be in another mode than the truth: before the
-// truth's event, the estimate is already behind its own, or the other way round. The rules are:
+// The mean follows the exact motion of a hybrid system or of a scene. The estimate may be in another mode than the
+// truth: before the truth's event, the estimate is already behind its own, or the other way round. The rules are:
 //
 //   * The mode of the estimate is that of its mean. A measurement corrects the mean and does not change its mode.
 //   * A mean that a correction has put behind a guard which falls has the guard's event at once, in the next Predict;
 //     its covariance then passes the saltation matrix there. Where the guard rises, its next event is that after the
 //     guard has been above zero.
+//   * A scene has no modes. If a correction makes discs of the mean overlap that approach each other, the prediction
+//     begins where they touched: the mean is first continued backwards, in free flight of all discs, until none
+//     overlap.
 //   * Until the estimate and the truth are in the same mode, the innovations are larger than their covariance says.
 //     This lasts for about the standard deviation of the time of the event.
 #pragma once
 
 #include <Eigen/Core>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/scene/scene.h"
 
 namespace saltus {
+
+namespace internal {
+class FilterMotion;
+}
 
 class SaltedKalmanFilter {
  public:
   // The estimate at a time: mode, mean, and covariance (symmetric, positive semidefinite).
   SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode, Eigen::VectorXd mean,
                      Eigen::MatrixXd covariance, HybridOptions integration = {});
+  // Of a scene, whose states are those of simulator.h and whose controls are rows of the scene's control; its initial
+  // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene.
+  SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance);
+  ~SaltedKalmanFilter();
+  SaltedKalmanFilter(SaltedKalmanFilter&&) noexcept;
+  SaltedKalmanFilter& operator=(SaltedKalmanFilter&&) noexcept;
 
   // To a later time under a constant control (none: zeros): P <- F P F' + W, with F the derivative of the flow,
   // saltation matrices included. False if the mean has no motion; WhyFailed() then says why, and the estimate is as
@@ -41,17 +56,16 @@ class SaltedKalmanFilter {
   }
 
   double time() const { return time_; }
-  int mode() const { return mode_; }
+  int mode() const { return mode_; }  // 0 for a scene
   const Eigen::VectorXd& mean() const { return mean_; }
   const Eigen::MatrixXd& covariance() const { return covariance_; }
-  // Events of the mean in the last Predict.
-  const std::vector<HybridEvent>& events() const { return simulator_.events(); }
+  // Events of the mean of a hybrid system in the last Predict; none of a scene.
+  const std::vector<HybridEvent>& events() const;
   const std::string& WhyFailed() const { return why_; }
 
  private:
-  HybridSimulator simulator_;
-  std::vector<double> parameters_;
-  double time_ = 0, longest_ = 0;
+  std::unique_ptr<internal::FilterMotion> motion_;
+  double time_ = 0;
   int mode_ = 0;
   Eigen::VectorXd mean_;
   Eigen::MatrixXd covariance_;

@@ -90,6 +90,17 @@ function hybridParts(data) {
     table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'iterations', 'termination', 'certificate', 'remark'],
       runs.map((run) => [run.solver, run.initial_loss, run.final_loss, run.iterations, run.termination, run.certificate?.verdict, run.reason]));
   }
+  const studies = [...runs.map((run) => [run.solver, run.feedback]), ['initial guess', data.feedback]].filter(([, study]) => study);
+  if (studies.length > 0) {
+    heading('Feedback');
+    table('Root mean square of the final error, and runs with other events than planned: of noisy runs, and to first order.',
+      ['run', 'loop', 'final error', 'first order', 'noisy runs', 'other events', 'probability to first order', 'failed', 'remark'],
+      studies.flatMap(([name, study]) => (study.failed ? [[name, '', null, null, null, null, null, null, study.failed]]
+        : ['open', 'closed'].filter((loop) => study[loop]).map((loop) => {
+          const {final_error, change_probability, warning, runs: noisy = {}} = study[loop];
+          return [name, loop, noisy.final_error, final_error, noisy.samples, noisy.otherwise, change_probability, noisy.failed, warning];
+        }))));
+  }
   for (const [name, one] of [...runs.filter((run) => run.motion).map((run) => [run.solver, run.motion]), ['initial guess', motion]]) {
     heading(`Motion: ${name}`);
     if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});

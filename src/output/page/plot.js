@@ -86,7 +86,10 @@ function drawMark(marker, colour, x, y) {
 function extentOf(panel) {
   const xs = [], ys = [];
   const add = (x, y) => { xs.push(x); ys.push(y); };
-  for (const {x, y} of panel.series) x.forEach((value, i) => add(value, y[i]));
+  for (const {x, y, band} of panel.series) {
+    x.forEach((value, i) => add(value, y[i]));
+    if (band) y.forEach((value) => ys.push(-value));
+  }
   for (const {value, vertical} of panel.lines) (vertical ? xs : ys).push(value);
   for (const {from, to} of panel.rectangles) [from, to].forEach(([x, y]) => add(x, y));
   for (const {centre: [x, y], radius} of panel.circles) [-radius, radius].forEach((side) => add(x + side, y + side));
@@ -200,8 +203,13 @@ class PanelView {
     this.inside.append(svg('line', {...ends, stroke: colour, 'stroke-width': 1.5, 'stroke-dasharray': PLOT_DASHES[dash]}));
   }
 
-  // Points that are not numbers, or not positive on a logarithmic axis, interrupt the line.
-  drawSeries({x, y, colour, dash, marker, line, width}, index) {
+  // Points that are not numbers, or not positive on a logarithmic axis, interrupt the line. A band is drawn from -y to y.
+  drawSeries({x, y, colour, dash, marker, line, width, band}, index) {
+    if (band) {
+      const around = [...x.map((value, i) => [value, y[i]]), ...x.map((value, i) => [value, -y[i]]).reverse()];
+      if (dash === 'solid') this.polygon(around, {fill: colour, 'fill-opacity': 0.2});
+      this.drawSeries({x, y: y.map((value) => -value), colour, dash, marker: 'none', line, width}, index);
+    }
     const drawn = (i) => [[this.x, x[i]], [this.y, y[i]]].every(([scale, value]) => Number.isFinite(value ?? NaN) && !(scale.log && value <= 0));
     if (line) {
       let path = '';
@@ -275,5 +283,18 @@ const PLOTS = {
       if (turned) add(discs[disc].name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN);
     });
     return {panels};
+  },
+
+  // Where the positions of discs are about the plan with a probability of 0.95, in each direction, over time.
+  spreads(_, replay) {
+    const motion = replay?.motions.find(({spreads}) => spreads.length > 0);
+    if (!motion) return null;
+    const impacts = motion.touches.slice(0, 8).map(({begin}) => ({value: begin, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+    const moving = replay.discs.map((_, i) => i).filter((i) => !replay.discs[i].fixed).slice(0, 4);
+    return {panels: moving.flatMap((disc) => ['x', 'y'].map((axis, j) => (
+      panelOf(replay.discs[disc].name, {label: 'time (s)'}, {label: `deviation in ${axis} (mm)`}, motion.spreads.map(({label, times, covariances}, i) => {
+        const y = [...times].map((_, k) => 1960 * Math.sqrt(Math.max(covariances[3 * (k * replay.discs.length + disc) + 2 * j], 0)));
+        return {...seriesOf(label, {colour: ['#7c3aed', '#57606a'][i % 2], dash: i === 0 ? 'solid' : 'dashed'}, [...times], y), band: true};
+      }), impacts))))};
   },
 };

@@ -3,7 +3,7 @@ const STILLS = 6, VALUES_OF_AT_MOST = 12;
 const DRAG = 6;  // pixels: what moves less is a tap
 const OPTIONS = [
   ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
-  ['impulses', 'impulses'], ['names', 'names'], ['apart', 'side by side'],
+  ['impulses', 'impulses'], ['names', 'names'], ['spreads', '95 % ellipses'], ['apart', 'side by side'],
 ];
 const VALUES = ['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'];
 const KEYS = 'Keys: space plays and pauses, arrows step (with shift from impact to impact), Home and End. ' +
@@ -35,12 +35,13 @@ class Replay {
     this.twisted = most((motion) => motion.twisted);
     this.hardest = most((motion) => motion.hardest);
     this.duration = most((motion) => motion.end);
+    this.enlarged = this.enlargementOf();
     this.memory = 0.04 * this.duration;
     this.impacts = [...new Set(this.motions.flatMap(({touches}) => touches.map(({begin}) => begin)))].sort((a, b) => a - b);
     this.options = {
       trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest + this.twisted > 0, touches: true,
       impulses: this.discs.length <= MANY_DISCS,
-      names: true, apart: false,
+      names: true, spreads: true, apart: false,
     };
     this.time = 0;
     this.playing = false;
@@ -51,6 +52,20 @@ class Replay {
     new ResizeObserver(() => this.redraw()).observe(this.stage);
     window.addEventListener('beforeprint', () => this.makeStills());
     this.seek(0);
+  }
+
+  // How many times larger than they are ellipses are drawn: 1, 2, 5, 10, ... so that the largest reaches half of the largest disc's
+  // radius, if it is smaller. 0 if there are none.
+  enlargementOf() {
+    let largest = 0;
+    for (const motion of this.motions) {
+      for (const spread of motion.spreads) {
+        for (const time of spread.times) this.discs.forEach((_, i) => { largest = Math.max(largest, motion.ellipseAt(spread, time, i).a); });
+      }
+    }
+    if (largest === 0) return 0;
+    const ratio = 0.5 * Math.max(...this.discs.map(({radius}) => radius)) / largest, decade = 10 ** Math.floor(Math.log10(ratio));
+    return ratio < 2 ? 1 : decade * [5, 2, 1].find((multiple) => multiple * decade <= ratio);
   }
 
   build() {
@@ -116,9 +131,10 @@ class Replay {
     for (const [key, words] of OPTIONS) {
       if (key === 'apart' && this.motions.length < 2) continue;
       if (key === 'forces' && this.strongest + this.twisted === 0) continue;
+      if (key === 'spreads' && this.enlarged === 0) continue;
       const box = element('input', {type: 'checkbox', onchange: () => { this.options[key] = box.checked; this.redraw(); }});
       box.checked = this.options[key];
-      group.append(element('label', {}, box, ` ${words}`));
+      group.append(element('label', {}, box, ` ${words}${key === 'spreads' && this.enlarged > 1 ? `, enlarged ${this.enlarged} times` : ''}`));
     }
     return group;
   }

@@ -15,6 +15,8 @@ class Motion {
     this.ends = doublesOf(data.ends);  // of the control's intervals, s
     this.control = unpack(data.control, this.ends.length, 2 * data.pushed.length);
     this.torques = data.torques && unpack(data.torques, this.ends.length, data.pushed.length);  // N m; null if no disc is turned
+    this.spreads = (data.spreads ?? []).map(({label, times, covariances}) => (
+      {label, times: doublesOf(times), covariances: doublesOf(covariances)}));
     this.visible = data.shown !== false;
     this.fastest = this.largestOf((i) => Math.hypot(this.states[i + 2], this.states[i + 3]), this.states.length, 4);
     this.strongest = this.largestOf((i) => Math.hypot(this.control[i], this.control[i + 1]), this.control.length, 2);
@@ -32,14 +34,27 @@ class Motion {
   get end() { return this.times[this.times.length - 1]; }
 
   // The last row that is not after `time`; of an instant that stands twice the second.
-  rowAt(time) {
-    let low = 0, high = this.times.length - 1;
+  rowAt(time, times = this.times) {
+    let low = 0, high = times.length - 1;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
-      if (this.times[middle] <= time) low = middle;
+      if (times[middle] <= time) low = middle;
       else high = middle - 1;
     }
     return low;
+  }
+
+  // The ellipse around a disc's position that has it with a probability of 0.95, m: its half axes, the larger first, and
+  // the angle of that. Covariances are linear between two rows.
+  ellipseAt({times, covariances}, time, disc) {
+    const row = this.rowAt(time, times), width = 3 * this.discs.length, next = Math.min(row + 1, times.length - 1);
+    const part = next > row ? Math.min(Math.max((time - times[row]) / (times[next] - times[row]), 0), 1) : 0;
+    const [xx, xy, yy] = [0, 1, 2].map((i) => {
+      const [from, to] = [row, next].map((at) => covariances[at * width + 3 * disc + i]);
+      return from + part * (to - from);
+    });
+    const mean = (xx + yy) / 2, apart = Math.hypot((xx - yy) / 2, xy), within = -2 * Math.log(0.05);
+    return {a: Math.sqrt(within * (mean + apart)), b: Math.sqrt(within * Math.max(mean - apart, 0)), angle: Math.atan2(2 * xy, xx - yy) / 2};
   }
 
   // p_x p_y v_x v_y of every disc, into `out`. Beyond the end, the last state.

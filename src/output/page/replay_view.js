@@ -1,5 +1,5 @@
 // Draws motions on a canvas, for white paper; on a dark screen the style sheet inverts it.
-const INK = '#24292f', FAINT = '#8b949e', GROUND = '#d8dee4', FORCE = '#0b6e4f', IMPULSE = '#b3261e';
+const INK = '#24292f', FAINT = '#8b949e', GROUND = '#d8dee4', FORCE = '#0b6e4f', IMPULSE = '#b3261e', SPREAD = '#7c3aed';
 const DASHES = {solid: [], dashed: [6, 4], dotted: [2, 3], dashdotted: [7, 3, 2, 3]};
 const MANY_DISCS = 60, AGES = 5;
 const ARROW = 0.14;  // of the scene's extent, the longest
@@ -187,6 +187,7 @@ class View {
     if (options.trails) this.drawTrails(context, motion, time);
     if (this.replay.discs.length <= MANY_DISCS) this.drawDiscs(context, motion, x, first);
     if (motion.angles) this.drawSpokes(context, motion, x, time);
+    if (options.spreads) motion.spreads.forEach((spread, i) => this.drawSpread(context, motion, spread, i, x, time));
     if (options.touches) this.drawTouches(context, motion, x, time, options);
     const {discs, fastest, strongest} = this.replay;
     const arrow = (i, unit, ax, ay) => [x[4 * i], x[4 * i + 1], unit * ax, unit * ay];
@@ -264,6 +265,27 @@ class View {
     context.strokeStyle = motion.colour;
     context.lineWidth = 2;
     context.stroke();
+  }
+
+  // Ellipses of where discs are with a probability of 0.95: the first filled, others dashed, enlarged as the caption says.
+  drawSpread(context, motion, spread, index, x, time) {
+    const unit = this.scale * this.replay.enlarged;
+    context.beginPath();
+    this.replay.discs.forEach((disc, i) => {
+      const {a, b, angle} = motion.ellipseAt(spread, time, i);
+      if (!(a > 0)) return;
+      const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
+      context.moveTo(px + unit * a * Math.cos(angle), py - unit * a * Math.sin(angle));
+      context.ellipse(px, py, unit * a, unit * b, -angle, 0, 2 * Math.PI);
+    });
+    context.strokeStyle = context.fillStyle = SPREAD;
+    context.lineWidth = 1.5;
+    context.globalAlpha = 0.25;
+    if (index === 0) context.fill();
+    context.globalAlpha = 1;
+    context.setLineDash(index === 0 ? [] : DASHES.dashed);
+    context.stroke();
+    context.setLineDash([]);
   }
 
   // Where discs have been; of many discs only lately.

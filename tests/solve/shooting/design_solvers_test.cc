@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <string>
 
 #include "saltus/scene/scene_file.h"
@@ -152,6 +153,30 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossIsThatOfItsDifferences) {
       (3 * least_loss(0.5, 1) - 4 * least_loss(0.5, 1 - kStep) + least_loss(0.5, 1 - 2 * kStep)) / (2 * kStep);
   EXPECT_NEAR(report.certificate->parameters[1].derivative, by_restitution, 1e-5);
   EXPECT_LT(by_restitution, -0.1);
+}
+
+// Both parameters move the impact, and the boundary of two intervals with it.
+TEST(DesignSolvers, TheDerivativeOfTheLeastLossCountsTheMovedImpact) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  Scene designed = scene;
+  designed.design = {Design("radius.target", scene), Design("mass.striker", scene)};
+  const Certificate certificate = Certify(designed, report.initial_state, report.control, report.durations);
+  ASSERT_EQ(certificate.parameters.size(), 2u) << certificate.reason;
+  EXPECT_EQ(certificate.verdict, Verdict::kNotStationary);
+  constexpr double kStep = 1e-3;
+  for (const ParameterCertificate& entry : certificate.parameters) {
+    const auto least_loss = [&](double change) {
+      Scene given = scene;
+      SetValue(entry.parameter, entry.value + change, &given);
+      return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
+          .final_loss;
+    };
+    EXPECT_NEAR(entry.derivative, (least_loss(kStep) - least_loss(-kStep)) / (2 * kStep), 1e-5) << entry.name;
+    EXPECT_GT(std::abs(entry.derivative), 0.1) << entry.name;
+  }
 }
 
 TEST(DesignSolvers, ThatDoNotTakeParametersNameTheKey) {

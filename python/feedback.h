@@ -1,0 +1,26 @@
+// Feedback about a motion, of a problem of a hybrid system or of a scene.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "saltus/feedback/closed_loop.h"
+
+namespace saltus::python {
+
+// What feedback needs of a motion.
+struct PlannedMotion {
+  Plan plan;
+  LinearMotion linear;
+  std::function<std::string(const TrackingCost&)> what_is_wrong_with;
+  std::function<std::unique_ptr<Plant>()> make_plant;
+  std::string remark = {};  // why there is no derivative, or only a one-sided one
+};
+
+// Gains, costs to go and closed loops of the intervals; the events of a regulator in continuous time; the remark.
+pybind11::tuple RegulatorToPython(const Regulator& regulator, const std::string& remark);
+
+}  // namespace saltus::python

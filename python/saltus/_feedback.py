@@ -1,0 +1,229 @@
+"""Feedback and uncertainty along a motion of a hybrid problem or of a scene."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _saltus
+from ._hybrid import HybridProblem, HybridSystem
+from ._own import as_contact
+from ._results import Result
+from ._scene import SceneLike, as_scene
+from ._types import Floats, expect
+
+
+class Regulator(Result):
+    """Feedback about a motion, du = -K dx: ``gains``, ``cost_to_go`` (one more) and ``closed_loop``, a list of matrices for
+    each control interval; ``events`` of a regulator in continuous time, with ``time``, ``saltation``, ``gain_before``,
+    ``gain_after``, ``cost_before`` and ``cost_after``. ``remark`` as of a rollout."""
+
+    _kind = "regulator"
+
+
+class Covariance(Result):
+    """``covariances`` of the state at the beginning of each control interval and at the end; ``event_times``, the standard
+    deviations of the times of the events; ``risks``, a list of (what, time, probability) of changes of the sequence of
+    events, and ``change_probability``, a bound on their sum; ``warning``, empty if that is below 0.01."""
+
+    _kind = "covariance"
+
+
+class NoisyRuns(Result):
+    """Of simulated runs with noise: ``mean`` and ``covariance`` of the final state, ``final_error``, the root mean square of
+    its difference from the plan, and the numbers of runs that are ``counted`` in these, have ``failed``, or went
+    ``otherwise`` than planned: with other events."""
+
+    _kind = "noisy runs"
+
+
+def _matrix(value: ArrayLike | None) -> Any:
+    if value is None:
+        return np.zeros((0, 0))
+    matrix = np.asarray(value, dtype=float)
+    if matrix.ndim != 2:
+        raise ValueError(f"found an array of shape {matrix.shape}, expected a matrix")
+    return matrix
+
+
+def _planned(problem: HybridProblem | SceneLike, plan: ArrayLike | None, contact: Any = "event") -> Any:
+    if not isinstance(problem, HybridProblem):
+        return _saltus.PlannedMotion(as_scene(problem), plan, as_contact(contact))
+    if plan is not None:
+        raise ValueError("plan: found one for a HybridProblem, which has its control")
+    return problem._native().planned()
+
+
+def _gains(regulator: Regulator | None) -> Any:
+    if regulator is not None and regulator.events:
+        raise ValueError("regulator: found one in continuous time, expected one with du constant in each interval")
+    return [] if regulator is None else regulator.gains
+
+
+def track(
+    problem: HybridProblem | SceneLike,
+    Q: ArrayLike | Mapping[str, ArrayLike],
+    R: ArrayLike,
+    QT: ArrayLike,
+    *,
+    plan: ArrayLike | None = None,
+    continuous: bool = False,
+) -> Regulator:
+    """The linear-quadratic regulator with jumps about the motion of a hybrid problem, or about the exact motion of a scene,
+    whose gains pass events by saltation matrices.
+
+    Minimises the sum over the control intervals of dx' Q dx + du' R du, plus dx' QT dx at the end, with du constant in
+    each interval; or with ``continuous``, the integral, with du continuous in time, of a hybrid problem. ``Q``: a matrix,
+    or one for each mode by name. The state dx is that at the beginning of the interval; in a scene, the state of all
+    discs in one row. ``plan``: the control of a scene, (K, C, 2) or (K, C, 3); None: its own. In du, a torque is divided
+    by the radius of its disc and stands after all forces.
+    """
+    if isinstance(Q, Mapping):
+        if not isinstance(problem, HybridProblem):
+            raise ValueError("Q: a scene has no modes, expected one matrix")
+        missing = [mode for mode in problem.system.modes if mode not in Q]
+        if missing or len(Q) != len(problem.system.modes):
+            raise ValueError(f"Q: expected a matrix for each of the modes {', '.join(problem.system.modes)}")
+        weights = [_matrix(Q[mode]) for mode in problem.system.modes]
+    else:
+        weights = [_matrix(Q)]
+    if not continuous:
+        gains, cost, closed, events, remark = _planned(problem, plan).track(weights, _matrix(R), _matrix(QT))
+    elif isinstance(problem, HybridProblem):
+        gains, cost, closed, events, remark = problem._native().track_continuously(weights, _matrix(R), _matrix(QT))
+    else:
+        raise ValueError("continuous: expected a HybridProblem")
+    names = ("time", "saltation", "gain_before", "gain_after", "cost_before", "cost_after")
+    return Regulator({
+        "gains": gains, "cost_to_go": cost, "closed_loop": closed,
+        "events": [Result(dict(zip(names, event))) for event in events], "remark": remark,
+    })
+
+
+def propagate(
+    problem: HybridProblem | SceneLike,
+    initial: ArrayLike | None = None,
+    *,
+    control: ArrayLike | None = None,
+    process: ArrayLike | None = None,
+    measurement: ArrayLike | None = None,
+    regulator: Regulator | None = None,
+    plan: ArrayLike | None = None,
+) -> Covariance:
+    """The covariance of the error of a motion, to first order through its events, in open loop or with a regulator whose
+    du is constant in each interval.
+
+    Covariance matrices: of the ``initial`` state; of the ``control`` in each interval; of the ``process``, added to the
+    state at the end of each interval; of the ``measurement`` of the state at its beginning. None: no error. ``plan`` as in
+    track.
+    """
+    matrices = [_matrix(value) for value in (initial, control, process, measurement)]
+    nodes, times, risks, probability, warning, remark = _planned(problem, plan).propagate(matrices, _gains(regulator))
+    return Covariance({
+        "covariances": nodes, "event_times": np.array(times), "risks": risks, "change_probability": probability,
+        "warning": warning, "remark": remark,
+    })
+
+
+def noisy_runs(
+    problem: HybridProblem | SceneLike,
+    initial: ArrayLike | None = None,
+    *,
+    control: ArrayLike | None = None,
+    process: ArrayLike | None = None,
+    measurement: ArrayLike | None = None,
+    regulator: Regulator | None = None,
+    plan: ArrayLike | None = None,
+    contact: Any = "event",
+    samples: int = 1000,
+    seed: int = 1,
+    threads: int = 0,
+) -> NoisyRuns:
+    """Simulates a plan with noise, in open loop or with a regulator, which compares states with equally many events behind
+    them (reference spreading).
+
+    Covariance matrices, ``regulator`` and ``plan`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
+    0 is one for each core; results do not depend on it.
+    """
+    expect("a whole number", samples=samples, seed=seed, threads=threads)
+    matrices = [_matrix(value) for value in (initial, control, process, measurement)]
+    mean, covariance, planned, counted, failed, otherwise = _planned(problem, plan, contact).noisy_runs(
+        matrices, _gains(regulator), samples, seed, threads
+    )
+    error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")
+    return NoisyRuns({
+        "mean": mean, "covariance": covariance, "final_error": error, "counted": counted, "failed": failed,
+        "otherwise": otherwise,
+    })
+
+
+class SaltedKalmanFilter:
+    """An extended Kalman filter whose mean flows through the events of a HybridSystem or of a scene, and whose covariance
+    passes them by saltation matrices.
+
+    The estimate may be in another mode than the truth: see docs/how-to/feedback.md.
+
+    Args:
+        system: a HybridSystem; or a Scene, a dict or the path of a scene file, whose state is that of all discs in one row.
+        mean, covariance: the estimate, (n,) and (n, n).
+        time: its time, s.
+        mode: its mode, of a HybridSystem; default: the first.
+        parameters: of a HybridSystem.
+    """
+
+    def __init__(
+        self,
+        system: HybridSystem | SceneLike,
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        time: float = 0.0,
+        mode: str | None = None,
+        parameters: Sequence[float] = (),
+    ):
+        expect("a number", time=time)
+        estimate = (np.ravel(np.asarray(mean, dtype=float)), _matrix(covariance))
+        self._modes = system.modes if isinstance(system, HybridSystem) else []
+        if isinstance(system, HybridSystem):
+            if mode is not None and mode not in self._modes:
+                raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self._modes)}")
+            if len(parameters) != len(system.parameters):
+                raise ValueError(f"parameters: found {len(parameters)}, expected {len(system.parameters)}")
+            number = 0 if mode is None else self._modes.index(mode)
+            self._filter = _saltus.SaltedKalmanFilter(system._system, list(parameters), time, number, *estimate)
+        else:
+            self._filter = _saltus.SaltedKalmanFilter(as_scene(system), time, *estimate)
+
+    def predict(self, time: float, control: ArrayLike | None = None, process: ArrayLike | None = None) -> None:
+        """To a later time under a constant control, None: zero; of a scene forces [x, y] of each controlled disc, and then
+        each torque divided by the radius. ``process``: covariance that is added. Raises RuntimeError if the mean has no
+        motion."""
+        expect("a number", time=time)
+        numbers = [] if control is None else np.ravel(np.asarray(control, dtype=float)).tolist()
+        self._filter.predict(time, numbers, _matrix(process))
+
+    def update(self, z: ArrayLike, C: ArrayLike, V: ArrayLike, h: ArrayLike | None = None) -> float:
+        """A measurement z = h(x) + error, given the Jacobian C of h at the mean, the covariance V of the error, and h at the
+        mean; None: C times the mean. Returns the log likelihood of the innovation."""
+        jacobian = _matrix(C)
+        value = jacobian @ self.mean if h is None else np.ravel(np.asarray(h, dtype=float))
+        return self._filter.update(np.ravel(np.asarray(z, dtype=float)), value, jacobian, _matrix(V))
+
+    @property
+    def time(self) -> float:
+        return self._filter.time
+
+    @property
+    def mode(self) -> str:
+        """The name of the mode; empty in a scene."""
+        return self._modes[self._filter.mode] if self._modes else ""
+
+    @property
+    def mean(self) -> Floats:
+        return self._filter.mean
+
+    @property
+    def covariance(self) -> Floats:
+        return self._filter.covariance

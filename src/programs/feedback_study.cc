@@ -1,0 +1,420 @@
+#include "programs/feedback_study.h"
+
+#include <gflags/gflags.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/suggestion.h"
+#include "feedback/noisy_states.h"
+#include "programs/program.h"
+#include "saltus/control/objective.h"
+#include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
+
+DEFINE_bool(feedback, false,
+            "compute a regulator along each solution and how errors grow with and without it, and simulate noisy runs");
+DEFINE_string(feedback_weights, "state=10,control=0.001,final=10",
+              "weights of the regulator: of the state and the control over time, and of the final state");
+DEFINE_string(feedback_noise, "state=0.001",
+              "standard deviations of errors. Initial state: position, velocity, angle, angular_velocity, or 'state' "
+              "for all; each step: force, torque, and process_position, measured_position, ... (a hybrid system has "
+              "its states and controls in their place)");
+DEFINE_double(feedback_scale, 1, "factor on all standard deviations of --feedback_noise");
+DEFINE_string(feedback_plant, "event", "contact model under which the noisy runs are simulated");
+DEFINE_int32(feedback_samples, 1000, "number of noisy runs in open loop, and in closed loop");
+DEFINE_uint64(feedback_seed, 1, "seed of the noisy runs");
+
+namespace saltus {
+namespace {
+
+constexpr const char* kNumberFlags[] = {
+    "feedback_weights", "feedback_noise", "feedback_scale", "feedback_plant", "feedback_samples", "feedback_seed"};
+constexpr std::size_t kMostNumbers = std::size_t{1} << 26;          // of the matrices of one kind, 512 MiB
+constexpr const char* kPrefixes[] = {"", "process_", "measured_"};  // before states; none: of the initial one
+constexpr const char kAll[] = "state";                              // every component of a state
+
+// The standard deviation that is given under a name; otherwise that under the name of all, or zero.
+double DeviationOf(const FeedbackOptions& options, const std::string& name, const std::string& all = "") {
+  double of_all = 0;
+  for (const auto& [given, deviation] : options.deviations) {
+    if (given == name) return options.scale * deviation;
+    if (given == all) of_all = deviation;
+  }
+  return options.scale * of_all;
+}
+
+// A diagonal covariance; none if all are zero.
+Eigen::MatrixXd Diagonal(const std::vector<double>& deviations) {
+  const Eigen::Map<const Eigen::VectorXd> of(deviations.data(), static_cast<Eigen::Index>(deviations.size()));
+  if (of.size() == 0 || of.cwiseAbs().maxCoeff() == 0) return {};
+  return of.cwiseAbs2().asDiagonal();
+}
+
+// What both kinds of problems are studied by.
+struct Study {
+  const FeedbackOptions& options;
+  int threads;
+  Plan plan;
+  LinearMotion linear;
+  Noise noise = {};
+  std::vector<Eigen::MatrixXd> Q = {};  // that of each mode, or one
+  std::function<std::unique_ptr<Plant>()> make_plant = nullptr;
+  std::function<double(const ClosedLoopRun&)> loss = nullptr;  // none: there are no losses
+  // To first order; only if there is a loss.
+  std::function<double(const Covariance&, const Regulator*)> expected_loss = nullptr;
+};
+
+FeedbackStudy Run(const Study& of) {
+  const FeedbackOptions& options = of.options;
+  FeedbackStudy study;
+  for (const LinearInterval& interval : of.linear.intervals) {
+    study.times.push_back(interval.begin);
+    if (interval.A.allFinite() && interval.B.allFinite()) continue;
+    study.reason = "the motion has no derivative";
+    return study;
+  }
+  study.times.push_back(of.linear.end);
+  if (study.reason = WhatIsWrongWith(of.noise, of.linear); !study.reason.empty()) return study;
+  study.planned = of.plan.states.back();
+  study.samples = options.samples;
+  if (of.loss) {
+    study.loss = of.loss({.final_state = study.planned, .control = of.plan.control});
+  }
+  const auto loop = [&](const Regulator* regulator) {
+    FeedbackStudy::Loop out{.covariance = Propagate(of.linear, of.noise, regulator)};
+    if (of.expected_loss) out.expected_loss = of.expected_loss(out.covariance, regulator);
+    if (options.samples > 0) {
+      out.runs = RunMonteCarlo(of.plan,
+                               regulator ? regulator->gains : std::vector<Eigen::MatrixXd>(),
+                               of.noise,
+                               of.make_plant,
+                               {.samples = options.samples, .seed = options.seed, .threads = of.threads},
+                               of.loss);
+    }
+    return out;
+  };
+  study.open = loop(nullptr);
+  const int m = of.plan.num_controls;
+  if (m == 0) return study;
+  const double step = (of.linear.end - study.times[0]) / static_cast<double>(of.linear.intervals.size());
+  TrackingCost cost{.R = options.control * step * Eigen::MatrixXd::Identity(m, m)};
+  for (const Eigen::MatrixXd& Q : of.Q) cost.Q.push_back(options.state * step * Q);
+  cost.QT = options.final * Eigen::MatrixXd::Identity(study.planned.size(), study.planned.size());
+  const Regulator regulator = Track(of.linear, cost);
+  study.closed = loop(&regulator);
+  study.gains = regulator.gains;
+  study.cost_to_go = regulator.cost_to_go;
+  return study;
+}
+
+std::string WhyTooLarge(int intervals, int states) {
+  if (static_cast<std::size_t>(intervals) * states * states <= kMostNumbers) return "";
+  return std::to_string(intervals) + " matrices of " + std::to_string(states) + " x " + std::to_string(states) +
+         " numbers do not fit into 512 MiB";
+}
+
+Noise NoiseOf(const Scene& scene, const FeedbackOptions& options, int body_size) {
+  constexpr const char* kNames[] = {"position", "position", "velocity", "velocity", "angle", "angular_velocity"};
+  const auto of_states = [&](const std::string& prefix) {
+    std::vector<double> deviations;
+    for (const Body& body : scene.bodies) {
+      for (int i = 0; i < body_size; ++i) {
+        const bool moves = !body.fixed && (i < 4 || body.Spins());
+        deviations.push_back(moves ? DeviationOf(options, prefix + kNames[i], prefix + kAll) : 0);
+      }
+    }
+    return Diagonal(deviations);
+  };
+  // Of forces, and torques divided by radii (simulator.h).
+  std::vector<double> controls(2 * scene.control.bodies.size(), DeviationOf(options, "force"));
+  for (const int body : scene.control.turned) {
+    controls.push_back(DeviationOf(options, "torque") / scene.bodies[body].radius);
+  }
+  return {of_states(""), Diagonal(controls), of_states("process_"), of_states("measured_")};
+}
+
+}  // namespace
+
+std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>& states,
+                                                 const std::vector<std::string>& controls) {
+  if (!FLAGS_feedback) {
+    for (const char* flag : kNumberFlags) {
+      if (IsGiven(flag)) throw InputError("--" + std::string(flag) + " needs --feedback");
+    }
+    return std::nullopt;
+  }
+  FeedbackOptions options;
+  std::vector<std::string> names;
+  for (const std::string prefix : kPrefixes) {
+    names.push_back(prefix + kAll);
+    for (const std::string& state : states) names.push_back(prefix + state);
+    if (prefix.empty()) names.insert(names.end(), controls.begin(), controls.end());
+  }
+  options.deviations = ReadAssignments("feedback_noise", FLAGS_feedback_noise, names);
+  for (const auto& [name, deviation] : options.deviations) {
+    if (deviation < 0) throw InputError("--feedback_noise: " + name + " must not be negative");
+  }
+  for (const auto& [name, weight] :
+       ReadAssignments("feedback_weights", FLAGS_feedback_weights, {"state", "control", "final"})) {
+    if (weight < 0 || (name == "control" && weight == 0)) {
+      throw InputError("--feedback_weights: " + name +
+                       (name == "control" ? " must be positive" : " must not be negative"));
+    }
+    (name == "state" ? options.state : name == "control" ? options.control : options.final) = weight;
+  }
+  options.scale = FLAGS_feedback_scale;
+  if (!(options.scale >= 0) || std::isinf(options.scale)) throw InputError("--feedback_scale must be a number >= 0");
+  options.samples = FLAGS_feedback_samples;
+  if (options.samples < 0) throw InputError("--feedback_samples must not be negative");
+  options.seed = FLAGS_feedback_seed;
+  options.plant = FLAGS_feedback_plant;
+  if (const std::string wrong = WhatIsWrongWith(Contact(options.plant)); !wrong.empty()) {
+    throw InputError("--feedback_plant=" + options.plant + ": " + wrong);
+  }
+  return options;
+}
+
+std::optional<FeedbackOptions> SceneFeedbackFromFlags() {
+  return FeedbackFromFlags({"position", "velocity", "angle", "angular_velocity"}, {"force", "torque"});
+}
+
+FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
+                            const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
+  Scene scene = given;
+  scene.free.clear();
+  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
+  double price_of_time = 0;
+  if (scene.objective.duration) {
+    scene.duration = DurationOf({control, durations}, scene);
+    price_of_time = scene.objective.duration->weight * scene.duration;
+    scene.objective.duration.reset();
+  }
+  FeedbackStudy none;
+  // One step of the plant is one interval of the plan, whatever its model.
+  Scene plant_scene = scene;
+  plant_scene.steps *= FindContactModel(Contact(options.plant).name())->grid_steps;
+  for (const std::string& model : {std::string("event"), options.plant}) {
+    none.reason = WhyNotApplicable(model, plant_scene);
+    if (!none.reason.empty()) return none;
+  }
+  none.reason = WhyTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
+  if (!none.reason.empty()) return none;
+  const std::unique_ptr<Simulator> motion = MakeSimulator({"event"}, scene, Precision::kDouble);
+  std::vector<double> row_means;
+  if (scene.num_controlled() > 0) {
+    row_means = MeanOverSteps({control, durations}, scene.control_width(), motion->num_steps());
+  }
+  if (!motion->Rollout(initial, row_means)) {
+    none.reason = motion->WhyFailed();
+    return none;
+  }
+  const int n = motion->state_size(), body_size = motion->body_size();
+  Study study{options, threads, MakePlan(*motion, row_means), Linearize(*motion, row_means)};
+  study.noise = NoiseOf(scene, options, body_size);
+  study.Q = {Eigen::MatrixXd::Identity(n, n)};
+  study.make_plant = [&] { return MakePlant(MakeSimulator(options.plant, plant_scene, Precision::kDouble)); };
+  if (scene.objective.running.empty() && scene.objective.via.empty()) {
+    const double step = motion->step();
+    study.loss = [&objective = scene.objective, step, body_size, price_of_time](const ClosedLoopRun& run) {
+      const std::span<const double> x(run.final_state.data(), static_cast<std::size_t>(run.final_state.size()));
+      return TerminalLoss(objective, x, body_size) + EffortLoss(objective, run.control, step) + price_of_time;
+    };
+    // Both terms are quadratic: that of the final state is the mean over points +-sqrt(r) l_j, where l_j are the
+    // columns of a square root of the covariance; that of the effort the sum over such columns.
+    study.expected_loss = [&, step](const Covariance& covariance, const Regulator* regulator) {
+      const Eigen::MatrixXd root = RootOfCovariance(covariance.nodes.back());
+      const auto r = static_cast<double>(root.cols());
+      ClosedLoopRun at{.final_state = study.plan.states.back(), .control = study.plan.control};
+      double sum = r == 0 ? study.loss(at) : 0;
+      for (Eigen::Index j = 0; j < root.cols(); ++j) {
+        for (const double side : {-1.0, 1.0}) {
+          at.final_state = study.plan.states.back() + side * std::sqrt(r) * root.col(j);
+          sum += study.loss(at) / (2 * r);
+        }
+      }
+      for (std::size_t k = 0; k + 1 < covariance.nodes.size() && study.plan.num_controls > 0; ++k) {
+        Eigen::MatrixXd of_control = Eigen::MatrixXd::Zero(study.plan.num_controls, study.plan.num_controls);
+        if (study.noise.control.size() > 0) of_control += study.noise.control;
+        if (regulator) {
+          const Eigen::MatrixXd& K = regulator->gains[k];
+          of_control += K * covariance.nodes[k] * K.transpose();
+          if (study.noise.measurement.size() > 0) of_control += K * study.noise.measurement * K.transpose();
+        }
+        const Eigen::MatrixXd columns = RootOfCovariance(of_control);
+        sum += EffortLoss(scene.objective, {columns.data(), static_cast<std::size_t>(columns.size())}, step);
+      }
+      return sum;
+    };
+  }
+  FeedbackStudy out = Run(study);
+  out.plant = options.plant;
+  return out;
+}
+
+FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& input, const FeedbackOptions& options,
+                            int threads) {
+  const HybridSystem& system = problem.system;
+  HybridSimulator motion(system, problem.integration);
+  FeedbackStudy none;
+  if (!motion.Rollout(input)) {
+    none.reason = motion.WhyFailed();
+    return none;
+  }
+  none.reason = WhyTooLarge(input.num_intervals, system.functions().most_states());
+  if (!none.reason.empty()) return none;
+  Study study{options, threads, MakePlan(motion, input), Linearize(motion, input)};
+  for (int mode = 0; mode < system.num_modes(); ++mode) {
+    study.Q.push_back(Eigen::MatrixXd::Identity(system.state_size(mode), system.state_size(mode)));
+  }
+  const auto of_states = [&](const std::string& prefix) {
+    std::vector<double> deviations;
+    for (int i = 0; i < system.state_size(input.mode); ++i) {
+      deviations.push_back(DeviationOf(options, prefix + system.StateName(input.mode, i), prefix + kAll));
+    }
+    return Diagonal(deviations);
+  };
+  std::vector<double> controls;
+  for (int i = 0; i < system.num_controls(); ++i) controls.push_back(DeviationOf(options, system.ControlName(i)));
+  study.noise = {of_states(""), Diagonal(controls), of_states("process_"), of_states("measured_")};
+  study.make_plant = [&, steps = motion.steps_per_interval()] { return MakePlant(system, input, steps); };
+  FeedbackStudy out = Run(study);
+  if (out.reason.empty()) out.remark = motion.WhyNotDifferentiable();
+  return out;
+}
+
+double FinalError(const FeedbackStudy& study, const MonteCarlo& runs) {
+  if (runs.counted < 2) return std::nan("");
+  return std::sqrt(runs.covariance.trace() + (runs.mean - study.planned).squaredNorm());
+}
+
+double FinalError(const Covariance& covariance) { return std::sqrt(covariance.nodes.back().trace()); }
+
+namespace {
+
+Json MatrixToJson(const Eigen::MatrixXd& matrix) {
+  Json rows = Json::array();
+  for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+    Json row = Json::array();
+    for (Eigen::Index j = 0; j < matrix.cols(); ++j) row.push_back(NumberToJson(matrix(i, j)));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+Json MatricesToJson(const std::vector<Eigen::MatrixXd>& matrices) {
+  Json list = Json::array();
+  for (const Eigen::MatrixXd& matrix : matrices) list.push_back(MatrixToJson(matrix));
+  return list;
+}
+
+Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, bool states) {
+  const Covariance& covariance = loop.covariance;
+  Json item = {{"final_error", NumberToJson(FinalError(covariance))},
+               {"covariance", MatrixToJson(covariance.nodes.back())},
+               {"event_deviations", NumbersToJson(covariance.event_times)},
+               {"change_probability", NumberToJson(covariance.change_probability)},
+               {"risks", Json::array()}};
+  if (loop.expected_loss) item["expected_loss"] = NumberToJson(*loop.expected_loss);
+  for (const SequenceRisk& risk : covariance.risks) {
+    item["risks"].push_back(
+        {{"what", risk.what}, {"time", NumberToJson(risk.time)}, {"probability", NumberToJson(risk.probability)}});
+  }
+  if (const std::string warning = covariance.Warning(); !warning.empty()) item["warning"] = warning;
+  if (states) item["covariances"] = MatricesToJson(covariance.nodes);
+  if (!loop.runs) return item;
+  const MonteCarlo& runs = *loop.runs;
+  Json of_runs = {{"samples", study.samples}, {"failed", runs.failed}, {"otherwise", runs.otherwise}};
+  if (runs.counted > 1) {
+    of_runs["final_error"] = NumberToJson(FinalError(study, runs));
+    of_runs["covariance"] = MatrixToJson(runs.covariance);
+    if (study.loss) {
+      of_runs["loss"] = NumberToJson(runs.loss);
+      of_runs["loss_error"] = NumberToJson(runs.loss_error);
+    }
+  }
+  item["runs"] = std::move(of_runs);
+  return item;
+}
+
+}  // namespace
+
+Json FeedbackToJson(const FeedbackStudy& study, bool states) {
+  if (!study.reason.empty()) return {{"failed", study.reason}};
+  Json item = {{"times", NumbersToJson(study.times)}};
+  if (!study.remark.empty()) item["remark"] = study.remark;
+  if (study.loss) item["loss"] = NumberToJson(*study.loss);
+  if (!study.plant.empty()) item["plant"] = study.plant;
+  if (study.closed) item["gains"] = MatricesToJson(study.gains);
+  if (study.closed && states) item["cost_to_go"] = MatricesToJson(study.cost_to_go);
+  item["open"] = LoopToJson(study, study.open, states);
+  if (study.closed) item["closed"] = LoopToJson(study, *study.closed, states);
+  return item;
+}
+
+Table FeedbackTable(const NamedStudies& studies) {
+  Table table({{"run"},
+               {"loop"},
+               {"final error", 4},
+               {"first order", 4},
+               {"expected loss", 8},
+               {"±", 2},
+               {"first order", 8},
+               {"other events", 3},
+               {"first order", 3},
+               {"remark"}},
+              2);
+  for (const auto& [name, study] : studies) {
+    if (!study->reason.empty()) {
+      std::vector<Cell> row(table.columns().size());
+      row[0] = name;
+      row.back() = study->reason;
+      table.AddRow(std::move(row));
+      continue;
+    }
+    const auto add = [&](const char* what, const FeedbackStudy::Loop& loop) {
+      std::string remark = study->remark;
+      if (loop.runs && loop.runs->failed > 0) {
+        remark += (remark.empty() ? "" : "; ") + std::to_string(loop.runs->failed) + " runs have failed";
+      }
+      const bool ran = loop.runs && loop.runs->counted > 1, losses = ran && study->loss;
+      table.AddRow({name,
+                    what,
+                    ran ? Cell(FinalError(*study, *loop.runs)) : Cell(),
+                    FinalError(loop.covariance),
+                    losses ? Cell(loop.runs->loss) : Cell(),
+                    losses ? Cell(loop.runs->loss_error) : Cell(),
+                    loop.expected_loss ? Cell(*loop.expected_loss) : Cell(),
+                    loop.runs ? Cell(static_cast<double>(loop.runs->otherwise) / study->samples) : Cell(),
+                    loop.covariance.change_probability,
+                    remark});
+    };
+    add("open", study->open);
+    if (study->closed) add("closed", *study->closed);
+  }
+  return table;
+}
+
+std::string FeedbackCaption(const FeedbackOptions& options) {
+  return "errors of the final state (root mean square), expected loss with its standard error, and the share of runs "
+         "whose events are not as "
+         "planned, of " +
+         std::to_string(options.samples) + " noisy runs in each loop and to first order";
+}
+
+std::vector<std::string> FeedbackWarnings(const NamedStudies& studies) {
+  std::vector<std::string> lines;
+  for (const auto& [name, study] : studies) {
+    if (!study->reason.empty()) continue;
+    if (const std::string warning = study->open.covariance.Warning(); !warning.empty()) {
+      lines.push_back(name + ", open loop: " + warning);
+    }
+    if (!study->closed) continue;
+    if (const std::string warning = study->closed->covariance.Warning(); !warning.empty()) {
+      lines.push_back(name + ", closed loop: " + warning);
+    }
+  }
+  return lines;
+}
+
+}  // namespace saltus
