@@ -33,22 +33,32 @@ void WithSize(int size, const Function& function) {
 
 void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after) const {
   const int n = state_size(step.mode);
-  double *slopes = scratch, *stage = scratch + kStages * n;
-  std::copy_n(slope, n, slopes);
-  for (int i = 1; i < kStages; ++i) {
-    Combine(i, n, step.h, step.x, slopes, stage);
-    Flow(step.mode, step.t + kC[i] * step.h, stage, step.u, step.p, slopes + i * n);
-  }
-  Combine(kStages, n, step.h, step.x, slopes, after);
+  const auto flow = [&](double t, const double* x, double* xdot) { Flow(step.mode, t, x, step.u, step.p, xdot); };
+  WithSize(n, [&](auto size) {
+    if constexpr (size > 0) return EvaluateStep<size>(step, flow, slope, after);
+    double *slopes = scratch, *stage = scratch + kStages * n;
+    std::copy_n(slope, n, slopes);
+    for (int i = 1; i < kStages; ++i) {
+      Combine(i, n, step.h, step.x, slopes, stage);
+      flow(step.t + kC[i] * step.h, stage, slopes + i * n);
+    }
+    Combine(kStages, n, step.h, step.x, slopes, after);
+  });
 }
 
 void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const {
   const int n = state_size(step.mode);
   const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + layout().num_parameters + layout().num_controls);
-  for (int i = 0; i < kStages; ++i) {
-    Combine(i, n, step.h, step.x, slopes, scratch);
-    FlowJacobian(step.mode, step.t + kC[i] * step.h, scratch, step.u, step.p, slopes + i * n, jacobians + i * stride);
-  }
+  const auto flow = [&](double t, const double* x, double* xdot, double* jacobian) {
+    FlowJacobian(step.mode, t, x, step.u, step.p, xdot, jacobian);
+  };
+  WithSize(n, [&](auto size) {
+    if constexpr (size > 0) return saltus::LinearizeStep<size>(step, stride, flow, slopes, jacobians);
+    for (int i = 0; i < kStages; ++i) {
+      Combine(i, n, step.h, step.x, slopes, scratch);
+      flow(step.t + kC[i] * step.h, scratch, slopes + i * n, jacobians + i * stride);
+    }
+  });
 }
 
 RungeKutta::RungeKutta(const HybridFunctions& functions)
@@ -104,31 +114,27 @@ void RungeKutta::PullBack(const double* after, Cotangent* out) const {
 template <int kSize>
 void RungeKutta::PullBackOfSize(const double* after, Cotangent* out) const {
   const int n = kSize > 0 ? kSize : size_, columns = n + 1 + num_parameters_ + num_controls_;
+  // Of the slopes, divided by h.
   double* of_slopes = cotangents_.data();
   std::fill_n(of_slopes, kStages * n, 0.0);
   double by_t = 0, by_h = 0;
   // Adds the cotangent of x + h sum of the row's slopes.
   const auto add = [&](const Row& row, const double* cotangent) {
-    double sum = 0;
     for (int k = 0; k < row.count; ++k) {
-      const Term& term = row.terms[k];
-      const double* slope = &slopes_[term.stage * n];
-      double *of_slope = of_slopes + term.stage * n, dot = 0;
-      const double factor = length_ * term.factor;
-      for (int j = 0; j < n; ++j) {
-        dot += cotangent[j] * slope[j];
-        of_slope[j] += factor * cotangent[j];
-      }
-      sum += term.factor * dot;
+      double* of_slope = of_slopes + row.terms[k].stage * n;
+      for (int j = 0; j < n; ++j) of_slope[j] += row.terms[k].factor * cotangent[j];
     }
-    by_h += sum;
   };
   add(kRows[kStages], after);
   if (out->x != after) std::copy_n(after, n, out->x);
   double* of_stage = of_variables_.data();
   for (int i = kStages - 1; i >= 0; --i) {
-    const double* jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns];
-    const double* of_slope = of_slopes + i * n;
+    const double *jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns], *slope = &slopes_[i * n];
+    double* of_slope = of_slopes + i * n;
+    for (int j = 0; j < n; ++j) {
+      by_h += of_slope[j] * slope[j];
+      of_slope[j] *= length_;
+    }
     const auto multiply = [&](int first, int last) {
       for (int column = first; column < last; ++column) of_stage[column] = of_slope[0] * jacobian[column];
       for (int row = 1; row < n; ++row) {

@@ -77,65 +77,295 @@ TEST(HybridPhases, KeepBoundsOfTheControl) {
   EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
 }
 
-// The best control of the ball on a fixed grid whose impact is at the end of interval `line`, and its loss.
-struct OnLine {
-  HybridInput input;
-  double loss = 0;
-};
-OnLine BestOnLine(const HybridProblem& problem, int line) {
-  const int n = problem.guess.num_intervals;
-  const double h = 1.0 / n, g = 9.8, e = 0.7, weight = 100, effort = 1.0 / 32;
-  // Unknown are the controls and the speed V before the impact; minimized is |A z - b|^2 with C z = d.
-  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(n + 2, n + 1), C = Eigen::MatrixXd::Zero(2, n + 1);
-  Eigen::VectorXd b = Eigen::VectorXd::Zero(n + 2), d(2);
-  const double s = line * h, rest = 1 - s;
-  for (int k = 0; k < n; ++k) {
-    A(k, k) = std::sqrt(effort * h);
-    const double left =
-        (k < line ? s : 1.0) - (k + 0.5) * h;  // from the middle of the interval to the end of its phase
-    if (k < line) {
-      C(0, k) = h * left;
-      C(1, k) = h;
-    } else {
-      A(n, k) = std::sqrt(weight) * h * left;
-      A(n + 1, k) = std::sqrt(weight) * h;
-    }
+// The ball with a force per mass that is linear in time between events, and different ones before and after them, as
+// the optimum in continuous time has: [y v z] with z = int u^2 dt; p = [g e a0 b0 a1 b1 a2 b2], u = a + b t.
+struct BallWithLinearForces {
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 8;
+  static constexpr std::array kStateSizes = {3, 3, 3};
+  static constexpr std::array kNumGuards = {1, 1, 0};
+  template <typename T>
+  void Flow(int mode, const T& t, const T* x, const T*, const T* p, T* xdot) const {
+    const T u = p[2 + 2 * mode] + p[3 + 2 * mode] * t;
+    xdot[0] = x[1];
+    xdot[1] = u - p[0];
+    xdot[2] = u * u;
   }
-  C(1, n) = 1;
-  d << -(4 - 0.5 * g * s * s), g * s;
-  A(n, n) = std::sqrt(weight) * e * rest;
-  A(n + 1, n) = std::sqrt(weight) * e;
-  b[n] = std::sqrt(weight) * (1 + 0.5 * g * rest * rest);
-  b[n + 1] = std::sqrt(weight) * g * rest;
-  Eigen::MatrixXd kkt = Eigen::MatrixXd::Zero(n + 3, n + 3);
-  kkt.topLeftCorner(n + 1, n + 1) = A.transpose() * A;
-  kkt.topRightCorner(n + 1, 2) = C.transpose();
-  kkt.bottomLeftCorner(2, n + 1) = C;
-  Eigen::VectorXd right(n + 3);
-  right << A.transpose() * b, d;
-  const Eigen::VectorXd z = kkt.fullPivLu().solve(right).head(n + 1);
-  OnLine best{problem.guess, (A * z - b).squaredNorm()};
-  best.input.control.assign(z.data(), z.data() + n);
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[0];
+  }
+  template <typename T>
+  int Reset(int mode, int, const T&, const T* x, const T* p, T* x_plus) const {
+    x_plus[0] = T(0.0);
+    x_plus[1] = -p[1] * x[1];
+    x_plus[2] = x[2];
+    return mode + 1;
+  }
+};
+// The integral of u^2 / 32 over an interval in a mode, exactly; of parameters, time and length.
+struct EffortOfLinearForce {
+  int mode;
+  template <typename T>
+  bool operator()(const T* p, const T* t, const T* h, T* residuals) const {
+    using std::sqrt;
+    const T root = sqrt(h[0] / 32.0), slope = p[3 + 2 * mode];
+    residuals[0] = root * (p[2 + 2 * mode] + slope * (t[0] + 0.5 * h[0]));
+    residuals[1] = root * slope * h[0] / std::sqrt(12.0);
+    return true;
+  }
+};
+HybridProblem BallInContinuousTime(const std::vector<double>& forces) {
+  HybridProblem problem{.system = HybridSystem(BallWithLinearForces()),
+                        .guess = {.initial = {4, 0, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 30},
+                        .terms = {MakeTerminalCost(0, 1.0, 100.0, 3), MakeTerminalCost(1, 0.0, 100.0, 3)}};
+  problem.guess.parameters.insert(problem.guess.parameters.end(), forces.begin(), forces.end());
+  for (int i = 2; i < static_cast<int>(problem.guess.parameters.size()); ++i) {
+    const bool counts = forces[(i - 2) / 2 * 2] != 0;
+    if (counts) problem.free.parameters.push_back(i);
+  }
+  for (int mode = 0; mode < 3; ++mode) {
+    HybridTerm effort{.name = "effort",
+                      .at = HybridTerm::At::kEachInterval,
+                      .mode = mode,
+                      .with_parameters = true,
+                      .with_time = true,
+                      .with_length = true};
+    effort.function =
+        std::make_shared<ceres::AutoDiffCostFunction<EffortOfLinearForce, 2, 8, 1, 1>>(new EffortOfLinearForce{mode});
+    problem.terms.push_back(effort);
+  }
+  return problem;
+}
+
+TEST(HybridPhases, ReachTheOptimumOfTheBallInContinuousTime) {
+  const HybridProblem problem = BallInContinuousTime({-12, 25, -10, -10, 0, 0});
+  const SolveReport report = Solve("ceres_phases", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, kBallOptimum, 1e-12);
+  const std::vector<double>& p = report.parameters;
+  HybridSimulator simulator(problem.system);
+  HybridInput best = problem.guess;
+  best.parameters = p;
+  ASSERT_TRUE(simulator.Rollout(best));
+  ASSERT_EQ(simulator.events().size(), 1u);
+  const HybridEvent impact = simulator.events()[0];
+  const double s = impact.time, speed = -impact.before[1];
+  EXPECT_NEAR(s, 0.697936180950424916232723, 1e-8);
+  EXPECT_NEAR(speed, 9.14598342235800406373598, 1e-8);
+  // A change of the forces by 1e-6 m/s^2 changes the loss by rounding alone.
+  EXPECT_NEAR(p[2], -13.261035960757762298, 1e-6);
+  EXPECT_NEAR(p[2] + p[3] * s, 6.6523834449838246927, 1e-6);
+  EXPECT_NEAR(p[4] + p[5] * s, -9.5034049214054638468, 1e-6);
+  EXPECT_NEAR(p[4] + p[5], -13.258802112336916118, 1e-6);
+  const double y = simulator.final_state()[0], v = simulator.final_state()[1], effort = simulator.final_state()[2] / 32;
+  EXPECT_NEAR(y, 0.9961148553777191287357, 1e-9);
+  EXPECT_NEAR(v, 0.004143375660105286286961, 1e-9);
+  EXPECT_NEAR(effort, 2.192662419243672985, 1e-8);
+  EXPECT_NEAR((y - 1) * (y - 1) + v * v, 0.00003226191059679089073, 1e-10);
+
+  // Costates are derivatives of the loss to come by the state: at the end, at the start, and of motions that begin just
+  // before and just after the impact.
+  const std::vector<double> at_end = {200 * (y - 1), 200 * v, 1.0 / 32};
+  EXPECT_NEAR(at_end[0], -0.77702892445617425286, 1e-7);
+  EXPECT_NEAR(at_end[1], 0.82867513202105725739, 1e-7);
+  const HybridGradient whole = simulator.Adjoint(at_end);
+  EXPECT_NEAR(whole.initial[0], 1.7832414292722467846, 1e-7);
+  EXPECT_NEAR(whole.initial[1], 0.82881474754736014361, 1e-7);
+  EXPECT_NEAR(whole.parameters[0], -0.3590017776467813514, 1e-7);  // g
+  EXPECT_NEAR(whole.parameters[1], 5.432373991695615179, 1e-6);    // e
+  EXPECT_NEAR(whole.duration, -13.61785561198008402, 1e-6);
+  for (int i = 2; i < 6; ++i) EXPECT_NEAR(whole.parameters[i], 0, 1e-8);
+  best.begin = s;
+  best.duration = 1 - s;
+  best.initial = {0, -speed, 0};
+  ASSERT_TRUE(simulator.Rollout(best));
+  const std::vector<double> before = simulator.Adjoint(at_end).initial;
+  best.mode = 1;
+  best.initial = {0, 0.7 * speed, 0};
+  ASSERT_TRUE(simulator.Rollout(best));
+  const std::vector<double> after = simulator.Adjoint(at_end).initial;
+  EXPECT_NEAR(before[0], 1.7832414292722467846, 1e-7);
+  EXPECT_NEAR(before[1], -0.4157739653114890433, 1e-7);
+  EXPECT_NEAR(after[0], -0.77702892445617425286, 1e-7);
+  EXPECT_NEAR(after[1], 0.59396280758784149042, 1e-7);
+  const auto hamiltonian = [&](const std::vector<double>& costate, double velocity, double u) {
+    return u * u / 32 + costate[0] * velocity + costate[1] * (u - 9.8);
+  };
+  EXPECT_NEAR(hamiltonian(before, -speed, p[2] + p[3] * s), -13.617855611980084025, 1e-6);
+  EXPECT_NEAR(hamiltonian(after, 0.7 * speed, p[4] + p[5] * s), -13.617855611980084025, 1e-6);
+}
+
+TEST(HybridPhases, ReachOtherOptimaOfTheBallInContinuousTime) {
+  const HybridProblem none = BallInContinuousTime({12, 0, 0, 0, 0, 0});
+  const SolveReport alone = Solve("ceres_phases", none, {});
+  ASSERT_EQ(alone.termination, Termination::kConverged) << alone.reason;
+  EXPECT_NEAR(alone.final_loss, 6.356139587834746772, 1e-12);
+  HybridInput best = none.guess;
+  best.parameters = alone.parameters;
+  HybridSimulator simulator(none.system);
+  ASSERT_TRUE(simulator.Rollout(best));
+  EXPECT_EQ(simulator.events().size(), 0u);
+  EXPECT_NEAR(simulator.final_state()[0], 1.0111918013155302, 1e-9);
+  EXPECT_NEAR(simulator.final_state()[1], -0.008655695752842328, 1e-9);
+
+  // The solver leaves motions with two bounces, of which the best that is known has a loss of 25.215.
+  const SolveReport twice = Solve("ceres_phases", BallInContinuousTime({-30, 0.1, -61, 0.1, -30, 0.1}), {});
+  ASSERT_EQ(twice.termination, Termination::kConverged) << twice.reason;
+  EXPECT_LT(twice.final_loss, 25.215);
+}
+
+// The best control of the ball with n1 equal intervals before and n2 after an impact at the time s, and its loss.
+struct AtImpact {
+  HybridInput input;
+  double loss = 0, speed = 0;
+};
+AtImpact BestAtImpact(const HybridProblem& problem, int n1, int n2, double s) {
+  const double g = 9.8, e = 0.7, rest = 1 - s;
+  // What the controls of a phase add to position and velocity at its end is M u, and the least |u|^2 for a given M u =
+  // d is |L^{-1} d|^2 with M M^T = L L^T. Unknown are the speed V before the impact and the d after it; minimized is
+  // |A z - b|^2.
+  const auto added_by = [](int n, double length) {
+    Eigen::Matrix2Xd M(2, n);
+    for (int k = 0; k < n; ++k) M.col(k) << (length / n) * (length - (k + 0.5) * length / n), length / n;
+    return M;
+  };
+  const Eigen::Matrix2Xd M1 = added_by(n1, s), M2 = added_by(n2, rest);
+  const Eigen::LLT<Eigen::Matrix2d> gram1((M1 * M1.transpose()).eval()), gram2((M2 * M2.transpose()).eval());
+  Eigen::Matrix<double, 2, 3> before = Eigen::Matrix<double, 2, 3>::Zero(), after = before;
+  before(1, 0) = -1;
+  after.rightCols<2>().setIdentity();
+  const Eigen::Vector2d added(-(4 - 0.5 * g * s * s), g * s);  // for V = 0
+  const double root1 = std::sqrt(s / n1 / 32), root2 = std::sqrt(rest / n2 / 32);
+  Eigen::Matrix<double, 6, 3> A;
+  Eigen::Matrix<double, 6, 1> b;
+  A << root1 * gram1.matrixL().solve(before), root2 * gram2.matrixL().solve(after), 10 * e * rest, 10, 0, 10 * e, 0, 10;
+  b << -root1 * gram1.matrixL().solve(added), 0, 0, 10 * (1 + 0.5 * g * rest * rest), 10 * g * rest;
+  const Eigen::Vector3d z = A.colPivHouseholderQr().solve(b);
+  AtImpact best{problem.guess, (A * z - b).squaredNorm(), z[0]};
+  const Eigen::VectorXd u1 = M1.transpose() * gram1.solve(added + before * z);
+  const Eigen::VectorXd u2 = M2.transpose() * gram2.solve(after * z);
+  best.input.control.assign(u1.begin(), u1.end());
+  best.input.control.insert(best.input.control.end(), u2.begin(), u2.end());
+  best.input.lengths.assign(n1, s / n1);
+  best.input.lengths.insert(best.input.lengths.end(), n2, rest / n2);
+  return best;
+}
+AtImpact BestOnLine(const HybridProblem& problem, int line) {
+  const int n = problem.guess.num_intervals;
+  AtImpact best = BestAtImpact(problem, line, n - line, static_cast<double>(line) / n);
+  best.input.lengths.clear();
   return best;
 }
 
+// Free impact time: of n1 equal intervals before and n2 after it. The solver shares its intervals out by the lengths of
+// the phases.
+TEST(HybridCertificate, HoldsAtTheOptimaOfTheBallOnIntervalsThatMove) {
+  struct Row {
+    int n1, n2;
+    double loss, time, speed, y, v;
+  };
+  for (const Row& row : {Row{25,
+                             25,
+                             2.1970603041490900786,
+                             0.6979672664436311,
+                             9.147569927055713,
+                             0.9961165206774811,
+                             0.00414489250152653},
+                         Row{50,
+                             50,
+                             2.1961813900503215692,
+                             0.6979439479995817,
+                             9.146379883345555,
+                             0.9961152709408124,
+                             0.004143754739522638},
+                         Row{125,
+                             125,
+                             2.1959354486291754319,
+                             0.6979374234847223,
+                             9.146046848720716,
+                             0.9961149218337232,
+                             0.00414343630694966},
+                         Row{35,
+                             15,
+                             2.1965264717008884201,
+                             0.6979373952068263,
+                             9.147126035228148,
+                             0.9961136307797731,
+                             0.004144411256654596}}) {
+    HybridProblem problem = ControlledBall(row.n1 + row.n2);
+    AtImpact best = BestAtImpact(problem, row.n1, row.n2, row.time);
+    EXPECT_NEAR(best.loss, row.loss, 1e-12);
+    EXPECT_NEAR(best.speed, row.speed, 1e-8);
+    const Certificate certificate = Certify(problem, best.input);
+    EXPECT_EQ(certificate.verdict, kStationary) << certificate.reason;
+    EXPECT_NE(Certify(problem, BestAtImpact(problem, row.n1, row.n2, row.time + 1e-3).input).verdict, kStationary);
+    if (row.n1 == 35) {
+      for (int k = 0; k < 50; ++k) problem.guess.control.push_back(k < 35 ? 9.8 - 8 / 0.49 : 0);  // 4 m in 0.7 s
+      const SolveReport report = Solve("ceres_phases", problem, {});
+      ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+      EXPECT_NEAR(report.final_loss, row.loss, 1e-10);
+      best.input.control = report.control;
+      best.input.lengths = report.durations;
+    }
+    HybridSimulator simulator(problem.system);
+    ASSERT_TRUE(simulator.Rollout(best.input));
+    ASSERT_EQ(simulator.events().size(), 1u);
+    EXPECT_NEAR(simulator.events()[0].time, row.time, 1e-8);
+    EXPECT_NEAR(simulator.events()[0].before[1], -row.speed, 1e-7);
+    EXPECT_NEAR(simulator.final_state()[0], row.y, 1e-8);
+    EXPECT_NEAR(simulator.final_state()[1], row.v, 1e-8);
+  }
+}
+
 // On a fixed grid every local minimum of the ball has its impact at the end of an interval; reference values: the least
-// losses and how many such lines there are.
+// losses, how many such lines there are, and at the least of all the speed, the controls on both sides and the slopes
+// of the least loss by the time of the impact.
 TEST(HybridCertificate, NamesTheKinksOfAFixedGrid) {
   struct Row {
     int n, minima;
     std::vector<std::pair<int, double>> lines;
+    double speed, u_left, u_right, slope_left, slope_right;
   };
   for (const Row& row :
-       {Row{50, 2, {{35, 2.1976626506629637918}, {34, 2.2764510624727}}},
+       {Row{50,
+            2,
+            {{35, 2.1976626506629637918}, {34, 2.2764510624727}},
+            9.1512769644202929,
+            6.2154741276484,
+            -9.4286461313113,
+            -6.39456,
+            9.02711},
         Row{100,
             4,
-            {{70, 2.1971835916003522223}, {69, 2.2122262662501}, {68, 2.2758162922396}, {67, 2.3833726276028}}}}) {
+            {{70, 2.1971835916003522223}, {69, 2.2122262662501}, {68, 2.2758162922396}, {67, 2.3833726276028}},
+            9.1503663003540137,
+            6.3542669939743,
+            -9.3521468359329,
+            -6.53011,
+            8.95112},
+        Row{250,
+            11,
+            {{174, 2.196898388973555967}, {175, 2.1970494960619}, {173, 2.2050260727339}, {176, 2.2058732430167}},
+            9.1426979918159248,
+            6.7420320172767,
+            -9.7347540925955,
+            -9.47593,
+            7.53119},
+        Row{500,
+            23,
+            {{349, 2.1958960908933075897}, {348, 2.196878980734}, {350, 2.1970303410202}, {347, 2.1999309030468}},
+            9.1461127298306453,
+            6.618995155246,
+            -9.5089520714107,
+            -8.08209,
+            8.19095}}) {
     const HybridProblem problem = ControlledBall(row.n);
     for (const auto& [line, loss] : row.lines) EXPECT_NEAR(BestOnLine(problem, line).loss, loss, 1e-12) << line;
     int minima = 0;
-    for (int line = 3 * row.n / 5; line <= 4 * row.n / 5; ++line) {
-      const Certificate certificate = Certify(problem, BestOnLine(problem, line).input);
+    for (int line = (3 * row.n + 9) / 10; line <= 95 * row.n / 100; ++line) {
+      const AtImpact best = BestOnLine(problem, line);
+      const Certificate certificate = Certify(problem, best.input);
       EXPECT_NE(certificate.verdict, kStationary) << line;
       if (certificate.verdict != kStationaryOnGrid) continue;
       ++minima;
@@ -145,13 +375,22 @@ TEST(HybridCertificate, NamesTheKinksOfAFixedGrid) {
       EXPECT_GE(*certificate.impacts[0].theta, 0);
       EXPECT_LE(*certificate.impacts[0].theta, 1);
       // With the impact held on its line the loss is a linear least-squares problem, and some controls only cost
-      // effort.
-      ASSERT_TRUE(certificate.curvature);
-      EXPECT_EQ(certificate.curvature->kind, Curvature::Kind::kMinimum);
-      EXPECT_NEAR(certificate.curvature->smallest, 1, 1e-6);
-      EXPECT_TRUE(std::any_of(row.lines.begin(), row.lines.end(), [&](const auto& known) {
-        return known.first == line;
-      })) << line;
+      // effort. Curvature is left out with more than 400 controls.
+      EXPECT_EQ(certificate.curvature.has_value(), row.n <= 400);
+      if (certificate.curvature) {
+        EXPECT_EQ(certificate.curvature->kind, Curvature::Kind::kMinimum);
+        EXPECT_NEAR(certificate.curvature->smallest, 1, 1e-6);
+      }
+      const auto known =
+          std::find_if(row.lines.begin(), row.lines.end(), [&](const auto& of) { return of.first == line; });
+      if (known == row.lines.end()) {
+        EXPECT_GT(best.loss, row.lines.back().second) << line;
+      }
+      if (known != row.lines.begin()) continue;
+      EXPECT_NEAR(best.speed, row.speed, 1e-11);
+      EXPECT_NEAR(best.input.control[line - 1], row.u_left, 1e-10);
+      EXPECT_NEAR(best.input.control[line], row.u_right, 1e-10);
+      EXPECT_NEAR(*certificate.impacts[0].theta, row.slope_right / (row.slope_right - row.slope_left), 1e-5);
     }
     EXPECT_EQ(minima, row.minima) << row.n;
   }
@@ -313,30 +552,44 @@ TEST(HybridPhases, FindTheRestitutionOfTheTutorial) {
   EXPECT_LT(searched.final_loss, 1e-12);
 }
 
-// int x^2 dt is the second component of the state; its root is the residual.
-struct RootOfIntegral {
+// int x^2 dt over an interval in which x is linear in time with a known slope; of state and length.
+struct SquareOfLine {
+  double slope;
   template <typename T>
-  bool operator()(const T* x, T* residual) const {
+  bool operator()(const T* x, const T* h, T* residuals) const {
     using std::sqrt;
-    residual[0] = sqrt(x[1]);
+    const T root = sqrt(h[0]);
+    residuals[0] = root * (x[0] + 0.5 * slope * h[0]);
+    residuals[1] = root * h[0] * (slope / std::sqrt(12.0));
     return true;
   }
 };
 
 TEST(HybridPhases, FindTheStartOfTheSwitchedLine) {
-  HybridProblem problem{.system = HybridSystem(SwitchedLine()),
-                        .guess = {.initial = {-1, 0}, .duration = 2},
-                        .terms = {MakeTerminalCost(0, 5.0 / 3, 1.0, 2)}};
-  HybridTerm integral{.name = "integral", .with_state = true};
-  integral.function = std::make_shared<ceres::AutoDiffCostFunction<RootOfIntegral, 1, 2>>(new RootOfIntegral);
-  problem.terms.push_back(integral);
-  problem.free.initial = {0};
-  const SolveReport report = Solve("ceres_phases", problem, {});
-  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12);
-  EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, 1e-6);  // where the loss is flat
-  ASSERT_TRUE(report.certificate);
-  EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
+  // The second derivative of the root of the integral is not in that of Gauss-Newton, which is a seventh of the right
+  // one; steps are cut, and end where the loss no longer changes. By integrals over intervals it is
+  // nearly right, and x0 is as exact as the loss can tell: 2e-8 changes it by 3e-16.
+  HybridProblem by_intervals = SwitchedLineProblem();
+  by_intervals.terms.pop_back();
+  by_intervals.guess.num_intervals = 20;
+  for (const int mode : {0, 1}) {
+    HybridTerm square{.name = "integral of x^2",
+                      .at = HybridTerm::At::kEachInterval,
+                      .mode = mode,
+                      .with_state = true,
+                      .with_length = true};
+    square.function =
+        std::make_shared<ceres::AutoDiffCostFunction<SquareOfLine, 2, 2, 1>>(new SquareOfLine{mode == 0 ? 3.0 : 1.0});
+    by_intervals.terms.push_back(square);
+  }
+  for (const bool root : {true, false}) {
+    const SolveReport report = Solve("ceres_phases", root ? SwitchedLineProblem() : by_intervals, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12);
+    EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, root ? 1e-6 : 2e-8);
+    ASSERT_TRUE(report.certificate);
+    EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
+  }
 }
 
 // Minimum time with a terminal constraint, a bound on the state and bounds on the control.

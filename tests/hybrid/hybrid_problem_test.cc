@@ -140,13 +140,7 @@ TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
 }
 
 TEST(HybridSolvers, FindTheStartOfTheSwitchedLine) {
-  HybridProblem problem{.system = HybridSystem(SwitchedLine()),
-                        .guess = {.initial = {-1, 0}, .duration = 2},
-                        .terms = {MakeTerminalCost(0, 5.0 / 3, 1.0, 2)}};
-  HybridTerm integral{.name = "integral", .with_state = true};
-  integral.function = std::make_shared<ceres::AutoDiffCostFunction<RootOfIntegral, 1, 2>>(new RootOfIntegral);
-  problem.terms.push_back(integral);
-  problem.free.initial = {0};
+  const HybridProblem problem = SwitchedLineProblem();
   for (const char* solver : {"ceres_lbfgs", "ceres_lm", "gd"}) {
     SolverOptions options = Iterations(400);
     options.learning_rate = 0.3;

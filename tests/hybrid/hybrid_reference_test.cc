@@ -178,7 +178,31 @@ TEST(HybridReference, BouncingBallAtThePublishedLocalMinimum) {
   const double y = run.simulator.final_state()[0];
   EXPECT_NEAR(y, 19.3679028154539091, 1e-11);
   EXPECT_NEAR((y - 20) * (y - 20), 0.3995468507, 1e-10);
-  EXPECT_NEAR(run.simulator.Adjoint(std::vector<double>{1, 0}).parameters[1], 5.17696e-11, 1e-10);
+  // The slope changes by 6e-13 between neighbouring numbers e.
+  EXPECT_NEAR(run.simulator.Adjoint(std::vector<double>{1, 0}).parameters[1], 5.17696e-11, 5e-12);
+  EXPECT_EQ(run.simulator.events().size(), 3u);
+  Motion top(HybridSystem(BouncingBall()),
+             {.initial = {50, 0}, .parameters = {9.8, 0.86655410543691079163}, .duration = 15});
+  EXPECT_NEAR(top.simulator.final_state()[0], 19.3679028154539091, 1e-11);
+  EXPECT_NEAR(top.simulator.Adjoint(std::vector<double>{1, 0}).parameters[1], 0, 5e-12);
+}
+
+TEST(HybridReference, BouncingBallOfTheSensitivityTutorialHasOneSolution) {
+  HybridSimulator simulator(HybridSystem(BouncingBall()), {.steps_per_interval = 16});
+  constexpr int kPoints = 20000;
+  int changes = 0;
+  double last = 0;
+  for (int i = 0; i < kPoints; ++i) {
+    const double e = 0.75 + 0.25 * (i + 0.5) / kPoints;
+    ASSERT_TRUE(simulator.Rollout({.initial = {50, 0}, .parameters = {9.8, e}, .duration = 15}));
+    const double miss = simulator.final_state()[0] - 20;
+    if (miss * last < 0) {
+      ++changes;
+      EXPECT_NEAR(e, 0.988008392024876511903389, 0.25 / kPoints);
+    }
+    last = miss;
+  }
+  EXPECT_EQ(changes, 1);
 }
 
 struct Wheel {
@@ -291,10 +315,27 @@ struct WalkerCycle {
       jacobian(i, 1) = by(1) + (1 - c) * by(3);
       map_by_gamma[i] = step.Forward(1, i, P(0));
     }
+    double slope[4];
+    step.simulator.system().functions().Flow(
+        strike.next_mode, strike.time, strike.after.data(), nullptr, step.input.parameters.data(), slope);
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < 4; ++j) monodromy(i, j) = step.Forward(1, i, X(j)) - slope[i] * step.Forward(1, -1, X(j));
+    }
     return {strike.after[0], strike.after[1]};
+  }
+  // Xi Phi over a step has the eigenvalues of the map and, along the motion and onto the surface of strikes, 1 and 0.
+  void ExpectMonodromy(std::complex<double> first, std::complex<double> second) const {
+    Eigen::Vector4cd found = monodromy.eigenvalues();
+    for (const std::complex<double> expected : {first, second, std::complex<double>(1), std::complex<double>(0)}) {
+      Eigen::Index nearest = 0;
+      EXPECT_LT((found.array() - expected).abs().minCoeff(&nearest), 1e-10 * std::max(1.0, std::abs(expected)))
+          << expected;
+      found[nearest] = 1e300;
+    }
   }
   Eigen::Vector2d fixed, map_by_gamma, by_gamma;
   Eigen::Matrix2d jacobian;
+  Eigen::Matrix4d monodromy;
   std::vector<double> before;
   double period = 0;
 };
@@ -312,6 +353,8 @@ TEST(HybridReference, StableCycleOfTheSimplestWalker) {
   const std::complex<double> eigenvalue = cycle.jacobian.eigenvalues()[0];
   EXPECT_NEAR(eigenvalue.real(), -0.19009984106588814607, 1e-10);
   EXPECT_NEAR(std::abs(eigenvalue.imag()), 0.55759877668206826877, 1e-10);
+  cycle.ExpectMonodromy({-0.19009984106588814607, 0.55759877668206826877},
+                        {-0.19009984106588814607, -0.55759877668206826877});
   EXPECT_NEAR(cycle.by_gamma[0], 7.2978202116226419735, 1e-9);
   EXPECT_NEAR(cycle.by_gamma[1], -6.5709274333289764301, 1e-9);
   ExpectMatrix(
@@ -351,6 +394,26 @@ TEST(HybridReference, UnstableCycleOfTheSimplestWalker) {
   EXPECT_NEAR(eigenvalues[1], 4.0038643589297071788, 4e-10);
   EXPECT_NEAR(cycle.by_gamma[0], 7.001596542711016503, 1e-9);
   EXPECT_NEAR(cycle.by_gamma[1], -6.8058099126910206699, 1e-9);
+  cycle.ExpectMonodromy(4.0038643589297071788, 0.45958958979767158751);
+  ExpectMatrix(
+      SaltationMatrix(HybridSystem(SimplestWalker()), 1, 0, cycle.period, cycle.before, {}, std::vector{0.009}),
+      {3.1602727075404236,
+       0,
+       -2.0801363537702118,
+       0,
+       -3.44083665754085929,
+       0.925714969842278193,
+       1.63712386321281473,
+       0,
+       2.46931869108441093,
+       0,
+       -2.23465934554220546,
+       0,
+       1.38838446094985752,
+       0.068766764452188169,
+       -0.62327282868915134,
+       0},
+      1e-10);
 }
 
 TEST(HybridReference, SimplestWalkerFromAnotherStart) {
@@ -625,6 +688,10 @@ TEST(HybridReference, SwitchedLine) {
   }
   EXPECT_NEAR(x0, -1.42757223208276713401017, 1e-12);
   EXPECT_NEAR(loss(x0, &slope), 1.52377277537495711456099, 1e-13);
+  // The slope is quadratic in x0, so that central differences of any width give L''.
+  loss(x0 - 0.1, &slope);
+  loss(x0 + 0.1, &other);
+  EXPECT_NEAR((other - slope) / 0.2, 1.51263539678978793, 1e-12);
 }
 
 TEST(HybridReference, SwitchedOscillator) {
@@ -660,6 +727,7 @@ TEST(HybridReference, TurboCarsInMinimumTime) {
   ExpectCar(TurboCar(), 40.0 / 3, {1, 3, 1}, 200, {2, 34.0 / 3});
   ExpectCar(TurboCar(), 59.0 / 5, {15, 29, 15}, 200, {2, 49.0 / 5});
   ExpectCar(TurboCar{.on = 15, .off = 10}, 152.0 / 15, {55, 52, 45}, 150, {3, 122.0 / 15});
+  ExpectCar(TurboCar{.on = 100}, 13, {3, 7, 3}, 150, {});
   const HybridSystem system{TurboCar()};
   ExpectMatrix(SaltationMatrix(system, 0, 0, 2, std::vector{10.0, 10.0}, std::vector{5.0}, {}), {1, 0, 0, 3});
 }
@@ -726,8 +794,16 @@ TEST(HybridReference, JuggledBall) {
   to_fifth.ExpectAfter(4, fifth, by);
 }
 
-// The orbit of the juggled ball with one impact in each period of the paddle.
-void ExpectOrbit(double amplitude, double phase, const std::vector<double>& map, const std::vector<double>& saltation) {
+// The orbit of the juggled ball with one impact in each period of the paddle; the other phase, -t*, is a saddle.
+struct Orbit {
+  double amplitude, phase;
+  std::vector<double> map, saltation;
+  std::complex<double> first, second;  // eigenvalues of the map
+  double other_first, other_second;
+};
+
+void ExpectOrbit(const Orbit& orbit) {
+  const double amplitude = orbit.amplitude, phase = orbit.phase;
   const double g = 9.81, omega = 4 * M_PI, period = 0.5, v = 0.5 * g * period;
   // The state at time 0 of the flight that began a period before the impact at `phase`.
   const double since = period - phase, y = amplitude * std::sin(omega * phase);
@@ -746,21 +822,44 @@ void ExpectOrbit(double amplitude, double phase, const std::vector<double>& map,
     return by;
   };
   const Eigen::Matrix2d found = by_start(1) * by_start(0).inverse();
-  ExpectMatrix({found(0, 0), found(0, 1), found(1, 0), found(1, 1)}, map, 1e-11);
+  ExpectMatrix({found(0, 0), found(0, 1), found(1, 0), found(1, 1)}, orbit.map, 1e-11);
   const HybridEvent& impact = run.simulator.events()[0];
   EXPECT_NEAR(impact.after[1], v, 1e-12);
-  ExpectMatrix(SaltationMatrix(system, 0, 0, impact.time, impact.before, {}, run.input.parameters), saltation, 1e-12);
+  const auto saltation = [&](double time, std::span<const double> before) {
+    return SaltationMatrix(system, 0, 0, time, before, {}, run.input.parameters);
+  };
+  ExpectMatrix(saltation(impact.time, impact.before), orbit.saltation, 1e-12);
+  // Xi Phi over a period has the eigenvalues of the map. At the other phase and the large amplitude, the paddle would
+  // meet the ball between the impacts of the orbit.
+  const auto expect_eigenvalues = [&](const std::vector<double>& xi, const auto& first, const auto& second) {
+    Eigen::Matrix2d monodromy;
+    monodromy << xi[0], xi[0] * period + xi[1], xi[2], xi[2] * period + xi[3];
+    Eigen::Vector2cd eigenvalues = monodromy.eigenvalues();
+    if (std::abs(eigenvalues[0] - first) > std::abs(eigenvalues[1] - first)) eigenvalues.reverseInPlace();
+    EXPECT_NEAR(std::abs(eigenvalues[0] - first), 0, 1e-10);
+    EXPECT_NEAR(std::abs(eigenvalues[1] - second), 0, 1e-10);
+  };
+  expect_eigenvalues(saltation(impact.time, impact.before), orbit.first, orbit.second);
+  expect_eigenvalues(saltation(-phase, std::vector{-y, -v}), orbit.other_first, orbit.other_second);
 }
 
 TEST(HybridReference, OrbitsOfTheJuggledBall) {
-  ExpectOrbit(0.025,
-              0.041448258402558381342,
-              {1, 0.1834862385321100917, -3.536153750599631162, -0.008835550568739662743},
-              {-0.8, 0, 5.182328898862520674, -0.8});
-  ExpectOrbit(0.25,
-              0.11808880949516617047,
-              {1, 0.1834862385321100917, -70.79332447172218597, -12.34960082049948366},
-              {-0.8, 0, -19.49920164099896733, -0.8});
+  ExpectOrbit({.amplitude = 0.025,
+               .phase = 0.041448258402558381342,
+               .map = {1, 0.1834862385321100917, -3.536153750599631162, -0.008835550568739662743},
+               .saltation = {-0.8, 0, 5.182328898862520674, -0.8},
+               .first = {0.4955822247156301686, 0.6280113522428608475},
+               .second = {0.4955822247156301686, -0.6280113522428608475},
+               .other_first = 1.962764917019969959,
+               .other_second = 0.3260706335487697036});
+  ExpectOrbit({.amplitude = 0.25,
+               .phase = 0.11808880949516617047,
+               .map = {1, 0.1834862385321100917, -70.79332447172218597, -12.34960082049948366},
+               .saltation = {-0.8, 0, -19.49920164099896733, -0.8},
+               .first = -0.05667263525470900486,
+               .second = -11.29292818524477466,
+               .other_first = 14.58572229415069538,
+               .other_second = 0.04387852634878828503});
 }
 
 TEST(HybridReference, CartPoleBetweenWalls) {
@@ -890,6 +989,22 @@ TEST(HybridReference, TwoMassHopper) {
   EXPECT_NEAR(height, 0.593873732801498, 1e-12);
   best.ExpectTimes({0.141609893504157, 0.390193881283024}, 1e-12);
   ExpectMatrix(gradient, std::vector<double>(20), 2e-12);
+
+  Eigen::MatrixXd hessian(20, 20);
+  const double d = 1e-4;
+  for (int j = 0; j < 20; ++j) {
+    std::vector<double> sides[2];
+    for (const int side : {0, 1}) {
+      HybridInput moved = input;
+      moved.control[j] += side == 0 ? -d : d;
+      Motion run(HybridSystem(TwoMassHopper()), moved);
+      HopLoss(&run, &sides[side], &height);
+    }
+    for (int i = 0; i < 20; ++i) hessian(i, j) = (sides[1][i] - sides[0][i]) / (2 * d);
+  }
+  EXPECT_NEAR((hessian - hessian.transpose()).cwiseAbs().maxCoeff(), 0, 1e-7);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(hessian);
+  EXPECT_NEAR(eigen.eigenvalues()[0], 0.0317, 5e-5);
 }
 
 TEST(HybridReference, RockingBlock) {
@@ -937,7 +1052,11 @@ TEST(HybridReference, RockingBlock) {
   const std::vector<By> by = {kValue, X(0), P(0), P(1)};
   run.ExpectFinal(table, by);
   run.ExpectTimes({rows[0].values.begin() + 2, rows[0].values.end()});
-  EXPECT_NEAR(std::abs(run.simulator.events()[0].before[1]), 0.48857211287032306358, 1e-13);
+  double speed = 0.48857211287032306358;
+  for (const HybridEvent& impact : run.simulator.events()) {
+    EXPECT_NEAR(std::abs(impact.before[1]), speed, 1e-12);
+    speed *= 0.90818692141777953709;
+  }
   for (int event = 0; event < 6; ++event) {
     for (size_t row = 1; row < rows.size(); ++row) {
       ExpectClose(run.Forward(event, -1, by[row]), rows[row].values[2 + event], kDerivative, rows[row].name);
@@ -999,6 +1118,7 @@ TEST(HybridReference, Thermostat) {
   EXPECT_NEAR(mean, rows[0].values[0], 1e-11);
   EXPECT_NEAR(period, rows[0].values[1], 1e-12);
   EXPECT_NEAR(cycle.simulator.events()[0].time, 0.3226926056878558584, 1e-13);
+  EXPECT_NEAR(period - cycle.simulator.events()[0].time, 0.5268025782891315061, 1e-13);
   for (int p = 0; p < 4; ++p) {
     double by_period = cycle.Forward(1, -1, P(p)), by_integral = cycle.Forward(1, 1, P(p));
     if (p == 2) {
@@ -1055,6 +1175,7 @@ TEST(HybridReference, BoostConverter) {
   EXPECT_NEAR(mean, rows[0].values[0], 1e-10 * mean);
   EXPECT_NEAR(period, rows[0].values[1], 1e-11 * period);
   EXPECT_NEAR(v, rows[0].values[2], 1e-11 * v);
+  EXPECT_NEAR(cycle.simulator.events()[0].time, 0.05, 1e-13);
   EXPECT_NEAR(cycle.simulator.events()[0].before[1], 19.8978455558183338, 1e-10);
   const double eigenvalue = cycle.Forward(1, 1, X(1));
   EXPECT_NEAR(eigenvalue, 0.9607929548009939984, 1e-10);

@@ -125,10 +125,24 @@ TEST(HybridSimulator, AccumulatingEventsAreReported) {
   EXPECT_THAT(simulator.WhyFailed(), HasSubstr("accumulate (Zeno behaviour) at about t = 1.3552618543578"));
   EXPECT_THAT(simulator.WhyFailed(), HasSubstr("guard 'ground' in mode 'flight'"));
   ASSERT_GE(simulator.events().size(), 20u);
+  EXPECT_NEAR(simulator.events()[0].time, 0.45175395145262562, 1e-14);
+  EXPECT_NEAR(simulator.events()[1].time, 0.90350790290525124, 1e-14);
+  EXPECT_NEAR(simulator.events()[2].time, 1.129384878631564, 1e-14);
   EXPECT_NEAR(simulator.events()[9].time, 1.353497190485015, 1e-14);
   EXPECT_NEAR(simulator.events()[19].time, 1.3552601310533135, 1e-14);
   EXPECT_NEAR(simulator.events()[9].before[1], -0.008646853, 1e-9);
   EXPECT_NEAR(simulator.events()[19].before[1], -0.0000084441924, 1e-13);
+  // By y0, g and e.
+  const double by[] = {0.67763092717893843, -0.069146012977442697, 3.614031611621005}, width = 1e-5;
+  for (int i = 0; i < 3; ++i) {
+    const auto at = [&](double change) {
+      HybridInput input{.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 2};
+      (i == 0 ? input.initial[0] : input.parameters[i - 1]) += change;
+      EXPECT_FALSE(simulator.Rollout(input));
+      return simulator.accumulation().value_or(0);
+    };
+    EXPECT_NEAR((at(width) - at(-width)) / (2 * width), by[i], 1e-8);
+  }
 }
 
 TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
