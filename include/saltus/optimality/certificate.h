@@ -70,7 +70,7 @@ struct ParameterCertificate {
   std::string name;       // scene_parameter.h
   double value = 0;       // in the parameter's unit
   double derivative = 0;  // by the value
-  // In natural units, relative to the largest costate, or to 1 if that is more; 0 at a bound which the loss would fall beyond.
+  // In natural units, relative to the largest costate, or to 1 if that is more; 0 at a bound that stops a descent.
   double residual = 0;
 };
 
