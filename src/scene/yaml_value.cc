@@ -1,6 +1,7 @@
 #include "scene/yaml_value.h"
 
 #include <algorithm>
+#include <cctype>
 #include <charconv>
 
 #include "base/suggestion.h"
@@ -67,7 +68,10 @@ bool ReadBool(const Value& value) {
 
 const std::string& ReadName(const Value& value) {
   if (!value.node.IsScalar()) FailExpected(value, "a name");
-  return value.node.Scalar();
+  const std::string& name = value.node.Scalar();
+  const bool in_one_line = std::none_of(name.begin(), name.end(), [](unsigned char c) { return std::iscntrl(c); });
+  if (!in_one_line) FailExpected(value, "a name without line breaks and other control characters");
+  return name;
 }
 
 int ReadChoice(const Value& value, const std::vector<std::string>& choices) {

@@ -57,6 +57,7 @@ SOLUTIONS = [
     "saltus_solve --scene={free} --contact=event --solver=gd --steps=60 --iterations=20 --learning_rate=10",
     "saltus_solve --scene=problems/two_balls.yaml --contact=direct --surrogate=smoothed_zeroth --steps=60 --iterations=3",
     "saltus_solve --scene=problems/back_spin.yaml --contact=event --solver=gd --iterations=30 --learning_rate=2",
+    "saltus_solve --scene=problems/post_shot.yaml --contact=event --solver=ceres_lm --iterations=3",
 ]
 
 

@@ -18,7 +18,8 @@ constexpr double kWidest = 1e-3, kNarrower = 0.1;
 constexpr int kWidths = 3;
 constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
-constexpr double kAside = 1e-7;      // by which the initial state moves, natural units
+constexpr double kLinear = 1;        // change of the loss, natural units: of more, differences say nothing
+constexpr double kAside = 1e-11;     // by which the initial state moves, natural units
 constexpr double kMostWork = 1e7;    // entries times discs times steps
 
 // The impacts of the last rollout and what they did, in their order.
@@ -90,6 +91,7 @@ class Sides {
     Found found;
     double width = kWidest;
     for (int i = 0; i < kWidths; ++i, width *= kNarrower) {
+      if (scale * width > kLinear) continue;
       std::array<double, 4> slopes;
       for (int k = 0; k < 4; ++k) {
         const double by = sign * std::ldexp(width, -k);
