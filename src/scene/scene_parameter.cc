@@ -68,7 +68,7 @@ int PlaceInControl(const Scene& scene, int body) {
 
 // Where a parameter stands in a scene, which may be const; null for what is no number of it.
 template <typename SomeScene>
-auto EntryOf(const SceneParameter& parameter, SomeScene* scene) -> decltype(&scene->contact.friction) {
+auto MemberOf(const SceneParameter& parameter, SomeScene* scene) -> decltype(&scene->contact.friction) {
   switch (parameter.kind) {
     case Kind::kRestitution:
       return &scene->contact.restitution;
@@ -199,7 +199,7 @@ std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
 }
 
 double ValueOf(const SceneParameter& parameter, const Scene& scene) {
-  const double* entry = EntryOf(parameter, &scene);
+  const double* entry = MemberOf(parameter, &scene);
   return entry == nullptr ? 0 : *entry;
 }
 
@@ -209,7 +209,7 @@ void SetValue(const SceneParameter& parameter, double value, Scene* scene) {
     scene->control.bodies.push_back(parameter.body);
     scene->control.initial.push_back({0, 0});
   }
-  if (double* entry = EntryOf(parameter, scene)) *entry = value;
+  if (double* entry = MemberOf(parameter, scene)) *entry = value;
 }
 
 ParameterRange RangeOf(const DesignParameter& design) {
