@@ -20,7 +20,8 @@ constexpr double kTolerance = 1e-5;  // by which an entry may miss its differenc
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
 constexpr double kLinear = 1;        // change of the loss, natural units: of more, differences say nothing
 constexpr double kAside = 1e-11;     // by which the initial state moves, natural units
-constexpr double kMostWork = 1e7;    // entries times discs times steps
+constexpr double kMostWork = 1e6;    // entries times (discs times steps, and so many for each impact)
+constexpr double kImpactWork = 100;
 
 // The impacts of the last rollout and what they did, in their order.
 std::vector<Touch> ImpactsOf(const Simulator& simulator) {
@@ -125,7 +126,9 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
   double loss = 0;
   if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
   const std::vector<Entry> entries = EntriesOf(scene);
-  if (static_cast<double>(entries.size()) * scene.num_bodies() * scene.steps > kMostWork) return found;
+  const double of_rollout = static_cast<double>(scene.num_bodies()) * scene.steps +
+                            kImpactWork * static_cast<double>(ImpactsOf(shooting.simulator()).size());
+  if (static_cast<double>(entries.size()) * of_rollout > kMostWork) return found;
   if (!ImpactsChangeNearby(&shooting)) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
