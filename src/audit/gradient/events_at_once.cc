@@ -19,7 +19,7 @@ constexpr int kWidths = 3;
 constexpr double kTolerance = 1e-5;  // by which an entry may miss its differences, of the largest of its quantity
 constexpr double kSmooth = 1e-6;     // likewise, by which extrapolations of differences may differ
 constexpr double kLinear = 1;        // change of the loss, natural units: of more, differences say nothing
-constexpr double kAside = 1e-11;     // by which the initial state moves, natural units
+constexpr double kAside = 1e-8;      // by which the initial state moves, natural units
 constexpr double kMostWork = 1e6;    // entries times (discs times steps, and so many for each impact)
 constexpr double kImpactWork = 100;
 
