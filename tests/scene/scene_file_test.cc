@@ -439,7 +439,7 @@ TEST(ParseScene, SaysWhereAndWhy) {
       {"steps: 250", "steps: 1000000000", 3, "steps", "expected a whole number from 1 to"},
       {"steps: 250", "steps: 99999999999999", 3, "steps", "expected"},
       {"name: everything", "name: [a]", 1, "name", "found a list of 1, expected a name"},
-      {"name: everything", "name: \"a\\x1b[31m\"", 1, "name", "found \"a?[31m\", expected"},
+      {"name: everything", "name: \"a\\x1b[31m\"", 1, "name", "found the text \"a\\x1b[31m\", expected"},
       {"gravity:", "[a, b]: 1\ngravity:", 4, "", "found a list of 2 as a key"},
       {"gravity:", "<<: {steps: 1}\ngravity:", 4, "<<", "unknown key"},
       {"gravity: [0.5", "gravity: &g [0.5", 4, "", "anchor"},
