@@ -297,8 +297,9 @@ int SweepMain(int argc, char** argv) {
     try {
       return RunRank(arguments, cluster.get());
     } catch (const InputError& error) {
+      // Rank 0 reports it. An exit code that is not 0 would make mpirun end rank 0, perhaps before it has.
       cluster->Decline(error.what());
-      return kWrongInput;
+      return kDone;
     }
   });
 }
