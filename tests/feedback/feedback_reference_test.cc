@@ -298,7 +298,7 @@ void FollowTable(SaltedKalmanFilter* filter, int y, int apart, double ground) {
     EXPECT_NEAR(filter->mean()[v], row[4], kTolerance);
     ExpectClose(covariance(), Matrix(2, {row[5], row[6], row[6], row[7]}));
   }
-  EXPECT_NEAR(log_likelihood, 16.3066638320523, 1e-9);
+  EXPECT_NEAR(log_likelihood, 16.3066638320523, 1e-10);
 }
 
 TEST(FeedbackReference, Filter) {
