@@ -86,6 +86,12 @@ void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.state_size(step.mode);
   length_ = step.h;
   functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
+  projects_ = step.projects;
+  if (!projects_) return;
+  double *after = scratch_.data(), *on = after + size_;
+  Combine(kStages, size_, length_, step.x, slopes_.data(), after);
+  projection_.resize(size_ * (size_ + 1 + num_parameters_));
+  functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
@@ -108,6 +114,13 @@ void RungeKutta::ByLength(double* derivative) const {
 }
 
 void RungeKutta::PullBack(const double* after, Cotangent* out) const {
+  if (projects_) {
+    const ConstMatrixMap projection(projection_.data(), size_, size_ + 1 + num_parameters_);
+    const Eigen::RowVectorXd by = Eigen::Map<const Eigen::RowVectorXd>(after, size_) * projection;
+    for (int j = 0; j < num_parameters_; ++j) out->p[j] += by[size_ + 1 + j];
+    std::copy_n(by.data(), size_, out->x);
+    after = out->x;
+  }
   WithSize(size_, [&](auto size) { PullBackOfSize<decltype(size)::value>(after, out); });
 }
 
@@ -170,7 +183,9 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
                jacobian.middleCols(n + 1, num_parameters_) * in.p + jacobian.rightCols(num_controls_) * in.u;
     total[i] = Eigen::Map<const Eigen::VectorXd>(&slopes_[i * n], n) * in.h + length_ * total[i];
   }
-  return combine(kRows[kStages]);
+  if (!projects_) return combine(kRows[kStages]);
+  const ConstMatrixMap projection(projection_.data(), n, n + 1 + num_parameters_);
+  return projection.leftCols(n) * combine(kRows[kStages]) + projection.rightCols(num_parameters_) * in.p;
 }
 
 }  // namespace saltus

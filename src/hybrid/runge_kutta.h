@@ -18,12 +18,12 @@ class RungeKutta {
 
   explicit RungeKutta(const HybridFunctions& functions);
 
-  // The state after the step. `slope` is f(t, x).
+  // The state after the step, before it is projected. `slope` is f(t, x).
   void Step(const FlowStep& step, const double* slope, double* after);
 
   // Evaluates the stages of a step with their Jacobians; the functions below are of that step.
   void Linearize(const FlowStep& step);
-  // The derivative of x' by h.
+  // The derivative of x' by h, of a step that is not projected.
   void ByLength(double* derivative) const;
 
   // A cotangent of all that a step depends on.
@@ -55,9 +55,11 @@ class RungeKutta {
   int num_parameters_, num_controls_;
   int size_ = 0;  // of the state, in the last Linearize
   double length_ = 0;
+  bool projects_ = false;
   std::vector<double> scratch_;               // of a step
   std::vector<double> slopes_;                // k_i, one after the other
   std::vector<double> jacobians_;             // of f at the stages
+  std::vector<double> projection_;            // its derivative by [x t p]
   mutable std::vector<double> cotangents_;    // of k_i
   mutable std::vector<double> of_variables_;  // a cotangent of [x t p u] of a stage
 };
