@@ -3,10 +3,13 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "control/way_costs.h"
+#include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
+#include "simulate/lane_simulator.h"
 
 namespace saltus {
 namespace {
@@ -145,22 +148,32 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
 
 std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? simulator_->WhyFailed() : way_failure_; }
 
-bool SingleShooting::Rollout(std::span<const double> z) {
+bool SingleShooting::BeginRollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
   way_failure_.clear();
   way_failure_ = SetScene(z);
   if (!way_failure_.empty()) return false;
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
   ++num_rollouts_;
-  if (!simulator_->Rollout(initial_, ControlIn(z))) return false;
+  return true;
+}
+
+bool SingleShooting::EndRollout(std::span<const double> z) {
   simulator_->GetState(simulator_->num_steps(), final_);
   if (way_ != nullptr) way_failure_ = way_->Update(*simulator_, initial_, ControlIn(z));
   return way_failure_.empty();
 }
 
-double SingleShooting::LossOfLastRollout(std::span<const double> z) const {
-  const double loss = TerminalLoss(scene().objective, final_, simulator_->body_size()) +
-                      EffortLoss(scene().objective, ControlIn(z), simulator_->step());
+bool SingleShooting::Rollout(std::span<const double> z) {
+  return BeginRollout(z) && simulator_->Rollout(initial_, ControlIn(z)) && EndRollout(z);
+}
+
+double SingleShooting::Effort(std::span<const double> z) const {
+  return EffortLoss(scene().objective, ControlIn(z), simulator_->step());
+}
+
+double SingleShooting::LossOfLastRollout(double effort) const {
+  const double loss = TerminalLoss(scene().objective, final_, simulator_->body_size()) + effort;
   if (way_ == nullptr) return loss;
   const std::optional<FreeDuration>& free = scene().objective.duration;
   return loss + way_->Loss() + (free ? free->weight * scene().duration : 0.0);
@@ -199,8 +212,47 @@ void SingleShooting::PullBack(double effort, std::span<const double> z, double* 
 }
 
 bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
-  if (!Rollout(z)) return false;
-  *loss = LossOfLastRollout(z);
+  return Rollout(z) && EvaluateLast(z, Effort(z), loss, gradient);
+}
+
+int SingleShooting::num_lanes() const {
+  const auto* const simulator = dynamic_cast<const LaneSimulator*>(simulator_.get());
+  return simulator != nullptr && simulator->HasLanes() && way_ == nullptr ? kLanes : 1;
+}
+
+void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
+                                      std::span<const double> points, std::span<double> losses,
+                                      std::span<double> gradients, std::span<bool> ok) {
+  const std::size_t count = losses.size(), size = shootings[0]->num_variables();
+  const auto point = [&](std::size_t i) { return points.subspan(i * size, size); };
+  const auto gradient = [&](std::size_t i) { return gradients.empty() ? nullptr : &gradients[i * size]; };
+  if (count == 1 || shootings[0]->num_lanes() == 1) {
+    for (std::size_t i = 0; i < count; ++i) ok[i] = shootings[0]->Evaluate(point(i), &losses[i], gradient(i));
+    return;
+  }
+  std::array<double, kLanes> efforts;
+  std::vector<LaneSimulator::Motion> motions;
+  std::vector<std::size_t> moving;
+  for (std::size_t i = 0; i < count; ++i) {
+    SingleShooting& shooting = *shootings[i];
+    // First, as a loss whose effort is not finite is not either.
+    efforts[i] = shooting.Effort(point(i));
+    ok[i] = std::isfinite(efforts[i]) && shooting.BeginRollout(point(i));
+    if (!ok[i]) continue;
+    moving.push_back(i);
+    motions.push_back(
+        {static_cast<LaneSimulator*>(shooting.simulator_.get()), shooting.initial_, shooting.ControlIn(point(i))});
+  }
+  if (!motions.empty()) motions[0].simulator->RolloutTogether(motions, /*force_unit=*/1);
+  for (std::size_t m = 0; m < motions.size(); ++m) {
+    const std::size_t i = moving[m];
+    ok[i] = motions[m].ok && shootings[i]->EndRollout(point(i)) &&
+            shootings[i]->EvaluateLast(point(i), efforts[i], &losses[i], gradient(i));
+  }
+}
+
+bool SingleShooting::EvaluateLast(std::span<const double> z, double effort, double* loss, double* gradient) {
+  *loss = LossOfLastRollout(effort);
   if (!std::isfinite(*loss)) return false;
   if (gradient == nullptr) return true;
   if (way_ != nullptr) {
@@ -227,7 +279,7 @@ bool SingleShooting::EvaluateResiduals(std::span<const double> z, double* residu
   } else {
     TerminalResiduals(scene().objective, final_, simulator_->body_size(), rows);
   }
-  if (!std::isfinite(LossOfLastRollout(z))) return false;
+  if (!std::isfinite(LossOfLastRollout(Effort(z)))) return false;
   if (jacobian == nullptr) return true;
   ResidualJacobian(jacobian);
   return !stopped();
@@ -265,7 +317,7 @@ void SingleShooting::ResidualJacobian(double* jacobian) {
 
 bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient) {
   if (!Rollout(z)) return false;
-  *loss = LossOfLastRollout(z);
+  *loss = LossOfLastRollout(Effort(z));
   if (!std::isfinite(*loss)) return false;
   TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
   simulator_->Adjoint(cotangent_, /*with_parameters=*/true, gradient);

@@ -61,6 +61,14 @@ class SingleShooting final : public ShootingFunction {
   // differentiation in float would leave it.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
 
+  // How many points EvaluateTogether takes at once; 1 if that is no faster than one after the other.
+  int num_lanes() const;
+  // Evaluate() of point i, row i of `points`, by shootings[i], for up to num_lanes() points: the same bits. ok[i] is what
+  // it returns; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same problem.
+  static void EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
+                               std::span<const double> points, std::span<double> losses, std::span<double> gradients,
+                               std::span<bool> ok);
+
   // Why the last evaluation returned false; empty if it did not, or was stopped.
   std::string WhyFailed() const override;
 
@@ -95,8 +103,14 @@ class SingleShooting final : public ShootingFunction {
  private:
   void AddDesign();
   bool Rollout(std::span<const double> z);
-  // `z` as in the last rollout.
-  double LossOfLastRollout(std::span<const double> z) const;
+  // The parts of a rollout before and after that of the simulator.
+  bool BeginRollout(std::span<const double> z);
+  bool EndRollout(std::span<const double> z);
+  // The loss of the effort at z, and that of the last rollout, if this is its effort.
+  double Effort(std::span<const double> z) const;
+  double LossOfLastRollout(double effort) const;
+  // Evaluate() after the rollout.
+  bool EvaluateLast(std::span<const double> z, double effort, double* loss, double* gradient);
   // Moves on to the simulator of the scene that z stands for; returns why there is none, or nothing.
   std::string SetScene(std::span<const double> z);
   void WayGradient(std::span<const double> z, double* gradient);
