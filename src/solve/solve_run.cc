@@ -168,9 +168,9 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
       if ((!one.min && !one.max) || bounds.components) continue;
       return "optimize: found bounds on " + NameOf(one.parameter, scene) + ", which its steps would leave";
     }
-    if (scene.objective.duration) return design + " beside a free duration, expected one of the two";
-    if (const std::string beyond = BeyondTerminalCost(scene); beyond.find("costs") != std::string::npos) {
-      return design + " beside " + beyond + ", which have no derivatives by parameters";
+    const bool path = !scene.objective.running.empty() || !scene.objective.via.empty();
+    if (path && !FindContactModel(request.contact)->event_driven) {
+      return design + " beside path costs, which have derivatives by parameters under the contact model event only";
     }
   }
   if (!scene.objective.duration) return "";
