@@ -132,11 +132,12 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
   if (next == scene()) return "";
   if (num_design_ > 0) {
     if (const std::optional<SceneError> error = Validate(next)) return error->ToString();
-    initial_ = InitialState(next);
   }
-  const std::size_t memory_limit = simulator_->memory_limit();
-  simulator_ = of_scene_(next);
-  simulator_->set_memory_limit(memory_limit);
+  std::unique_ptr<Simulator> simulator = of_scene_(next);
+  if (simulator == nullptr) return "the contact model does not take the scene with these parameters";
+  simulator->set_memory_limit(simulator_->memory_limit());
+  simulator_ = std::move(simulator);
+  if (num_design_ > 0) initial_ = InitialState(next);
   simulator_->set_stop(stop_);
   return "";
 }

@@ -16,7 +16,10 @@ SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request)
   const Precision precision = request.precision;
   return SingleShooting(MakeSimulator(contact, request.scene, precision),
                         SingleShooting::Variables::kOfScene,
-                        [contact, precision](const Scene& scene) { return MakeSimulator(contact, scene, precision); });
+                        [contact, precision](const Scene& scene) {
+                          const bool takes = WhyNotApplicable(contact, scene).empty();
+                          return takes ? MakeSimulator(contact, scene, precision) : nullptr;
+                        });
 }
 
 // The decision variables of a control that is given.

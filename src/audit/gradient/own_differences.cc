@@ -233,7 +233,9 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
 
 std::vector<std::string> ParametersToCompare(const Scene& scene) {
   if (scene.num_bodies() > kMostDiscs) return {};
-  std::vector<std::string> names = {"restitution", "friction", "stiffness", "damping", "gravity"};
+  std::vector<std::string> names = {"restitution", "stiffness", "damping", "gravity"};
+  // At zero the loss has only a right derivative with respect to friction.
+  if (scene.contact.friction > 0) names.push_back("friction");
   for (const Body& body : scene.bodies) {
     if (!body.fixed) names.push_back("mass." + body.name);
   }
@@ -253,7 +255,9 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
     }
   }
   if (designed.design.empty() || !WhyNotApplicable(contact, designed).empty()) return audits;
-  const auto of_scene = [&](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
+  const auto of_scene = [&](const Scene& other) {
+    return WhyNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
+  };
   Loss loss(contact, designed, SingleShooting::Variables::kOfScene, stop, of_scene);
   if (!loss.ok() || loss.num_variables() != static_cast<int>(designed.design.size())) return audits;
   const double length = LengthOfStep(scene, loss.shooting().simulator());
@@ -264,7 +268,7 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
     const OwnDifferences found = Compare(&loss, along, kWidest * ScaleOf(parameter, scene, length));
     ParameterAudit audit{NameOf(parameter, scene), found.gradient, std::nullopt};
     if (found.agreement != Agreement::kUndecided) audit.difference = found.difference;
-    if (found.gradient == 0 && audit.difference.value_or(1) == 0) continue;
+    if (found.gradient == 0 && audit.difference.value_or(0) == 0) continue;
     if (found.agreement == Agreement::kAgrees) audit.verdict = Verdict::kRight;
     if (found.agreement == Agreement::kDiffers) {
       audit.verdict = found.gradient * found.difference < 0 ? Verdict::kWrongSign : Verdict::kWrong;
