@@ -391,7 +391,8 @@ std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, cons
                     std::vector<double>(4 * scene.num_bodies(), 1.0)};
   question.parameters = true;
   std::vector<std::string> names;
-  for (const auto& [name, value] : box->Ask(scene, {question}, stop).front().parameters) names.push_back(name);
+  const Answer answer = box->Ask(scene, {question}, stop).front();
+  for (const auto& [name, value] : answer.parameters) names.push_back(name);
   return names;
 }
 
