@@ -26,7 +26,6 @@ constexpr double kTurn = 3e-4;  // s, at least
 constexpr double kLeastErrorShown = 1e-4;
 // Step counts per level of refinement: fewer than an audit takes, for the sake of the slow models.
 constexpr int kSamples = 5;
-constexpr double kBudget = 1.5e5;  // of a level, as RefinementOptions::budget
 
 // A rollout and its gradient by initial state and control.
 class Work {
@@ -112,7 +111,6 @@ ModelAudit FormulationAudit::Audit(size_t model, const Results& results) const {
   const std::optional<ModelGradient>& reference = results.report.reference;
   AuditOptions options;
   options.refinement.samples = kSamples;
-  options.refinement.budget = kBudget;
   options.refinement.parameters = false;  // they enter no verdict, and take most of the time
   options.attribution = false;
   options.stop = AskedToStop;
