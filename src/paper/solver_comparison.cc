@@ -20,7 +20,7 @@ constexpr int kShootingIterations = 150;   // by then it has ended, or creeps
 constexpr int kLagrangianIterations = 60;  // by then it has stalled or gone astray
 constexpr int kFineSteps = 1000;
 // A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
-constexpr double kSlow = 3e-4;
+constexpr double kSlow = 6e-4;
 constexpr int kSlowIterations = 40;
 constexpr double kNearOptimum = 0.01;
 
