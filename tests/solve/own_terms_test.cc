@@ -224,7 +224,7 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
     std::array<double, 2> expected;
     Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
 
-    const OwnTermCost cost(term, units, kSteps);
+    const OwnTermCost cost(term, scene, kSteps);
     std::vector<const double*> blocks{x.data(), y.data(), u.data()};
     if (steps) blocks.push_back(&kBegin);
     blocks.push_back(&kEnd);

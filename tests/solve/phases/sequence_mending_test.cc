@@ -133,7 +133,7 @@ TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
     return Solve("ceres_phases", {other, "event"}, {.guess = ControlGuess{report.control, report.durations}})
         .final_loss;
   };
-  EXPECT_NEAR(touch.multiplier, (least_loss(1e-3) - least_loss(-1e-3)) / 2e-3, 1e-3 * touch.multiplier);
+  EXPECT_NEAR(touch.multiplier, (least_loss(1e-4) - least_loss(-1e-4)) / 2e-4, 1e-3 * touch.multiplier);
   EXPECT_GT(touch.multiplier, 0);
   for (const int post : {1, 2}) scene.bodies[post].radius += 1e-6;
   EXPECT_FALSE(Resimulate(scene, report).events.empty());
