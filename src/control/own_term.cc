@@ -57,9 +57,9 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
   }
   for (const std::string& found :
        {other(term.forces, scene.control.bodies, "force on", "is controlled"),
-        other(term.torques, scene.control.turned, "torque on", "is turned"),
+        other(term.torques, scene.control.turned, "torque on", "has a torque control"),
         end ? other(term.rotations, spinning, "rotation of", "spins")
-            : other(term.rotations, scene.control.turned, "rotation in each step of", "is turned")}) {
+            : other(term.rotations, scene.control.turned, "rotation in each step of", "has a torque control")}) {
     if (!found.empty()) return found;
   }
   if (end && !term.forces.empty()) return wrong("found a force at the final time, expected forces of steps");

@@ -200,10 +200,11 @@ std::vector<CaptionedTable> SolverComparison::Tables() const {
                           "`--every_solver` is given.",
                       TaskTable(others_)});
   }
-  tables.push_back({strike_on_fine_grid_.name,
-                    "Task 3 by step shooting: along a feasible path on 480 steps, and in exact dynamics on 1000, and by an "
-                    "augmented Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
-                    StepShootingTable()});
+  tables.push_back(
+      {strike_on_fine_grid_.name,
+       "Task 3 by step shooting: along a feasible path on 480 steps, and in exact dynamics on 1000, and by an "
+       "augmented Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
+       StepShootingTable()});
   return tables;
 }
 
