@@ -32,8 +32,8 @@ class WayCosts;
 class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
-  // The simulator of the scene with another duration or other values of its design parameters; null if the contact model
-  // cannot take that one.
+  // The simulator of the scene with another duration or other values of its design parameters; null if the contact
+  // model cannot take that one.
   using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
   // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time,
