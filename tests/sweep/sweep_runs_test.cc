@@ -371,6 +371,18 @@ TEST_F(SweepRunsTest, FeedbackHasColumnsThatThreadsDoNotChange) {
   EXPECT_THAT(program.output, HasSubstr("open_error_first_order"));
 }
 
+TEST_F(SweepRunsTest, OptimizedParametersHaveColumns) {
+  const Outcome outcome = RunProgram("saltus_sweep" + Scene("post_shot") +
+                                     " --contact=event --solver=ceres_event --sweep=steps=24,48 --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 2u);
+  for (const char* name : {"position.post.x", "position.post.y", "mass.target"}) ASSERT_TRUE(csv->Find(name)) << name;
+  EXPECT_EQ(csv->rows[1][*csv->Find("position.post.y")], "-0.3");
+  EXPECT_EQ(csv->rows[1][*csv->Find("mass.target")], "0.5");
+}
+
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
   const std::string base = BuildFolder() + "/bin/saltus_sweep" + SceneFlag("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {

@@ -86,7 +86,7 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
   if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
   if (std::any_of(terms_.begin(), terms_.end(), [&](const OwnTerm& term) {
-        return std::find(term.states.begin(), term.states.end(), body) != term.states.end();
+        return std::ranges::count(term.states, body) + std::ranges::count(term.rotations, body) > 0;
       })) {
     return true;
   }
