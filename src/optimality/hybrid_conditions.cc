@@ -713,11 +713,11 @@ class HybridConditions {
           SecondDerivative(at,
                            sizes,
                            [&](const VectorXd& y) {
-                             integrator.Linearize({step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1});
+                             const FlowStep at_y{step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1};
                              VectorXd gradient = VectorXd::Zero(size);
                              double* g = gradient.data();
-                             RungeKutta::Cotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                             integrator.PullBack(costate.data(), &by);
+                             StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                             integrator.PullBack(at_y, costate.data(), &by);
                              gradient[n] = by.t;
                              gradient[size - 1] = by.h;
                              return gradient;

@@ -91,9 +91,8 @@ class StepRows final : public Rows {
                         blocks[0],
                         m > 0 ? blocks[of_control] : nullptr,
                         P > 0 ? blocks[of_parameters] : nullptr};
-    Eigen::VectorXd slope(n), after(n);
-    functions_.Flow(mode_, step.t, step.x, step.u, step.p, slope.data());
-    integrator_.Step(step, slope.data(), after.data());
+    Eigen::VectorXd after(n);
+    integrator_.Step(step, after.data());
     Eigen::Map<Eigen::VectorXd>(rows, n) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
     if (!AreFinite(rows)) return false;
@@ -369,7 +368,6 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
 
 bool HybridTranscription::Lay(const Start& start) {
   const int m = functions_.layout().num_controls;
-  std::vector<double> slope;
   nodes_.push_back(start.initial);
   for (int j = 0; j < num_phases(); ++j) {
     Phase& phase = phases_[j];
@@ -390,10 +388,8 @@ bool HybridTranscription::Lay(const Start& start) {
                           x.data(),
                           controls_.back().data(),
                           parameters_.data()};
-      slope.resize(x.size());
       std::vector<double> next(x.size());
-      functions_.Flow(phase.mode, step.t, step.x, step.u, step.p, slope.data());
-      integrator_.Step(step, slope.data(), next.data());
+      integrator_.Step(step, next.data());
       nodes_.push_back(std::move(next));
     }
     phase.last_node = static_cast<int>(nodes_.size()) - 1;
