@@ -113,20 +113,16 @@ bool RolloutRun::SwitchControl() {
                   functions_.WhyNoMode(at_.mode, -1, here.t, here.x, here.u, here.p));
   }
   if (next != at_.mode) {
-    at_.mode = next;
+    HybridEvent& event = switches_.emplace_back();
+    event.time = at_.t;
+    event.mode = at_.mode;
+    event.guard = -1;
+    at_.mode = event.next_mode = next;
     return Enter(Entry::kAfterReset, {}, true);
   }
   if (!UpdateSlope()) return false;
   UpdateGuards();
   return true;
-}
-
-// Puts the state onto the equations of its mode.
-bool RolloutRun::Project() {
-  Record(TapeEntry::Kind::kProjection, 0);
-  functions_.Project(at_.mode, at_.x.data(), input_->parameters.data(), next_state_.data());
-  std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
-  return UpdateSlope();
 }
 
 RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
@@ -146,6 +142,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
     }
   }
   events_.clear();
+  switches_.clear();
   befores_.clear();
   afters_.clear();
   grazings_.clear();
@@ -315,9 +312,13 @@ bool RolloutRun::StepTo(int node) {
     Record(TapeEntry::Kind::kToNode, step.h);
     tape_.entries.back().node = node;
     at_.t = target;
-    std::swap(at_.x, next_state_);
-    std::swap(at_.slope, next_slope_);
-    if (functions_.Projects(at_.mode) && !Project()) return false;
+    if (functions_.Projects(at_.mode)) {
+      functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), at_.x.data());
+      if (!UpdateSlope()) return false;
+    } else {
+      std::swap(at_.x, next_state_);
+      std::swap(at_.slope, next_slope_);
+    }
     for (int guard = 0; guard < num_guards; ++guard) {
       at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
       at_.guards[guard] = next_guards_[guard];

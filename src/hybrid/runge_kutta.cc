@@ -85,12 +85,21 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 void RungeKutta::Step(const FlowStep& step, double* after) {
   functions_.Flow(step.mode, step.t, step.x, step.u, step.p, slopes_.data());
   Step(step, slopes_.data(), after, slopes_.data());
+  if (!step.projects) return;
+  functions_.Project(step.mode, after, step.p, slopes_.data());
+  std::copy_n(slopes_.data(), functions_.state_size(step.mode), after);
 }
 
 void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.state_size(step.mode);
   length_ = step.h;
   functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
+  projects_ = step.projects;
+  if (!projects_) return;
+  double *after = scratch_.data(), *on = after + size_;
+  Combine(kStages, size_, length_, step.x, slopes_.data(), after);
+  projection_.resize(size_ * (size_ + 1 + num_parameters_));
+  functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
@@ -113,8 +122,15 @@ void RungeKutta::ByLength(double* derivative) const {
 }
 
 void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotangent* out) {
-  if (functions_.PullBackStep(step, after, out)) return;
+  if (!step.projects && functions_.PullBackStep(step, after, out)) return;
   Linearize(step);
+  if (projects_) {
+    const ConstMatrixMap projection(projection_.data(), size_, size_ + 1 + num_parameters_);
+    const Eigen::RowVectorXd by = Eigen::Map<const Eigen::RowVectorXd>(after, size_) * projection;
+    for (int j = 0; j < num_parameters_; ++j) out->p[j] += by[size_ + 1 + j];
+    std::copy_n(by.data(), size_, out->x);
+    after = out->x;
+  }
   WithSize(size_, [&](auto size) { PullBackOfSize<decltype(size)::value>(after, out); });
 }
 
@@ -177,7 +193,24 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
                jacobian.middleCols(n + 1, num_parameters_) * in.p + jacobian.rightCols(num_controls_) * in.u;
     total[i] = Eigen::Map<const Eigen::VectorXd>(&slopes_[i * n], n) * in.h + length_ * total[i];
   }
-  return combine(kRows[kStages]);
+  if (!projects_) return combine(kRows[kStages]);
+  const ConstMatrixMap projection(projection_.data(), n, n + 1 + num_parameters_);
+  return projection.leftCols(n) * combine(kRows[kStages]) + projection.rightCols(num_parameters_) * in.p;
+}
+
+RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step) {
+  Linearize(step);
+  const Eigen::Index columns = size_ + 1 + num_parameters_ + num_controls_ + 1;
+  const auto seed = [&](Eigen::Index first, Eigen::Index rows) {
+    Matrix out = Matrix::Zero(rows, columns);
+    out.middleCols(first, rows).setIdentity();
+    return out;
+  };
+  return PushForward({seed(0, size_),
+                      seed(size_, 1),
+                      seed(columns - 1, 1),
+                      seed(size_ + 1, num_parameters_),
+                      seed(size_ + 1 + num_parameters_, num_controls_)});
 }
 
 }  // namespace saltus

@@ -112,9 +112,14 @@ class HybridFunctions {
   // event.
   virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
 
-  // Whether modes are created as a motion meets them, and guards of modes that project depend on the control. Solvers
-  // in phases, the search over event sequences and the certificate support the other modes of such systems only.
+  // Whether modes are created as a motion meets them. Their states are all of one size, and which of them a reset leads
+  // to does not change the state after it, which is finite, even if there is no next mode, where it is known.
   virtual bool CreatesModes() const { return false; }
+  // Of these: the modes that a guard's reset may lead to, or with guard -1 a jump of the control.
+  virtual std::vector<int> NextModes(int /*mode*/, int /*guard*/, const double* /*p*/) const { return {}; }
+
+  // Whether a guard depends on the control.
+  virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
 
   // Whether the resets themselves end an accumulation of events (Zeno behaviour).
   virtual bool EndsAccumulations() const { return false; }

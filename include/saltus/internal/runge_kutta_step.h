@@ -125,6 +125,8 @@ struct FlowStep {
   const double* x = nullptr;  // state of the mode
   const double* u = nullptr;  // control
   const double* p = nullptr;  // parameters
+  // What follows is put onto the equations of the mode (HybridFunctions::Project).
+  bool projects = false;
 };
 
 // Evaluates x' and the slope there by flow(t, X, k), given k_0.

@@ -16,6 +16,7 @@ constexpr int kIterationsUpdating = 1000;
 constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
 constexpr int kIterationsShooting = 30;  // from random starts
 constexpr size_t kMostNeighbours = 200;
+constexpr size_t kMostModes = 24;  // of those created as motions meet them
 
 using Sequence = std::vector<ModeEvent>;
 using Finding = FindingOf<HybridMotion>;
@@ -145,28 +146,48 @@ class HybridSearch {
   Sequence AllEvents() const {
     const HybridSystem& system = problem_.system;
     Sequence events = run_.guess().exact.contacts;
+    if (system.functions().CreatesModes()) return EventsOfCreatedModes(std::move(events));
     const auto known = [&](int mode, int guard) {
       return std::any_of(events.begin(), events.end(), [&](const ModeEvent& event) {
         return event.mode == mode && event.guard == guard;
       });
     };
-    const std::vector<int>& sizes = system.layout().state_sizes;
-    std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
-    const bool creates = system.functions().CreatesModes();
+    std::vector<double> after(system.functions().most_states());
     for (int mode = 0; mode < system.num_modes(); ++mode) {
-      if (creates && system.functions().Projects(mode)) continue;
       std::vector<double> x(system.state_size(mode), 1.0);
       if (mode == problem_.guess.mode) x = problem_.guess.initial;
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
-        // Contacts open again after an impact.
-        const int next = creates
-                             ? mode
-                             : system.functions().Reset(
-                                   mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
+        const int next =
+            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }
+    return Distinct(events);
+  }
+
+  // Of modes that the guess meets, and of those that events lead to from there.
+  Sequence EventsOfCreatedModes(Sequence events) const {
+    const HybridFunctions& functions = problem_.system.functions();
+    std::vector<int> modes = {problem_.guess.mode};
+    const auto add = [&](int mode) {
+      if (std::find(modes.begin(), modes.end(), mode) == modes.end() && modes.size() < kMostModes)
+        modes.push_back(mode);
+    };
+    for (const ModeEvent& event : events) add(event.next_mode);
+    for (size_t i = 0; i < modes.size(); ++i) {
+      const int mode = modes[i];
+      for (int guard = -1; guard < functions.num_guards(mode); ++guard) {
+        for (const int next : functions.NextModes(mode, guard, problem_.guess.parameters.data())) {
+          add(next);
+          events.push_back({mode, guard, next});
+        }
+      }
+    }
+    return Distinct(events);
+  }
+
+  static Sequence Distinct(const Sequence& events) {
     Sequence distinct;
     for (const ModeEvent& event : events) {
       if (std::find(distinct.begin(), distinct.end(), event) == distinct.end()) distinct.push_back(event);
