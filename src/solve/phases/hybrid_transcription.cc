@@ -14,8 +14,6 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
-// As of PhaseTranscription: steps of a phase along which open defects do not add up yet.
-constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
 // Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
 // near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
@@ -677,10 +675,9 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
-  options.equality_weight = kFirstWeight * length;
+  options.equality_weight = kFirstWeight;
   options.most_open = kMostOpen;
-  options.radius *= length * length;
+  options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
   }
