@@ -5,6 +5,7 @@
 //   Steps      the same per step, from 480 to 480 000 steps
 //   Growth     that at 480 000 steps relative to the others, in turns, so that what the machine does meanwhile cancels
 //   Bodies     per body and step: a gas in a box at fixed density, 10 to 1000 discs
+//   Batch      losses and gradients of 4096 motions one by one and in a batch, in turns on one thread
 //   Throughput gradients per second of a batch, by number of threads (wall clock)
 #include <benchmark/benchmark.h>
 
@@ -12,6 +13,7 @@
 #include <cmath>
 #include <memory>
 
+#include "base/normal_stream.h"
 #include "saltus/control/batch.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_generators.h"
@@ -199,6 +201,48 @@ void Bodies(benchmark::State& state, const std::string& contact) {
   PerUnit(state, contact, scene, double(scene.num_bodies()) * scene.steps);
 }
 
+// Points around the initial guess, in which most strikers meet the target, each at a time of its own.
+std::vector<double> RandomPoints(const Scene& scene, int count) {
+  std::vector<double> points;
+  const std::vector<double> guess = InitialControl(scene, scene.steps);
+  NormalStream normals(1);
+  for (int i = 0; i < count; ++i) {
+    const double push = 0.3 * normals.Next(), turn = 0.03 * normals.Next();
+    for (size_t j = 0; j < guess.size(); ++j) {
+      points.push_back(guess[j] + push + (j % 2 == 0 ? turn : -turn) + 0.1 * normals.Next());
+    }
+  }
+  return points;
+}
+
+void BatchOfMotions(benchmark::State& state, const std::string& contact) {
+  const Scene scene = ProblemScene("two_balls", 480);
+  if (const std::string why = WhyNotApplicable(contact, scene); !why.empty()) return state.SkipWithError(why.c_str());
+  SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble));
+  Batch batch(contact, scene, Precision::kDouble, 1);
+  constexpr int kMotions = 4096;
+  const size_t size = shooting.num_variables();
+  const std::vector<double> points = RandomPoints(scene, kMotions);
+  std::vector<double> losses(kMotions), gradients(points.size());
+  const auto one_by_one = [&](bool with_gradient) {
+    for (int i = 0; i < kMotions; ++i) {
+      shooting.Evaluate({&points[i * size], size}, &losses[i], with_gradient ? &gradients[i * size] : nullptr);
+    }
+  };
+  for (auto _ : state) {
+    const auto [losses_alone, losses_together, alone, together] =
+        TimeInTurns([&] { one_by_one(false); },
+                    [&] { batch.Evaluate(points, losses); },
+                    [&] { one_by_one(true); },
+                    [&] { batch.Evaluate(points, losses, gradients); });
+    state.SetIterationTime(together);
+    state.counters["loss_us"] = 1e6 * losses_together / kMotions;
+    state.counters["gradient_us"] = 1e6 * together / kMotions;
+    state.counters["loss_gain"] = losses_alone / losses_together;
+    state.counters["gradient_gain"] = alone / together;
+  }
+}
+
 void Throughput(benchmark::State& state, const std::string& contact) {
   const Scene scene = ProblemScene("two_balls", 480);
   Batch batch(contact, scene, Precision::kDouble, static_cast<int>(state.range(0)));
@@ -221,6 +265,7 @@ void RegisterAll() {
   for (const ModelTraits& model : AllContactModels()) {
     const std::string name(model.name);
     once(benchmark::RegisterBenchmark(("Gradient/" + name).c_str(), Gradient, name));
+    once(benchmark::RegisterBenchmark(("Batch/" + name).c_str(), BatchOfMotions, name));
   }
   for (const std::string name : {"direct_toi", "compliant_warp", "event"}) {
     auto* steps = once(benchmark::RegisterBenchmark(("Steps/" + name).c_str(), Steps, name));

@@ -70,10 +70,11 @@ class PointsOfScene {
   }
 
   // As Batch::Evaluate(), with NaN for points that are not finite. Each is looked at just before it is used, as a pass
-  // over all points would cost a tenth of the gradients.
+  // over all points would cost a tenth of the gradients. In lanes their motions are not finite either.
   void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
     const size_t size = batch_->num_variables(), columns = num_variables_;
     const bool torques = HasTorques(scene_);
+    if (batch_->num_lanes() > 1 && !torques) return batch_->Evaluate(points, losses, gradients);
     batch_->ForEach(static_cast<int>(losses.size()), [&](SingleShooting* shooting, int i) {
       const std::span<const double> point = points.subspan(i * size, size);
       const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * columns, columns);

@@ -65,16 +65,16 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         AddTo(&x, cotangent.before[entry.event]);
       }
     } else {
-      integrator_.Linearize(step);
-      RungeKutta::Cotangent back{x.data(),
-                                 0,
-                                 0,
-                                 gradient.parameters.data(),
-                                 gradient.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * num_controls};
+      StepCotangent back{x.data(),
+                         0,
+                         0,
+                         gradient.parameters.data(),
+                         gradient.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * num_controls};
       if (entry.kind == TapeEntry::Kind::kToEvent) {
         // The next entry is its reset, at the state and time where the guard is zero.
         const TapeEntry& at = tape.entries[i + 1];
         f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.u, step.p, guard_.data());
+        integrator_.Linearize(step);
         integrator_.ByLength(by_length_.data());
         double along = t, rate = guard_[n];
         for (int j = 0; j < n; ++j) {
@@ -86,10 +86,10 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         t += multiplier * guard_[n];
         for (int j = 0; j < num_parameters; ++j) back.p[j] += multiplier * guard_[n + 1 + j];
         for (int j = 0; j < num_controls; ++j) back.u[j] += multiplier * guard_[n + 1 + num_parameters + j];
-        integrator_.PullBack(x.data(), &back);
+        integrator_.PullBack(step, x.data(), &back);
         t += back.t;
       } else {
-        integrator_.PullBack(x.data(), &back);
+        integrator_.PullBack(step, x.data(), &back);
         gradient.duration += (t + back.h) * tape.Fraction(entry.node);
         t = back.t - back.h;
       }

@@ -281,12 +281,11 @@ bool RolloutRun::StepTo(int node) {
   for (;;) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
-    search_.integrator().Step(step, at_.slope.data(), next_state_.data());
-    FlowStep end = step;
-    end.t = target;
-    end.x = next_state_.data();
-    functions_.Flow(end.mode, end.t, end.x, end.u, end.p, next_slope_.data());
-    for (int i = 0; i < n; ++i) {
+    search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
+    const FlowStep end{step.mode, target, step.h, next_state_.data(), step.u, step.p};
+    double zero = 0;  // unless a number is not finite
+    for (int i = 0; i < n; ++i) zero += 0 * next_state_[i] + 0 * next_slope_[i];
+    for (int i = 0; i < n && zero != 0; ++i) {
       if (std::isfinite(next_state_[i]) && std::isfinite(next_slope_[i])) continue;
       why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
       end_ = RolloutEnd::kNotFinite;
@@ -373,7 +372,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   part.h = due.s;
   Record(TapeEntry::Kind::kToEvent, due.s);
   tape_.entries.back().guard = due.guard;
-  search_.integrator().Step(part, at_.slope.data(), next_state_.data());
+  search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;

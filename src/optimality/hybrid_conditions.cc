@@ -205,25 +205,13 @@ class HybridConditions {
   }
 
   Step Linearized(int i, int interval, int phase, double begin, double end) {
-    const int mode = simulator().StepMode(i), n = system_.state_size(mode), P = system_.num_parameters(), m = width();
+    const int mode = simulator().StepMode(i), n = system_.state_size(mode);
     // A step to an event is projected by the reset.
     const bool to_event = i + 1 < simulator().num_steps() && simulator().IsReset(i + 1);
     Step step{mode, interval, phase, functions_.Projects(mode) && !to_event, begin, end, VectorXd(n), {}};
     std::copy_n(simulator().StepState(i).data(), n, step.state.data());
-    integrator_.Linearize(
+    step.by = integrator_.Jacobian(
         {mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data(), step.projects});
-    const int columns = n + 1 + P + m + 1;
-    RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Matrix::Zero(P, columns),
-                              Matrix::Zero(m, columns)};
-    seeds.x.leftCols(n).setIdentity();
-    seeds.t[n] = 1;
-    seeds.p.middleCols(n + 1, P).setIdentity();
-    seeds.u.middleCols(n + 1 + P, m).setIdentity();
-    seeds.h[columns - 1] = 1;
-    step.by = integrator_.PushForward(seeds);
     return step;
   }
 
@@ -713,19 +701,20 @@ class HybridConditions {
           input_.duration / static_cast<double>(steps_.size());
       RungeKutta integrator(functions_);
       second->Add(
-          SecondDerivative(
-              at,
-              sizes,
-              [&](const VectorXd& y) {
-                integrator.Linearize({step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1, step.projects});
-                VectorXd gradient = VectorXd::Zero(size);
-                double* g = gradient.data();
-                RungeKutta::Cotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                integrator.PullBack(costate.data(), &by);
-                gradient[n] = by.t;
-                gradient[size - 1] = by.h;
-                return gradient;
-              }),
+          SecondDerivative(at,
+                           sizes,
+                           [&](const VectorXd& y) {
+                             VectorXd gradient = VectorXd::Zero(size);
+                             double* g = gradient.data();
+                             StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                             integrator.PullBack(
+                                 {step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1, step.projects},
+                                 costate.data(),
+                                 &by);
+                             gradient[n] = by.t;
+                             gradient[size - 1] = by.h;
+                             return gradient;
+                           }),
           along);
       states = Multiply(step.by, along);
     }

@@ -3,15 +3,19 @@
 #include <glog/logging.h>
 
 #include <utility>
+#include <vector>
+
+#include "simulate/lane_simulator.h"
 
 namespace saltus {
 namespace {
 
-class ConvertedSimulator final : public Simulator {
+class ConvertedSimulator final : public LaneSimulator {
  public:
   ConvertedSimulator(const Scene& scene, std::unique_ptr<Simulator> inner)
-      : Simulator(scene, inner->precision(), scene.steps / inner->num_steps()),
+      : LaneSimulator(scene, inner->precision(), scene.steps / inner->num_steps()),
         inner_(std::move(inner)),
+        inner_lanes_(dynamic_cast<LaneSimulator*>(inner_.get())),
         to_inner_(scene_.units, inner_->scene().units),
         to_outer_(inner_->scene().units, scene_.units) {
     CHECK_EQ(num_steps_, inner_->num_steps());
@@ -23,20 +27,25 @@ class ConvertedSimulator final : public Simulator {
   const std::vector<StepTouch>& touches() const override { return touches_; }
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
-    initial_.resize(initial.size());
-    ConvertInitial(initial, initial_);
     control_.resize(control.size());
     for (std::size_t i = 0; i < control.size(); ++i) control_[i] = to_inner_.force * control[i];
-    inner_->set_memory_limit(memory_limit_);
-    inner_->set_stop(stop_);
-    inner_->set_tie_order(tie_order_);
-    const bool ok = inner_->Rollout(initial_, control_);
-    failure_ = FailureOf(*inner_);
-    touches_ = inner_->touches();
-    for (StepTouch& at : touches_) ConvertTime(&at.touch);
-    ties_ = inner_->ties();
-    for (StepTie& tie : ties_) tie.contact.time *= to_outer_.time;
-    return ok;
+    Begin(initial);
+    return End(inner_->Rollout(initial_, control_));
+  }
+
+  bool HasLanes() const override { return inner_lanes_ != nullptr && inner_lanes_->HasLanes(); }
+  void RolloutTogether(std::span<Motion> motions, double force_unit) override {
+    std::vector<Motion> inner;
+    for (const Motion& motion : motions) {
+      auto* const simulator = static_cast<ConvertedSimulator*>(motion.simulator);
+      simulator->Begin(motion.initial);
+      simulator->converts_control_ = false;
+      inner.push_back({simulator->inner_lanes_, simulator->initial_, motion.control});
+    }
+    inner_lanes_->RolloutTogether(inner, to_inner_.force * force_unit);
+    for (std::size_t i = 0; i < motions.size(); ++i) {
+      motions[i].ok = static_cast<ConvertedSimulator*>(motions[i].simulator)->End(inner[i].ok);
+    }
   }
 
   void GetState(int k, std::span<double> x) const override {
@@ -54,7 +63,7 @@ class ConvertedSimulator final : public Simulator {
     for (std::size_t i = 0; i < out.initial.size(); ++i) {
       out.initial[i] *= i < moves ? FactorOf(to_inner_, i, 4) : FactorOf(to_inner_, 4 + (i - moves) % kSpin, 4 + kSpin);
     }
-    for (double& entry : out.control) entry *= to_inner_.force;
+    for (double& entry : out.control.first(converts_control_ ? out.control.size() : 0)) entry *= to_inner_.force;
     if (out.parameters != nullptr) ConvertParameters(out.parameters);
   }
 
@@ -105,6 +114,24 @@ class ConvertedSimulator final : public Simulator {
     const std::size_t entry = i % body_size;
     if (body_size == 4 + kSpin && entry == 5) return factors.rate;
     return entry < 2 ? factors.length : entry < 4 ? factors.speed : 1.0;
+  }
+
+  void Begin(std::span<const double> initial) {
+    initial_.resize(initial.size());
+    ConvertInitial(initial, initial_);
+    converts_control_ = true;
+    inner_->set_memory_limit(memory_limit_);
+    inner_->set_stop(stop_);
+    inner_->set_tie_order(tie_order_);
+  }
+  // Takes over what a rollout has found. Returns `ok`.
+  bool End(bool ok) {
+    failure_ = FailureOf(*inner_);
+    touches_ = inner_->touches();
+    for (StepTouch& at : touches_) ConvertTime(&at.touch);
+    ties_ = inner_->ties();
+    for (StepTie& tie : ties_) tie.contact.time *= to_outer_.time;
+    return ok;
   }
 
   void ConvertFlight(StepLinearization::FreeFlight* flight) const {
@@ -204,6 +231,8 @@ class ConvertedSimulator final : public Simulator {
   double Damping() const { return to_inner_.force / to_inner_.speed; }
 
   std::unique_ptr<Simulator> inner_;
+  LaneSimulator* inner_lanes_;    // the same, if it is one
+  bool converts_control_ = true;  // false if the last rollout of `inner_` was under the control as it is given
   UnitFactors to_inner_, to_outer_;
   std::vector<StepTouch> touches_;
   std::vector<double> initial_, control_, cotangent_;

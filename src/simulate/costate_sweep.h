@@ -170,7 +170,7 @@ class CostateSweep {
   Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
                        std::span<double> gradient) const;
   std::vector<Costate<double>> AtEnd(const Source& source) const;
-  const std::vector<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
+  const OfDiscs<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
 
   const Scene& scene_;
   const Flight& flight_;

@@ -10,9 +10,8 @@
 namespace saltus {
 namespace {
 
-std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
-  std::vector<Vec2d> acceleration;
-  acceleration.reserve(scene.bodies.size());
+OfDiscs<Vec2d> Accelerations(const Scene& scene, const double* forces) {
+  OfDiscs<Vec2d> acceleration;
   for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
   for (int c = 0; c < scene.num_controlled(); ++c) {
     const int body = scene.control.bodies[c];
@@ -22,13 +21,28 @@ std::vector<Vec2d> Accelerations(const Scene& scene, const double* forces) {
 }
 
 // Under the rows of a control.
-std::vector<double> Turnings(const Scene& scene, const double* row) {
-  std::vector<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
+OfDiscs<double> Turnings(const Scene& scene, const double* row) {
+  OfDiscs<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
   for (int t = 0; t < scene.num_turned(); ++t) {
     const Body& body = scene.bodies[scene.control.turned[t]];
     turning[scene.control.turned[t]] = row[scene.TurnIndex(0, t)] * body.radius / body.MomentOfInertia();
   }
   return turning;
+}
+
+// To the states `s` seconds later.
+void Advance(double s, const OfDiscs<Vec2d>& acceleration, const OfDiscs<double>& turning, DiscStates* x) {
+  for (size_t i = 0; i < x->p.size(); ++i) {
+    Vec2d &p = x->p[i], &v = x->v[i];
+    const Vec2d& a = acceleration[i];
+    p = p + s * (v + 0.5 * s * a);
+    v = v + s * a;
+  }
+  for (size_t i = 0; i < x->spin.size(); ++i) x->angle[i] += s * x->spin[i];
+  for (size_t i = 0; i < turning.size(); ++i) {
+    x->angle[i] += 0.5 * s * s * turning[i];
+    x->spin[i] += s * turning[i];
+  }
 }
 
 Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
@@ -58,16 +72,7 @@ double Integral(const Flight::Piece& piece, const RunningTerm& term) {
 
 DiscStates Flight::Piece::After(double s) const {
   DiscStates x = at_start;
-  for (size_t i = 0; i < x.p.size(); ++i) {
-    const DiscState disc = After(static_cast<int>(i), s);
-    x.p[i] = disc.p;
-    x.v[i] = disc.v;
-  }
-  for (size_t i = 0; i < x.spin.size(); ++i) x.angle[i] += s * x.spin[i];
-  for (size_t i = 0; i < turning.size(); ++i) {
-    x.angle[i] += 0.5 * s * s * turning[i];
-    x.spin[i] += s * turning[i];
-  }
+  Advance(s, acceleration, turning, &x);
   return x;
 }
 
@@ -79,8 +84,8 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   DiscStates x;
   const size_t moves = 4 * scene.bodies.size();
   for (size_t i = 0; i < moves; i += 4) {
-    x.p.emplace_back(initial[i], initial[i + 1]);
-    x.v.emplace_back(initial[i + 2], initial[i + 3]);
+    x.p.push_back({initial[i], initial[i + 1]});
+    x.v.push_back({initial[i + 2], initial[i + 3]});
   }
   for (size_t i = moves; i < initial.size(); i += kSpin) {
     x.angle.push_back(initial[i]);
@@ -90,14 +95,13 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   double start = 0;
   size_t next = 0;
   for (size_t k = 0; k < durations.size(); ++k) {
-    const std::vector<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
-    const std::vector<double> turning = Turnings(scene, control.data() + k * width);
+    const OfDiscs<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
+    const OfDiscs<double> turning = Turnings(scene, control.data() + k * width);
     const double h = durations[k], margin = kNodeMargin * h;
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
-      Piece piece{static_cast<int>(k), start + now, to - now, std::move(x), acceleration, turning};
-      x = piece.After(to - now);
-      if (to - now > margin) pieces_.push_back(std::move(piece));
+      if (to - now > margin) pieces_.push_back({static_cast<int>(k), start + now, to - now, x, acceleration, turning});
+      Advance(to - now, acceleration, turning, &x);
       now = to;
     };
     while (next < run.places.size() && run.places[next].interval == static_cast<int>(k)) {

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "base/short_vector.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/exact_run.h"
 #include "simulate/impact.h"
@@ -24,9 +25,13 @@ struct DiscState {
   }
 };
 
+// A number or a vector of every disc. There are several of each in every interval of a flight.
+template <typename T>
+using OfDiscs = ShortVector<T, 4>;
+
 struct DiscStates {
-  std::vector<Vec2d> p, v;                    // m and m/s, of every disc
-  std::vector<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
+  OfDiscs<Vec2d> p, v;                    // m and m/s, of every disc
+  OfDiscs<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
   // Angular velocities of a and b; 0 of a plane, and where nothing spins.
   std::array<double, 2> SpinsOf(const Candidate& c) const {
     if (spin.empty()) return {0, 0};
@@ -41,8 +46,8 @@ class Flight {
     int interval = 0;
     double start = 0, duration = 0;  // s
     DiscStates at_start;
-    std::vector<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
-    std::vector<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
+    OfDiscs<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
+    OfDiscs<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
 
     double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
     // `s` seconds after the start: one disc, and all of them.

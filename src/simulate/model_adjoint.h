@@ -210,7 +210,8 @@ class ModelAdjoint {
   void PutTorque(int body, int k, S sensitivity) const {
     const std::ptrdiff_t at = control_.TurnOffset(body, k);
     const double by_force = scene_.bodies[body].radius * sensitivity;
-    out_.control[at] = out_.factor == 0 ? by_force : by_force + out_.factor * out_.addend[at];
+    out_.control[at] =
+        control_.derivative_unit() * (out_.factor == 0 ? by_force : by_force + out_.factor * out_.addend[at]);
   }
 
   // Where the sensitivity to the forces on one disc goes, from some step on.
@@ -218,12 +219,13 @@ class ModelAdjoint {
     double* gradient;
     const double* addend;  // null without
     double factor;
+    double unit;            // of the forces, N
     std::ptrdiff_t stride;  // from one step to the next
 
     void Put(int step, S x, S y) const {
       const std::ptrdiff_t at = step * stride;
-      gradient[at] = addend == nullptr ? x : x + factor * addend[at];
-      gradient[at + 1] = addend == nullptr ? y : y + factor * addend[at + 1];
+      gradient[at] = unit * (addend == nullptr ? x : x + factor * addend[at]);
+      gradient[at + 1] = unit * (addend == nullptr ? y : y + factor * addend[at + 1]);
     }
 
     // Step j of n gets scale * (its cotangent).
@@ -231,10 +233,10 @@ class ModelAdjoint {
       const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
       const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
       if (addend == nullptr) {
-        PutEach(n, [&](double* to, double left, std::ptrdiff_t) { Pair{to} = last + left * change; });
+        PutEach(n, [&](double* to, double left, std::ptrdiff_t) { Pair{to} = unit * (last + left * change); });
       } else {
         PutEach(n, [&](double* to, double left, std::ptrdiff_t at) {
-          Pair{to} = last + left * change + factor * ConstPair{addend + at};
+          Pair{to} = unit * (last + left * change + factor * ConstPair{addend + at});
         });
       }
     }
@@ -258,8 +260,11 @@ class ModelAdjoint {
   };
   ForceSink GradientOf(int body, int k) const {
     const std::ptrdiff_t at = control_.Offset(body, k);
-    return {
-        out_.control.data() + at, out_.factor == 0 ? nullptr : out_.addend.data() + at, out_.factor, control_.stride()};
+    return {out_.control.data() + at,
+            out_.factor == 0 ? nullptr : out_.addend.data() + at,
+            out_.factor,
+            control_.derivative_unit(),
+            control_.stride()};
   }
 
   void AddContactParameters(std::span<const int> island, const S* gradient) const {
@@ -301,7 +306,8 @@ class ModelAdjoint {
       AddConstantForce(i, push);
       if (IsControlWanted(i)) GradientOf(i, k + j).Put(0, push[0], push[1]);
       if (const S* u = control_.On(i, k + j)) {
-        out_.parameters->mass[i] -= Dot(push, Vec2<S>(u[0], u[1])) * inverse_mass;
+        const S unit = S(control_.unit());
+        out_.parameters->mass[i] -= Dot(push, Vec2<S>(unit * u[0], unit * u[1])) * inverse_mass;
       }
     });
   }

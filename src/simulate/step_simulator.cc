@@ -11,15 +11,16 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <memory>
 #include <optional>
 #include <utility>
 
-#include "saltus/simulate/simulator.h"
 #include "simulate/free_flight.h"
 #include "simulate/island_derivative.h"
+#include "simulate/lane_simulator.h"
 #include "simulate/model_adjoint.h"
 #include "simulate/rollout_record.h"
 #include "simulate/stepper.h"
@@ -30,14 +31,14 @@ namespace saltus {
 namespace {
 
 template <typename S, int kRotation>
-class StepSimulator final : public Simulator {
+class StepSimulator final : public LaneSimulator {
  public:
   using Model = ContactStep<S, kRotation>;
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
   StepSimulator(const Scene& scene, Precision precision, std::unique_ptr<const Model> model)
-      : Simulator(scene, precision, model->traits().grid_steps),
+      : LaneSimulator(scene, precision, model->traits().grid_steps),
         model_(std::move(model)),
         typed_(scene, step()),
         control_(scene),
@@ -60,44 +61,50 @@ class StepSimulator final : public Simulator {
   }
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override {
-    CHECK_EQ(static_cast<int>(initial.size()), initial_size());
-    CHECK_EQ(static_cast<int>(control.size()), control_size());
     control_.Resize(control.size());
-    trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
-    Expand(initial, trajectory_.Checkpoint(0).data());
-    record_.Clear();
-    ties_.clear();
-    all_recorded_ = true;
-    failure_.reset();
-    stepper_.set_tie_order(tie_order_);
-    if (!free_is_affine_) {
-      failure_ = {0, -1, "free flight is not affine and isotropic, or its derivative depends on the state"};
-      return false;
-    }
+    if (!Begin(initial, control)) return false;
     for (int w = 0; w < trajectory_.num_windows(); ++w) {
-      if (trajectory_.bytes() + record_.bytes_of_states() > memory_limit_) all_recorded_ = false;
-      if (!all_recorded_) record_.ForgetStates(record_.size());
+      KeepWithinMemory();
       control_.Copy(trajectory_.begin(w), trajectory_.end(w), control);
-      RunWindow(w, [&](int k) {
-        record_.AddTouches(k, stepper_.touches());
-        for (const TiedContact& contact : stepper_.ties()) ties_.push_back({k, contact});
-        RecordStates(k);
-      });
-      if (stepper_.failure()) {
-        failure_ = stepper_.failure();
-        return false;
-      }
-      if (stopped()) return false;
+      RunWindow(w, [&](int k) { Record(k); });
+      if (!IsGoingOn()) return false;
     }
-    if (!AllFinite(trajectory_.At(num_steps_))) failure_.emplace();
-    return !failure_;
+    return IsEndFinite();
+  }
+
+  bool HasLanes() const override { return Model::kInLanes; }
+  void RolloutTogether(std::span<Motion> motions, double force_unit) override {
+    if constexpr (Model::kInLanes) {
+      CHECK_LE(motions.size(), std::size_t{kLanes});
+      std::array<Flights, kLanes> flights;
+      for (std::size_t lane = 0; lane < motions.size(); ++lane) {
+        Motion& motion = motions[lane];
+        StepSimulator* const simulator = flights[lane].simulator = static_cast<StepSimulator*>(motion.simulator);
+        simulator->control_.Refer(motion.control, force_unit);
+        motion.ok = simulator->Begin(motion.initial, motion.control);
+      }
+      for (int w = 0; w < flights[0].simulator->trajectory_.num_windows(); ++w) {
+        for (std::size_t lane = 0; lane < motions.size(); ++lane) {
+          if (motions[lane].ok) flights[lane].simulator->BeginTogether(w, &flights[lane]);
+        }
+        FlyTogether(w, force_unit, flights);
+        for (std::size_t lane = 0; lane < motions.size(); ++lane) {
+          if (!motions[lane].ok) continue;
+          flights[lane].simulator->trajectory_.Close();
+          motions[lane].ok = flights[lane].simulator->IsGoingOn();
+        }
+      }
+      for (std::size_t lane = 0; lane < motions.size(); ++lane) {
+        motions[lane].ok = motions[lane].ok && flights[lane].simulator->IsEndFinite();
+      }
+    }
   }
 
   void GetState(int k, std::span<double> x) const override {
     CHECK(k >= 0 && k <= num_steps_) << "found state " << k << ", expected 0 to " << num_steps_;
     CHECK_EQ(static_cast<int>(x.size()), state_size());
     const int w = trajectory_.WindowOf(k);
-    if (!trajectory_.Holds(w)) RunWindow(w, [](int) {});
+    if (!trajectory_.Holds(w) && !(k == num_steps_ && trajectory_.HoldsEnd())) RunWindow(w, [](int) {});
     const S* flat = Flat(trajectory_.At(k).data());
     std::copy(flat, flat + state_size(), x.begin());
   }
@@ -226,31 +233,118 @@ class StepSimulator final : public Simulator {
     }
   }
 
+  // Makes ready for a rollout; false if there cannot be one.
+  bool Begin(std::span<const double> initial, std::span<const double> control) {
+    CHECK_EQ(static_cast<int>(initial.size()), initial_size());
+    CHECK_EQ(static_cast<int>(control.size()), control_size());
+    trajectory_.Resize(num_bodies(), num_steps_, memory_limit_);
+    Expand(initial, trajectory_.Checkpoint(0).data());
+    record_.Clear();
+    ties_.clear();
+    all_recorded_ = true;
+    failure_.reset();
+    stepper_.set_tie_order(tie_order_);
+    if (!free_is_affine_) {
+      failure_ = {0, -1, "free flight is not affine and isotropic, or its derivative depends on the state"};
+    }
+    return free_is_affine_;
+  }
+  void KeepWithinMemory() {
+    if (trajectory_.bytes() + record_.bytes_of_states() > memory_limit_) all_recorded_ = false;
+    if (!all_recorded_) record_.ForgetStates(record_.size());
+  }
+  void Record(int k) {
+    record_.AddTouches(k, stepper_.touches());
+    for (const TiedContact& contact : stepper_.ties()) ties_.push_back({k, contact});
+    RecordStates(k);
+  }
+  // After a window.
+  bool IsGoingOn() {
+    if (stepper_.failure()) failure_ = stepper_.failure();
+    return !failure_ && !stopped();
+  }
+  bool IsEndFinite() {
+    if (!AllFinite(trajectory_.At(num_steps_))) failure_.emplace();
+    return !failure_;
+  }
+
   // Runs the steps of window w from its checkpoint and calls record(k) for each step in which something touched, with
   // the stepper as that step has left it. Ends early if a step fails.
-  template <typename Record>
-  void RunWindow(int w, const Record& record) const {
+  template <typename RecordStep>
+  void RunWindow(int w, const RecordStep& record) const {
+    control_.CopyReferred();
+    int k = BeginWindow(w, /*whole=*/true);
+    while (const int steps = StepUntilFlight(&k, trajectory_.end(w), record)) {
+      Fly(k, steps);
+      k += steps;
+    }
+    trajectory_.Close();
+  }
+  // Returns the window's first step.
+  int BeginWindow(int w, bool whole) const {
     const int begin = trajectory_.begin(w), end = trajectory_.end(w);
-    trajectory_.Open(w);
+    trajectory_.Open(w, whole);
     push_.assign(num_bodies(), scene_.gravity.norm());
     control_.AddLargestAccelerations(begin, end, typed_.bodies, push_);
     stepper_.Begin(push_);
-    for (int k = begin; k < end && !stopped();) {
-      const int quiet = stepper_.FindCandidates(trajectory_.At(k));
-      if (stepper_.AllFly()) {
-        const int steps = std::min(quiet, end - k);
-        Fly(k, steps);
-        k += steps;
-        continue;
-      }
-      control_.SetForce(k, stepper_.force(), stepper_.torque());
+    return begin;
+  }
+  // Takes steps from step *k on until all discs fly, and returns for how many steps they do; 0 at `end`, and if a step
+  // fails.
+  template <typename RecordStep>
+  int StepUntilFlight(int* k, int end, const RecordStep& record) const {
+    for (; *k < end && !stopped(); ++*k) {
+      const int quiet = stepper_.FindCandidates(trajectory_.At(*k));
+      if (stepper_.AllFly()) return std::min(quiet, end - *k);
+      control_.SetForce(*k, stepper_.force(), stepper_.torque());
       stepper_.set_finds_ties(ties_.size() < kMostTies);
-      stepper_.Step(k, trajectory_.At(k), trajectory_.At(k + 1));
-      if (stepper_.failure()) break;
-      if (!stepper_.touches().empty()) record(k);
-      ++k;
+      stepper_.Step(*k, trajectory_.At(*k), trajectory_.At(*k + 1));
+      if (stepper_.failure()) return 0;
+      if (!stepper_.touches().empty()) record(*k);
     }
-    trajectory_.Close();
+    return 0;
+  }
+
+  // A motion that is simulated together with others, and its next flight.
+  struct Flights {
+    StepSimulator* simulator = nullptr;
+    int k = 0, steps = 0;
+  };
+  void BeginTogether(int w, Flights* flights) {
+    KeepWithinMemory();
+    flights->k = BeginWindow(w, /*whole=*/false);
+    StepTogether(w, flights);
+  }
+  void StepTogether(int w, Flights* flights) {
+    flights->steps = StepUntilFlight(&flights->k, trajectory_.end(w), [this](int k) { Record(k); });
+  }
+  // Takes all motions to the end of window w.
+  void FlyTogether(int w, double force_unit, std::array<Flights, kLanes>& flights) const {
+    FlightsInput in;
+    in.step.h = typed_.h;
+    in.step.gravity = typed_.gravity;
+    in.stride = control_.stride();
+    in.unit = force_unit;
+    while (std::ranges::any_of(flights, [](const Flights& next) { return next.steps > 0; })) {
+      for (int i = 0; i < num_bodies(); ++i) {
+        in.step.bodies = {&typed_.bodies[i], 1};
+        std::array<State*, kLanes> at{};
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const auto& [simulator, k, steps] = flights[lane];
+          in.steps[lane] = steps;
+          if (steps == 0) continue;
+          in.force[lane] = simulator->control_.On(i, k);
+          at[lane] = simulator->trajectory_.At(k + steps).data() + i;
+          *at[lane] = simulator->trajectory_.At(k)[i];
+        }
+        model_->FlyTogether(in, at);
+      }
+      for (Flights& next : flights) {
+        if (next.steps == 0) continue;
+        next.k += next.steps;
+        next.simulator->StepTogether(w, &next);
+      }
+    }
   }
 
   void RecordStates(int k) const { record_.AddStates(stepper_.touches(), trajectory_.At(k), stepper_.solved()); }
@@ -316,7 +410,7 @@ class StepSimulator final : public Simulator {
   bool free_is_affine_ = true;
 
   // The last rollout. Asking for a state may run its window again.
-  HeldControl<S> control_;
+  mutable HeldControl<S> control_;
   mutable Trajectory<State> trajectory_;
   mutable Stepper<S, kRotation> stepper_;
   mutable RolloutRecord<State> record_;

@@ -54,16 +54,19 @@ class Trajectory {
     return {checkpoints_.data() + static_cast<std::size_t>(window) * num_bodies_, size()};
   }
 
-  // Makes `window` the one that is held, with nothing but its first state.
-  void Open(int window) {
+  // Makes `window` the one that is held, with nothing but its first state. Unless it will be `whole`, only some of its
+  // states will follow, the last among them.
+  void Open(int window, bool whole) {
     loaded_ = window;
+    whole_ = whole;
     std::ranges::copy(Checkpoint(window), window_.begin());
   }
   // The window is complete: its last state is the checkpoint of the next.
   void Close() {
     if (loaded_ + 1 < num_windows()) std::ranges::copy(At(end(loaded_)), Checkpoint(loaded_ + 1).begin());
   }
-  bool Holds(int window) const { return loaded_ == window; }
+  bool Holds(int window) const { return loaded_ == window && whole_; }
+  bool HoldsEnd() const { return loaded_ == num_windows() - 1; }
 
   // State k of the window that is held, its last state included.
   std::span<State> At(int k) {
@@ -78,6 +81,7 @@ class Trajectory {
   int num_bodies_ = 0, num_steps_ = 0;
   int length_ = 1;  // of a window, in steps
   int loaded_ = -1;
+  bool whole_ = false;
   std::vector<State> window_, checkpoints_;
 };
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 #include <span>
 #include <vector>
 
@@ -90,32 +91,54 @@ class HeldControl {
     for (const Body& body : scene.bodies) radius_.push_back(S(body.radius));
   }
 
-  void Resize(std::size_t size) { forces_.resize(size); }
+  // Before a rollout: its forces are copied window by window.
+  void Resize(std::size_t size) {
+    copy_.resize(size);
+    forces_ = copy_.data();
+    unit_ = derivative_unit_ = 1;
+  }
   // Takes over the forces of steps begin..end-1 from a control of the whole rollout.
   void Copy(int begin, int end, std::span<const double> control) {
     const std::ptrdiff_t first = begin * stride(), last = end * stride();
-    std::copy(control.begin() + first, control.begin() + last, forces_.begin() + first);
+    std::copy(control.begin() + first, control.begin() + last, copy_.begin() + first);
   }
+  // Instead of both: refers to a control in units of `unit`, N, which must stay as long as it is used.
+  void Refer(std::span<const S> control, double unit) {
+    forces_ = control.data();
+    num_referred_ = control.size();
+    unit_ = derivative_unit_ = unit;
+  }
+  // Makes unit() 1.
+  void CopyReferred() {
+    if (unit_ == 1) return;
+    copy_.resize(num_referred_);
+    for (std::size_t i = 0; i < num_referred_; ++i) copy_[i] = S(unit_) * forces_[i];
+    forces_ = copy_.data();
+    unit_ = 1;
+  }
+  // N, of the forces that On() finds and of those by which derivatives are taken.
+  double unit() const { return unit_; }
+  double derivative_unit() const { return derivative_unit_; }
 
   bool Pushes(int body) const { return place_[body] >= 0; }
   // Where the forces on a disc that is pushed from step k on begin. From one step to the next it is stride() numbers.
   std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
   std::ptrdiff_t stride() const { return stride_; }
-  // The forces there; null if the disc is not pushed.
-  const S* On(int body, int k) const { return Pushes(body) ? forces_.data() + Offset(body, k) : nullptr; }
+  // The forces there, in units of unit(); null if the disc is not pushed.
+  const S* On(int body, int k) const { return Pushes(body) ? forces_ + Offset(body, k) : nullptr; }
 
   bool Turns(int body) const { return turn_place_[body] >= 0; }
   // Likewise where torque / radius of a disc that is turned stands, the numbers there, and the torque, N m; null and 0
   // if it is not turned.
   std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
-  const S* Turn(int body, int k) const { return Turns(body) ? forces_.data() + TurnOffset(body, k) : nullptr; }
+  const S* Turn(int body, int k) const { return Turns(body) ? forces_ + TurnOffset(body, k) : nullptr; }
   S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
 
   // Sets the forces and torques of step k; those on other discs stay.
   void SetForce(int k, std::span<Vec2<S>> force, std::span<S> torque) const {
     for (int body : bodies_) {
       const S* u = On(body, k);
-      force[body] = Vec2<S>(u[0], u[1]);
+      force[body] = Vec2<S>(S(unit_) * u[0], S(unit_) * u[1]);
     }
     for (int body : turned_) torque[body] = Torque(body, k);
   }
@@ -124,21 +147,32 @@ class HeldControl {
   void AddLargestAccelerations(int begin, int end, std::span<const BodyConstants<S>> bodies,
                                std::span<double> push) const {
     for (int body : bodies_) {
-      // Several maxima, so that they need not wait for each other.
-      constexpr int kLanes = 4;
-      S largest[kLanes] = {};
+      // Several maxima, so that they need not wait for each other, each of every other step.
+      constexpr int kAtATime = 4;
+      using Pair [[gnu::vector_size(2 * sizeof(S))]] = S;
+      Pair largest[kAtATime / 2] = {};
       const S* u = On(body, begin);
+      const S unit = S(unit_);
+      const auto squares = [unit](const S* at) {
+        Pair force;
+        std::memcpy(&force, at, sizeof(force));
+        force *= unit;
+        return force * force;
+      };
       int k = begin;
-      for (; k + kLanes <= end; k += kLanes, u += kLanes * stride()) {
-        for (int lane = 0; lane < kLanes; ++lane) {
-          const S* at = u + lane * stride();
-          const S square = at[0] * at[0] + at[1] * at[1];
-          largest[lane] = square > largest[lane] ? square : largest[lane];
+      for (; k + kAtATime <= end; k += kAtATime, u += kAtATime * stride()) {
+        for (int j = 0; j < kAtATime; j += 2) {
+          const Pair even = squares(u + j * stride()), odd = squares(u + (j + 1) * stride());
+          const Pair sums = __builtin_shufflevector(even, odd, 0, 2) + __builtin_shufflevector(even, odd, 1, 3);
+          largest[j / 2] = sums > largest[j / 2] ? sums : largest[j / 2];
         }
       }
-      for (; k < end; ++k, u += stride()) largest[0] = std::max(largest[0], u[0] * u[0] + u[1] * u[1]);
-      const double square = *std::max_element(largest, largest + kLanes);
-      push[body] += std::sqrt(square) * double(bodies[body].inverse_mass);
+      S most = std::max({largest[0][0], largest[0][1], largest[1][0], largest[1][1]});
+      for (; k < end; ++k, u += stride()) {
+        const Pair square = squares(u);
+        most = std::max(most, square[0] + square[1]);
+      }
+      push[body] += std::sqrt(double(most)) * double(bodies[body].inverse_mass);
     }
     for (int body : turned_) {
       double largest = 0;
@@ -159,7 +193,10 @@ class HeldControl {
   std::vector<int> place_;       // of each disc among them; -1 if it is not
   std::vector<int> turn_place_;  // of each disc: where in a step torque / radius stands; -1 if it is not turned
   std::vector<S> radius_;        // m, of each disc
-  std::vector<S> forces_;
+  std::vector<S> copy_;
+  const S* forces_ = nullptr;
+  std::size_t num_referred_ = 0;
+  double unit_ = 1, derivative_unit_ = 1;
 };
 
 }  // namespace saltus

@@ -1,7 +1,8 @@
 // Many points of one problem at once: multi-start, sampling, studies of initial conditions or controls.
 //
-// Points are shared among threads. Each thread has a simulator of its own and each result a place of its own, so that
-// results have the same bits for any number of threads.
+// Points are shared among threads, and those of a thread simulated in groups whose flights go through the lanes of the
+// core together (SingleShooting::EvaluateTogether). Each motion of a group has a simulator of its own and each result a
+// place of its own, so that results have the bits of single evaluations, for any number of threads.
 #pragma once
 
 #include <cstddef>
@@ -30,7 +31,9 @@ class Batch {
 
   int num_variables() const { return shootings_.front()->num_variables(); }
   const std::vector<double>& initial_guess() const { return shootings_.front()->initial_guess(); }
-  int num_threads() const { return static_cast<int>(shootings_.size()); }
+  // How many points of a thread are evaluated at once.
+  int num_lanes() const { return num_lanes_; }
+  int num_threads() const { return static_cast<int>(shootings_.size()) / num_lanes_; }
 
   // The losses at P points (P x num_variables(), row by row) and, unless empty, the gradients there (the same shape).
   // Where rollout or loss are not finite, the loss is NaN, and the gradient too.
@@ -41,7 +44,8 @@ class Batch {
   void ForEach(int count, const std::function<void(SingleShooting* shooting, int i)>& job);
 
  private:
-  std::vector<std::unique_ptr<SingleShooting>> shootings_;  // one per thread
+  std::vector<std::unique_ptr<SingleShooting>> shootings_;  // num_lanes_ per thread
+  int num_lanes_ = 1;
 };
 
 }  // namespace saltus

@@ -32,12 +32,12 @@ class WayCosts;
 class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
-  // The simulator of the scene with another duration or other values of its design parameters.
+  // The simulator of the scene with another duration or other values of its design parameters; null if the contact
+  // model cannot take that one.
   using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time
-  // in exact dynamics only, and design parameters only without path costs and a free final time; else they stay as they
-  // are in the scene.
+  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time,
+  // and design parameters beside path costs, in exact dynamics only; else they stay as they are in the scene.
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
                           OfScene of_scene = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
@@ -60,6 +60,14 @@ class SingleShooting final : public ShootingFunction {
   // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic
   // differentiation in float would leave it.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
+
+  // How many points EvaluateTogether takes at once; 1 if that is no faster than one after the other.
+  int num_lanes() const;
+  // Evaluate() of point i, row i of `points`, by shootings[i], for up to num_lanes() points: the same bits. ok[i] is what
+  // it returns; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same problem.
+  static void EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
+                               std::span<const double> points, std::span<double> losses, std::span<double> gradients,
+                               std::span<bool> ok);
 
   // Why the last evaluation returned false; empty if it did not, or was stopped.
   std::string WhyFailed() const override;
@@ -95,11 +103,19 @@ class SingleShooting final : public ShootingFunction {
  private:
   void AddDesign();
   bool Rollout(std::span<const double> z);
-  // `z` as in the last rollout.
-  double LossOfLastRollout(std::span<const double> z) const;
+  // The parts of a rollout before and after that of the simulator.
+  bool BeginRollout(std::span<const double> z);
+  bool EndRollout(std::span<const double> z);
+  // The loss of the effort at z, and that of the last rollout, if this is its effort.
+  double Effort(std::span<const double> z) const;
+  double LossOfLastRollout(double effort) const;
+  // Evaluate() after the rollout.
+  bool EvaluateLast(std::span<const double> z, double effort, double* loss, double* gradient);
   // Moves on to the simulator of the scene that z stands for; returns why there is none, or nothing.
   std::string SetScene(std::span<const double> z);
   void WayGradient(std::span<const double> z, double* gradient);
+  template <typename Numbers, typename Put>
+  void DifferenceByParameters(const Numbers& numbers, const Put& put);
   // z without the design parameters.
   std::span<const double> WithoutDesign(std::span<const double> z) const { return z.first(z.size() - num_design_); }
   // The control that z stands for, without a copy.
@@ -116,6 +132,7 @@ class SingleShooting final : public ShootingFunction {
   ParameterGradient parameters_;
   std::unique_ptr<WayCosts> way_;  // null if the loss is that of the end and the effort
   std::string way_failure_;
+  std::vector<double> at_;  // with path costs: where the last rollout was
   StopRequest stop_;
   bool controls_;  // z is the control
   std::vector<double> guess_;

@@ -7,6 +7,7 @@
 // arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
 #pragma once
 
+#include <array>
 #include <concepts>
 #include <cstddef>
 #include <limits>
@@ -16,6 +17,7 @@
 #include <utility>
 
 #include "saltus/contact/contact_model.h"
+#include "saltus/internal/flight_lanes.h"
 #include "saltus/internal/taped.h"
 #include "saltus/simulate/simulator.h"
 
@@ -83,6 +85,10 @@ class ContactStep {
   virtual void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const = 0;
   // Free flight of one disc over many steps, from *at to the states behind it.
   virtual void Fly(const FlightInput<S>& in, State* at) const = 0;
+  // Free flight of one disc in several motions, each from *at[lane] to the state after its steps, with the same bits.
+  // What has no steps need not be there. Precondition: kInLanes.
+  static constexpr bool kInLanes = kRotation == 0 && std::is_same_v<S, double>;
+  virtual void FlyTogether(const FlightsInput& in, const std::array<State*, kLanes>& at) const = 0;
   // Free flight of disc 0 in Jets; and over a length that is a Jet, which some models do not have: returns false then.
   virtual JetState Free(const StepInput<Jet>& in, const JetState& x) const = 0;
   virtual bool Free(const StepInput<Jet, Jet>& in, const JetState& x, JetState* next) const = 0;
@@ -157,6 +163,10 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
       at += state_stride;
       *at = x;
     }
+  }
+  void FlyTogether([[maybe_unused]] const FlightsInput& in,
+                   [[maybe_unused]] const std::array<State*, kLanes>& at) const override {
+    if constexpr (Base::kInLanes) internal::FlyTogether(model_, in, at);
   }
   JetState Free(const StepInput<Jet>& in, const JetState& x) const override { return model_.Free(in, 0, x); }
   bool Free([[maybe_unused]] const StepInput<Jet, Jet>& in, [[maybe_unused]] const JetState& x,

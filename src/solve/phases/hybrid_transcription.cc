@@ -14,8 +14,6 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
-// As of PhaseTranscription: steps of a phase along which open defects do not add up yet.
-constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
 // Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
 // near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
@@ -94,35 +92,18 @@ class StepRows final : public Rows {
                         m > 0 ? blocks[of_control] : nullptr,
                         P > 0 ? blocks[of_parameters] : nullptr,
                         projects_};
-    Eigen::VectorXd slope(n), after(n);
-    functions_.Flow(mode_, step.t, step.x, step.u, step.p, slope.data());
-    integrator_.Step(step, slope.data(), after.data());
-    if (projects_) {
-      functions_.Project(mode_, after.data(), step.p, slope.data());
-      after.swap(slope);
-    }
+    Eigen::VectorXd after(n);
+    integrator_.Step(step, after.data());
     Eigen::Map<Eigen::VectorXd>(rows, n) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    integrator_.Linearize(step);
-    const int columns = n + 1 + P + m + 1;
-    RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Matrix::Zero(P, columns),
-                              Matrix::Zero(m, columns)};
-    seeds.x.leftCols(n).setIdentity();
-    seeds.t[n] = 1;
-    seeds.p.middleCols(n + 1, P).setIdentity();
-    seeds.u.middleCols(n + 1 + P, m).setIdentity();
-    seeds.h[columns - 1] = 1;
-    const Matrix by = -(scale_.asDiagonal() * integrator_.PushForward(seeds));
+    const Matrix by = -(scale_.asDiagonal() * integrator_.Jacobian(step));
     Put(jacobians, 0, by.leftCols(n));
     if (m > 0) Put(jacobians, of_control, by.middleCols(n + 1 + P, m));
     if (P > 0) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
-    Put(jacobians, times, (1 - part) * by.col(n) - by.col(columns - 1) / count_);
-    Put(jacobians, times + 1, part * by.col(n) + by.col(columns - 1) / count_);
+    Put(jacobians, times, (1 - part) * by.col(n) - by.rightCols(1) / count_);
+    Put(jacobians, times + 1, part * by.col(n) + by.rightCols(1) / count_);
     Put(jacobians, times + 2, Matrix(scale_.asDiagonal()));
     return true;
   }
@@ -414,7 +395,6 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
 
 bool HybridTranscription::Lay(const Start& start) {
   const int m = functions_.layout().num_controls;
-  std::vector<double> slope;
   nodes_.push_back(start.initial);
   for (int j = 0; j < num_phases(); ++j) {
     Phase& phase = phases_[j];
@@ -434,15 +414,10 @@ bool HybridTranscription::Lay(const Start& start) {
                           length / count,
                           x.data(),
                           controls_.back().data(),
-                          parameters_.data()};
-      slope.resize(x.size());
+                          parameters_.data(),
+                          Projects(j, k)};
       std::vector<double> next(x.size());
-      functions_.Flow(phase.mode, step.t, step.x, step.u, step.p, slope.data());
-      integrator_.Step(step, slope.data(), next.data());
-      if (Projects(j, k)) {
-        functions_.Project(phase.mode, next.data(), step.p, slope.data());
-        next.swap(slope);
-      }
+      integrator_.Step(step, next.data());
       nodes_.push_back(std::move(next));
     }
     phase.last_node = static_cast<int>(nodes_.size()) - 1;
@@ -700,10 +675,9 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
-  options.equality_weight = kFirstWeight * length;
+  options.equality_weight = kFirstWeight;
   options.most_open = kMostOpen;
-  options.radius *= length * length;
+  options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
   }

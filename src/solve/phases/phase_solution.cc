@@ -18,6 +18,8 @@ namespace {
 
 constexpr double kSameTime = 1e-6;  // of the horizon
 
+EventPhases::State MotionsOf(const DiscStates& x) { return {{x.p.begin(), x.p.end()}, {x.v.begin(), x.v.end()}}; }
+
 double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
   const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
   if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - contact_distance;
@@ -140,7 +142,7 @@ PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequ
   for (int k = 0; k < n;) {
     if (hit[k] >= 0) {
       guess.times[k] = flight.hits()[hit[k]].time;
-      guess.before.push_back({flight.hits()[hit[k]].before.p, flight.hits()[hit[k]].before.v});
+      guess.before.push_back(MotionsOf(flight.hits()[hit[k]].before));
       ++k;
       continue;
     }
@@ -154,11 +156,11 @@ PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequ
       guess.times[i] = NearestTime(scene, flight, sequence[i], begin, begin + share);
       DiscStates x = flight.Before(guess.times[i]);
       MakeApproach(scene, sequence[i], &x);
-      guess.before.push_back({x.p, x.v});
+      guess.before.push_back(MotionsOf(x));
     }
     k = end;
   }
-  guess.end = {flight.end().p, flight.end().v};
+  guess.end = MotionsOf(flight.end());
   return guess;
 }
 

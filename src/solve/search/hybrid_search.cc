@@ -6,15 +6,11 @@
 #include "base/random.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "solve/phases/hybrid_phases.h"
-#include "solve/search/search_solve.h"
 #include "solve/search/sequence_search.h"
 
 namespace saltus {
 namespace {
 
-constexpr int kIterationsUpdating = 1000;
-constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
-constexpr int kIterationsShooting = 30;  // from random starts
 constexpr size_t kMostNeighbours = 200;
 constexpr size_t kMostModes = 24;  // of those created as motions meet them
 
@@ -105,16 +101,9 @@ class HybridSearch {
     return neighbours;
   }
 
-  Finding SolveFrom(const SearchStartOf<HybridPhaseRun>& start, double most_work, const SolverOptions& options) const {
-    SolverOptions own;
-    own.stop = options.stop;
-    own.search = options.search;
-    own.iterations =
-        IterationsWithin(most_work, WorkBySteps(), start.sequence ? kIterationsAlong : kIterationsUpdating);
+  Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, const SolverOptions& options) const {
     Finding finding;
-    HybridMotion from = start.trial;
-    if (start.shoot) finding.shooting = Shoot(most_work, options, &from);
-    HybridPhaseRun run("mode_search", problem_, own, std::move(from), start.sequence);
+    HybridPhaseRun run("mode_search", problem_, options, std::move(from), sequence);
     if (auto refused = run.WhyNotStart()) {
       finding.report = std::move(*refused);
       return finding;
@@ -127,9 +116,26 @@ class HybridSearch {
     return finding;
   }
 
-  double WorkOf(const Finding& finding) const {
-    return finding.report.evaluations * WorkBySteps() + finding.shooting * WorkByRollout();
+  // With equalities as costs and without inequalities.
+  int Shoot(const SolverOptions& options, HybridMotion* motion) const {
+    HybridProblem relaxed = run_.problem();
+    std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
+    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
+    relaxed.guess.control = motion->control;
+    relaxed.guess.initial = motion->initial;
+    relaxed.guess.parameters = motion->parameters;
+    const SolveReport report = Solve("ceres_lm", relaxed, options);
+    if (!report.losses.empty()) {
+      motion->control = report.control;
+      motion->initial = report.initial_state;
+      motion->parameters = report.parameters;
+      if (!report.durations.empty()) motion->durations = report.durations;
+    }
+    return report.evaluations;
   }
+
+  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
+  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
   double LossForUser(double loss) const { return loss; }
 
   LocalOptimum OptimumOf(const HybridMotion& motion) const {
@@ -222,32 +228,6 @@ class HybridSearch {
     }
     return sizes;
   }
-
-  // Brings a motion near the targets, with equalities as costs and without inequalities. Returns the gradients
-  // computed.
-  int Shoot(double most_work, const SolverOptions& options, HybridMotion* motion) const {
-    HybridProblem relaxed = run_.problem();
-    std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
-    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
-    relaxed.guess.control = motion->control;
-    relaxed.guess.initial = motion->initial;
-    relaxed.guess.parameters = motion->parameters;
-    SolverOptions own;
-    own.stop = options.stop;
-    own.iterations = IterationsWithin(most_work, WorkByRollout(), kIterationsShooting);
-    const SolveReport report = Solve("ceres_lm", relaxed, own);
-    if (!report.losses.empty()) {
-      motion->control = report.control;
-      motion->initial = report.initial_state;
-      motion->parameters = report.parameters;
-      if (!report.durations.empty()) motion->durations = report.durations;
-    }
-    return report.evaluations;
-  }
-
-  // As SearchOptions::work.
-  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
-  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
 
   const HybridPhaseRun& run_;
   const HybridProblem& problem_;
