@@ -97,7 +97,7 @@ inline HybridProblem PushedBoxProblem() {
                                   MakeEffortCost(0.01, 2)},
                         .integration = {.steps_per_interval = 2}};
   for (int k = 0; k < 20; ++k) {
-    problem.guess.control.insert(problem.guess.control.end(), {1.0, 0.0});
+    problem.guess.control.insert(problem.guess.control.end(), {k < 14 ? 1.0 : -0.5, 0.0});
   }
   problem.free.control = true;
   return problem;
