@@ -45,11 +45,11 @@ struct TurboCar {
   }
 };
 
-// A speed limit of 20 m/s.
 struct SpeedLimit {
+  double limit;  // m/s
   template <typename T>
   bool operator()(const T* x, T* residual) const {
-    residual[0] = (x[1] - 20.0) / 20.0;
+    residual[0] = (x[1] - limit) / limit;
     return true;
   }
 };
@@ -57,12 +57,12 @@ struct SpeedLimit {
 // From nosnoc's examples: 200 m in the least time, from rest to rest, with |u| <= 5 m/s^2. The optimum is 40/3 s: full
 // thrust, cruise at the limit and full brake; of 21 intervals 14 are with the turbo, so that the control switches at
 // the end of one.
-inline HybridProblem TurboCarProblem() {
+inline HybridProblem TurboCarProblem(const TurboCar& car = {}, double goal = 200, double limit = 20) {
   constexpr int kIntervals = 21;
   HybridProblem problem{
-      .system = HybridSystem(TurboCar()),
+      .system = HybridSystem(car),
       .guess = {.initial = {0, 0}, .duration = 14, .num_intervals = kIntervals},
-      .terms = {MakeDurationCost(1.0), MakeTerminalCost(0, 200.0, 1e-4, 2), MakeTerminalCost(1, 0.0, 1e-2, 2)}};
+      .terms = {MakeDurationCost(1.0), MakeTerminalCost(0, goal, 1e-4, 2), MakeTerminalCost(1, 0.0, 1e-2, 2)}};
   for (int k = 0; k < kIntervals; ++k) problem.guess.control.push_back(2 * k < kIntervals ? 2.5 : -2.5);
   for (int i : {1, 2}) problem.terms[i].role = HybridTerm::Role::kEquality;
   problem.terms.push_back(
@@ -70,7 +70,7 @@ inline HybridProblem TurboCarProblem() {
        .at = HybridTerm::At::kEachInterval,
        .role = HybridTerm::Role::kInequality,
        .with_state = true,
-       .function = std::make_shared<ceres::AutoDiffCostFunction<SpeedLimit, 1, 2>>(new SpeedLimit)});
+       .function = std::make_shared<ceres::AutoDiffCostFunction<SpeedLimit, 1, 2>>(new SpeedLimit{limit})});
   problem.free = {.control = true, .control_min = {-5}, .control_max = {5}, .duration = true};
   problem.free.duration_min = 5;
   problem.free.duration_max = 30;

@@ -289,6 +289,10 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop, threads());
   if (interrupted()) return audit;
   audit.own = std::move(own);
+  if (options.refinement.parameters) {
+    audit.parameters = CompareParameters(contact, scene, ParametersToCompare(scene), stop);
+    if (interrupted()) return audit;
+  }
   if (reference) audit.not_comparable = WhyNotComparable(contact, scene);
   if (!audit.not_comparable.empty()) {
     audit.verdict = Verdict::kNotApplicable;

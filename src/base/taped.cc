@@ -2,6 +2,20 @@
 
 namespace saltus {
 
+Tape& Tape::OfThread() {
+  static thread_local Tape tape;
+  return tape;
+}
+
+Taped Taped::Of(double value, const Taped& a, double by_a) {
+  return {value, a.place_ == 0 ? 0 : Tape::OfThread().Add(a.place_, by_a)};
+}
+
+Taped Taped::Of(double value, const Taped& a, double by_a, const Taped& b, double by_b) {
+  if (a.place_ == 0 && b.place_ == 0) return Taped(value);
+  return {value, Tape::OfThread().Add(a.place_, by_a, b.place_, by_b)};
+}
+
 void Tape::AddMap(std::span<const Taped> inputs, std::span<Taped> outputs, PullBack pull_back) {
   Map map{static_cast<int>(entries_.size()), {}, static_cast<int>(outputs.size()), std::move(pull_back)};
   map.inputs.reserve(inputs.size());

@@ -14,10 +14,10 @@
 namespace saltus {
 namespace {
 
-constexpr int kGrace = 50;         // looks whether the command has ended by itself, before it is killed
-constexpr long kLook = 2'000'000;  // ns between two of them
-constexpr int kSignalled = 128;    // exit codes of the keeper above this are signals, as of a shell; this: it ran
-constexpr int kNothing = 127;      // exit code of a shell that finds no such command
+constexpr int kGrace = 50;                 // looks whether the command has ended by itself, before it is killed
+constexpr long kBetweenLooks = 2'000'000;  // ns between two of them
+constexpr int kSignalled = 128;  // exit codes of the keeper above this are signals, as of a shell; this: it ran
+constexpr int kNothing = 127;    // exit code of a shell that finds no such command
 enum End : int { kRead = 0, kWrite = 1 };  // of a pipe
 using Pipe = std::array<int, 2>;
 
@@ -51,7 +51,7 @@ void Default(int signal_number) {
 pid_t WaitFor(pid_t child, int* status) {
   pid_t ended = 0;
   for (int i = 0; i < kGrace && (ended = waitpid(child, status, WNOHANG)) == 0; ++i) {
-    const timespec look{0, kLook};
+    const timespec look{0, kBetweenLooks};
     nanosleep(&look, nullptr);
   }
   return ended;

@@ -15,7 +15,6 @@ namespace {
 constexpr std::size_t kMostSessions = 3;
 constexpr std::size_t kMostOutstanding = 16;               // of a copy
 constexpr std::size_t kForACopy = 4;                       // questions that make another copy worth its start
-constexpr int kLook = 20;                                  // ms, how often time and interrupts are looked at
 constexpr std::size_t kShortLine = 1 << 20, kDigits = 40;  // characters of a line, and of a number
 
 // A scene as far as a question does not say it again.

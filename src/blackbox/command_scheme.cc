@@ -11,7 +11,6 @@
 namespace saltus {
 namespace {
 
-constexpr int kLook = 20;                         // ms, how often time is looked at
 constexpr std::size_t kMostCharacters = 1 << 20;  // of an answer
 
 ProtocolJson NumbersOf(const double* numbers, int count) { return std::vector<double>(numbers, numbers + count); }

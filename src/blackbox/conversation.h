@@ -13,6 +13,8 @@
 
 namespace saltus {
 
+inline constexpr int kLook = 20;  // ms, how often time and interrupts are looked at while an answer is awaited
+
 // What a copy is waited for: one line in return for one that was sent.
 struct Expected {
   int index = -1;        // of the question; -1: the greeting

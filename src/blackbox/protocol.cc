@@ -155,6 +155,7 @@ std::string QuestionLine(const Scene& scene, const Question& question, std::int6
   if (question.kind == Question::Kind::kGradient) {
     text += ", \"of_final\": ";
     AppendRows(question.of_final, 4, &text);
+    if (question.parameters) text += ", \"parameters\": true";
   } else if (traits.states) {
     text += question.states ? ", \"states\": true" : ", \"states\": false";
   }
@@ -218,6 +219,14 @@ Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& q
   if (question.kind == Question::Kind::kGradient) {
     answer.initial = Member(json, "initial", {discs, 4});
     if (pushed > 0) answer.control = Member(json, "control", {steps, pushed, 2});
+    const auto given = json.find("parameters");
+    if (given != json.end() && !given->is_object()) {
+      throw ProtocolError("found " + Excerpt(given->dump()) + ", expected an object as \"parameters\"");
+    }
+    const ProtocolJson named = given == json.end() ? ProtocolJson::object() : *given;
+    for (const auto& [name, value] : named.items()) {
+      answer.parameters.emplace_back(name, NumbersFrom(value, {}, "\"parameters\"")[0]);
+    }
   } else if (traits.states && question.states) {
     answer.states = Member(json, "states", {steps / traits.grid_steps + 1, discs, 4});
   }

@@ -8,6 +8,8 @@
 //                                                     also "states", those after 0, 1, ... of its own steps
 //   -> {"id": 2, "gradient": {the same, "of_final": [[...],...]}}
 //   <- {"id": 2, "final": ..., "initial": [[...],...], "control": [[[...],...],...]}
+//                                                     if "parameters": true is among what is asked, and it gives them:
+//                                                     also "parameters": {"mass.ball": ..., ...}, derivatives by name
 //   -> {"id": 3, "step": {"h": 0.002, "state": [[...],...], "force": [[fx,fy],...]}}       a force for each disc
 //   <- {"id": 3, "state": [[...],...]}
 //   <- {"id": 3, "error": "what went wrong"}          instead of an answer

@@ -6,6 +6,7 @@
 #include <variant>
 
 #include "saltus/scene/scene_file.h"
+#include "saltus/scene/scene_parameter.h"
 
 namespace saltus {
 namespace {
@@ -43,6 +44,25 @@ std::vector<double> StateAt(const Simulator& simulator, int k) {
   std::vector<double> state(simulator.state_size());
   simulator.GetState(k, state);
   return Plain(state, simulator.body_size());
+}
+
+// The derivatives of the last rollout by parameters of the scene, by name.
+ProtocolJson ByParameters(Simulator* simulator, const std::vector<double>& cotangent) {
+  Sensitivity gradient;
+  simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);
+  const ParameterGradient& by = gradient.parameters;
+  ProtocolJson named = {{"restitution", by.restitution},
+                        {"friction", by.friction},
+                        {"stiffness", by.stiffness},
+                        {"damping", by.damping},
+                        {"gravity.x", by.gravity[0]},
+                        {"gravity.y", by.gravity[1]}};
+  const Scene& scene = simulator->scene();
+  for (int i = 0; i < scene.num_bodies(); ++i) {
+    if (!scene.bodies[i].fixed) named["mass." + scene.bodies[i].name] = by.mass[i];
+  }
+  for (std::size_t i = 0; i < by.design.size(); ++i) named[NameOf(scene.design[i].parameter, scene)] = by.design[i];
+  return named;
 }
 
 ProtocolJson Wrong(const std::string& why) { return {{"error", why}}; }
@@ -154,6 +174,7 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   }
   answer["initial"] = RowsToJson(gradient.initial, kNumbers);
   answer["control"] = ControlRowsToJson(by_control, scene_->num_controlled());
+  if (question.value("parameters", false)) answer["parameters"] = ByParameters(&simulator, cotangent);
   return answer;
 }
 

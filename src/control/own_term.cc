@@ -13,7 +13,8 @@ namespace {
 
 std::vector<int> BlocksOf(const OwnTerm& term) {
   std::vector<int> sizes(term.states.size(), 4);
-  sizes.insert(sizes.end(), term.forces.size(), 2);
+  sizes.insert(sizes.end(), term.forces.size() + term.rotations.size(), 2);
+  sizes.insert(sizes.end(), term.torques.size(), 1);
   if (term.with_length) sizes.push_back(1);
   return sizes;
 }
@@ -39,15 +40,30 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
   for (const int body : term.states) {
     if (scene.bodies[body].fixed) return wrong("found the state of " + scene.bodies[body].name + ", which is fixed");
   }
-  const std::vector<int>& controlled = scene.control.bodies;
-  for (const int body : term.forces) {
-    if (std::find(controlled.begin(), controlled.end(), body) == controlled.end()) {
-      return wrong("found the force on disc " + std::to_string(body) + ", expected a disc that is controlled");
+  const auto other = [&](const std::vector<int>& found,
+                         const std::vector<int>& known,
+                         const std::string& what,
+                         const std::string& expected) {
+    for (const int body : found) {
+      if (std::ranges::count(known, body) > 0) continue;
+      return wrong("found the " + what + " disc " + std::to_string(body) + ", expected a disc that " + expected);
     }
+    return std::string();
+  };
+  const bool end = term.at == OwnTerm::At::kEnd;
+  std::vector<int> spinning;
+  for (int body = 0; body < scene.num_bodies(); ++body) {
+    if (scene.bodies[body].Spins()) spinning.push_back(body);
   }
-  if (term.at == OwnTerm::At::kEnd && !term.forces.empty()) {
-    return wrong("found a force at the final time, expected forces of steps");
+  for (const std::string& found :
+       {other(term.forces, scene.control.bodies, "force on", "is controlled"),
+        other(term.torques, scene.control.turned, "torque on", "has a torque control"),
+        end ? other(term.rotations, spinning, "rotation of", "spins")
+            : other(term.rotations, scene.control.turned, "rotation in each step of", "has a torque control")}) {
+    if (!found.empty()) return found;
   }
+  if (end && !term.forces.empty()) return wrong("found a force at the final time, expected forces of steps");
+  if (end && !term.torques.empty()) return wrong("found a torque at the final time, expected torques of steps");
   const std::vector<int> found(term.function->parameter_block_sizes().begin(),
                                term.function->parameter_block_sizes().end());
   if (found != BlocksOf(term)) {
@@ -58,25 +74,34 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
   return "";
 }
 
-OwnTermCost::OwnTermCost(const OwnTerm& term, const Units& units, int steps)
-    : term_(term), units_(units), to_si_(units, {}), steps_(steps) {
+OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene, int steps)
+    : term_(term), units_(scene.units), to_si_(scene.units, {}), steps_(steps) {
   *mutable_parameter_block_sizes() = BlocksOf(term);
   if (divides()) mutable_parameter_block_sizes()->push_back(1);  // two times in the place of the length
   set_num_residuals(term.function->num_residuals());
-  row_factor_ = term.role == OwnTerm::Role::kCost ? std::sqrt(UnitFactors({}, units).loss) : 1 / term.scale;
+  row_factor_ = term.role == OwnTerm::Role::kCost ? std::sqrt(UnitFactors({}, scene.units).loss) : 1 / term.scale;
+  const auto add = [&](size_t count, const std::vector<double>& factors) {
+    to_si_of_.insert(to_si_of_.end(), count, factors);
+  };
+  add(term.states.size(), {to_si_.length, to_si_.length, to_si_.speed, to_si_.speed});
+  add(term.forces.size(), {to_si_.force, to_si_.force});
+  for (const int body : term.rotations) {
+    const double radius = scene.bodies[body].radius;
+    add(1, {1 / radius, to_si_.rate / radius});
+  }
+  for (const int body : term.torques) add(1, {to_si_.force * to_si_.length * scene.bodies[body].radius});
 }
 
 bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   // The function's own blocks, in SI units.
   std::vector<std::vector<double>> blocks;
   std::size_t at = 0;
-  for (; at < term_.states.size(); ++at) {
-    const double* x = parameters[at];
-    const Vec2d p = ConvertPosition({x[0], x[1]}, units_, {});
-    blocks.push_back({p[0], p[1], to_si_.speed * x[2], to_si_.speed * x[3]});
-  }
-  for (std::size_t i = 0; i < term_.forces.size(); ++i, ++at) {
-    blocks.push_back({to_si_.force * parameters[at][0], to_si_.force * parameters[at][1]});
+  for (; at < to_si_of_.size(); ++at) {
+    std::vector<double>& block = blocks.emplace_back();
+    for (std::size_t j = 0; j < to_si_of_[at].size(); ++j) block.push_back(to_si_of_[at][j] * parameters[at][j]);
+    if (at >= term_.states.size()) continue;
+    const Vec2d p = ConvertPosition({parameters[at][0], parameters[at][1]}, units_, {});
+    std::copy_n(p.data(), 2, block.begin());
   }
   if (term_.with_length) {
     const double length = divides() ? (parameters[at + 1][0] - parameters[at][0]) / steps_ : parameters[at][0];
@@ -104,8 +129,7 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
       jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
   };
   std::size_t i = 0;
-  for (; i < term_.states.size(); ++i) write(i, i, [&](int j) { return j < 2 ? to_si_.length : to_si_.speed; });
-  for (; i < term_.states.size() + term_.forces.size(); ++i) write(i, i, [&](int) { return to_si_.force; });
+  for (; i < to_si_of_.size(); ++i) write(i, i, [&](int j) { return to_si_of_[i][j]; });
   if (!term_.with_length) return true;
   const double per_length = divides() ? to_si_.time / steps_ : to_si_.time;
   write(i, i, [&](int) { return divides() ? -per_length : per_length; });
@@ -117,16 +141,25 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
                            std::span<const double> control, std::span<const double> durations) {
   OwnValues sum;
   for (const OwnTerm& term : terms) {
-    const OwnTermCost cost(term, scene.units, /*steps=*/1);
+    const OwnTermCost cost(term, scene, /*steps=*/1);
     std::vector<double> residuals(cost.num_residuals());
-    const auto add = [&](const DiscStates& x, const double* forces, double begin, double end) {
+    const auto add = [&](const DiscStates& x, const double* row, double begin, double end) {
       std::vector<std::array<double, 4>> states;
       for (const int body : term.states) states.push_back({x.p[body][0], x.p[body][1], x.v[body][0], x.v[body][1]});
       std::vector<const double*> blocks;
       for (const auto& state : states) blocks.push_back(state.data());
-      for (const int body : term.forces) {
-        const auto& bodies = scene.control.bodies;
-        blocks.push_back(forces + 2 * (std::find(bodies.begin(), bodies.end(), body) - bodies.begin()));
+      const auto place_in = [](const std::vector<int>& all, int body) {
+        return std::find(all.begin(), all.end(), body) - all.begin();
+      };
+      for (const int body : term.forces) blocks.push_back(row + 2 * place_in(scene.control.bodies, body));
+      std::vector<std::array<double, 2>> rotations;
+      for (const int body : term.rotations) {
+        const double radius = scene.bodies[body].radius;
+        rotations.push_back({radius * x.angle[body], radius * x.spin[body]});
+      }
+      for (const auto& rotation : rotations) blocks.push_back(rotation.data());
+      for (const int body : term.torques) {
+        blocks.push_back(row + 2 * scene.num_controlled() + place_in(scene.control.turned, body));
       }
       if (term.with_length && cost.divides()) blocks.push_back(&begin);
       if (term.with_length) blocks.push_back(&end);

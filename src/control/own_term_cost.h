@@ -13,13 +13,14 @@
 
 namespace saltus {
 
-// Blocks: as OwnTerm's, in `units`; but in the place of a step's length the times at which its phase begins and ends,
-// if the phase has so many steps. Residuals: costs whose squares are in units of the loss, or constraints in parts of
+// Blocks: as OwnTerm's, in the scene's units, rotations and torques as [r angle, r w] and torque / r of a disc with the
+// radius r; but in the place of a step's length the times at which its phase begins and ends, if the phase has so many
+// steps. Residuals: costs whose squares are in units of the loss, or constraints in parts of
 // their scale.
 class OwnTermCost final : public ceres::CostFunction {
  public:
   // `term` is valid, and must outlive this object.
-  OwnTermCost(const OwnTerm& term, const Units& units, int steps);
+  OwnTermCost(const OwnTerm& term, const Scene& scene, int steps);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
@@ -32,6 +33,7 @@ class OwnTermCost final : public ceres::CostFunction {
   UnitFactors to_si_;
   int steps_;
   double row_factor_;
+  std::vector<std::vector<double>> to_si_of_;  // of each block but the length: factors of its entries
 };
 
 // On a motion in the scene's units: the sum of squares of costs, and the largest violation of a constraint, in parts of

@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
+#include "control/design_difference.h"
 #include "control/way_costs.h"
 #include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
@@ -75,7 +77,8 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
 }
 
 void SingleShooting::AddDesign() {
-  if (of_scene_ == nullptr || way_ != nullptr || scene().design.empty()) return;
+  const bool exact = simulator_->traits().event_driven && simulator_->precision() == Precision::kDouble;
+  if (of_scene_ == nullptr || (way_ != nullptr && !exact) || scene().design.empty()) return;
   given_ = scene();
   const std::vector<double> design = DesignOf(given_);
   num_design_ = static_cast<int>(design.size());
@@ -104,7 +107,7 @@ std::vector<double> SingleShooting::ControlAt(std::span<const double> z) const {
 
 std::vector<double> SingleShooting::DurationsAt(std::span<const double> z) const {
   if (!has_duration()) return {};
-  return std::vector<double>(simulator_->num_steps(), z.back() / simulator_->num_steps());
+  return std::vector<double>(simulator_->num_steps(), WithoutDesign(z).back() / simulator_->num_steps());
 }
 
 std::vector<double> SingleShooting::ParametersAt(std::span<const double> z) const {
@@ -113,36 +116,32 @@ std::vector<double> SingleShooting::ParametersAt(std::span<const double> z) cons
 }
 
 std::string SingleShooting::SetScene(std::span<const double> z) {
-  const auto move_to = [&](const Scene& scene) {
-    const std::size_t memory_limit = simulator_->memory_limit();
-    simulator_ = of_scene_(scene);
-    simulator_->set_memory_limit(memory_limit);
-    simulator_->set_stop(stop_);
-  };
-  if (has_duration_) {
-    const double duration = z.back();
-    const auto& via = scene().objective.via;
-    if (!(duration > 0) || !std::isfinite(duration) ||
-        std::any_of(via.begin(), via.end(), [&](const ViaTerm& term) { return term.time >= duration; })) {
-      return "the final time is not after the times of all waypoint costs";
-    }
-    if (duration == scene().duration) return "";
-    Scene lasting = scene();
-    lasting.duration = duration;
-    move_to(lasting);
-  }
-  if (num_design_ == 0) return "";
+  if (!has_duration_ && num_design_ == 0) return "";
   const std::span<const double> design = z.last(static_cast<std::size_t>(num_design_));
   for (std::size_t i = 0; i < design.size(); ++i) {
     const ParameterRange range = RangeOf(given_.design[i]);
     if (design[i] >= range.min && design[i] <= range.max) continue;
     return NameOf(given_.design[i].parameter, given_) + " is out of its bounds";
   }
-  const Scene designed = WithDesign(given_, design);
-  if (designed == scene()) return "";
-  if (const std::optional<SceneError> error = Validate(designed)) return error->ToString();
-  move_to(designed);
-  initial_ = InitialState(designed);
+  Scene next = num_design_ > 0 ? WithDesign(given_, design) : scene();
+  if (has_duration_) {
+    next.duration = WithoutDesign(z).back();
+    const auto& via = next.objective.via;
+    if (!(next.duration > 0) || !std::isfinite(next.duration) ||
+        std::any_of(via.begin(), via.end(), [&](const ViaTerm& term) { return term.time >= next.duration; })) {
+      return "the final time is not after the times of all waypoint costs";
+    }
+  }
+  if (next == scene()) return "";
+  if (num_design_ > 0) {
+    if (const std::optional<SceneError> error = Validate(next)) return error->ToString();
+  }
+  std::unique_ptr<Simulator> simulator = of_scene_(next);
+  if (simulator == nullptr) return "the contact model does not take the scene with these parameters";
+  simulator->set_memory_limit(simulator_->memory_limit());
+  simulator_ = std::move(simulator);
+  if (num_design_ > 0) initial_ = InitialState(next);
+  simulator_->set_stop(stop_);
   return "";
 }
 
@@ -151,6 +150,7 @@ std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? si
 bool SingleShooting::BeginRollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
   way_failure_.clear();
+  if (way_ != nullptr) at_.assign(z.begin(), z.end());
   way_failure_ = SetScene(z);
   if (!way_failure_.empty()) return false;
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
@@ -179,20 +179,44 @@ double SingleShooting::LossOfLastRollout(double effort) const {
   return loss + way_->Loss() + (free ? free->weight * scene().duration : 0.0);
 }
 
+// Calls put(i, derivatives) with the derivatives of numbers of the last rollout by each design parameter. They are
+// differences, as path costs have no adjoint by parameters; NaN where there are none.
+template <typename Numbers, typename Put>
+void SingleShooting::DifferenceByParameters(const Numbers& numbers, const Put& put) {
+  if (num_design_ == 0) return;
+  const std::vector<double> at = at_;
+  std::vector<double> other = at;
+  const auto first = other.end() - num_design_;
+  for (int i = 0; i < num_design_; ++i) {
+    std::vector<double> by =
+        DifferenceByDesign(given_, ParametersAt(at), i, [&](const std::vector<double>& values) -> std::vector<double> {
+          std::copy(values.begin(), values.end(), first);
+          return Rollout(other) ? numbers() : std::vector<double>();
+        });
+    if (by.empty()) by.assign(num_residuals(), std::numeric_limits<double>::quiet_NaN());
+    put(i, by);
+  }
+  Rollout(at);
+}
+
 // That of the loss of the last rollout, with terms on the way.
 void SingleShooting::WayGradient(std::span<const double> z, double* gradient) {
   ++num_adjoints_;
   if (!controls_) {
     way_->Gradient({}, initial_gradient_, nullptr);
     for (int index : variables_) *gradient++ = initial_gradient_[index];
-    return;
+  } else {
+    const std::span<const double> control = ControlIn(z);
+    way_->Gradient({gradient, control.size()}, {}, has_duration() ? gradient + control.size() : nullptr);
+    AddEffortGradient(scene().objective, control, simulator_->step(), {gradient, control.size()});
+    gradient += control.size();
+    if (has_duration()) {
+      *gradient++ += scene().objective.duration->weight +
+                     EffortLoss(scene().objective, control, simulator_->step()) / scene().duration;
+    }
   }
-  const std::span<const double> control = ControlIn(z);
-  way_->Gradient({gradient, control.size()}, {}, has_duration() ? gradient + control.size() : nullptr);
-  AddEffortGradient(scene().objective, control, simulator_->step(), {gradient, control.size()});
-  if (!has_duration()) return;
-  gradient[control.size()] += scene().objective.duration->weight +
-                              EffortLoss(scene().objective, control, simulator_->step()) / scene().duration;
+  DifferenceByParameters([&] { return std::vector<double>{LossOfLastRollout(at_)}; },
+                         [&](int i, const std::vector<double>& by) { gradient[i] = by[0]; });
 }
 
 void SingleShooting::PullBack(double effort, std::span<const double> z, double* gradient) {
@@ -295,24 +319,25 @@ void SingleShooting::ResidualJacobian(double* jacobian) {
     }
     return;
   }
-  const size_t rows = num_residuals(), width = num_variables();
+  const size_t rows = num_residuals(), width = num_variables(), forces = controls_ ? ControlIn(at_).size() : 0;
   num_adjoints_ += static_cast<int>(rows);
-  if (!controls_) {
-    const size_t size = initial_gradient_.size();
-    std::vector<double> initial(rows * size);
-    way_->Jacobian({}, initial, {});
-    for (size_t row = 0; row < rows; ++row) {
-      for (int index : variables_) *jacobian++ = initial[row * size + index];
-    }
-    return;
-  }
-  const size_t forces = width - has_duration();
   std::vector<double> control(rows * forces), duration(has_duration() ? rows : 0);
-  way_->Jacobian(control, {}, duration);
+  std::vector<double> initial(rows * initial_gradient_.size());
+  way_->Jacobian(control, initial, duration);
   for (size_t row = 0; row < rows; ++row) {
-    double* to = std::copy_n(&control[row * forces], forces, jacobian + row * width);
+    double* to = std::copy_n(control.begin() + row * forces, forces, jacobian + row * width);
     if (has_duration()) *to = duration[row];
+    for (int index : variables_) *to++ = initial[row * initial_gradient_.size() + index];
   }
+  DifferenceByParameters(
+      [&] {
+        std::vector<double> residuals(rows);
+        way_->Residuals(residuals);
+        return residuals;
+      },
+      [&](int i, const std::vector<double>& by) {
+        for (size_t row = 0; row < rows; ++row) jacobian[(row + 1) * width - num_design_ + i] = by[row];
+      });
 }
 
 bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient) {

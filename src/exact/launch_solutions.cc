@@ -15,7 +15,6 @@ using exact_internal::ContactLaw;
 using exact_internal::DiscPath;
 using exact_internal::Motion;
 using exact_internal::PlaneSequence;
-using Jet = ceres::Jet<double, 2>;
 
 // All sequences of at most `hits` hits.
 std::vector<PlaneSequence> Sequences(int planes, int hits) {
@@ -39,6 +38,7 @@ struct Miss {
   Eigen::Matrix2d slope;  // by velocity
 };
 std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const Vec2d& velocity) {
+  using Jet = ceres::Jet<double, 2>;
   const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(scene.contact.friction)};
   Motion<Jet> disc = exact_internal::Cast<Jet>({scene.bodies[0].position, velocity});
   for (int c = 0; c < 2; ++c) disc.velocity[c].v[c] = 1;

@@ -200,7 +200,7 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
   // From a state and time over the nodes in turn, which are in order of time or against it.
   const auto extend = [&](int mode, std::span<const double> x0, double t, int interval, int from, int to) {
     std::vector<Eigen::VectorXd> states;
-    Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(x0.data(), x0.size()), next(x.size()), slope(x.size());
+    Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(x0.data(), x0.size()), next(x.size());
     for (int node = from, by = from <= to ? 1 : -1; node != to + by; node += by) {
       const int steps = std::max(motion.steps_per_interval(), 1);
       const double h = (times[node] - t) / steps;
@@ -211,8 +211,7 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
                             x.data(),
                             plan.control.data() + static_cast<std::ptrdiff_t>(interval) * plan.num_controls,
                             input.parameters.data()};
-        system.functions().Flow(mode, t, step.x, step.u, step.p, slope.data());
-        integrator.Step(step, slope.data(), next.data());
+        integrator.Step(step, next.data());
         std::swap(x, next);
       }
       t = times[node];

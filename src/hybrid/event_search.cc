@@ -53,10 +53,9 @@ GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard)
 GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
   FlowStep part = step;
   part.h = s;
-  integrator_.Step(part, slope, state_.data());
+  integrator_.Step(part, slope, state_.data(), slope_.data());
   part.t += s;
   part.x = state_.data();
-  functions_.Flow(step.mode, part.t, part.x, step.u, step.p, slope_.data());
   return At(part, slope_.data(), guard);
 }
 

@@ -132,6 +132,7 @@ std::span<const double> HybridSimulator::final_state() const {
 }
 
 const std::vector<HybridEvent>& HybridSimulator::events() const { return impl_->run.events(); }
+const std::vector<HybridEvent>& HybridSimulator::switches() const { return impl_->run.switches(); }
 const std::vector<HybridGrazing>& HybridSimulator::grazings() const { return impl_->run.grazings(); }
 const std::vector<HybridTie>& HybridSimulator::ties() const { return impl_->run.ties(); }
 

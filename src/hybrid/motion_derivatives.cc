@@ -26,17 +26,8 @@ MotionDerivatives::MotionDerivatives(const HybridSystem& system)
 FlowStep MotionDerivatives::StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const {
   const double* u =
       input.control.empty() ? zeros_.data() : input.control.data() + entry.interval * system_.num_controls();
-  return {entry.mode, entry.t, entry.h, &tape.numbers[entry.x], u, input.parameters.data()};
-}
-
-// Evaluates the Jacobian of an entry without a length into reset_; returns the mode that it leads to.
-int MotionDerivatives::Map(const TapeEntry& entry, const FlowStep& step) {
-  const HybridFunctions& f = system_.functions();
-  if (entry.kind == TapeEntry::Kind::kReset) {
-    return f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
-  }
-  f.ProjectJacobian(entry.mode, step.x, step.p, state_.data(), reset_.data());
-  return entry.mode;
+  const bool projects = entry.kind == TapeEntry::Kind::kToNode && system_.functions().Projects(entry.mode);
+  return {entry.mode, entry.t, entry.h, &tape.numbers[entry.x], u, input.parameters.data(), projects};
 }
 
 HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const MotionTape& tape,
@@ -55,14 +46,13 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
     const TapeEntry& entry = tape.entries[i];
     const FlowStep step = StepOf(input, tape, entry);
     const int n = system_.state_size(entry.mode);
-    const bool resets = entry.kind == TapeEntry::Kind::kReset;
-    if (resets || entry.kind == TapeEntry::Kind::kProjection) {
-      if (resets && !cotangent.after.empty() && !cotangent.after[entry.event].empty()) {
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      if (!cotangent.after.empty() && !cotangent.after[entry.event].empty()) {
         AddTo(&x, cotangent.after[entry.event]);
       }
-      if (resets && !cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
+      if (!cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
       const int columns = n + 1 + num_parameters;
-      Map(entry, step);
+      f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
       std::vector<double> before(n);
       for (std::size_t row = 0; row < x.size(); ++row) {
         const double* jacobian = &reset_[row * columns];
@@ -71,20 +61,20 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         for (int j = 0; j < num_parameters; ++j) gradient.parameters[j] += x[row] * jacobian[n + 1 + j];
       }
       x = std::move(before);
-      if (resets && !cotangent.before.empty() && !cotangent.before[entry.event].empty()) {
+      if (!cotangent.before.empty() && !cotangent.before[entry.event].empty()) {
         AddTo(&x, cotangent.before[entry.event]);
       }
     } else {
-      integrator_.Linearize(step);
-      RungeKutta::Cotangent back{x.data(),
-                                 0,
-                                 0,
-                                 gradient.parameters.data(),
-                                 gradient.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * num_controls};
+      StepCotangent back{x.data(),
+                         0,
+                         0,
+                         gradient.parameters.data(),
+                         gradient.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * num_controls};
       if (entry.kind == TapeEntry::Kind::kToEvent) {
         // The next entry is its reset, at the state and time where the guard is zero.
         const TapeEntry& at = tape.entries[i + 1];
         f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.u, step.p, guard_.data());
+        integrator_.Linearize(step);
         integrator_.ByLength(by_length_.data());
         double along = t, rate = guard_[n];
         for (int j = 0; j < n; ++j) {
@@ -96,10 +86,10 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         t += multiplier * guard_[n];
         for (int j = 0; j < num_parameters; ++j) back.p[j] += multiplier * guard_[n + 1 + j];
         for (int j = 0; j < num_controls; ++j) back.u[j] += multiplier * guard_[n + 1 + num_parameters + j];
-        integrator_.PullBack(x.data(), &back);
+        integrator_.PullBack(step, x.data(), &back);
         t += back.t;
       } else {
-        integrator_.PullBack(x.data(), &back);
+        integrator_.PullBack(step, x.data(), &back);
         gradient.duration += (t + back.h) * tape.Fraction(entry.node);
         t = back.t - back.h;
       }
@@ -124,8 +114,9 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   const FlowStep step = StepOf(input, tape, entry);
   const int n = system_.state_size(entry.mode);
   const Eigen::Index columns = at->x.cols();
-  if (entry.kind == TapeEntry::Kind::kReset || entry.kind == TapeEntry::Kind::kProjection) {
-    const int next = Map(entry, step);
+  if (entry.kind == TapeEntry::Kind::kReset) {
+    const int next =
+        f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
     const int rows = system_.state_size(next);
     const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
     Matrix after = jacobian.leftCols(n) * at->x + jacobian.col(n) * at->t + jacobian.rightCols(num_parameters) * at->p;

@@ -31,7 +31,6 @@ class MotionDerivatives {
  private:
   void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry, int duration_column,
                    RungeKutta::Tangent* at);
-  int Map(const TapeEntry& entry, const FlowStep& step);
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 
   const HybridSystem& system_;

@@ -10,10 +10,9 @@ namespace saltus {
 
 struct TapeEntry {
   enum class Kind {
-    kToNode,   // a step to a time of the grid, which is a fixed part of the duration
+    kToNode,   // a step to a time of the grid, which is a fixed part of the duration; projected, if the mode projects
     kToEvent,  // a step to where a guard is zero
     kReset,
-    kProjection,  // onto the equations of the mode
   };
   Kind kind = Kind::kToNode;
   int mode = 0;

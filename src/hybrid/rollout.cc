@@ -113,20 +113,16 @@ bool RolloutRun::SwitchControl() {
                   functions_.WhyNoMode(at_.mode, -1, here.t, here.x, here.u, here.p));
   }
   if (next != at_.mode) {
-    at_.mode = next;
+    HybridEvent& event = switches_.emplace_back();
+    event.time = at_.t;
+    event.mode = at_.mode;
+    event.guard = -1;
+    at_.mode = event.next_mode = next;
     return Enter(Entry::kAfterReset, {}, true);
   }
   if (!UpdateSlope()) return false;
   UpdateGuards();
   return true;
-}
-
-// Puts the state onto the equations of its mode.
-bool RolloutRun::Project() {
-  Record(TapeEntry::Kind::kProjection, 0);
-  functions_.Project(at_.mode, at_.x.data(), input_->parameters.data(), next_state_.data());
-  std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
-  return UpdateSlope();
 }
 
 RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
@@ -146,6 +142,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
     }
   }
   events_.clear();
+  switches_.clear();
   befores_.clear();
   afters_.clear();
   grazings_.clear();
@@ -284,12 +281,11 @@ bool RolloutRun::StepTo(int node) {
   for (;;) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
-    search_.integrator().Step(step, at_.slope.data(), next_state_.data());
-    FlowStep end = step;
-    end.t = target;
-    end.x = next_state_.data();
-    functions_.Flow(end.mode, end.t, end.x, end.u, end.p, next_slope_.data());
-    for (int i = 0; i < n; ++i) {
+    search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
+    const FlowStep end{step.mode, target, step.h, next_state_.data(), step.u, step.p};
+    double zero = 0;  // unless a number is not finite
+    for (int i = 0; i < n; ++i) zero += 0 * next_state_[i] + 0 * next_slope_[i];
+    for (int i = 0; i < n && zero != 0; ++i) {
       if (std::isfinite(next_state_[i]) && std::isfinite(next_slope_[i])) continue;
       why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
       end_ = RolloutEnd::kNotFinite;
@@ -316,9 +312,13 @@ bool RolloutRun::StepTo(int node) {
     Record(TapeEntry::Kind::kToNode, step.h);
     tape_.entries.back().node = node;
     at_.t = target;
-    std::swap(at_.x, next_state_);
-    std::swap(at_.slope, next_slope_);
-    if (functions_.Projects(at_.mode) && !Project()) return false;
+    if (functions_.Projects(at_.mode)) {
+      functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), at_.x.data());
+      if (!UpdateSlope()) return false;
+    } else {
+      std::swap(at_.x, next_state_);
+      std::swap(at_.slope, next_slope_);
+    }
     for (int guard = 0; guard < num_guards; ++guard) {
       at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
       at_.guards[guard] = next_guards_[guard];
@@ -369,7 +369,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   part.h = due.s;
   Record(TapeEntry::Kind::kToEvent, due.s);
   tape_.entries.back().guard = due.guard;
-  search_.integrator().Step(part, at_.slope.data(), next_state_.data());
+  search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;

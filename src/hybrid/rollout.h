@@ -30,6 +30,7 @@ class RolloutRun {
   // Of the last run.
   const MotionTape& tape() const { return tape_; }
   const std::vector<HybridEvent>& events() const { return events_; }
+  const std::vector<HybridEvent>& switches() const { return switches_; }
   const std::vector<HybridGrazing>& grazings() const { return grazings_; }
   const std::vector<HybridTie>& ties() const { return ties_; }
   const std::string& why() const { return why_; }
@@ -52,7 +53,6 @@ class RolloutRun {
   enum class Entry { kStart, kAfterReset };
 
   bool SwitchControl();
-  bool Project();
   bool StepTo(int node);
   bool Enter(Entry entry, const std::vector<int>& order, bool record);
   bool Fire(int guard, bool with_step, bool record, bool at_once);
@@ -80,7 +80,7 @@ class RolloutRun {
   std::vector<double> next_state_, next_slope_;
   std::vector<GuardValue> next_guards_;
   MotionTape tape_;
-  std::vector<HybridEvent> events_;
+  std::vector<HybridEvent> events_, switches_;
   std::vector<std::size_t> befores_, afters_;  // of the events, in the tape's numbers
   std::vector<HybridGrazing> grazings_;
   std::vector<HybridTie> ties_;

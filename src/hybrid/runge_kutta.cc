@@ -31,11 +31,12 @@ void WithSize(int size, const Function& function) {
 
 }  // namespace
 
-void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after) const {
+void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
+                           double* slope_after) const {
   const int n = state_size(step.mode);
   const auto flow = [&](double t, const double* x, double* xdot) { Flow(step.mode, t, x, step.u, step.p, xdot); };
   WithSize(n, [&](auto size) {
-    if constexpr (size > 0) return EvaluateStep<size>(step, flow, slope, after);
+    if constexpr (size > 0) return EvaluateStep<size>(step, flow, slope, after, slope_after);
     double *slopes = scratch, *stage = scratch + kStages * n;
     std::copy_n(slope, n, slopes);
     for (int i = 1; i < kStages; ++i) {
@@ -43,6 +44,7 @@ void HybridFunctions::Step(const FlowStep& step, const double* slope, double* sc
       flow(step.t + kC[i] * step.h, stage, slopes + i * n);
     }
     Combine(kStages, n, step.h, step.x, slopes, after);
+    flow(step.t + step.h, after, slope_after);
   });
 }
 
@@ -66,15 +68,13 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
       num_parameters_(functions.layout().num_parameters),
       num_controls_(functions.layout().num_controls) {
   const int most = functions.most_states();
-  scratch_.resize((kStages + 1) * most);
+  scratch_.resize((kStages + 1) * most + 1 + num_parameters_ + num_controls_);
   slopes_.resize(kStages * most);
-  cotangents_.resize(kStages * most);
-  of_variables_.resize(most + 1 + num_parameters_ + num_controls_);
   jacobians_.resize(kStages * most * (most + 1 + num_parameters_ + num_controls_));
 }
 
-void RungeKutta::Step(const FlowStep& step, const double* slope, double* after) {
-  functions_.Step(step, slope, scratch_.data(), after);
+void RungeKutta::Step(const FlowStep& step, const double* slope, double* after, double* slope_after) {
+  functions_.Step(step, slope, scratch_.data(), after, slope_after);
 }
 
 RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
@@ -82,15 +82,29 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
   return ConstMatrixMap(&jacobians_[static_cast<std::size_t>(stage) * size_ * columns], size_, columns);
 }
 
+void RungeKutta::Step(const FlowStep& step, double* after) {
+  functions_.Flow(step.mode, step.t, step.x, step.u, step.p, slopes_.data());
+  Step(step, slopes_.data(), after, slopes_.data());
+  if (!step.projects) return;
+  functions_.Project(step.mode, after, step.p, slopes_.data());
+  std::copy_n(slopes_.data(), functions_.state_size(step.mode), after);
+}
+
 void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.state_size(step.mode);
   length_ = step.h;
   functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
+  projects_ = step.projects;
+  if (!projects_) return;
+  double *after = scratch_.data(), *on = after + size_;
+  Combine(kStages, size_, length_, step.x, slopes_.data(), after);
+  projection_.resize(size_ * (size_ + 1 + num_parameters_));
+  functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
-  // dX_i/dh = sum a_ij (k_j + h dk_j/dh): cotangents_ holds k_j + h dk_j/dh.
-  double* total = cotangents_.data();
+  // dX_i/dh = sum a_ij (k_j + h dk_j/dh): scratch_ holds k_j + h dk_j/dh.
+  double* total = scratch_.data();
   Eigen::VectorXd by_length(size_);
   for (int i = 0; i <= kStages; ++i) {
     by_length.setZero();
@@ -107,15 +121,24 @@ void RungeKutta::ByLength(double* derivative) const {
   std::copy_n(by_length.data(), size_, derivative);
 }
 
-void RungeKutta::PullBack(const double* after, Cotangent* out) const {
+void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotangent* out) {
+  if (!step.projects && functions_.PullBackStep(step, after, out)) return;
+  Linearize(step);
+  if (projects_) {
+    const ConstMatrixMap projection(projection_.data(), size_, size_ + 1 + num_parameters_);
+    const Eigen::RowVectorXd by = Eigen::Map<const Eigen::RowVectorXd>(after, size_) * projection;
+    for (int j = 0; j < num_parameters_; ++j) out->p[j] += by[size_ + 1 + j];
+    std::copy_n(by.data(), size_, out->x);
+    after = out->x;
+  }
   WithSize(size_, [&](auto size) { PullBackOfSize<decltype(size)::value>(after, out); });
 }
 
 template <int kSize>
-void RungeKutta::PullBackOfSize(const double* after, Cotangent* out) const {
+void RungeKutta::PullBackOfSize(const double* after, StepCotangent* out) const {
   const int n = kSize > 0 ? kSize : size_, columns = n + 1 + num_parameters_ + num_controls_;
   // Of the slopes, divided by h.
-  double* of_slopes = cotangents_.data();
+  double* of_slopes = scratch_.data();
   std::fill_n(of_slopes, kStages * n, 0.0);
   double by_t = 0, by_h = 0;
   // Adds the cotangent of x + h sum of the row's slopes.
@@ -127,7 +150,7 @@ void RungeKutta::PullBackOfSize(const double* after, Cotangent* out) const {
   };
   add(kRows[kStages], after);
   if (out->x != after) std::copy_n(after, n, out->x);
-  double* of_stage = of_variables_.data();
+  double* of_stage = of_slopes + kStages * n;
   for (int i = kStages - 1; i >= 0; --i) {
     const double *jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns], *slope = &slopes_[i * n];
     double* of_slope = of_slopes + i * n;
@@ -170,7 +193,24 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
                jacobian.middleCols(n + 1, num_parameters_) * in.p + jacobian.rightCols(num_controls_) * in.u;
     total[i] = Eigen::Map<const Eigen::VectorXd>(&slopes_[i * n], n) * in.h + length_ * total[i];
   }
-  return combine(kRows[kStages]);
+  if (!projects_) return combine(kRows[kStages]);
+  const ConstMatrixMap projection(projection_.data(), n, n + 1 + num_parameters_);
+  return projection.leftCols(n) * combine(kRows[kStages]) + projection.rightCols(num_parameters_) * in.p;
+}
+
+RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step) {
+  Linearize(step);
+  const Eigen::Index columns = size_ + 1 + num_parameters_ + num_controls_ + 1;
+  const auto seed = [&](Eigen::Index first, Eigen::Index rows) {
+    Matrix out = Matrix::Zero(rows, columns);
+    out.middleCols(first, rows).setIdentity();
+    return out;
+  };
+  return PushForward({seed(0, size_),
+                      seed(size_, 1),
+                      seed(columns - 1, 1),
+                      seed(size_ + 1, num_parameters_),
+                      seed(size_ + 1 + num_parameters_, num_controls_)});
 }
 
 }  // namespace saltus

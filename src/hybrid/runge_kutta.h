@@ -18,22 +18,18 @@ class RungeKutta {
 
   explicit RungeKutta(const HybridFunctions& functions);
 
-  // The state after the step. `slope` is f(t, x).
-  void Step(const FlowStep& step, const double* slope, double* after);
+  // The state after the step, before it is projected, and the slope there. `slope` is f(t, x).
+  void Step(const FlowStep& step, const double* slope, double* after, double* slope_after);
+  // The state alone, projected, with no slope given.
+  void Step(const FlowStep& step, double* after);
+
+  // Pulls a cotangent of x' back. `after` and out->x may be the same.
+  void PullBack(const FlowStep& step, const double* after, StepCotangent* out);
 
   // Evaluates the stages of a step with their Jacobians; the functions below are of that step.
   void Linearize(const FlowStep& step);
-  // The derivative of x' by h.
+  // The derivative of x' by h, of a step that is not projected.
   void ByLength(double* derivative) const;
-
-  // A cotangent of all that a step depends on.
-  struct Cotangent {
-    double* x;      // overwritten
-    double t, h;    // overwritten
-    double *p, *u;  // added to
-  };
-  // Pulls a cotangent of x' back. `after` and out->x may be the same.
-  void PullBack(const double* after, Cotangent* out) const;
 
   // The derivative of x' in D directions, given those of what it depends on: x, p, u have a column each direction, t
   // and h are rows.
@@ -44,22 +40,24 @@ class RungeKutta {
     Matrix p, u;              // P x D, m x D
   };
   Matrix PushForward(const Tangent& in) const;
+  // The derivative of x' by [x t p u h]; linearizes the step.
+  Matrix Jacobian(const FlowStep& step);
 
  private:
   using ConstMatrixMap = Eigen::Map<const Matrix>;
   ConstMatrixMap JacobianOfStage(int stage) const;
   template <int kSize>
-  void PullBackOfSize(const double* after, Cotangent* out) const;
+  void PullBackOfSize(const double* after, StepCotangent* out) const;
 
   const HybridFunctions& functions_;
   int num_parameters_, num_controls_;
   int size_ = 0;  // of the state, in the last Linearize
   double length_ = 0;
-  std::vector<double> scratch_;               // of a step
-  std::vector<double> slopes_;                // k_i, one after the other
-  std::vector<double> jacobians_;             // of f at the stages
-  mutable std::vector<double> cotangents_;    // of k_i
-  mutable std::vector<double> of_variables_;  // a cotangent of [x t p u] of a stage
+  bool projects_ = false;
+  mutable std::vector<double> scratch_;  // of a step
+  std::vector<double> slopes_;           // k_i, one after the other
+  std::vector<double> jacobians_;        // of f at the stages
+  std::vector<double> projection_;       // its derivative by [x t p]
 };
 
 }  // namespace saltus

@@ -76,9 +76,6 @@ double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
   return largest;
 }
 
-// In natural units: costates vanish with a loss that reaches zero.
-constexpr double kNaturalCostate = 1;
-
 // Adds the conditions of the scene's design parameters to those of its control.
 void CertifyParameters(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                        const std::vector<double>& durations, const StopRequest& stop, Certificate* certificate) {
@@ -93,40 +90,17 @@ void CertifyParameters(const Scene& scene, const std::vector<double>& initial, c
   if (durations.empty() && std::ranges::any_of(certificate->impacts, one_sided)) {
     return refuse("an impact is on a node of the grid, where the derivatives by parameters are one-sided");
   }
-  const DesignGradient gradient = GradientByDesign(scene, initial, control, durations, stop);
+  const DesignGradient gradient = GradientByDesign(scene, initial, control, durations, certificate->constraints, stop);
   if (!gradient.ok()) {
     refuse(gradient.reason);
     return JudgeTies(gradient.ambiguous, certificate);
   }
-  const double scale = std::max(gradient.costate, kNaturalCostate);
   if (!controls) {
     *certificate = {};
-    certificate->initial = gradient.initial.empty() ? 0.0 : LargestOfFree(scene, gradient.initial) / scale;
+    certificate->verdict = kStationary;
+    certificate->initial = gradient.initial.empty() ? 0.0 : LargestOfFree(scene, gradient.initial) / gradient.costate;
   }
-  double worst = certificate->initial.value_or(0);
-  std::string of = "initial state";
-  for (std::size_t i = 0; i < scene.design.size(); ++i) {
-    const SceneParameter& parameter = scene.design[i].parameter;
-    ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
-    entry.derivative = gradient.by[i];
-    const ParameterRange range = RangeOf(scene.design[i]);
-    const bool held =
-        (entry.value <= range.min && entry.derivative > 0) || (entry.value >= range.max && entry.derivative < 0);
-    if (!held) entry.residual = std::abs(entry.derivative) / scale;
-    if (!(entry.residual <= worst)) {
-      worst = entry.residual;
-      of = entry.name;
-    }
-    certificate->parameters.push_back(std::move(entry));
-  }
-  if (worst <= kCertificateTolerance) {
-    if (!controls) certificate->verdict = kStationary;
-    return;
-  }
-  if (!controls || certificate->IsStationary()) {
-    certificate->verdict = kNotStationary;
-    certificate->reason = "the largest residual is that of the derivative by " + of;
-  }
+  JudgeParameters(scene, gradient.by, gradient.costate, certificate);
 }
 
 }  // namespace

@@ -7,9 +7,11 @@
 #include <optional>
 #include <utility>
 
+#include "control/design_difference.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
+#include "simulate/flight.h"
 
 namespace saltus {
 namespace {
@@ -28,14 +30,21 @@ std::vector<double> InitialIn(const Scene& scene, std::vector<double> initial) {
   return initial;
 }
 
-// Exact simulations of a control whose interval boundaries follow the impacts on them.
+// Exact simulations of a control whose interval boundaries follow the impacts on them, if `follow`.
 class FollowingRuns {
  public:
   FollowingRuns(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                const std::vector<double>& durations, const ExactRun& run, const StopRequest& stop)
-      : scene_(scene), initial_(initial), control_(control), durations_(durations), run_(run), stop_(stop) {
+                const std::vector<double>& durations, bool follow, const ExactRun& run,
+                const std::vector<ConstraintCertificate>& constraints, const StopRequest& stop)
+      : scene_(scene),
+        initial_(initial),
+        control_(control),
+        durations_(durations),
+        run_(run),
+        constraints_(constraints),
+        stop_(stop) {
     nodes_ = NodesOf(durations);
-    for (std::size_t k = 0; k < run.events.size(); ++k) {
+    for (std::size_t k = 0; k < run.events.size() && follow; ++k) {
       const auto at = std::min_element(nodes_.begin(), nodes_.end(), [&](double a, double b) {
         return std::abs(a - run.events[k].time) < std::abs(b - run.events[k].time);
       });
@@ -46,31 +55,54 @@ class FollowingRuns {
     }
   }
 
-  // The loss with other values of the design parameters; nothing if the impacts are not the same then.
-  std::optional<double> LossAt(const std::vector<double>& values) const {
+  // The Lagrangian, which is the loss without constraints, with other values of the design parameters; nothing if the
+  // impacts are not the same then.
+  std::vector<double> LagrangianAt(const std::vector<double>& values) const {
     const Scene designed = WithDesign(scene_, values);
     const std::vector<double> initial = InitialIn(designed, initial_);
     std::vector<double> nodes = nodes_, lengths = durations_;
     for (int i = 0; i < kMostRuns; ++i) {
       const ExactRun run = SimulateExactly(designed, initial, control_, lengths, stop_);
-      if (!run.ok || run.contacts != run_.contacts) return std::nullopt;
+      if (!run.ok || run.contacts != run_.contacts) return {};
       double moved = 0;
       for (const auto& [event, node] : follows_) {
         moved = std::max(moved, std::abs(nodes[node] - run.events[event].time));
         nodes[node] = run.events[event].time;
       }
-      if (moved <= kSettled * nodes_.back()) return run.loss;
+      if (moved <= kSettled * nodes_.back()) return {run.loss + OfConstraints(designed, initial, lengths, run)};
       for (std::size_t k = 0; k < lengths.size(); ++k) {
         lengths[k] = nodes[k + 1] - nodes[k];
-        if (!(lengths[k] > 0)) return std::nullopt;
+        if (!(lengths[k] > 0)) return {};
       }
     }
-    return std::nullopt;
+    return {};
   }
 
  private:
   static constexpr double kOnNode = 1e-8, kSettled = 1e-15;  // of the duration
   static constexpr int kMostRuns = 20;
+
+  // Multipliers times the quantities of terminal equality constraints and hard waypoints.
+  double OfConstraints(const Scene& designed, const std::vector<double>& initial, const std::vector<double>& lengths,
+                       const ExactRun& run) const {
+    if (constraints_.empty()) return 0;
+    const Flight flight(designed, initial, control_, lengths, run);
+    double sum = 0;
+    std::size_t next = 0;
+    const auto add = [&](const auto& term, const DiscStates& at) {
+      using Quantity = TerminalTerm::Quantity;
+      if (!term.hard) return;
+      Vec2d quantity(0, 0);
+      if (term.quantity == Quantity::kPosition) quantity = at.p[term.body];
+      if (term.quantity == Quantity::kVelocity) quantity = at.v[term.body];
+      if (term.quantity == Quantity::kAngle) quantity[0] = at.angle[term.body];
+      if (term.quantity == Quantity::kAngularVelocity) quantity[0] = at.spin[term.body];
+      sum += Dot(constraints_[next++].multiplier, quantity);
+    };
+    for (const TerminalTerm& term : designed.objective.terminal) add(term, flight.end());
+    for (const ViaTerm& term : designed.objective.via) add(term, flight.Before(term.time));
+    return sum;
+  }
 
   static std::vector<double> NodesOf(const std::vector<double>& durations) {
     std::vector<double> nodes = {0};
@@ -81,44 +113,11 @@ class FollowingRuns {
   const Scene& scene_;
   const std::vector<double>&initial_, &control_, &durations_;
   const ExactRun& run_;
+  const std::vector<ConstraintCertificate>& constraints_;
   const StopRequest& stop_;
   std::vector<double> nodes_;
   std::vector<std::pair<std::size_t, std::size_t>> follows_;  // events, and the nodes that move with them
 };
-
-// Of a parameter, in natural units: by which it is changed for a difference.
-double WidthOf(const SceneParameter& parameter, double value) {
-  constexpr double kWidth = 3e-4;
-  return parameter.kind == SceneParameter::Kind::kMass ? kWidth * value : kWidth;
-}
-
-std::optional<double> Difference(const FollowingRuns& runs, std::vector<double> values, std::size_t i, double width,
-                                 const ParameterRange& range) {
-  struct Rule {
-    std::array<int, 5> nodes;
-    std::array<double, 5> weights;
-  };
-  static constexpr Rule kRules[] = {
-      {{-2, -1, 1, 2, 2}, {1. / 12, -8. / 12, 8. / 12, -1. / 12, 0}},
-      {{0, 1, 2, 3, 4}, {-25. / 12, 4, -3, 4. / 3, -1. / 4}},
-      {{0, -1, -2, -3, -4}, {25. / 12, -4, 3, -4. / 3, 1. / 4}},
-  };
-  const double at = values[i];
-  for (const Rule& rule : kRules) {
-    double sum = 0;
-    bool applies = true;
-    for (std::size_t j = 0; j < rule.nodes.size() && applies; ++j) {
-      if (rule.weights[j] == 0) continue;
-      values[i] = at + rule.nodes[j] * width;
-      const bool within = values[i] >= range.min && values[i] <= range.max;
-      const std::optional<double> loss = within ? runs.LossAt(values) : std::nullopt;
-      applies = loss.has_value();
-      if (applies) sum += rule.weights[j] * *loss;
-    }
-    if (applies) return sum / width;
-  }
-  return std::nullopt;
-}
 
 bool HasPathCosts(const Objective& objective) {
   return objective.duration || !objective.running.empty() || !objective.via.empty();
@@ -130,18 +129,24 @@ std::vector<double> TerminalCostate(const Scene& scene, const std::vector<double
   return costate;
 }
 
+std::size_t NumHardTerms(const Objective& objective) {
+  const auto hard = [](const auto& term) { return term.hard; };
+  return std::ranges::count_if(objective.terminal, hard) + std::ranges::count_if(objective.via, hard);
+}
+
 }  // namespace
 
 DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& initial,
                                 const std::vector<double>& control, const std::vector<double>& durations,
-                                const StopRequest& stop) {
+                                const std::vector<ConstraintCertificate>& constraints, const StopRequest& stop) {
   DesignGradient gradient;
   const auto refuse = [&](const std::string& why) {
     gradient.reason = why;
     return gradient;
   };
-  if (scene.objective.HasConstraints())
-    return refuse("terminal equality constraints have no derivatives by parameters");
+  if (constraints.size() != NumHardTerms(scene.objective)) {
+    return refuse("the derivatives by parameters of a loss with equality constraints need the multipliers of these");
+  }
   const ExactRun run = SimulateExactly(scene, initial, control, durations, stop);
   if (!run.ok) return refuse(run.reason);
   gradient.ambiguous = run.ambiguous;
@@ -153,9 +158,12 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
   const std::unique_ptr<Simulator> simulator = MakeSimulator(Contact(ExactModel()->name), rolled, Precision::kDouble);
   const std::vector<double> costate =
       TerminalCostate(scene, ToState(run.end, scene.num_bodies()), simulator->body_size());
-  gradient.costate = LargestOf(costate);
-  if (durations.empty()) {
-    if (HasPathCosts(scene.objective)) return refuse("path costs and a free duration have no adjoint by parameters");
+  // In natural units costates are about 1, but vanish with a loss that reaches zero.
+  gradient.costate = std::max(1.0, LargestOf(costate));
+  for (const ConstraintCertificate& constraint : constraints) {
+    gradient.costate = std::max(gradient.costate, constraint.multiplier.cwiseAbs().maxCoeff());
+  }
+  if (durations.empty() && constraints.empty() && !HasPathCosts(scene.objective)) {
     simulator->set_stop(stop);
     if (!simulator->Rollout(initial, control)) return refuse(simulator->WhyFailed());
     Sensitivity all;
@@ -164,15 +172,14 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
     gradient.initial = std::move(all.initial);
     gradient.costate = std::max(gradient.costate, LargestOf(gradient.initial));
   } else {
-    const FollowingRuns runs(scene, initial, control, durations, run, stop);
-    const std::vector<double> values = DesignOf(scene);
-    for (std::size_t i = 0; i < values.size(); ++i) {
-      DesignParameter natural = scene.design[i];  // its own bounds do not matter here
-      natural.min = natural.max = std::nullopt;
-      const std::optional<double> by =
-          Difference(runs, values, i, WidthOf(natural.parameter, values[i]), RangeOf(natural));
-      if (!by) return refuse("the impacts change with " + NameOf(natural.parameter, scene));
-      gradient.by.push_back(*by);
+    std::vector<double> lengths = durations;
+    if (lengths.empty()) lengths.assign(rolled.steps, scene.duration / rolled.steps);
+    const FollowingRuns runs(scene, initial, control, lengths, !durations.empty(), run, constraints, stop);
+    for (std::size_t i = 0; i < scene.design.size(); ++i) {
+      const std::vector<double> by = DifferenceByDesign(
+          scene, DesignOf(scene), i, [&](const std::vector<double>& values) { return runs.LagrangianAt(values); });
+      if (by.empty()) return refuse("the impacts change with " + NameOf(scene.design[i].parameter, scene));
+      gradient.by.push_back(by[0]);
     }
   }
   if (stop && stop()) return refuse(kStopped);
@@ -180,6 +187,29 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
     return refuse("a derivative by a parameter is not finite");
   }
   return gradient;
+}
+
+void JudgeParameters(const Scene& scene, const std::vector<double>& by, double costate, Certificate* certificate) {
+  double worst = certificate->initial.value_or(0);
+  std::string of = "initial state";
+  for (std::size_t i = 0; i < scene.design.size(); ++i) {
+    const SceneParameter& parameter = scene.design[i].parameter;
+    ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
+    entry.derivative = by[i];
+    const ParameterRange range = RangeOf(scene.design[i]);
+    const bool held =
+        (entry.value <= range.min && entry.derivative > 0) || (entry.value >= range.max && entry.derivative < 0);
+    if (!held) entry.residual = std::abs(entry.derivative) / costate;
+    if (!(entry.residual <= worst)) {
+      worst = entry.residual;
+      of = entry.name;
+    }
+    certificate->parameters.push_back(std::move(entry));
+  }
+  if (!(worst <= kCertificateTolerance) && certificate->IsStationary()) {
+    certificate->verdict = Certificate::Verdict::kNotStationary;
+    certificate->reason = "the largest residual is that of the derivative by " + of;
+  }
 }
 
 }  // namespace saltus

@@ -37,6 +37,7 @@ constexpr int kMostMultipliers = 200;  // of which conditions are looked at
 // A step of the motion, from `begin` to `end`, with its derivatives [x t p u h].
 struct Step {
   int mode = 0, interval = 0, phase = 0;
+  bool projects = false;
   double begin = 0, end = 0;
   VectorXd state;  // at the beginning
   Matrix by;
@@ -133,10 +134,6 @@ class HybridConditions {
   const double* ControlOf(int interval) const { return input_.control.data() + interval * width(); }
 
   std::string WhyNot() const {
-    for (int step = 0; functions_.CreatesModes() && step < simulator().num_steps(); ++step) {
-      if (!functions_.Projects(simulator().StepMode(step))) continue;
-      return "a contact is closed for a while: the conditions are those of impacts of contacts that open again";
-    }
     for (const HybridEvent& event : events()) {
       if (event.at_once) return "guards have transitions at once; the conditions are those of events that take time";
     }
@@ -208,22 +205,13 @@ class HybridConditions {
   }
 
   Step Linearized(int i, int interval, int phase, double begin, double end) {
-    const int mode = simulator().StepMode(i), n = system_.state_size(mode), P = system_.num_parameters(), m = width();
-    Step step{mode, interval, phase, begin, end, VectorXd(n), {}};
+    const int mode = simulator().StepMode(i), n = system_.state_size(mode);
+    // A step to an event is projected by the reset.
+    const bool to_event = i + 1 < simulator().num_steps() && simulator().IsReset(i + 1);
+    Step step{mode, interval, phase, functions_.Projects(mode) && !to_event, begin, end, VectorXd(n), {}};
     std::copy_n(simulator().StepState(i).data(), n, step.state.data());
-    integrator_.Linearize({mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data()});
-    const int columns = n + 1 + P + m + 1;
-    RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Matrix::Zero(P, columns),
-                              Matrix::Zero(m, columns)};
-    seeds.x.leftCols(n).setIdentity();
-    seeds.t[n] = 1;
-    seeds.p.middleCols(n + 1, P).setIdentity();
-    seeds.u.middleCols(n + 1 + P, m).setIdentity();
-    seeds.h[columns - 1] = 1;
-    step.by = integrator_.PushForward(seeds);
+    step.by = integrator_.Jacobian(
+        {mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data(), step.projects});
     return step;
   }
 
@@ -375,7 +363,8 @@ class HybridConditions {
     };
     for (int s = static_cast<int>(steps_.size()); s-- > 0;) {
       const Step& step = steps_[s];
-      for (; event >= step.phase; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &costate, costates);
+      for (; event >= step.phase; --event)
+        JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
       if (costates != nullptr) costates->of_steps[s] = costate;
       const int n = system_.state_size(step.mode);
       const Eigen::RowVectorXd by = costate.transpose() * step.by;
@@ -391,7 +380,7 @@ class HybridConditions {
       costate = by.head(n).transpose();
       add_interval_states(step.begin);
     }
-    for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &costate, costates);
+    for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
     sweep.initial = costate;
     sweep.initial_size = costate.cwiseAbs();
     sweep.control += by_flow;
@@ -404,11 +393,12 @@ class HybridConditions {
     return sweep;
   }
 
-  // The costate before event k from that after it.
+  // The costate before event k from that after it; by_flow is the derivative by the control.
   void JumpBack(int k, double multiplier, const std::vector<std::vector<Source>>& at_event, Sweep* sweep,
-                VectorXd* costate, Costates* costates) const {
+                VectorXd* by_flow, VectorXd* costate, Costates* costates) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
+    const double* control = ControlOf(interval_before_[k]);
     const auto add = [&](bool before) {
       for (const Source& source : at_event[k]) {
         if (source.before == before && source.state.size() > 0) *costate += source.state;
@@ -423,7 +413,7 @@ class HybridConditions {
                              event.guard,
                              event.time,
                              event.before.data(),
-                             nullptr,
+                             control,
                              input_.parameters.data(),
                              after.data(),
                              reset.data());
@@ -437,8 +427,9 @@ class HybridConditions {
     if (multiplier != 0) {
       Eigen::RowVectorXd guard(columns + system_.num_controls());
       functions_.GuardGradient(
-          event.mode, event.guard, event.time, event.before.data(), nullptr, input_.parameters.data(), guard.data());
+          event.mode, event.guard, event.time, event.before.data(), control, input_.parameters.data(), guard.data());
       guard *= multiplier;
+      by_flow->segment(interval_before_[k] * width(), width()) += guard.tail(width()).transpose();
       before += guard.head(n).transpose();
       by_time += guard[n];
       sweep->parameters += guard.segment(n + 1, P).transpose();
@@ -713,11 +704,13 @@ class HybridConditions {
           SecondDerivative(at,
                            sizes,
                            [&](const VectorXd& y) {
-                             integrator.Linearize({step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1});
                              VectorXd gradient = VectorXd::Zero(size);
                              double* g = gradient.data();
-                             RungeKutta::Cotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                             integrator.PullBack(costate.data(), &by);
+                             StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                             integrator.PullBack(
+                                 {step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1, step.projects},
+                                 costate.data(),
+                                 &by);
                              gradient[n] = by.t;
                              gradient[size - 1] = by.h;
                              return gradient;
@@ -734,32 +727,41 @@ class HybridConditions {
                               const VectorXd& parameter_sizes, const Eigen::MatrixXd& states, Second* second) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
+    // With the control behind, if the guard depends on it.
+    const int m = functions_.ReadsControl(event.mode, event.guard) ? width() : 0, before = interval_before_[k];
     const VectorXd& costate = costates.of_events[k];
     VectorXd after(functions_.most_states()), guard(columns + width());
     Matrix reset(functions_.most_states(), columns);
     const auto linearize = [&](const VectorXd& y) {
       functions_.ResetJacobian(
-          event.mode, event.guard, y[n], y.data(), nullptr, y.data() + n + 1, after.data(), reset.data());
+          event.mode, event.guard, y[n], y.data(), ControlOf(before), y.data() + n + 1, after.data(), reset.data());
     };
-    VectorXd at(columns), sizes(columns);
+    const Eigen::Map<const VectorXd> control(ControlOf(before), m);
+    VectorXd at(columns + m), sizes(columns + m);
     at << Eigen::Map<const VectorXd>(event.before.data(), n), event.time,
-        Eigen::Map<const VectorXd>(input_.parameters.data(), P);
-    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes;
-    Eigen::MatrixXd along(columns, states.cols());
-    along << states, to.boundaries.row(k + 1), to.parameters;
-    second->Add(
-        SecondDerivative(at,
-                         sizes,
-                         [&](const VectorXd& y) {
-                           linearize(y);
-                           functions_.GuardGradient(
-                               event.mode, event.guard, y[n], y.data(), nullptr, y.data() + n + 1, guard.data());
-                           return VectorXd(reset.topRows(costate.size()).transpose() * costate +
-                                           multiplier * guard.head(columns));
-                         }),
-        along);
+        Eigen::Map<const VectorXd>(input_.parameters.data(), P), control;
+    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes, control.cwiseAbs();
+    Eigen::MatrixXd along(columns + m, states.cols());
+    along << states, to.boundaries.row(k + 1), to.parameters,
+        to.control.middleRows(static_cast<Eigen::Index>(before) * width(), m);
+    second->Add(SecondDerivative(at,
+                                 sizes,
+                                 [&](const VectorXd& y) {
+                                   linearize(y);
+                                   functions_.GuardGradient(event.mode,
+                                                            event.guard,
+                                                            y[n],
+                                                            y.data(),
+                                                            m > 0 ? y.data() + columns : ControlOf(before),
+                                                            y.data() + n + 1,
+                                                            guard.data());
+                                   VectorXd gradient = multiplier * guard.head(columns + m);
+                                   gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
+                                   return gradient;
+                                 }),
+                along);
     linearize(at);
-    const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along);
+    const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along.topRows(columns));
     VectorXd weights(1 + num_multipliers());
     weights << 1, theta_;
     AddTerms(to, -1, k, weights, sizes.head(n), states, second, /*before=*/true);

@@ -443,13 +443,13 @@ class ScriptWriter {
 
 // ---- JSON
 
-Json Rounded(double value) {
+Json RoundedToJson(double value) {
   return std::isfinite(value) ? Json(std::strtod(Format("%.6g", value).c_str(), nullptr)) : Json();
 }
 
-Json Rounded(const std::vector<double>& values) {
+Json RoundedToJson(const std::vector<double>& values) {
   Json list = Json::array();
-  for (const double value : values) list.push_back(Rounded(value));
+  for (const double value : values) list.push_back(RoundedToJson(value));
   return list;
 }
 
@@ -466,8 +466,8 @@ Json PanelToJson(const Panel& panel) {
   for (const char* key : {"series", "lines", "rectangles", "circles", "planes", "outlines"}) item[key] = Json::array();
   for (const Series& series : panel.series) {
     item["series"].push_back({{"label", series.label},
-                              {"x", Rounded(series.x)},
-                              {"y", Rounded(series.y)},
+                              {"x", RoundedToJson(series.x)},
+                              {"y", RoundedToJson(series.y)},
                               {"colour", series.colour},
                               {"dash", DashName(series.dash)},
                               {"marker", MarkerName(series.marker)},
@@ -475,7 +475,7 @@ Json PanelToJson(const Panel& panel) {
                               {"width", series.width}});
   }
   for (const ReferenceLine& line : panel.reference_lines) {
-    item["lines"].push_back({{"value", Rounded(line.value)},
+    item["lines"].push_back({{"value", RoundedToJson(line.value)},
                              {"label", line.label},
                              {"vertical", line.vertical},
                              {"colour", line.colour},

@@ -58,6 +58,10 @@ std::string Joined(const std::vector<std::string>& words, std::string_view separ
   return text;
 }
 
+std::string JoinedNames(const std::vector<std::string>& names) {
+  return names.empty() ? "none" : Joined(names, ", ", "`");
+}
+
 size_t DisplayWidth(std::string_view text) {
   return static_cast<size_t>(std::count_if(text.begin(), text.end(), StartsCharacter));
 }

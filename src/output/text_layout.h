@@ -25,6 +25,8 @@ size_t TerminalColumns(std::FILE* sink, size_t if_none);
 // The words one after the other, each within `quote`.
 std::string Joined(const std::vector<std::string>& words, std::string_view separator = ", ",
                    std::string_view quote = "");
+// The same in backquotes; "none" if there are none.
+std::string JoinedNames(const std::vector<std::string>& names);
 
 // Columns that UTF-8 text takes, were every code point one column wide.
 size_t DisplayWidth(std::string_view text);

@@ -6,14 +6,16 @@
 #include <numbers>
 
 #include "output/table.h"
+#include "output/text_layout.h"
+#include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {
 
-constexpr int kIterations = 1000;  // as in the paper
 constexpr double kMostOfIt = 0.95;
 constexpr double kAhead = 90;  // degrees: beyond, the step climbs the exact loss
 
@@ -32,13 +34,7 @@ double AngleBetween(const std::vector<double>& a, const std::vector<double>& b) 
 SingleShooting ExactShooting(const Scene& scene, int num_steps) {
   Scene exact = scene;
   exact.steps = num_steps;
-  const std::vector<ModelTraits>& models = AllContactModels();
-  const auto model = std::find_if(models.begin(), models.end(), [](const ModelTraits& m) { return m.event_driven; });
-  return SingleShooting(MakeSimulator(model->name, exact, Precision::kDouble));
-}
-
-std::string JoinNames(const std::vector<std::string>& names) {
-  return names.empty() ? "none" : Joined(names, ", ", "`");
+  return SingleShooting(MakeSimulator(ExactModel()->name, exact, Precision::kDouble));
 }
 
 }  // namespace
@@ -46,8 +42,8 @@ std::string JoinNames(const std::vector<std::string>& names) {
 // As many in every power of ten.
 std::vector<int> DescentAudit::LookedAt() {
   std::vector<int> at;
-  for (double k = 0; k < kIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
-  at.push_back(kIterations);
+  for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
+  at.push_back(kPublishedIterations);
   return at;
 }
 
@@ -166,13 +162,13 @@ std::vector<std::string> DescentAudit::Findings() const {
       (gained ? succeed : fail).push_back(descent.contact);
     }
     findings.push_back(tasks_[number].title + ": at the start the gradient points to the right side, less than " +
-                       Cell(kAhead).Display(2) + " degrees from the exact one, under " + JoinNames(right) +
-                       "; and to the wrong side under " + JoinNames(wrong_side) + ".");
+                       Cell(kAhead).Display(2) + " degrees from the exact one, under " + JoinedNames(right) +
+                       "; and to the wrong side under " + JoinedNames(wrong_side) + ".");
     findings.push_back(tasks_[number].title + ": after the last iteration the exact loss has come down by at least " +
-                       Cell(100 * kMostOfIt).Display(3) + " % of what any descent gains under " + JoinNames(succeed) +
-                       "; and by less under " + JoinNames(fail) + ".");
+                       Cell(100 * kMostOfIt).Display(3) + " % of what any descent gains under " + JoinedNames(succeed) +
+                       "; and by less under " + JoinedNames(fail) + ".");
   }
-  if (!left_out_.empty()) findings.push_back("Left out, as their gradients take long: " + JoinNames(left_out_) + ".");
+  if (!left_out_.empty()) findings.push_back("Left out, as their gradients take long: " + JoinedNames(left_out_) + ".");
   return findings;
 }
 

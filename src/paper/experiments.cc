@@ -9,7 +9,6 @@
 namespace saltus {
 namespace {
 
-constexpr int kIterations = 1000;
 constexpr double kStiffnesses[] = {1e2, 1e3, 1e4, 1e5};
 
 std::string Key(const std::string& problem, double friction, const std::string& contact, Precision precision) {
@@ -19,7 +18,7 @@ std::string Key(const std::string& problem, double friction, const std::string& 
 void RunSolver(Experiment* experiment, size_t which) {
   const std::string& solver = experiment->solvers[which];
   SolverOptions options;
-  options.iterations = kIterations;
+  options.iterations = kPublishedIterations;
   options.learning_rate = experiment->learning_rate;
   options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
   options.stop = AskedToStop;

@@ -14,6 +14,8 @@
 
 namespace saltus {
 
+inline constexpr int kPublishedIterations = 1000;  // of gradient descent
+
 struct Experiment {
   Scene scene;
   std::string contact;

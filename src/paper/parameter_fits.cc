@@ -8,18 +8,18 @@
 #include "identify/unknowns.h"
 #include "output/text_layout.h"
 #include "programs/parallel.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {
 
-constexpr const char* kExact = "event";
-constexpr double kNoise = 2e-3;     // m, of either coordinate
-constexpr int kNodesPerSample = 4;  // 60 samples of each disc a second
-constexpr double kOff = 1.3;        // the start, of the true value
-constexpr double kStuck = 1.2;      // misfit that noise alone does not make
-constexpr double kHonest = 3;       // standard errors
-constexpr int kIterations = 40;     // of each part of a fit: what is stuck stays so
+constexpr double kNoise = 2e-3;      // m, of either coordinate
+constexpr int kNodesPerSample = 4;   // 60 samples of each disc a second
+constexpr double kOff = 1.3;         // the start, of the true value
+constexpr double kStuck = 1.2;       // misfit that noise alone does not make
+constexpr double kHonest = 3;        // standard errors
+constexpr int kMostIterations = 40;  // of each part of a fit: what is stuck stays so
 constexpr double kLeastBiasShown = 1e-4;
 
 // A ball bounces off the floor and off a second ball, which is pushed on to the wall and back.
@@ -63,10 +63,6 @@ Recording Record(const std::string& contact, const Scene& scene) {
   return recording;
 }
 
-std::string JoinNames(const std::vector<std::string>& names) {
-  return names.empty() ? "none" : Joined(names, ", ", "`");
-}
-
 std::string WhyNot(const IdentifyReport& report) {
   const std::string verdict = FitVerdictToString(report.verdict);
   return report.reason.empty() ? verdict : verdict + ": " + report.reason;
@@ -84,14 +80,14 @@ ParameterFits::ParameterFits(const std::vector<std::string>& contacts) : truth_(
 }
 
 void ParameterFits::Compute(Fit* fit) const {
-  const Recording recording = Record(fit->of == kExactMotion ? kExact : fit->contact, truth_);
+  const Recording recording = Record(fit->of == kExactMotion ? std::string(ExactModel()->name) : fit->contact, truth_);
   if (recording.samples.empty()) return;
   Scene guess = truth_;
   for (const Unknown& unknown : Unknowns()) SetValue(unknown, kOff * ValueOf(unknown, truth_), &guess);
   IdentifyOptions options;
   options.loss = RobustLoss::kNone;  // there are no outliers
   options.starts = 1;                // so that iterations are those of the gradients at hand
-  options.max_iterations = kIterations;
+  options.max_iterations = kMostIterations;
   options.stop = AskedToStop;
   fit->report = Identify(fit->contact, guess, {recording}, Unknowns(), options);
 }
@@ -216,10 +212,10 @@ std::vector<std::string> ParameterFits::Findings() const {
     if (exact == nullptr || own == nullptr) continue;
     (own->report->misfit < kStuck ? found : stuck).push_back(contact);
     if (exact->IsHonest(truth_)) honest.push_back(contact);
-    if (contact != kExact) evaluations.push_back(own->report->evaluations);
+    if (contact != ExactModel()->name) evaluations.push_back(own->report->evaluations);
   }
   std::string cost;
-  if (const Fit* exact = Find(kExact, kOwnMotion); exact != nullptr && !evaluations.empty()) {
+  if (const Fit* exact = Find(std::string(ExactModel()->name), kOwnMotion); exact != nullptr && !evaluations.empty()) {
     const auto middle = evaluations.begin() + static_cast<std::ptrdiff_t>(evaluations.size() / 2);
     std::nth_element(evaluations.begin(), middle, evaluations.end());
     cost = " `event` takes " + std::to_string(exact->report->evaluations) +
@@ -228,12 +224,12 @@ std::vector<std::string> ParameterFits::Findings() const {
   return {
       "To a recording of its own motion, every model fits with a misfit of 1 by the true parameters. The fit ends in "
       "such an optimum under " +
-          JoinNames(found) + ".",
-      "It ends elsewhere, with a larger misfit, under " + JoinNames(stuck) +
+          JoinedNames(found) + ".",
+      "It ends elsewhere, with a larger misfit, under " + JoinedNames(stuck) +
           ": the optimum is there, and the gradient does not lead to it." + cost,
       "To the recording of exact motion, both parameters are determined and within three of the standard errors that "
       "the fit itself states under " +
-          JoinNames(honest) +
+          JoinedNames(honest) +
           ". Under the others the motion is another one, or the fit ended elsewhere, which the stated confidence does "
           "not include."};
 }

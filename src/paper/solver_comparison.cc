@@ -16,11 +16,11 @@
 namespace saltus {
 namespace {
 
-constexpr int kShootingIterations = 500;   // by then it has ended
+constexpr int kShootingIterations = 150;   // by then it has ended, or creeps
 constexpr int kLagrangianIterations = 60;  // by then it has stalled or gone astray
 constexpr int kFineSteps = 1000;
 // A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
-constexpr double kSlow = 2e-3;
+constexpr double kSlow = 6e-4;
 constexpr int kSlowIterations = 40;
 constexpr double kNearOptimum = 0.01;
 
@@ -127,11 +127,11 @@ SolverComparison::SolverComparison(const Experiments& experiments, Others others
   strike_on_fine_grid_.scene = strike_.scene;
   strike_on_fine_grid_.scene.steps = kFineSteps;
   strike_on_fine_grid_.optimum = strike_.optimum;
+  strike_on_fine_grid_.runs.push_back(Planned(exact_, "ceres_shooting"));
   for (const ModelTraits& traits : AllContactModels()) {
     const std::string contact(traits.name);
-    if (experiments.Find("two_balls", 0, contact, Precision::kDouble) != nullptr) {
-      strike_on_fine_grid_.runs.push_back(Planned(contact, "ceres_shooting"));
-      if (!traits.event_driven) strike_.runs.push_back(Planned(contact, "ceres_lagrangian"));
+    if (!traits.event_driven && experiments.Find("two_balls", 0, contact, Precision::kDouble) != nullptr) {
+      strike_.runs.push_back(Planned(contact, "ceres_lagrangian"));
     }
   }
   if (others != Others::kNone) PlanOthers(others);
@@ -200,10 +200,11 @@ std::vector<CaptionedTable> SolverComparison::Tables() const {
                           "`--every_solver` is given.",
                       TaskTable(others_)});
   }
-  tables.push_back({strike_on_fine_grid_.name,
-                    "Task 3 by step shooting, on 480 and 1000 steps: along a feasible path, and by an augmented "
-                    "Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
-                    StepShootingTable()});
+  tables.push_back(
+      {strike_on_fine_grid_.name,
+       "Task 3 by step shooting: along a feasible path on 480 steps, and in exact dynamics on 1000, and by an "
+       "augmented Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
+       StepShootingTable()});
   return tables;
 }
 
@@ -270,15 +271,16 @@ Table SolverComparison::StepShootingTable() const {
                {"open", 2},
                {"termination"}});
   const auto exact = [](const SolvedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
-  for (const SolvedRun& fine : strike_on_fine_grid_.runs) {
-    const SolvedRun* coarse = strike_.Find(fine.report.contact, "ceres_shooting");
-    const SolvedRun* lagrangian = strike_.Find(fine.report.contact, "ceres_lagrangian");
-    if (coarse == nullptr || lagrangian == nullptr) continue;
-    table.AddRow({fine.report.contact,
-                  exact(coarse),
-                  TerminationToString(coarse->report.termination),
-                  exact(&fine),
-                  TerminationToString(fine.report.termination),
+  for (const SolvedRun& coarse : strike_.runs) {
+    if (coarse.report.solver != "ceres_shooting") continue;
+    const SolvedRun* lagrangian = strike_.Find(coarse.report.contact, "ceres_lagrangian");
+    if (lagrangian == nullptr) continue;
+    const SolvedRun* fine = strike_on_fine_grid_.Find(coarse.report.contact, "ceres_shooting");
+    table.AddRow({coarse.report.contact,
+                  exact(&coarse),
+                  TerminationToString(coarse.report.termination),
+                  fine == nullptr ? Cell() : exact(fine),
+                  fine == nullptr ? Cell() : Cell(TerminationToString(fine->report.termination)),
                   exact(lagrangian),
                   OpenDefect(lagrangian->report),
                   TerminationToString(lagrangian->report.termination)});

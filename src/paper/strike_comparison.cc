@@ -9,11 +9,11 @@
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
 #include "programs/parallel.h"
+#include "saltus/simulate/exact_run.h"
 
 namespace saltus {
 namespace {
 
-constexpr const char* kExact = "event";
 constexpr const char* kPerStep = "gd, rate per step";
 constexpr const char* kPerTime = "gd, rate per time";
 constexpr int kSteps[] = {480, 1000};
@@ -123,7 +123,7 @@ bool StrikeComparison::Run(int threads, ProgressMode mode) {
   return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     Entry& entry = entries_[i];
     SolveReport& report = entry.run.report;
-    report = Solve(entry.solver, {entry.scene, kExact}, entry.options);
+    report = Solve(entry.solver, {entry.scene, ExactModel()->name}, entry.options);
     if (report.losses.empty()) return;
     entry.run.exact = SimulateExactly(entry.scene, report.initial_state, report.control, report.durations);
   });

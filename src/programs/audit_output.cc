@@ -447,6 +447,12 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (audit.own && audit.own->agreement != Agreement::kUndecided) {
     item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
   }
+  for (const ParameterAudit& parameter : audit.parameters) {
+    item["parameters"].push_back({{"name", parameter.name},
+                                  {"gradient", NumberToJson(parameter.gradient)},
+                                  {"difference", parameter.difference ? NumberToJson(*parameter.difference) : Json()},
+                                  {"verdict", VerdictToString(parameter.verdict)}});
+  }
   AddTies(audit.ambiguous, audit.spread, &item);
   if (audit.recognition) {
     item["class"] = ContactClassToString(audit.recognition->contact_class);

@@ -11,6 +11,7 @@
 
 #include "base/time_grid.h"
 #include "saltus/simulate/events.h"
+#include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
 
@@ -101,16 +102,6 @@ constexpr double kOneInstant = 1e-9;  // of a step, or of the whole: what is nea
 
 using ContactKey = std::tuple<bool, int, int>;
 ContactKey KeyOf(const Candidate& c) { return {c.plane, c.a, c.b}; }
-
-const std::string& ExactModelName() {
-  static const std::string& name = *new std::string([] {
-    for (const ModelTraits& traits : AllContactModels()) {
-      if (traits.event_driven) return std::string(traits.name);
-    }
-    return std::string();
-  }());
-  return name;
-}
 
 // Momentum that disc a (or, if it is fixed, what b gives to it) gains from state x to state y beyond that of `forces`
 // over `time`.
@@ -283,7 +274,7 @@ class ExactMotion {
       : scene_(scene),
         options_(options),
         size_(InitialSize(scene) / scene.num_bodies()),
-        flight_(ExactModelName(), scene),
+        flight_(ExactModel()->name, scene),
         recorder_(scene, options, nodes, &motion_),
         touches_(&motion_, kOneInstant * scene.duration) {
     motion_.arcs = recorder_.whole();
@@ -306,9 +297,9 @@ class ExactMotion {
 
  private:
   void RunGroup(const Scene& part, std::span<const double> rows, std::vector<double>* x) {
-    motion_.failure = WhyNotApplicable(ExactModelName(), part);
+    motion_.failure = WhyNotApplicable(ExactModel()->name, part);
     if (!motion_.failure.empty()) return;
-    Way way(ExactModelName(), part, Precision::kDouble, *x, rows, options_);
+    Way way(ExactModel()->name, part, Precision::kDouble, *x, rows, options_);
     const double h = way.simulator().step();
     const std::vector<StepTouch>& touches = way.simulator().touches();
     const std::vector<StepTouch> events = EventTouches(way.simulator());
@@ -421,7 +412,7 @@ Motion Refuse(const std::string& reason) {
 }  // namespace
 
 Motion SimulateExactMotion(const Scene& given, const MotionInput& input, const MotionOptions& options) {
-  if (const std::string reason = WhyNotApplicable(ExactModelName(), given); !reason.empty()) return Refuse(reason);
+  if (const std::string reason = WhyNotApplicable(ExactModel()->name, given); !reason.empty()) return Refuse(reason);
   const Scene scene = InNaturalUnits(given);
   const UnitFactors to(given.units, scene.units);
   std::vector<double> lengths(scene.steps, scene.dt());

@@ -252,6 +252,12 @@ Scene WithDesign(const Scene& scene, std::span<const double> values) {
       if (IsAngle(parameter.kind) == angles) SetValue(parameter, values[i], &designed);
     }
   }
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    DesignParameter& design = designed.design[i];
+    if (!IsOfWall(design.parameter.kind)) continue;
+    if (design.min) *design.min -= values[i];
+    if (design.max) *design.max -= values[i];
+  }
   return designed;
 }
 

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "control/design_difference.h"
 #include "optimality/design_gradient.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
@@ -18,6 +19,7 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
 constexpr int kMostSteps = 60, kMostBacktracks = 12;
+constexpr std::size_t kMostOptima = 4;                     // of a search, from which a descent starts
 constexpr double kVanished = 0.3 * kCertificateTolerance;  // of a projected gradient, relative to the costates
 constexpr double kLongest = 0.25;                          // of a step, in natural units
 constexpr double kSufficient = 1e-4;                       // Armijo's constant
@@ -31,6 +33,13 @@ struct Point {
   double loss() const { return report.final_loss; }
 };
 
+// Where a descent ends, and the losses at its points.
+struct DescentEnd {
+  Point at;
+  std::vector<double> losses;
+  bool vanished = false, stuck = false;
+};
+
 class Descent {
  public:
   Descent(const SolverEntry& solver, const SolveRequest& request, const SolverOptions& options)
@@ -40,42 +49,44 @@ class Descent {
 
   SolveReport Run() {
     const std::vector<double> given = DesignOf(request_.scene);
+    const VectorXd p = Eigen::Map<const VectorXd>(given.data(), Size(given));
     std::string why;
-    std::optional<Point> start = Evaluate(Eigen::Map<const VectorXd>(given.data(), Size(given)), options_.guess, &why);
+    std::optional<Point> start = Evaluate(p, options_.guess, &why);
     if (!start) return Failed(given, why);
-    Point at = std::move(*start);
-    const double initial_loss = at.report.initial_loss, initial_violation = at.report.initial_violation;
-    losses_ = {initial_loss, at.loss()};
-    // A search is for the first point. From there on the sequence is known.
-    if (solver_->name == "mode_search") solver_ = FindSolver("ceres_phases");
-    bool goes_on = !options_.callback || (options_.callback(0, initial_loss) && options_.callback(1, at.loss()));
-    MatrixXd inverse = MatrixXd::Identity(at.p.size(), at.p.size());
-    bool vanished = false, stuck = false;
-    for (int k = 0; k < kMostSteps && goes_on && !stuck && !Stopped(); ++k) {
-      if ((vanished = Largest(Projected(at)) <= kVanished * at.costate)) break;
-      std::optional<Point> next = Search(at, Direction(at, inverse));
-      if (!next) next = Search(at, Direction(at, inverse = MatrixXd::Identity(at.p.size(), at.p.size())));
-      stuck = !next;
-      if (stuck) break;
-      Update(next->p - at.p, next->gradient - at.gradient, &inverse);
-      at = std::move(*next);
-      losses_.push_back(at.loss());
-      goes_on = !options_.callback || options_.callback(static_cast<int>(losses_.size()) - 1, at.loss());
+    const SolveReport first = start->report;
+    bool goes_on = !options_.callback || options_.callback(0, first.initial_loss);
+    DescentEnd best = Descend(std::move(*start), &goes_on);
+    // With other parameters another sequence may be the best: the descent starts from the next optima found as well.
+    for (std::size_t i = 1; i < std::min(first.optima.size(), kMostOptima) && goes_on && !Stopped(); ++i) {
+      sequence_ = first.optima[i].sequence;
+      start = Evaluate(p, std::nullopt, &why);
+      if (!start) continue;
+      DescentEnd end = Descend(std::move(*start), &goes_on);
+      if (end.vanished >= best.vanished && end.at.loss() < best.at.loss()) best = std::move(end);
     }
-    SolveReport report = std::move(at.report);
-    report.initial_loss = initial_loss;
-    report.initial_violation = initial_violation;
-    report.losses = losses_;
+    SolveReport report = std::move(best.at.report);
+    report.solver = solver_->name;
+    report.optima = first.optima;
+    report.searched = first.searched;
+    report.initial_loss = first.initial_loss;
+    report.initial_violation = first.initial_violation;
+    report.losses = std::move(best.losses);
+    report.losses.insert(report.losses.begin(), first.initial_loss);
     report.iterations = iterations_;
     report.evaluations = evaluations_;
     report.seconds = seconds_;
-    report.parameters.assign(at.p.begin(), at.p.end());
-    report.certificate.reset();
+    report.parameters.assign(best.at.p.begin(), best.at.p.end());
+    if (solver_->name == "hmp") {
+      const Scene scene = WithDesign(request_.scene, report.parameters);
+      JudgeParameters(scene, {best.at.gradient.begin(), best.at.gradient.end()}, best.at.costate, &*report.certificate);
+    } else {
+      report.certificate.reset();
+    }
     report.termination = !goes_on || Stopped() ? Termination::kInterrupted
-                         : vanished            ? Termination::kConverged
-                         : stuck               ? Termination::kNoProgress
+                         : best.vanished       ? Termination::kConverged
+                         : best.stuck          ? Termination::kNoProgress
                                                : Termination::kIterationLimit;
-    report.reason = vanished ? "" : stuck ? "no change of the parameters along the descent lowers the loss" : "";
+    report.reason = best.stuck ? "no change of the parameters along the descent lowers the loss" : "";
     return report;
   }
 
@@ -92,6 +103,36 @@ class Descent {
     return report;
   }
 
+  DescentEnd Descend(Point at, bool* goes_on) {
+    // A search is for the first point. From there on the sequence is known.
+    const SolverEntry* const searching = solver_;
+    if (solver_->name == "mode_search") solver_ = FindSolver("ceres_phases");
+    sequence_.reset();
+    DescentEnd end{std::move(at), {}};
+    const auto record = [&] {
+      end.losses.push_back(end.at.loss());
+      ++points_;
+      *goes_on = *goes_on && (!options_.callback || options_.callback(points_, end.at.loss()));
+    };
+    record();
+    MatrixXd inverse = MatrixXd::Identity(end.at.p.size(), end.at.p.size());
+    for (int k = 0; k < kMostSteps && *goes_on && !Stopped(); ++k) {
+      if ((end.vanished = Largest(Projected(end.at)) <= kVanished * end.at.costate)) break;
+      std::optional<Point> next = Search(end.at, Direction(end.at, inverse));
+      if (!next) {
+        inverse = MatrixXd::Identity(end.at.p.size(), end.at.p.size());
+        next = Search(end.at, Direction(end.at, inverse));
+      }
+      end.stuck = !next;
+      if (end.stuck) break;
+      Update(next->p - end.at.p, next->gradient - end.at.gradient, &inverse);
+      end.at = std::move(*next);
+      record();
+    }
+    solver_ = searching;
+    return end;
+  }
+
   // Solves with these parameters. Nothing, and why, if the solver does not converge or there is no derivative.
   std::optional<Point> Evaluate(const VectorXd& p, const std::optional<ControlGuess>& guess, std::string* why) {
     const Scene scene = WithDesign(request_.scene, std::vector<double>(p.begin(), p.end()));
@@ -102,27 +143,61 @@ class Descent {
       *why = error->ToString();
       return std::nullopt;
     }
-    SolverOptions options = options_;
-    options.guess = guess;
-    options.callback = nullptr;
-    last_ = solver_->solve(given, options);
-    iterations_ += last_.iterations;
-    evaluations_ += last_.evaluations;
-    seconds_ += last_.seconds;
+    last_ = SolveFrom(given, guess);
     if (last_.termination != Termination::kConverged) {
       *why = "with the parameters given, " + std::string(solver_->name) + " does not converge" +
              (last_.reason.empty() ? "" : ": " + last_.reason);
       return std::nullopt;
     }
-    const DesignGradient gradient =
-        GradientByDesign(scene, last_.initial_state, last_.control, last_.durations, options_.stop);
+    std::vector<ConstraintCertificate> constraints;
+    if (scene.objective.HasConstraints()) {
+      constraints =
+          Certify(given.scene, last_.initial_state, last_.control, last_.durations, options_.stop).constraints;
+    }
+    DesignGradient gradient =
+        GradientByDesign(scene, last_.initial_state, last_.control, last_.durations, constraints, options_.stop);
+    if (gradient.ok() && solver_->name == "hmp") DifferentiateLeastLoss(scene, &gradient);
     if (!gradient.ok()) {
       *why = gradient.reason;
       return std::nullopt;
     }
-    Point point{p, Eigen::Map<const VectorXd>(gradient.by.data(), Size(gradient.by)), last_, 1};
-    point.costate = std::max(1.0, gradient.costate);
-    return point;
+    return Point{p, Eigen::Map<const VectorXd>(gradient.by.data(), Size(gradient.by)), last_, gradient.costate};
+  }
+
+  SolveReport SolveFrom(const SolveRequest& given, const std::optional<ControlGuess>& guess) {
+    SolverOptions options = options_;
+    options.guess = guess;
+    options.callback = nullptr;
+    if (sequence_) {
+      options.sequence = sequence_;
+      options.search = false;
+    }
+    SolveReport report = solver_->solve(given, options);
+    iterations_ += report.iterations;
+    evaluations_ += report.evaluations;
+    seconds_ += report.seconds;
+    return report;
+  }
+
+  // The loss of hmp is that in continuous time: its derivative is not that of the control that the report has, but is
+  // found from solves with other parameters.
+  void DifferentiateLeastLoss(const Scene& scene, DesignGradient* gradient) {
+    const ControlGuess guess{last_.control, last_.durations};
+    const std::size_t impacts = last_.certificate->impacts.size();
+    for (std::size_t i = 0; i < scene.design.size() && gradient->ok(); ++i) {
+      const std::vector<double> by =
+          DifferenceByDesign(scene, DesignOf(scene), i, [&](const std::vector<double>& values) -> std::vector<double> {
+            SolveRequest other = request_;
+            other.scene = WithDesign(scene, values);
+            const SolveReport report = SolveFrom(WithGivenDesign(std::move(other)), guess);
+            if (report.termination != Termination::kConverged) return {};
+            if (report.certificate->impacts.size() != impacts) return {};
+            return {report.final_loss};
+          });
+      if (by.empty())
+        gradient->reason = "the least loss has no difference by " + NameOf(scene.design[i].parameter, scene);
+      if (!by.empty()) gradient->by[i] = by[0];
+    }
   }
 
   // Whether a parameter is at a bound beyond which the loss would fall.
@@ -176,9 +251,9 @@ class Descent {
   const SolveRequest& request_;
   const SolverOptions& options_;
   std::vector<ParameterRange> ranges_;
-  std::vector<double> losses_;
+  std::optional<ContactSequence> sequence_;  // along which to solve; none: that of the options
   SolveReport last_;
-  int iterations_ = 0, evaluations_ = 0;
+  int iterations_ = 0, evaluations_ = 0, points_ = 0;
   double seconds_ = 0;
 };
 
@@ -188,9 +263,6 @@ std::string WhyNotDescent(const Scene& scene) {
   const std::string found = "optimize: found " + NameOf(scene.design.front().parameter, scene);
   if (scene.optimize != Optimize::kControl) {
     return found + " without a control; gd, ceres_lbfgs and ceres_lm take parameters alone";
-  }
-  if (scene.objective.HasConstraints() || !scene.no_contact.empty()) {
-    return found + " beside constraints, whose multipliers would be a part of its derivative";
   }
   return "";
 }

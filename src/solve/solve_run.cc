@@ -16,7 +16,10 @@ SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request)
   const Precision precision = request.precision;
   return SingleShooting(MakeSimulator(contact, request.scene, precision),
                         SingleShooting::Variables::kOfScene,
-                        [contact, precision](const Scene& scene) { return MakeSimulator(contact, scene, precision); });
+                        [contact, precision](const Scene& scene) {
+                          const bool takes = WhyNotApplicable(contact, scene).empty();
+                          return takes ? MakeSimulator(contact, scene, precision) : nullptr;
+                        });
 }
 
 // The decision variables of a control that is given.
@@ -168,9 +171,9 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
       if ((!one.min && !one.max) || bounds.components) continue;
       return "optimize: found bounds on " + NameOf(one.parameter, scene) + ", which its steps would leave";
     }
-    if (scene.objective.duration) return design + " beside a free duration, expected one of the two";
-    if (const std::string beyond = BeyondTerminalCost(scene); beyond.find("costs") != std::string::npos) {
-      return design + " beside " + beyond + ", which have no derivatives by parameters";
+    const bool path = !scene.objective.running.empty() || !scene.objective.via.empty();
+    if (path && !FindContactModel(request.contact)->event_driven) {
+      return design + " beside path costs, which have derivatives by parameters under the contact model event only";
     }
   }
   if (!scene.objective.duration) return "";

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "optimality/kink_conditions.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
@@ -121,7 +122,14 @@ void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* 
   if (!report->certificate) {
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations, stop);
   }
-  const Certificate& certificate = *report->certificate;
+  Certificate& certificate = *report->certificate;
+  if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
+    Certificate kinks = CertifyKinks(scene, report->initial_state, report->control, report->durations, stop);
+    if (kinks.verdict != Certificate::Verdict::kNotApplicable) certificate = std::move(kinks);
+  }
+  for (size_t i = 0; i < certificate.parameters.size(); ++i) {  // of walls it has those from where they stand
+    certificate.parameters[i].value = report->parameters[i];
+  }
   if (certificate.verdict != Certificate::Verdict::kNotStationary && !certificate.IsSaddle()) return;
   report->termination = Termination::kNoProgress;
   report->reason += (report->reason.empty() ? "" : "; ") + certificate.reason;

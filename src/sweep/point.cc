@@ -107,7 +107,7 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
   std::string no_feedback;
   const std::vector<double>& losses = report.losses;
   if (losses.empty()) {
-    result.row.resize(result.row.size() + 7);
+    result.row.resize(result.row.size() + 7 + request.scene.design.size());
     if (request.feedback) AppendFeedback(Json::object(), &result.row);
   } else {
     const Scene scene = WithDesign(request.scene, report.parameters);
@@ -120,6 +120,9 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
+    std::vector<double> parameters = report.parameters;
+    parameters.resize(request.scene.design.size(), std::nan(""));
+    for (const double value : parameters) Append({FiniteOrNothing(value)}, &result.row);
     AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
@@ -282,6 +285,8 @@ std::vector<std::string> ResultColumns(const SweepStudy& study) {
   };
   if (study.solving()) {
     add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
+    const Scene& scene = study.request().scene;
+    for (const DesignParameter& design : scene.design) columns.push_back(NameOf(design.parameter, scene));
     add_feedback();
     if (study.generates()) add({"memory_mib"});
     add({"termination", "reason"});

@@ -8,6 +8,7 @@
 #include <chrono>
 #include <cmath>
 #include <fstream>
+#include <set>
 #include <string>
 #include <thread>
 #include <vector>
@@ -419,6 +420,13 @@ TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
   EXPECT_EQ(audit["agrees_with_differences"], true);
   EXPECT_EQ(audit["first_wrong_step"], 331);
   EXPECT_THAT(audit["findings"][0].get<std::string>(), HasSubstr("agrees with differences, and is wrong"));
+  // Its derivatives by parameters, which it is asked for by name, agree with those of scenes with other parameters.
+  ASSERT_TRUE(audit.contains("parameters"));
+  std::set<std::string> right;
+  for (const Json& parameter : audit["parameters"]) {
+    if (parameter["verdict"] == "right") right.insert(parameter["name"].get<std::string>());
+  }
+  EXPECT_TRUE(right.contains("restitution") && right.contains("mass.striker") && right.contains("gravity.x"));
 }
 
 // In a sweep it is one more contact model; one that fails is a row with the reason.

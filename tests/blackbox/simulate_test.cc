@@ -19,7 +19,7 @@ namespace {
 using testing::HasSubstr;
 using Json = ProtocolJson;
 
-Scene Problem(const std::string& name) {
+Scene LoadProblem(const std::string& name) {
   return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
 }
 
@@ -45,7 +45,7 @@ std::vector<Json> AnswersOf(const std::string& program, const std::vector<std::s
 
 // Loss and gradient of the task of two balls, from published exact values: 2.0591, and to four digits.
 TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = LoadProblem("two_balls");
   Question gradient = AtTheGuess(scene, Question::Kind::kGradient);
   const std::vector<Json> first =
       AnswersOf("saltus_simulate --contact=event",
@@ -73,7 +73,7 @@ TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
 
 // Free flight and one impact on the ground, in closed form: task 1 ends at the height 1.1 - 2 t below the top.
 TEST(Simulate, StepsOneStep) {
-  const Scene scene = Problem("bounce_once");
+  const Scene scene = LoadProblem("bounce_once");
   Question step{Question::Kind::kStep, 1, 0.5, InitialState(scene), {0, 0}, {}};
   const std::vector<Json> answers =
       AnswersOf("saltus_simulate --contact=event", {HelloLine(scene), QuestionLine(scene, step, 1)});
@@ -86,7 +86,7 @@ TEST(Simulate, StepsOneStep) {
 
 // The models of Brax take two steps of the grid at a time, under the mean of their forces.
 TEST(Simulate, ForcesOfAModelWithLongStepsAreTheirMean) {
-  Scene scene = Problem("two_balls");
+  Scene scene = LoadProblem("two_balls");
   Speaker speaker("compliant_brax", Precision::kDouble, {});
   EXPECT_EQ(Json::parse(speaker.AnswerTo(HelloLine(scene)))["grid_steps"], 2);
   Question question = AtTheGuess(scene, Question::Kind::kGradient);
@@ -103,7 +103,7 @@ TEST(Simulate, ForcesOfAModelWithLongStepsAreTheirMean) {
 }
 
 TEST(Simulate, OneRowOfControlStandsForAll) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = LoadProblem("two_balls");
   Question question = AtTheGuess(scene, Question::Kind::kSimulate);
   const std::string constant = QuestionLine(scene, question, 1);
   EXPECT_LT(constant.size(), 200u);
@@ -112,7 +112,7 @@ TEST(Simulate, OneRowOfControlStandsForAll) {
 }
 
 TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = LoadProblem("two_balls");
   Speaker speaker("direct", Precision::kDouble, {.gradient = true, .step = false, .states = false});
   EXPECT_THAT(speaker.AnswerTo(R"({"id": 1, "simulate": {}})"), HasSubstr("\"scene\\\" before"));
   EXPECT_THAT(speaker.AnswerTo("{\"id\": 1"), HasSubstr("expected a JSON object"));
@@ -129,7 +129,7 @@ TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
 }
 
 TEST(Simulate, SaysWhatItCannotTake) {
-  Scene scene = Problem("two_balls");
+  Scene scene = LoadProblem("two_balls");
   scene.contact.friction = 0.1;
   Speaker speaker("direct", Precision::kDouble, {});
   EXPECT_THAT(speaker.AnswerTo(HelloLine(scene)), HasSubstr(R"("not_applicable":"this model knows no friction")"));

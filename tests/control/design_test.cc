@@ -163,12 +163,13 @@ TEST(Design, MovingThePlaneIsMovingAllElse) {
   EXPECT_NEAR(gradient.back(), 1.6, 1e-9);  // in closed form, 1 + e
 }
 
-TEST(Design, IsNoVariableOfPathCosts) {
+TEST(Design, IsAVariableOfPathCostsInExactDynamicsOnly) {
   Scene scene = ProblemScene("two_balls");
   AddDesign("mass.target", &scene);
-  EXPECT_EQ(Shooting(scene, "event").num_design(), 1);
+  EXPECT_EQ(Shooting(scene, "direct_toi").num_design(), 1);
   scene.objective.via = {{.body = 0, .time = 0.5}};
-  EXPECT_EQ(Shooting(scene, "event").num_design(), 0);
+  EXPECT_EQ(Shooting(scene, "event").num_design(), 1);
+  EXPECT_EQ(Shooting(scene, "direct_toi").num_design(), 0);
 }
 
 TEST(Design, ValuesOutOfBoundsHaveNoLoss) {

@@ -11,11 +11,6 @@ namespace {
 
 using namespace exact_test;
 
-constexpr double kTolerance = 1e-12;
-
-#define EXPECT_RELATIVE(actual, expected) \
-  EXPECT_LT(RelativeError(actual, expected), kTolerance) << (actual) << " is not " << (expected)
-
 void ExpectVector(const Vec2d& actual, const Vec2d& expected) {
   EXPECT_LT((actual - expected).norm(), kTolerance * std::max(1e-3, expected.norm()))
       << actual.transpose() << " is not " << expected.transpose();

@@ -28,6 +28,11 @@ inline double RelativeError(double actual, double expected) {
   return std::abs(actual - expected) / std::max(1e-300, std::abs(expected));
 }
 
+constexpr double kTolerance = 1e-12;
+
+#define EXPECT_RELATIVE(actual, expected) \
+  EXPECT_LT(RelativeError(actual, expected), exact_test::kTolerance) << (actual) << " is not " << (expected)
+
 inline Body Disc(const char* name, double radius, const Vec2d& position, const Vec2d& velocity = Vec2d::Zero()) {
   Body body;
   body.name = name;

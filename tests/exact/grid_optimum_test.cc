@@ -11,12 +11,7 @@ namespace {
 
 using namespace exact_test;
 
-constexpr double kTolerance = 1e-12;
-
-#define EXPECT_RELATIVE(actual, expected) \
-  EXPECT_LT(RelativeError(actual, expected), kTolerance) << (actual) << " is not " << (expected)
-
-GridOptimum Find(const Scene& scene, TwoDiscSequence sequence) {
+GridOptimum FindOnGrid(const Scene& scene, TwoDiscSequence sequence) {
   std::string why_not;
   const std::optional<GridOptimum> optimum = FindGridOptimum(scene, sequence, &why_not);
   EXPECT_TRUE(optimum) << why_not;
@@ -31,7 +26,7 @@ void ExpectStationary(const GridOptimum& o) {
 
 TEST(GridOptimumTest, TwoBallsEqualReferenceForAllGrids) {
   for (const auto& [steps, reference] : References()["task3_zoh"].items()) {
-    const GridOptimum o = Find(TwoBalls(std::stoi(steps)), TwoDiscSequence::kImpact);
+    const GridOptimum o = FindOnGrid(TwoBalls(std::stoi(steps)), TwoDiscSequence::kImpact);
     EXPECT_RELATIVE(o.loss, Number(reference["J"]));
     EXPECT_RELATIVE(o.impact_time, Number(reference["impact_time"]));
     EXPECT_EQ(o.node, reference["node"].get<int>());
@@ -40,9 +35,9 @@ TEST(GridOptimumTest, TwoBallsEqualReferenceForAllGrids) {
 }
 
 TEST(GridOptimumTest, TwoBallsCertificateAndControl) {
-  const GridOptimum o = Find(TwoBalls(480), TwoDiscSequence::kImpact);
+  const GridOptimum o = FindOnGrid(TwoBalls(480), TwoDiscSequence::kImpact);
   EXPECT_NEAR(o.theta, 0.504275798973, 1e-11);
-  EXPECT_NEAR(Find(TwoBalls(1000), TwoDiscSequence::kImpact).theta, 0.488087704578, 1e-11);
+  EXPECT_NEAR(FindOnGrid(TwoBalls(1000), TwoDiscSequence::kImpact).theta, 0.488087704578, 1e-11);
   ASSERT_EQ(o.control.size(), 480u);
   for (int c = 0; c < 2; ++c) {
     EXPECT_RELATIVE(o.control[0][c], 3.92574313233579969);
@@ -76,8 +71,9 @@ TEST(GridOptimumTest, FollowUpsEqualReference) {
   const auto& reference = References()["followup_zoh"];
   for (const int steps : {480, 1000}) {
     const std::string key = std::to_string(steps);
-    ExpectFollowUp(Find(SingleCollision(steps), TwoDiscSequence::kImpact), reference["single"][key]);
-    ExpectFollowUp(Find(MultipleCollisions(steps), TwoDiscSequence::kImpactThenPlane), reference["multi_B2"][key]);
+    ExpectFollowUp(FindOnGrid(SingleCollision(steps), TwoDiscSequence::kImpact), reference["single"][key]);
+    ExpectFollowUp(FindOnGrid(MultipleCollisions(steps), TwoDiscSequence::kImpactThenPlane),
+                   reference["multi_B2"][key]);
   }
 }
 
@@ -107,7 +103,7 @@ double LossOf(const Scene& scene, const std::vector<Vec2d>& control) {
 // No small change of a few forces lowers the loss, whether it makes the impact earlier or later.
 TEST(GridOptimumTest, NeighboursAreNotBetter) {
   for (const Scene& scene : {TwoBalls(60), SingleCollision(60)}) {
-    const GridOptimum o = Find(scene, TwoDiscSequence::kImpact);
+    const GridOptimum o = FindOnGrid(scene, TwoDiscSequence::kImpact);
     EXPECT_NEAR(LossOf(scene, o.control), o.loss, 1e-10);
     for (int i = 0; i < scene.steps; ++i) {
       for (const Vec2d& change : {Vec2d(1e-3, 0), Vec2d(-1e-3, 0), Vec2d(0, 1e-3), Vec2d(0, -1e-3)}) {

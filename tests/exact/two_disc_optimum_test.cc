@@ -11,11 +11,6 @@ namespace {
 
 using namespace exact_test;
 
-constexpr double kTolerance = 1e-12;
-
-#define EXPECT_RELATIVE(actual, expected) \
-  EXPECT_LT(RelativeError(actual, expected), kTolerance) << (actual) << " is not " << (expected)
-
 TwoDiscOptimum Find(const Scene& scene, TwoDiscSequence sequence) {
   std::string why_not;
   const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(scene, sequence, &why_not);

@@ -196,7 +196,7 @@ TEST(HybridSolvers, FindTheHopOfTwoMasses) {
     EXPECT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
     EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << solver;
     ASSERT_EQ(report.control.size(), best.size());
-    for (size_t i = 0; i < best.size(); ++i) EXPECT_NEAR(report.control[i], best[i], 1e-7) << solver << " " << i;
+    for (size_t i = 0; i < best.size(); ++i) EXPECT_NEAR(report.control[i], best[i], 1e-8) << solver << " " << i;
   }
 }
 

@@ -31,10 +31,9 @@ TEST(RungeKutta, HasOrderEight) {
   RungeKutta integrator(system.functions());
   const std::vector<double> p = {2.0 / 3, 2.0 / 3, 0.2};
   const auto after = [&](int steps) {
-    std::vector<double> x = {-0.1, 0.5}, slope(2), next(2);
+    std::vector<double> x = {-0.1, 0.5}, next(2);
     for (int i = 0; i < steps; ++i) {
-      system.functions().Flow(0, 0, x.data(), nullptr, p.data(), slope.data());
-      integrator.Step({0, 0, 2.0 / steps, x.data(), nullptr, p.data()}, slope.data(), next.data());
+      integrator.Step({0, 0, 2.0 / steps, x.data(), nullptr, p.data()}, next.data());
       x = next;
     }
     return x[0];

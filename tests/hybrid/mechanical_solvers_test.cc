@@ -1,5 +1,5 @@
-// Optima of mechanical systems with contacts: a pendulum that swings up and may use an elastic wall, against optima
-// that were computed in 60 digits by Newton's method on exact derivatives.
+// Optima of mechanical systems with contacts. A pendulum that swings up and may use an elastic wall, against optima
+// that were computed in 60 digits by Newton's method on exact derivatives; motions with contacts that stay closed.
 #include <ceres/autodiff_cost_function.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,9 +10,13 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <random>
 #include <vector>
 
+#include "control/hybrid_shooting.h"
 #include "folders.h"
+#include "problems/hybrid/leg_hopper.h"
+#include "problems/hybrid/pushed_box.h"
 #include "problems/hybrid/wall_swing_up.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
@@ -64,14 +68,105 @@ TEST(WallSwingUp, ShootingEndsAtAKinkAndSaysSo) {
   EXPECT_THAT(report.reason, HasSubstr("where the control jumps"));
 }
 
-// A weight on the wall's side of the pendulum holds the impact for a while.
-TEST(WallSwingUp, AContactThatStaysClosedIsRefusedWithAReason) {
-  HybridProblem problem = WallSwingUpProblem();
-  problem.guess.parameters = {0};
-  problem.guess.control.assign(40, 12.0);
-  const SolveReport report = Solve("ceres_phases", problem, {.search = false});
-  EXPECT_EQ(report.termination, Termination::kNotApplicable);
-  EXPECT_THAT(report.reason, HasSubstr("closed"));
+// A mass of 1 kg on the ground, pulled along it and up; q = [x y], p = [friction].
+struct PulledMass {
+  static constexpr double kGravity = 9.81;
+  static constexpr int kNumCoordinates = 2, kNumControls = 2, kNumParameters = 1, kNumContacts = 1;
+
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(1.0);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
+    h[0] = u[0];
+    h[1] = u[1] - kGravity;
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[1];
+  }
+  template <typename T>
+  T Slide(int, const T* q, const T*) const {
+    return q[0];
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+  template <typename T>
+  T Friction(int, const T* p) const {
+    return p[0];
+  }
+};
+
+// While the mass slides, x(T) is linear in the control, which pulls up as well to lessen the friction.
+TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
+  constexpr int kIntervals = 10;
+  constexpr double kFriction = 0.5, kDuration = 1, kSpeed = 2, kTarget = 1.5, kWeight = 40, kEffort = 0.1;
+  const MechanicalSystem system{PulledMass()};
+  HybridProblem problem{.system = system.hybrid(),
+                        .guess = {.mode = system.Mode("+"),
+                                  .initial = {0, 0, kSpeed, 0},
+                                  .parameters = {kFriction},
+                                  .duration = kDuration,
+                                  .num_intervals = kIntervals},
+                        .terms = {MakeTerminalCost(0, kTarget, kWeight, 4), MakeEffortCost(kEffort, 2)}};
+  for (int k = 0; k < kIntervals; ++k) problem.guess.control.insert(problem.guess.control.end(), {3.5, 0.5});
+  problem.free.control = true;
+  // x(T) = free + sum_k a_k (u_x + mu u_y): u_x = s a_k, u_y = s mu a_k.
+  const double h = kDuration / kIntervals, with_lift = 1 + kFriction * kFriction;
+  const double free = kSpeed * kDuration - 0.5 * kFriction * PulledMass::kGravity * kDuration * kDuration;
+  double squares = 0;
+  for (int k = 0; k < kIntervals; ++k) squares += std::pow(h * (kDuration - (k + 0.5) * h), 2);
+  const double s = kWeight * (kTarget - free) / (kEffort * h + kWeight * with_lift * squares);
+  const double missed = kTarget - free - s * with_lift * squares;
+  const SolveReport report = Solve("ceres_phases", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, kWeight * missed * missed + kEffort * h * with_lift * s * s * squares, 1e-8);
+  for (int k = 0; k < kIntervals; ++k) {
+    const double along = s * h * (kDuration - (k + 0.5) * h);
+    EXPECT_NEAR(report.control[2 * k], along, 1e-5) << k;
+    EXPECT_NEAR(report.control[2 * k + 1], kFriction * along, 1e-5) << k;
+  }
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  ASSERT_TRUE(report.certificate->curvature);
+  EXPECT_NEAR(report.certificate->curvature->smallest, 1, 1e-6) << "of directions that do not change x(T)";
+}
+
+// Random changes of the control and of the lengths of its intervals, of the exact motion, raise the loss.
+void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, double size) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  HybridShooting shooting(problem);
+  HybridInput best = problem.guess;
+  best.control = report.control;
+  best.lengths = report.durations;
+  best.num_intervals = static_cast<int>(report.durations.size());
+  for (int trial = 0; trial < 40; ++trial) {
+    HybridInput moved = best;
+    for (double& u : moved.control) u += size * normal(random);
+    for (double& length : moved.lengths) length *= 1 + 0.1 * size * normal(random);
+    HybridShooting::Outcome outcome;
+    ASSERT_TRUE(shooting.Simulate(moved, &outcome)) << shooting.WhyFailed();
+    EXPECT_GE(outcome.loss, report.final_loss) << trial;
+  }
+}
+
+// The disc strikes the box, sticks to it, and pushes it until the end.
+TEST(ClosedContacts, APushedBoxReachesItsTarget) {
+  const HybridProblem problem = PushedBoxProblem();
+  const SolveReport report = Solve("ceres_phases", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  ASSERT_TRUE(report.certificate->curvature);
+  EXPECT_GT(report.certificate->curvature->smallest, 0.5);
+  ASSERT_EQ(report.certificate->impacts.size(), 1u);
+  EXPECT_EQ(report.certificate->impacts[0].b, "side hit");
+  ExpectMinimum(problem, report, 1e-3);
 }
 
 // The same pendulum under a torque that is a polynomial of t / T, whose coefficients are the parameters.

@@ -14,13 +14,13 @@ namespace {
 
 using Verdict = Certificate::Verdict;
 
-SolveReport Optimum(const Scene& scene) {
+SolveReport OptimumByPhases(const Scene& scene) {
   SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   return report;
 }
 
-Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
+Certificate CertifyOptimum(const Scene& scene, const SolveReport& report) {
   return Certify(scene, report.initial_state, report.control, report.durations);
 }
 
@@ -28,7 +28,7 @@ class ConstrainedCertificate : public testing::TestWithParam<Json> {};
 
 TEST_P(ConstrainedCertificate, AcceptsTheOptimum) {
   const Scene scene = SceneOf(GetParam(), 480);
-  const Certificate certificate = CertifyReport(scene, Optimum(scene));
+  const Certificate certificate = CertifyOptimum(scene, OptimumByPhases(scene));
   EXPECT_TRUE(certificate.IsStationary()) << certificate.reason;
   // Its curvature, or why there is none.
   EXPECT_NE(certificate.curvature.has_value(), certificate.reason.starts_with("its curvature is not looked at"));
@@ -46,11 +46,11 @@ TEST_P(ConstrainedCertificate, AcceptsTheOptimum) {
 
 TEST_P(ConstrainedCertificate, RejectsOneForceChangedByOnePercent) {
   const Scene scene = SceneOf(GetParam(), 480);
-  SolveReport report = Optimum(scene);
+  SolveReport report = OptimumByPhases(scene);
   for (int interval : {0, 100, 250}) {
     SolveReport changed = report;
     changed.control[2 * interval] *= 0.99;
-    const Certificate certificate = CertifyReport(scene, changed);
+    const Certificate certificate = CertifyOptimum(scene, changed);
     EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << interval;
     EXPECT_FALSE(certificate.reason.empty());
   }
@@ -63,11 +63,11 @@ INSTANTIATE_TEST_SUITE_P(All, ConstrainedCertificate, testing::ValuesIn(Referenc
 TEST(Certificate, KnowsWhichBoundHolds) {
   for (const char* name : {"max_3.5", "max_norm_diagonal_3.5"}) {
     Scene scene = SceneOf(Reference(name), 480);
-    const SolveReport report = Optimum(scene);
+    const SolveReport report = OptimumByPhases(scene);
     for (std::vector<double>* bounds : {&scene.control.max, &scene.control.max_norm}) {
       for (double& bound : *bounds) bound *= 1.001;
     }
-    const Certificate certificate = CertifyReport(scene, report);
+    const Certificate certificate = CertifyOptimum(scene, report);
     EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << name;
     EXPECT_EQ(certificate.reason, "the largest residual is that of stationarity");
   }
@@ -76,10 +76,10 @@ TEST(Certificate, KnowsWhichBoundHolds) {
 // At a bound, but the loss falls inwards.
 TEST(Certificate, RejectsAForceAtTheWrongBound) {
   const Scene scene = SceneOf(Reference("max_3.5"), 480);
-  SolveReport report = Optimum(scene);
+  SolveReport report = OptimumByPhases(scene);
   ASSERT_NEAR(report.control[0], 3.5, 1e-9);
   report.control[2 * 479] = 3.5;  // after the impact, where a force is wasted
-  EXPECT_EQ(CertifyReport(scene, report).verdict, Verdict::kNotStationary);
+  EXPECT_EQ(CertifyOptimum(scene, report).verdict, Verdict::kNotStationary);
 }
 
 TEST(Certificate, FindsTheMultiplierOfAHardTargetWithSecondOrder) {
@@ -87,7 +87,7 @@ TEST(Certificate, FindsTheMultiplierOfAHardTargetWithSecondOrder) {
   std::vector<double> errors;
   for (int steps : {60, 240}) {
     const Scene scene = SceneOf(Reference("hard_target"), steps);
-    const Certificate certificate = CertifyReport(scene, Optimum(scene));
+    const Certificate certificate = CertifyOptimum(scene, OptimumByPhases(scene));
     ASSERT_EQ(certificate.constraints.size(), 1u);
     EXPECT_EQ(certificate.constraints[0].body, "target");
     const Vec2d& multiplier = certificate.constraints[0].multiplier;
@@ -102,11 +102,11 @@ TEST(Certificate, FindsTheMultiplierOfAHardTargetWithSecondOrder) {
 TEST(Certificate, MultiplierIsTheDerivativeByTheTarget) {
   constexpr double kStep = 1e-3;
   Scene scene = SceneOf(Reference("hard_target"), 240);
-  const Certificate certificate = CertifyReport(scene, Optimum(scene));
+  const Certificate certificate = CertifyOptimum(scene, OptimumByPhases(scene));
   std::vector<double> losses;
   for (double by : {-kStep, kStep}) {
     scene.objective.terminal[0].target = {by, 0};
-    losses.push_back(Optimum(scene).final_loss);
+    losses.push_back(OptimumByPhases(scene).final_loss);
   }
   const double slope = (losses[1] - losses[0]) / (2 * kStep);
   EXPECT_NEAR(slope, -certificate.constraints[0].multiplier[0], 1e-4);
@@ -115,8 +115,8 @@ TEST(Certificate, MultiplierIsTheDerivativeByTheTarget) {
 TEST(Certificate, IsTheSameInOtherUnits) {
   for (const char* name : {"off_diagonal_max_3", "hard_target", "free_time", "running"}) {
     const Scene scene = SceneOf(Reference(name), 240);
-    const SolveReport report = Optimum(scene);
-    const Certificate certificate = CertifyReport(scene, report);
+    const SolveReport report = OptimumByPhases(scene);
+    const Certificate certificate = CertifyOptimum(scene, report);
     const Units units{.length = 0x1p-10, .time = 0x1p5, .mass = 0x1p5, .loss = 0x1p-20};
     const Scene rescaled = InUnits(scene, units);
     const UnitFactors by(scene.units, units);

@@ -367,6 +367,7 @@ TEST_P(LeavesSaddle, AndTouchesThePost) {
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_THAT(report.certificate->reason, HasSubstr("just touch"));
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid);
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, LeavesSaddle, testing::Values("hmp", "mode_search"));

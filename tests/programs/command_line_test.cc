@@ -81,7 +81,7 @@ TEST(CommandLine, AnySteps) {
 
 TEST(CommandLine, StiffnessSweepGivesThePublishedCurve) {
   const Outcome outcome =
-      RunProgram("saltus_sweep" + Scene("two_balls") +
+      RunProgram("saltus_sweep" + SceneFlag("two_balls") +
                  "--contact=compliant_warp --solver=gd --sweep='stiffness=1e2:1e5:log:4' --progress=none");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
@@ -97,7 +97,7 @@ TEST(CommandLine, StiffnessSweepGivesThePublishedCurve) {
 
 TEST(CommandLine, AFailedPointIsARowWithItsReason) {
   const Outcome outcome =
-      RunProgram("saltus_sweep" + Scene("two_balls") +
+      RunProgram("saltus_sweep" + SceneFlag("two_balls") +
                  "--contact=direct --solver=gd --iterations=2 --sweep='restitution=0.5,1.5;friction=0,0.1' "
                  "--progress=none");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -123,29 +123,30 @@ TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
       {"saltus_audit --scene=/nonexistent.yaml", "nonexistent"},
       {"saltus_audit", "--scene"},
       {"saltus_audit --no_such_flag=1", "no_such_flag"},
-      {"saltus_audit --steps=many" + Scene("two_balls"), "steps"},
-      {"saltus_audit --steps=-3" + Scene("two_balls"), "steps"},
-      {"saltus_audit --restitution=2" + Scene("two_balls"), "restitution"},
-      {"saltus_audit --contact=direct_tio" + Scene("two_balls"), "direct_tio"},
-      {"saltus_audit --contact=direct --friction=0.1" + Scene("two_balls"), "friction"},
-      {"saltus_audit --precision=half" + Scene("two_balls"), "precision"},
-      {"saltus_audit stray" + Scene("two_balls"), "stray"},
-      {"saltus_solve --solver=ceres_lm --contact=direct" + Scene("bounce_once"), "ceres_lm"},
+      {"saltus_audit --steps=many" + SceneFlag("two_balls"), "steps"},
+      {"saltus_audit --steps=-3" + SceneFlag("two_balls"), "steps"},
+      {"saltus_audit --restitution=2" + SceneFlag("two_balls"), "restitution"},
+      {"saltus_audit --contact=direct_tio" + SceneFlag("two_balls"), "direct_tio"},
+      {"saltus_audit --contact=direct --friction=0.1" + SceneFlag("two_balls"), "friction"},
+      {"saltus_audit --precision=half" + SceneFlag("two_balls"), "precision"},
+      {"saltus_audit stray" + SceneFlag("two_balls"), "stray"},
+      {"saltus_solve --solver=ceres_lm --contact=direct" + SceneFlag("bounce_once"), "ceres_lm"},
       {"bounce_once --solver=hmp,gd --contact=event", "nothing to optimize"},
-      {"saltus_solve --solver=newton" + Scene("two_balls"), "newton"},
-      {"saltus_audit --surrogate=smooth" + Scene("two_balls"),
+      {"saltus_solve --solver=newton" + SceneFlag("two_balls"), "newton"},
+      {"saltus_audit --surrogate=smooth" + SceneFlag("two_balls"),
        "complementarity_aware, smoothed_zeroth, smoothed_first"},
-      {"saltus_audit --surrogate=smoothed_first --surrogate_sigma=0" + Scene("two_balls"), "--surrogate_sigma"},
-      {"saltus_audit --surrogate=smoothed_first --surrogate_samples=7" + Scene("two_balls"), "--surrogate_samples"},
-      {"saltus_solve --surrogate=smoothed_zeroth --surrogate_samples=0" + Scene("two_balls"), "--surrogate_samples"},
-      {"saltus_solve --surrogate_segments=24" + Scene("two_balls"), "--surrogate_segments"},
-      {"saltus_audit --surrogate=smoothed_first --width_sweep" + Scene("two_balls"), "width_sweep"},
-      {"saltus_audit --surrogate=complementarity_aware --contact=direct" + Scene("two_balls"), "complementarity"},
-      {"saltus_solve --surrogate=smoothed_zeroth --contact=event --solver=hmp" + Scene("two_balls"), "surrogate"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_sigma=0" + SceneFlag("two_balls"), "--surrogate_sigma"},
+      {"saltus_audit --surrogate=smoothed_first --surrogate_samples=7" + SceneFlag("two_balls"), "--surrogate_samples"},
+      {"saltus_solve --surrogate=smoothed_zeroth --surrogate_samples=0" + SceneFlag("two_balls"),
+       "--surrogate_samples"},
+      {"saltus_solve --surrogate_segments=24" + SceneFlag("two_balls"), "--surrogate_segments"},
+      {"saltus_audit --surrogate=smoothed_first --width_sweep" + SceneFlag("two_balls"), "width_sweep"},
+      {"saltus_audit --surrogate=complementarity_aware --contact=direct" + SceneFlag("two_balls"), "complementarity"},
+      {"saltus_solve --surrogate=smoothed_zeroth --contact=event --solver=hmp" + SceneFlag("two_balls"), "surrogate"},
       {"saltus_reproduce --surrogate=smoothed_zeroth", "--surrogate"},
-      {"saltus_sweep --sweep=stiffness" + Scene("two_balls"), "stiffness"},
-      {"saltus_sweep --sweep=colour=1,2" + Scene("two_balls"), "colour"},
-      {"saltus_sweep --sweep=stiffness=-1:1:log:3" + Scene("two_balls"), "logarithmic"},
+      {"saltus_sweep --sweep=stiffness" + SceneFlag("two_balls"), "stiffness"},
+      {"saltus_sweep --sweep=colour=1,2" + SceneFlag("two_balls"), "colour"},
+      {"saltus_sweep --sweep=stiffness=-1:1:log:3" + SceneFlag("two_balls"), "logarithmic"},
   };
   for (const auto& [command, message] : cases) {
     const Outcome outcome = RunProgram(command);
@@ -200,7 +201,7 @@ TEST(CommandLine, MoreThreadsThanCoresAreNoMatterOfNote) {
   const Outcome outcome = RunProgram(
       "saltus_audit --contact=event --surrogate=smoothed_first --surrogate_samples=20 --threads=1000 "
       "--progress=none" +
-      Scene("bounce_once"));
+      SceneFlag("bounce_once"));
   EXPECT_EQ(outcome.exit_code, 0);
   EXPECT_EQ(outcome.errors, "");
 }
@@ -212,13 +213,13 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
   const struct {
     std::string command, message;
   } cases[] = {
-      {"saltus_audit --iterations=5" + Scene("two_balls"),
+      {"saltus_audit --iterations=5" + SceneFlag("two_balls"),
        "--iterations is not a flag of saltus_audit, but of the problems' programs, the programs of hybrid systems, "
        "saltus_solve and saltus_sweep"},
-      {"saltus_audit --flagfile=" + file + Scene("two_balls"), "--iterations is not a flag of saltus_audit"},
-      {"saltus_solve --given=x.json" + Scene("two_balls"),
+      {"saltus_audit --flagfile=" + file + SceneFlag("two_balls"), "--iterations is not a flag of saltus_audit"},
+      {"saltus_solve --given=x.json" + SceneFlag("two_balls"),
        "--given is not a flag of saltus_solve, but of saltus_audit"},
-      {"saltus_solve -sweep steps=1,2" + Scene("two_balls"),
+      {"saltus_solve -sweep steps=1,2" + SceneFlag("two_balls"),
        "--sweep is not a flag of saltus_solve, but of saltus_sweep"},
       {"saltus_scene --json", "--json is not a flag of saltus_scene"},
       {"saltus_scene --nojson", "--json is not a flag of saltus_scene"},
@@ -226,8 +227,8 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
       {"two_balls --given=x.json", "--given is not a flag of two_balls, but of saltus_audit"},
       {"saltus_solve --itertions=5", "--itertions is not a flag of saltus_solve; did you mean --iterations?"},
       {"saltus_solve --no_such_flag", "--no_such_flag is not a flag of saltus_solve; -h lists them"},
-      {"saltus_solve --contact=direct_tio" + Scene("two_balls"), "did you mean direct_toi?"},
-      {"saltus_solve --solver=ceres_llm" + Scene("two_balls"), "did you mean ceres_lm?"},
+      {"saltus_solve --contact=direct_tio" + SceneFlag("two_balls"), "did you mean direct_toi?"},
+      {"saltus_solve --solver=ceres_llm" + SceneFlag("two_balls"), "did you mean ceres_lm?"},
       {"saltus_solve", "--scene=FILE is needed; -h lists all flags"},
   };
   for (const auto& [command, message] : cases) {
@@ -238,14 +239,14 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
   }
   // Those of glog, values apart, and what --undefok lets pass.
   for (const char* flags : {" --minloglevel=2", " --steps 20", " --undefok=unheard --unheard"}) {
-    const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none" + Scene("two_balls") + flags);
+    const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none" + SceneFlag("two_balls") + flags);
     EXPECT_EQ(outcome.exit_code, 0) << flags << outcome.errors;
   }
 }
 
 TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
-  const Outcome outcome =
-      RunProgram("saltus_audit --contact=direct,convex --friction=0.1 --json --progress=none" + Scene("ground_wall"));
+  const Outcome outcome = RunProgram("saltus_audit --contact=direct,convex --friction=0.1 --json --progress=none" +
+                                     SceneFlag("ground_wall"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const json audits = json::parse(outcome.output)["audits"];
   ASSERT_EQ(audits.size(), 2u);
@@ -259,7 +260,7 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
   const std::string flags =
       " --surrogate=smoothed_zeroth --surrogate_samples=200 --surrogate_segments=24 "
       "--surrogate_sigma=0.1 --progress=none --contact=direct" +
-      Scene("two_balls") + "--output_dir=" + dir;
+      SceneFlag("two_balls") + "--output_dir=" + dir;
   const Outcome both = RunProgram("two_balls --json --solver=gd --iterations=3" + flags);
   ASSERT_EQ(both.exit_code, 1) << both.errors;  // no convergence
   const json document = json::parse(both.output);
@@ -292,12 +293,12 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
   EXPECT_TRUE(std::ifstream(dir + "/two_balls_direct_gd_smoothed_zeroth_biased.npz").good());
 
   const Outcome option = RunProgram(
-      "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + Scene("two_balls"));
+      "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + SceneFlag("two_balls"));
   EXPECT_THAT(option.output, HasSubstr("lcp:complementarity_aware=1 (biased)"));
 
   const Outcome options =
       RunProgram("saltus_sweep --solver=none --progress=none --sweep='contact=lcp,lcp:complementarity_aware=1'" +
-                 Scene("two_balls"));
+                 SceneFlag("two_balls"));
   const StatusOr<CsvDocument> contacts = ParseCsv(options.output);
   ASSERT_TRUE(contacts.ok() && contacts->Find("biased")) << options.output << options.errors;
   EXPECT_EQ(contacts->rows[0][*contacts->Find("biased")], "no");
@@ -306,7 +307,7 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
   const Outcome sweep = RunProgram(
       "saltus_sweep --solver=none --sweep='surrogate_samples=4,400' --surrogate=smoothed_first "
       "--progress=none --contact=event" +
-      Scene("two_balls"));
+      SceneFlag("two_balls"));
   ASSERT_EQ(sweep.exit_code, 0) << sweep.errors;
   const StatusOr<CsvDocument> points = ParseCsv(sweep.output);
   ASSERT_TRUE(points.ok()) << points.status().message();
@@ -329,8 +330,8 @@ const json& AuditOf(const json& document, const std::string& contact) {
 }
 
 TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
-  const Outcome outcome =
-      RunProgram("saltus_audit --contact=direct_toi,toi_velocity,event --json --progress=none" + Scene("two_balls"));
+  const Outcome outcome = RunProgram("saltus_audit --contact=direct_toi,toi_velocity,event --json --progress=none" +
+                                     SceneFlag("two_balls"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const json document = json::parse(outcome.output);
   EXPECT_EQ(document["reference"]["contact"], "event");
@@ -358,7 +359,7 @@ TEST(CommandLine, TheAuditWritesTablesAndFigures) {
   const Outcome outcome =
       RunProgramIn(1000,
                    "saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
-                       Scene("two_balls"));
+                       SceneFlag("two_balls"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   EXPECT_THAT(outcome.output, HasSubstr("acceleration at the impact ignored"));
   EXPECT_THAT(outcome.output, HasSubstr("agrees with narrow differences, not with wide ones"));
@@ -382,7 +383,7 @@ TEST(CommandLine, TheAuditWritesTablesAndFigures) {
 // Solvers that know exact contact only are one row, whatever other models are asked for.
 TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
   const Outcome outcome =
-      RunProgram("saltus_solve" + Scene("two_balls") + "--solver=ceres_event,hmp --json --progress=none");
+      RunProgram("saltus_solve" + SceneFlag("two_balls") + "--solver=ceres_event,hmp --json --progress=none");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const json runs = json::parse(outcome.output)["runs"];
   ASSERT_EQ(runs.size(), 2u);
@@ -406,8 +407,8 @@ TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
 
 // What a solver has converged on is named beside the verdict, which is of the exact loss.
 TEST(CommandLine, ConvergedSaysOnWhichLoss) {
-  const std::string solve =
-      "saltus_solve" + Scene("two_balls") + "--contact=convex_toi,event --solver=ceres_lm,grid_optimum --progress=none";
+  const std::string solve = "saltus_solve" + SceneFlag("two_balls") +
+                            "--contact=convex_toi,event --solver=ceres_lm,grid_optimum --progress=none";
   const Outcome table = RunProgramIn(1000, solve);
   EXPECT_THAT(table.output, HasSubstr("exact loss is at"));
   EXPECT_THAT(table.output, HasSubstr("converged under convex_toi"));
@@ -456,7 +457,7 @@ TEST(CommandLine, CertificatesAreInTheTextInWords) {
                                      "loss: the largest residual is that of .*$")));
 
   const Outcome searched =
-      RunProgramIn(400, "saltus_solve --contact=event --solver=mode_search --progress=none" + Scene("two_balls"));
+      RunProgramIn(400, "saltus_solve --contact=event --solver=mode_search --progress=none" + SceneFlag("two_balls"));
   EXPECT_THAT(searched.output, HasSubstr("it is the best of 3 sequences of impacts"));
 
   const Outcome velocity = RunProgramIn(400, "ground_wall --contact=event --solver=ceres_lm --progress=none");
@@ -501,7 +502,8 @@ TEST(CommandLine, AGradientOfManyDiscsHasARowAnEntry) {
 }
 
 TEST(CommandLine, SequencesAreReadFromAFlag) {
-  const std::string solve = "saltus_solve" + Scene("multiple_collisions") + "--contact=event --json --progress=none ";
+  const std::string solve =
+      "saltus_solve" + SceneFlag("multiple_collisions") + "--contact=event --json --progress=none ";
   const Outcome given = RunProgram(solve + "--solver=mode_search --sequence=striker-target,target-ceiling");
   ASSERT_EQ(given.exit_code, 0) << given.errors;
   const json run = json::parse(given.output)["runs"][0];
@@ -524,7 +526,8 @@ TEST(CommandLine, TheAuditFindsTheErrorInThePublishedAnalyticGradient) {
   const std::string file = testing::TempDir() + "/published_" + std::to_string(getpid()) + ".json";
   std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
                              "position": [[-0.3987, -0.3987], [-0.3213, null]], "control": [[[-0.0009, -0.0009]]]})";
-  const std::string command = "saltus_audit --contact=event --progress=none" + Scene("two_balls") + "--given=" + file;
+  const std::string command =
+      "saltus_audit --contact=event --progress=none" + SceneFlag("two_balls") + "--given=" + file;
   Outcome outcome = RunProgram(command + " --json");
   EXPECT_EQ(outcome.exit_code, 2) << "a vector is [x, y] or null";
   EXPECT_THAT(outcome.errors, HasSubstr("position[1]"));

@@ -32,10 +32,10 @@ std::string PathFor(const std::string& name) {
 
 // A command of each program that prints results, and ends with 0 where they can be printed.
 const std::string kResults[] = {
-    "saltus_solve" + Scene("two_balls") + "--contact=event --solver=ceres_event --progress=none",
-    "saltus_solve" + Scene("two_balls") + "--contact=event --solver=ceres_event --progress=none --json",
-    "saltus_audit" + Scene("two_balls") + "--contact=event --progress=none",
-    "saltus_sweep" + Scene("two_balls") + "--contact=event --solver=none --sweep=steps=10,20 --progress=none",
+    "saltus_solve" + SceneFlag("two_balls") + "--contact=event --solver=ceres_event --progress=none",
+    "saltus_solve" + SceneFlag("two_balls") + "--contact=event --solver=ceres_event --progress=none --json",
+    "saltus_audit" + SceneFlag("two_balls") + "--contact=event --progress=none",
+    "saltus_sweep" + SceneFlag("two_balls") + "--contact=event --solver=none --sweep=steps=10,20 --progress=none",
     "two_balls --contact=event --solver=none --progress=none",
     "saltus_scene --discs=3",
     "saltus_solve --contact=list",
@@ -57,7 +57,7 @@ TEST(Ends, OutputThatIsLostIsAnError) {
 TEST(Ends, AProgramWithoutStandardStreamsPrintsIntoNoFileOfItsOwn) {
   const std::string directory = PathFor("closed");
   const Outcome outcome = RunProgram(
-      "saltus_sweep" + Scene("two_balls") +
+      "saltus_sweep" + SceneFlag("two_balls") +
       "--contact=event --solver=none --sweep=steps=10,20 --progress=none --output_dir=" + directory + " <&- >&-");
   EXPECT_EQ(outcome.exit_code, 1);
   const StatusOr<std::string> store = ReadFile(directory + "/sweep.sqlite");
@@ -79,7 +79,7 @@ TEST(Ends, AReaderThatHasSeenEnoughIsNoError) {
 // Files are written even if nobody takes the tables, and tables printed even if files cannot be written.
 TEST(Ends, OneLostOutputDoesNotCostTheOther) {
   const std::string directory = PathFor("files");
-  const std::string solve = "saltus_solve" + Scene("two_balls") +
+  const std::string solve = "saltus_solve" + SceneFlag("two_balls") +
                             "--contact=event --solver=ceres_event --progress=none --output_dir=" + directory;
   EXPECT_EQ(RunProgram(solve + " >/dev/full").exit_code, 1);
   const std::string file = directory + "/two_balls_event_ceres_event.npz";
@@ -103,17 +103,17 @@ TEST(Ends, ARunThatIsNoAnswerIsExitCodeOneAndNamed) {
       {"--contact=direct_toi --solver=ceres_lagrangian --iterations=40", "direct_toi ceres_lagrangian: "},
   };
   for (const auto& [flags, why] : cases) {
-    const Outcome outcome = RunProgram("saltus_solve --progress=none" + Scene("two_balls") + flags);
+    const Outcome outcome = RunProgram("saltus_solve --progress=none" + SceneFlag("two_balls") + flags);
     EXPECT_EQ(outcome.exit_code, 1) << flags;
     EXPECT_THAT(outcome.errors, HasSubstr(why)) << flags;
     EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
   }
   // What cannot be applied fails nothing beside a run that converges.
   EXPECT_EQ(RunProgram("saltus_solve --progress=none --contact=event --solver=ceres_event,grid_optimum" +
-                       Scene("multiple_collisions") + "--friction=0.1")
+                       SceneFlag("multiple_collisions") + "--friction=0.1")
                 .exit_code,
             RunProgram("saltus_solve --progress=none --contact=event --solver=ceres_event" +
-                       Scene("multiple_collisions") + "--friction=0.1")
+                       SceneFlag("multiple_collisions") + "--friction=0.1")
                 .exit_code);
 }
 
@@ -122,7 +122,7 @@ TEST(Ends, GradientDescentReportsItsBestIterateToo) {
   const std::string command =
       "saltus_solve --progress=none --contact=direct_toi --solver=gd --iterations=60 "
       "--learning_rate=4000" +
-      Scene("two_balls");
+      SceneFlag("two_balls");
   const Outcome outcome = RunProgram(command + "--json");
   EXPECT_EQ(outcome.exit_code, 1);
   const json run = json::parse(outcome.output)["runs"][0];
@@ -140,7 +140,7 @@ TEST(Ends, GradientDescentReportsItsBestIterateToo) {
 TEST(Ends, MemoryThatRunsOutIsSaidAndCostsOneRun) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   const std::string limited = "sh -c 'ulimit -v 700000; exec \"$@\"' sh " + BuildFolder() +
-                              "/bin/saltus_solve --progress=none --threads=1 " + Scene("two_balls") +
+                              "/bin/saltus_solve --progress=none --threads=1 " + SceneFlag("two_balls") +
                               "--contact=direct_toi --steps=10000000 ";
   const Outcome json_outcome = RunCommand(limited + "--solver=gd --iterations=1 --json");
   EXPECT_EQ(json_outcome.exit_code, 1);
@@ -160,7 +160,7 @@ TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
     const Outcome outcome =
         RunCommand("sh -c 'ulimit -v 524288; exec \"$@\"' sh " + BuildFolder() +
                    "/bin/saltus_solve --progress=none --threads=1 --contact=event --solver=none --json --states" +
-                   Scene("two_balls") + "--steps=" + std::to_string(steps) + " --output_dir=" + directory);
+                   SceneFlag("two_balls") + "--steps=" + std::to_string(steps) + " --output_dir=" + directory);
     SCOPED_TRACE(std::to_string(steps) + " steps\n" + outcome.errors);
     const json document = json::parse(outcome.output, nullptr, /*allow_exceptions=*/false);
     ASSERT_FALSE(document.is_discarded());
@@ -187,7 +187,7 @@ TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
           RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) + "; exec \"$@\"' sh " + BuildFolder() +
                      "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
                      "--steps=1000000 --attribution_seconds=1 " +
-                     flags + Scene("two_balls"));
+                     flags + SceneFlag("two_balls"));
       EXPECT_TRUE(outcome.exit_code == 0 || outcome.exit_code == 1) << mebibytes << flags << outcome.errors;
       if (outcome.exit_code == 1) {
         EXPECT_THAT(outcome.errors, HasSubstr("memory ran out")) << mebibytes << flags;
@@ -202,7 +202,7 @@ TEST(Ends, AFileThatBecomesTooLargeIsAnError) {
   const std::string directory = PathFor("large");
   const Outcome outcome = RunCommand("sh -c 'ulimit -f 4; exec \"$@\"' sh " + BuildFolder() +
                                      "/bin/saltus_solve --progress=none --contact=event --solver=none" +
-                                     Scene("two_balls") + "--output_dir=" + directory);
+                                     SceneFlag("two_balls") + "--output_dir=" + directory);
   EXPECT_EQ(outcome.exit_code, 1);
   EXPECT_THAT(outcome.errors, HasSubstr("cannot write: File too large"));
   EXPECT_THAT(outcome.output, HasSubstr("two_balls"));  // the table
@@ -213,8 +213,9 @@ TEST(Ends, AFileThatBecomesTooLargeIsAnError) {
 }
 
 TEST(Ends, AnAuditWithoutAGradientSaysWhy) {
-  const Outcome outcome = RunProgram(
-      "saltus_audit --progress=none --contact=primal_descent,event --stiffness=1e15 --steps=24" + Scene("two_balls"));
+  const Outcome outcome =
+      RunProgram("saltus_audit --progress=none --contact=primal_descent,event --stiffness=1e15 --steps=24" +
+                 SceneFlag("two_balls"));
   EXPECT_EQ(outcome.exit_code, 1);
   EXPECT_THAT(outcome.errors, HasSubstr("no gradient of 1 of 2 (primal_descent: the rollout fails: step "));
   EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
@@ -225,7 +226,7 @@ TEST(Ends, TheLogOfCeresIsOff) {
   const Outcome outcome = RunProgram(
       "saltus_solve --progress=none --contact=event --solver=mode_search --steps=24 "
       "--iterations=20 --search_seconds=0" +
-      Scene("two_balls"));
+      SceneFlag("two_balls"));
   EXPECT_THAT(outcome.errors, testing::StartsWith("no answer from 1 of 1 runs"));
 }
 
@@ -233,8 +234,8 @@ TEST(Ends, FilesThatAreNoneAreWrongInput) {
   const std::string directory = PathFor("directory"), self = PathFor("self");
   std::filesystem::create_directories(directory);
   std::ofstream(self) << "--steps=10\n--flagfile=" << self << "\n";
-  const std::string audit = "saltus_audit --contact=event --progress=none" + Scene("two_balls");
-  const std::string sweep = "saltus_sweep --contact=event --progress=none" + Scene("two_balls");
+  const std::string audit = "saltus_audit --contact=event --progress=none" + SceneFlag("two_balls");
+  const std::string sweep = "saltus_sweep --contact=event --progress=none" + SceneFlag("two_balls");
   const struct {
     std::string command, message;
   } cases[] = {
@@ -284,7 +285,7 @@ TEST(Ends, PipesAreFiles) {
             0);
   EXPECT_EQ(RunCommand("(printf 'steps\\n10\\n20\\n' >" + pipe + " & " + program +
                        "saltus_sweep --contact=event --solver=none --progress=none --sweep=@" + pipe +
-                       Scene("two_balls") + ")")
+                       SceneFlag("two_balls") + ")")
                 .exit_code,
             0);
   std::filesystem::remove(pipe);
@@ -292,7 +293,7 @@ TEST(Ends, PipesAreFiles) {
 
 TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
   const std::string file = PathFor("given.json");
-  const std::string audit = "saltus_audit --progress=none --json" + Scene("two_balls") + "--contact=";
+  const std::string audit = "saltus_audit --progress=none --json" + SceneFlag("two_balls") + "--contact=";
   const json document = json::parse(RunProgram(audit + "event,direct_toi,compliant_brax").output);
   const auto given = [&](const json& gradient) {
     std::ofstream(file) << gradient;
@@ -393,7 +394,7 @@ TEST(Interrupts, SolveKeepsWhatIsDoneAndWhatItWasAt) {
   AtWork program(
       "saltus_solve --contact=event --solver=ceres_event,gd --iterations=1000000000 --threads=1 --json "
       "--progress=plain" +
-      Scene("two_balls"));
+      SceneFlag("two_balls"));
   ASSERT_TRUE(program.Says("event gd"));  // at work, it says
   const Outcome outcome = program.Interrupt();
   EXPECT_EQ(outcome.exit_code, 1);

@@ -13,7 +13,7 @@ using nlohmann::json;
 using testing::HasSubstr;
 
 std::string Solve(const std::string& problem) {
-  return "saltus_solve" + Scene(problem) + "--contact=event --progress=none ";
+  return "saltus_solve" + SceneFlag(problem) + "--contact=event --progress=none ";
 }
 const std::string kTwoBalls = Solve("two_balls") + "--steps=60 ";
 

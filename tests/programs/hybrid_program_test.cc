@@ -69,7 +69,7 @@ TEST(HybridProgram, EveryProblemIsSolved) {
   const struct {
     const char *program, *flags;
     double loss, within;
-  } kProblems[] = {
+  } kPrograms[] = {
       {"boost_converter", "--iterations=200", 0, 1e-12},
       {"bouncing_ball", "--solver=ceres_lm", 0, 1e-18},
       {"cart_pole_walls", "", 0, 1e-15},
@@ -85,7 +85,7 @@ TEST(HybridProgram, EveryProblemIsSolved) {
       {"turbo_car", "", 40.0 / 3, 1e-8},
       {"two_mass_hopper", "--solver=ceres_lm --iterations=200", 0.0184634928516979, 1e-9},
   };
-  for (const auto& problem : kProblems) {
+  for (const auto& problem : kPrograms) {
     SCOPED_TRACE(problem.program);
     const json document = RunHybrid(std::string(problem.program) + " " + problem.flags);
     ASSERT_EQ(document["runs"].size(), 1u);

@@ -122,7 +122,7 @@ std::string Recording() {
 }
 
 std::vector<Phase> Phases() {
-  const std::string two = Scene("two_balls") + "--progress=none ";
+  const std::string two = SceneFlag("two_balls") + "--progress=none ";
   const std::string crowd = " --scene=CROWD --progress=none ";
   return {
       {"audit_of_a_crowd",
@@ -175,14 +175,14 @@ std::vector<Phase> Phases() {
       {"search",
        "saltus_solve --progress=none --contact=event --solver=mode_search --iterations=1000000 --search_work=0 "
        "--search_starts=100000 --output_dir=FILES --json" +
-           Scene("multiple_collisions"),
+           SceneFlag("multiple_collisions"),
        When::kAtWork,
        5,
        true},
       {"search_with_constraints",
        "saltus_solve --progress=none --contact=event --solver=mode_search --iterations=1000000 --search_work=0 "
        "--search_starts=2000 --json" +
-           Scene("bank_shot"),
+           SceneFlag("bank_shot"),
        When::kAtWork,
        5,
        true},
@@ -283,7 +283,7 @@ TEST(Interrupted, ASolutionIsWrittenThoughItsStatesAreLeftOut) {
   ProcessAtWork program(
       "saltus_solve --progress=plain --contact=event,direct_toi --solver=gd --iterations=1000000000 "
       "--threads=2 --output_dir=" +
-          files.string() + " --json" + Scene("two_balls"),
+          files.string() + " --json" + SceneFlag("two_balls"),
       folder);
   program.WaitUntil([&] { return program.errors().find("direct_toi gd for") != std::string::npos; });
   program.Interrupt();

@@ -33,7 +33,7 @@ bool MakeDevice(const std::string& path, unsigned minor) {
   return file >= 0;
 }
 
-const std::string kBalls = Scene("two_balls") + "--contact=event --steps=24 --progress=none ";
+const std::string kBalls = SceneFlag("two_balls") + "--contact=event --steps=24 --progress=none ";
 
 class OutputFiles : public testing::TestWithParam<std::string> {
  protected:
@@ -162,22 +162,22 @@ TEST(Database, WhatIsNoRegularFileIsRefused) {
   fs::remove_all(folder);
 }
 
-class Replay : public testing::Test {
+class ReplayProgram : public testing::Test {
  protected:
-  Replay() : folder_(testing::TempDir() + "output_files_replay_" + std::to_string(getpid())) {
+  ReplayProgram() : folder_(testing::TempDir() + "output_files_replay_" + std::to_string(getpid())) {
     fs::remove_all(folder_);
     fs::create_directories(folder_);
     std::ofstream(folder_ / "motion.json")
         << R"({"bodies": [{"name": "ball", "radius": 0.2}], "times": [0, 0.1], "states": [[[0, 1, 2, 0]], [[0.2, 1, 2, 0]]]})";
   }
-  ~Replay() override { fs::remove_all(folder_); }
+  ~ReplayProgram() override { fs::remove_all(folder_); }
   std::string Command(const std::string& output) const {
     return "saltus_replay " + (folder_ / "motion.json").string() + " --output=" + output;
   }
   fs::path folder_;
 };
 
-TEST_F(Replay, WritesThroughADevice) {
+TEST_F(ReplayProgram, WritesThroughADevice) {
   const std::string null = (folder_ / "null").string(), full = (folder_ / "full").string();
   if (!MakeDevice(null, kNull) || !MakeDevice(full, kFull)) GTEST_SKIP() << "devices cannot be made here";
   EXPECT_EQ(RunProgram(Command(null)).exit_code, 0);
@@ -187,7 +187,7 @@ TEST_F(Replay, WritesThroughADevice) {
   for (const std::string& path : {null, full}) EXPECT_TRUE(fs::is_character_file(fs::symlink_status(path))) << path;
 }
 
-TEST_F(Replay, WritesThroughALinkToStandardOutput) {
+TEST_F(ReplayProgram, WritesThroughALinkToStandardOutput) {
   const Outcome outcome = RunProgram(Command("/dev/stdout") + " | cat");
   EXPECT_THAT(outcome.output, AllOf(HasSubstr("</html>"), HasSubstr("/dev/stdout\n")));
   EXPECT_THAT(outcome.errors, Not(HasSubstr("error")));

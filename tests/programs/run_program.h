@@ -6,7 +6,7 @@
 
 namespace saltus {
 
-inline std::string Scene(const std::string& name) {
+inline std::string SceneFlag(const std::string& name) {
   return " --scene=" + SourceFolder() + "/problems/" + name + ".yaml ";
 }
 

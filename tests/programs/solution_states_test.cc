@@ -34,7 +34,7 @@ std::string Write(const std::string& name, const json& document) {
 const std::vector<double>& Doubles(const NpyArray& array) { return std::get<std::vector<double>>(array.data); }
 
 TEST(SolutionStates, EveryRunHasItsFinalStates) {
-  const json run = Solve("--contact=direct_toi --solver=gd --iterations=3" + Scene("two_balls"))["runs"][0];
+  const json run = Solve("--contact=direct_toi --solver=gd --iterations=3" + SceneFlag("two_balls"))["runs"][0];
   ASSERT_EQ(run["final_state"].size(), 2u);
   ASSERT_EQ(run["exact_final_state"].size(), 2u);
   // The loss is |target ball|^2 + 0.1 * integral |u|^2.
@@ -51,7 +51,8 @@ TEST(SolutionStates, EveryRunHasItsFinalStates) {
 }
 
 TEST(SolutionStates, StatesAreThoseOfTheRollout) {
-  const json document = Solve("--contact=direct_toi,event --solver=gd --iterations=2 --states" + Scene("two_balls"));
+  const json document =
+      Solve("--contact=direct_toi,event --solver=gd --iterations=2 --states" + SceneFlag("two_balls"));
   EXPECT_EQ(document["bodies"][1]["name"], "target");
   for (const json& run : document["runs"]) {
     ASSERT_EQ(run["times"].size(), 481u);
@@ -70,7 +71,7 @@ TEST(SolutionStates, StatesAreThoseOfTheRollout) {
 
 // Angle and angular velocity come after position and velocity, and a solution's spin is where another run begins.
 TEST(SolutionStates, DiscsThatSpinHaveSixNumbers) {
-  const std::string spin = "--solver=ceres_lm --iterations=60" + Scene("back_spin");
+  const std::string spin = "--solver=ceres_lm --iterations=60" + SceneFlag("back_spin");
   const json document = Solve("--contact=event,compliant_brax --states " + spin);
   for (const json& run : document["runs"]) {
     const json &states = run["states"], &last = run["final_state"];
@@ -96,7 +97,7 @@ TEST(SolutionStates, DiscsThatSpinHaveSixNumbers) {
 }
 
 TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
-  const json document = Solve("--contact=direct,event --solver=none" + Scene("two_balls"));
+  const json document = Solve("--contact=direct,event --solver=none" + SceneFlag("two_balls"));
   ASSERT_EQ(document["runs"].size(), 2u);
   for (const json& run : document["runs"]) {
     EXPECT_EQ(run["termination"], "converged");
@@ -106,7 +107,7 @@ TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
     EXPECT_EQ(run["certificate"]["verdict"], "not_stationary");
   }
   EXPECT_EQ(document["runs"][1]["loss"], document["runs"][1]["exact_loss"]);
-  const json launch = Solve("--contact=event --solver=none" + Scene("ground_wall"))["runs"][0];
+  const json launch = Solve("--contact=event --solver=none" + SceneFlag("ground_wall"))["runs"][0];
   EXPECT_EQ(launch["termination"], "converged");
   EXPECT_FALSE(launch.contains("certificate"));
 }
@@ -114,7 +115,7 @@ TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
 // What one program has found, the other confirms: loss, certificate and intervals of other lengths included.
 TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
   const std::string directory = TempFile("solutions");
-  const std::string scene = Scene("two_balls");
+  const std::string scene = SceneFlag("two_balls");
   const json best = Solve("--contact=event --solver=ceres_event --output_dir=" + directory + scene)["runs"][0];
   ASSERT_EQ(best["termination"], "converged");
   const std::string json_file = Write("best.json", best);
@@ -165,7 +166,7 @@ TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {
 }
 
 TEST(SolutionStates, AVelocityIsAWarmStartToo) {
-  const std::string scene = Scene("ground_wall");
+  const std::string scene = SceneFlag("ground_wall");
   const json first = Solve("--contact=direct_toi --solver=gd --iterations=20" + scene)["runs"][0];
   const std::string file = Write("launch.json", {{"velocity", first["velocity"]}});
   const json second = Solve("--contact=direct_toi --solver=gd --iterations=10 --warm_start=" + file + scene)["runs"][0];
@@ -175,7 +176,7 @@ TEST(SolutionStates, AVelocityIsAWarmStartToo) {
 }
 
 TEST(SolutionStates, WrongFilesAreRefusedByPlace) {
-  const std::string scene = Scene("two_balls");
+  const std::string scene = SceneFlag("two_balls");
   const json row = json::array({json::array({1, 2})});
   const struct {
     std::string flags, message;

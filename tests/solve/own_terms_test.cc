@@ -53,6 +53,61 @@ struct Effort {
   }
 };
 
+// Torques over the steps, as the effort of an objective, for a disc of the radius 0.2.
+struct TorqueEffort {
+  double weight;
+  template <typename T>
+  bool operator()(const T* torque, const T* h, T* residuals) const {
+    using std::sqrt;
+    residuals[0] = sqrt(weight * h[0]) * torque[0] / 0.2;
+    return true;
+  }
+};
+
+struct RotationMiss {
+  template <typename T>
+  bool operator()(const T* rotation, T* residuals) const {
+    residuals[0] = rotation[0] - 1.5;
+    residuals[1] = sqrt(0.3) * (rotation[1] - 2.0);
+    return true;
+  }
+};
+
+TEST(OwnTerms, SeeRotationsAndTorques) {
+  Scene scene = Problem();
+  for (Body& body : scene.bodies) body.inertia.kind = Inertia::Kind::kSolid;
+  scene.control.turned = {0};
+  scene.control.initial_torque = {0};
+  Scene with = scene;
+  with.objective.terminal.push_back(
+      {.body = 0, .quantity = TerminalTerm::Quantity::kAngle, .target = {1.5, 0}, .weight = 1});
+  with.objective.terminal.push_back(
+      {.body = 0, .quantity = TerminalTerm::Quantity::kAngularVelocity, .target = {2, 0}, .weight = 0.3});
+  with.objective.effort *= 1.5;
+  const SolveReport known = SolveWith(with, {});
+  ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
+
+  OwnTerm rotation{.name = "rotation", .at = OwnTerm::At::kEnd, .rotations = {0}};
+  rotation.function = std::make_shared<ceres::AutoDiffCostFunction<RotationMiss, 2, 2>>(new RotationMiss);
+  OwnTerm torque{.name = "torque", .at = OwnTerm::At::kEachStep, .torques = {0}, .with_length = true};
+  torque.function = std::make_shared<ceres::AutoDiffCostFunction<TorqueEffort, 1, 1, 1>>(
+      new TorqueEffort{0.5 * scene.objective.effort});
+  OwnTerm effort{.name = "effort", .at = OwnTerm::At::kEachStep, .forces = {0}, .with_length = true};
+  effort.function =
+      std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * scene.objective.effort});
+  const SolveReport own = SolveWith(scene, {rotation, torque, effort});
+  ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
+  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-8 * known.final_loss);
+  ASSERT_EQ(own.control.size(), known.control.size());
+  for (std::size_t i = 0; i < own.control.size(); ++i) EXPECT_NEAR(own.control[i], known.control[i], 1e-4);
+
+  rotation.at = OwnTerm::At::kEachStep;
+  rotation.rotations = {1};
+  EXPECT_THAT(SolveWith(scene, {rotation}).reason, HasSubstr("rotation in each step of disc 1"));
+  torque.torques = {1};
+  EXPECT_THAT(SolveWith(scene, {torque}).reason, HasSubstr("torque on disc 1"));
+}
+
 TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
   Scene with = Problem();
   with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .weight = 2.5});
@@ -147,6 +202,9 @@ struct Mixed {
 // values of the function in SI units, and its derivatives.
 TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   const Units units{.length = 4, .time = 0.5, .mass = 8, .loss = 32, .origin = Vec2d(64, -128)};
+  Scene scene;
+  scene.units = units;
+  scene.bodies.resize(2);
   OwnTerm term{.role = OwnTerm::Role::kEquality, .states = {0, 1}, .forces = {0}, .with_length = true, .scale = 0.25};
   term.function = std::make_shared<ceres::AutoDiffCostFunction<Mixed, 2, 4, 4, 2, 1>>(new Mixed);
   const std::array<double, 4> x{0.3, -0.7, 1.1, 0.6}, y{-0.2, 0.9, -1.3, 0.4};
@@ -166,7 +224,7 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
     std::array<double, 2> expected;
     Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
 
-    const OwnTermCost cost(term, units, kSteps);
+    const OwnTermCost cost(term, scene, kSteps);
     std::vector<const double*> blocks{x.data(), y.data(), u.data()};
     if (steps) blocks.push_back(&kBegin);
     blocks.push_back(&kEnd);
@@ -182,9 +240,9 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   term.role = OwnTerm::Role::kCost;
   std::array<double, 2> constraint, residuals;
   const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kEnd};
-  ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
+  ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
   term.role = OwnTerm::Role::kEquality;
-  ASSERT_TRUE(OwnTermCost(term, units, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
+  ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
   for (int r = 0; r < 2; ++r)
     EXPECT_NEAR(
         residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);

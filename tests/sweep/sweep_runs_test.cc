@@ -29,9 +29,9 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
 
-constexpr int kPoints = 10'000;
+constexpr int kManyPoints = 10'000;
 constexpr int kGates = 10;
-constexpr int kPointsPerGate = kPoints / kGates;  // of which one waits
+constexpr int kPointsPerGate = kManyPoints / kGates;  // of which one waits
 const char kCheapSweep[] =
     " --contact=direct_toi --solver=none --steps=6 --sweep='stiffness=1:10000:lin:10000' --progress=none --threads=2";
 
@@ -102,10 +102,10 @@ class SweepRunsTest : public testing::Test {
  protected:
   // What a sweep that nothing disturbed prints. Computed once.
   static void SetUpTestSuite() {
-    const Outcome outcome = RunProgram("saltus_sweep" + Scene("two_balls") + kCheapSweep);
+    const Outcome outcome = RunProgram("saltus_sweep" + SceneFlag("two_balls") + kCheapSweep);
     ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
     undisturbed_ = outcome.output;
-    ASSERT_EQ(std::count(undisturbed_.begin(), undisturbed_.end(), '\n'), kPoints + 1);
+    ASSERT_EQ(std::count(undisturbed_.begin(), undisturbed_.end(), '\n'), kManyPoints + 1);
   }
 
   void SetUp() override {
@@ -118,7 +118,7 @@ class SweepRunsTest : public testing::Test {
   }
 
   std::string Command(const std::string& more) const {
-    return BuildFolder() + "/bin/saltus_sweep" + Scene("two_balls") + more + " --output_dir=" + directory_;
+    return BuildFolder() + "/bin/saltus_sweep" + SceneFlag("two_balls") + more + " --output_dir=" + directory_;
   }
   std::string Cheap(const std::string& more = "") const { return Command(kCheapSweep + (" " + more)); }
   std::string Store() const { return directory_ + "/sweep.sqlite"; }
@@ -131,11 +131,11 @@ class SweepRunsTest : public testing::Test {
     const std::string file = gates_ + "/points.csv";
     std::ofstream points(file);
     points << "contact,stiffness\n";
-    for (int i = 0; i < kPoints; ++i) {
+    for (int i = 0; i < kManyPoints; ++i) {
       const bool waits = i % kPointsPerGate == kPointsPerGate / 2;
       points << (waits ? "gate:number=" + std::to_string(i / kPointsPerGate) : "direct_toi") << "," << i + 1 << "\n";
     }
-    return "env SALTUS_GATES=" + gates_ + " " SALTUS_GATED_SWEEP + Scene("two_balls") + " --sweep=@" + file +
+    return "env SALTUS_GATES=" + gates_ + " " SALTUS_GATED_SWEEP + SceneFlag("two_balls") + " --sweep=@" + file +
            " --solver=none --steps=6 --progress=none --threads=2 --output_dir=" + directory_ + " " + more;
   }
   // At how many gates from `first` on a point is or was.
@@ -164,7 +164,7 @@ class SweepRunsTest : public testing::Test {
     std::map<int64_t, int64_t> after = StoredPoints(Store());
     EXPECT_TRUE(Contains(after, before)) << "a finished point was lost or computed again";
     EXPECT_GE(after.size(), static_cast<size_t>(open * kPointsPerGate));
-    EXPECT_LT(after.size(), static_cast<size_t>(kPoints));
+    EXPECT_LT(after.size(), static_cast<size_t>(kManyPoints));
     return after;
   }
 
@@ -172,7 +172,7 @@ class SweepRunsTest : public testing::Test {
   std::string UndisturbedGated() {
     const Outcome outcome = RunWithOpenGates(Gated("--output_dir=" + scratch_ + "/undisturbed"));
     EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-    EXPECT_EQ(std::count(outcome.output.begin(), outcome.output.end(), '\n'), kPoints + 1);
+    EXPECT_EQ(std::count(outcome.output.begin(), outcome.output.end(), '\n'), kManyPoints + 1);
     return outcome.output;
   }
 
@@ -194,7 +194,7 @@ TEST_F(SweepRunsTest, KilledAtManyMomentsItLosesNothingAndComputesNothingTwice) 
   const Outcome outcome = RunWithOpenGates(Gated());
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
   const std::map<int64_t, int64_t> all = StoredPoints(Store());
-  EXPECT_EQ(all.size(), static_cast<size_t>(kPoints));
+  EXPECT_EQ(all.size(), static_cast<size_t>(kManyPoints));
   EXPECT_TRUE(Contains(all, points));
   EXPECT_TRUE(outcome.output == undisturbed);
   // And once more: nothing is left to compute.
@@ -246,7 +246,7 @@ TEST_F(SweepRunsTest, AnInterruptStopsItCleanly) {
   const StatusOr<CsvDocument> csv = ReadCsv(directory_ + "/sweep.csv");
   ASSERT_TRUE(csv.ok()) << csv.status().message();
   EXPECT_GT(csv->rows.size(), 0u);
-  EXPECT_LT(csv->rows.size(), static_cast<size_t>(kPoints));
+  EXPECT_LT(csv->rows.size(), static_cast<size_t>(kManyPoints));
   EXPECT_EQ(csv->rows.size(), StoredPoints(Store()).size());
   for (const std::vector<std::string>& row : csv->rows) {
     EXPECT_EQ(row[*csv->Find("reason")], "");
@@ -336,14 +336,14 @@ TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
     }
   }
   EXPECT_EQ(solved->rows.back()[*solved->Find("kind")], "all");
-  const Outcome both = RunCommand(BuildFolder() + "/bin/saltus_sweep --sweep=seed=1,2 " + Scene("two_balls"));
+  const Outcome both = RunCommand(BuildFolder() + "/bin/saltus_sweep --sweep=seed=1,2 " + SceneFlag("two_balls"));
   EXPECT_EQ(both.exit_code, 2);
   EXPECT_THAT(both.errors, HasSubstr("--scene"));
 }
 
 // Monte Carlo: each point has the runs of a seed, whichever process computes it.
 TEST_F(SweepRunsTest, FeedbackHasColumnsThatThreadsDoNotChange) {
-  const std::string sweep = "saltus_sweep" + Scene("two_balls") +
+  const std::string sweep = "saltus_sweep" + SceneFlag("two_balls") +
                             "--contact=event --steps=60 --progress=none --feedback --feedback_samples=60 "
                             "--sweep='feedback_scale=0.1,1; feedback_seed=1,2' ";
   const Outcome one = RunProgram(sweep + "--solver=none --threads=1");
@@ -371,8 +371,20 @@ TEST_F(SweepRunsTest, FeedbackHasColumnsThatThreadsDoNotChange) {
   EXPECT_THAT(program.output, HasSubstr("open_error_first_order"));
 }
 
+TEST_F(SweepRunsTest, OptimizedParametersHaveColumns) {
+  const Outcome outcome = RunProgram("saltus_sweep" + Scene("post_shot") +
+                                     " --contact=event --solver=ceres_event --sweep=steps=24,48 --progress=none");
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
+  ASSERT_TRUE(csv.ok());
+  ASSERT_EQ(csv->rows.size(), 2u);
+  for (const char* name : {"position.post.x", "position.post.y", "mass.target"}) ASSERT_TRUE(csv->Find(name)) << name;
+  EXPECT_EQ(csv->rows[1][*csv->Find("position.post.y")], "-0.3");
+  EXPECT_EQ(csv->rows[1][*csv->Find("mass.target")], "0.5");
+}
+
 TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
-  const std::string base = BuildFolder() + "/bin/saltus_sweep" + Scene("two_balls") + "--sweep=stiffness=1,2 ";
+  const std::string base = BuildFolder() + "/bin/saltus_sweep" + SceneFlag("two_balls") + "--sweep=stiffness=1,2 ";
   const struct {
     std::string flags, message;
   } cases[] = {{"--shard=0/3 --output_dir=" + directory_, "--shard=0/3"},
@@ -418,7 +430,7 @@ TEST_F(SweepOnRanksTest, TheNumberOfRanksChangesNothing) {
     const Outcome outcome = RunCommand(OnRanks(ranks, Cheap("--threads=1")));
     EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
     EXPECT_TRUE(outcome.output == undisturbed_) << ranks << " ranks";
-    EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kPoints));
+    EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kManyPoints));
     std::filesystem::remove_all(directory_);
   }
 }
@@ -451,7 +463,7 @@ TEST_F(SweepOnRanksTest, ARankThatDiesLosesOnlyItsCurrentPoint) {
   EXPECT_EQ(kill(ReadProcessId(ids + ".2"), SIGKILL), 0);
   OpenGates(kGates);
   EXPECT_EQ(program.Wait(), 0);  // and does end
-  EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kPoints));
+  EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kManyPoints));
   EXPECT_TRUE(ReadFile(directory_ + "/sweep.csv").value() == UndisturbedGated());
 }
 

@@ -55,6 +55,14 @@ struct OwnDifferences {
   double gradient = 0, difference = 0;
 };
 
+// A gradient by a parameter of the scene beside the differences of the model's own loss.
+struct ParameterAudit {
+  std::string name;  // scene_parameter.h
+  double gradient = 0;
+  std::optional<double> difference;     // if they settle
+  Verdict verdict = Verdict::kUnknown;  // kRight, kWrong, kWrongSign; kUnknown without differences
+};
+
 struct AuditOptions {
   RefinementOptions refinement = {};
   bool attribution = true;         // of wrong gradients to contacts
@@ -106,6 +114,7 @@ struct ModelAudit {
   std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
   std::optional<ContactRecognition> recognition;  // if there is a gradient
   std::optional<OwnDifferences> own;              // likewise, unless it is biased
+  std::vector<ParameterAudit> parameters;         // likewise; those that the loss depends on
   std::string not_comparable;                     // why verdict is kNotApplicable
   bool interrupted = false;                       // before all that was asked for was found; the verdict may be missing
   std::vector<Tie> ambiguous;                     // those of the reference

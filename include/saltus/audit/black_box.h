@@ -30,6 +30,7 @@ struct Question {
   std::vector<double> control;   // steps x C x 2; of kStep, B x 2
   std::vector<double> of_final;  // kGradient: B x 4
   bool states = false;           // kSimulate: those in between, too, of simulators that give them
+  bool parameters = false;       // kGradient: by parameters of the scene, too, of simulators that give them
 };
 
 struct Answer {
@@ -38,6 +39,8 @@ struct Answer {
   std::vector<double> states;   // (steps / grid_steps + 1) x B x 4, if asked for
   std::vector<double> initial;  // kGradient: B x 4
   std::vector<double> control;  // kGradient: steps x C x 2
+  // kGradient: derivatives by parameters, with their names (scene_parameter.h), if asked for and given.
+  std::vector<std::pair<std::string, double>> parameters;
 };
 
 // What a black box says of itself and of a scene.

@@ -38,6 +38,11 @@ struct OwnTerm {
   std::vector<int> states = {};
   //   [u_x u_y] on each of these discs, which are controlled, held over the step; of each step only
   std::vector<int> forces = {};
+  //   [angle, angular velocity] of each of these discs, which spin, rad and rad/s; of each step only of discs with a
+  //   torque control, as the others turn evenly between impacts
+  std::vector<int> rotations = {};
+  //   [torque] on each of these discs, which have a torque control, N m, held over the step; of each step only
+  std::vector<int> torques = {};
   //   if asked for, the length of the step, or the final time
   bool with_length = false;
 

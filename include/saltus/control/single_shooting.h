@@ -32,12 +32,12 @@ class WayCosts;
 class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
-  // The simulator of the scene with another duration or other values of its design parameters.
+  // The simulator of the scene with another duration or other values of its design parameters; null if the contact
+  // model cannot take that one.
   using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time
-  // in exact dynamics only, and design parameters only without path costs and a free final time; else they stay as they
-  // are in the scene.
+  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time,
+  // and design parameters beside path costs, in exact dynamics only; else they stay as they are in the scene.
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
                           OfScene of_scene = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
@@ -114,6 +114,8 @@ class SingleShooting final : public ShootingFunction {
   // Moves on to the simulator of the scene that z stands for; returns why there is none, or nothing.
   std::string SetScene(std::span<const double> z);
   void WayGradient(std::span<const double> z, double* gradient);
+  template <typename Numbers, typename Put>
+  void DifferenceByParameters(const Numbers& numbers, const Put& put);
   // z without the design parameters.
   std::span<const double> WithoutDesign(std::span<const double> z) const { return z.first(z.size() - num_design_); }
   // The control that z stands for, without a copy.
@@ -130,6 +132,7 @@ class SingleShooting final : public ShootingFunction {
   ParameterGradient parameters_;
   std::unique_ptr<WayCosts> way_;  // null if the loss is that of the end and the effort
   std::string way_failure_;
+  std::vector<double> at_;  // with path costs: where the last rollout was
   StopRequest stop_;
   bool controls_;  // z is the control
   std::vector<double> guess_;

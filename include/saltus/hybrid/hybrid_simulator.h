@@ -126,6 +126,9 @@ class HybridSimulator {
   int final_mode() const;
   std::span<const double> final_state() const;
   const std::vector<HybridEvent>& events() const;
+  // Where the mode changes as the control jumps, as that of a closed contact whose force is another one then: without
+  // states, and with guard -1.
+  const std::vector<HybridEvent>& switches() const;
   const std::vector<HybridGrazing>& grazings() const;
   const std::vector<HybridTie>& ties() const;
   // Mode and state at the beginning of control interval k, or at the end for k = K: after events there.

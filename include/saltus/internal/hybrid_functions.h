@@ -56,11 +56,16 @@ class HybridFunctions {
   virtual void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
                             double* jacobian) const = 0;
 
-  // A step of the integration in one call, with the flow in its loop (runge_kutta_step.h): x', given the slope at the
-  // beginning; and the slopes of all stages and their Jacobians, each one after the other. `scratch` has room for as
-  // many slopes and a state.
-  virtual void Step(const FlowStep& step, const double* slope, double* scratch, double* after) const;
+  // A step of the integration in one call, with the flow in its loop (runge_kutta_step.h): x' and the slope there,
+  // given the slope at the beginning; the slopes of all stages and their Jacobians, each one after the other. `scratch`
+  // has room for as many slopes and a state.
+  virtual void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
+                    double* slope_after) const;
   virtual void LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const;
+  // Pulls a cotangent of x' back; false if the step has to be linearized first.
+  virtual bool PullBackStep(const FlowStep& /*step*/, const double* /*after*/, StepCotangent* /*out*/) const {
+    return false;
+  }
 
   virtual double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const = 0;
   // And its derivative by time along xdot, under a control that is held.
@@ -107,9 +112,14 @@ class HybridFunctions {
   // event.
   virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
 
-  // Whether modes are created as a motion meets them, and guards of modes that project depend on the control. Solvers
-  // in phases, the search over event sequences and the certificate support the other modes of such systems only.
+  // Whether modes are created as a motion meets them. Their states are all of one size, and which of them a reset leads
+  // to does not change the state after it, which is finite, even if there is no next mode, where it is known.
   virtual bool CreatesModes() const { return false; }
+  // Of these: the modes that a guard's reset may lead to, or with guard -1 a jump of the control.
+  virtual std::vector<int> NextModes(int /*mode*/, int /*guard*/, const double* /*p*/) const { return {}; }
+
+  // Whether a guard depends on the control.
+  virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
 
   // Whether the resets themselves end an accumulation of events (Zeno behaviour).
   virtual bool EndsAccumulations() const { return false; }
@@ -146,33 +156,43 @@ class HybridFunctionsOf final : public HybridFunctions {
     });
   }
 
-  void Step(const FlowStep& step, const double* slope, double* /*scratch*/, double* after) const override {
+  void Step(const FlowStep& step, const double* slope, double* /*scratch*/, double* after,
+            double* slope_after) const override {
     InMode(step.mode, [&](auto mode) {
       const auto flow = [&](double t, const double* x, double* xdot) {
         system_.Flow(mode, t, x, step.u, step.p, xdot);
       };
-      EvaluateStep<S::kStateSizes[mode]>(step, flow, slope, after);
+      EvaluateStep<S::kStateSizes[mode]>(step, flow, slope, after, slope_after);
     });
   }
   void LinearizeStep(const FlowStep& step, double* /*scratch*/, double* slopes, double* jacobians) const override {
     InMode(step.mode, [&](auto mode) {
       constexpr int kSize = S::kStateSizes[mode], kColumns = kSize + 1 + S::kNumParameters + S::kNumControls;
-      // In one pass, what is differentiated by is the same at all stages but for its values.
-      Variables v;
-      if constexpr (kColumns <= kStride) Seed(kSize, S::kNumControls, step.t, step.x, step.p, step.u, 0, &v);
-      const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
-        if constexpr (kColumns <= kStride) {
-          for (int i = 0; i < kSize; ++i) v.x[i].a = x[i];
-          v.t.a = t;
-          std::array<Jet, kMostStates> out;
-          system_.Flow(mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
-          Unpack(out, kSize, 0, kColumns, kColumns, slope, jacobian);
-        } else {
+      if constexpr (kColumns <= kStride) {
+        std::array<Jet, cooper_verner::kStages * kSize> stages;
+        LinearizeInOnePass<mode>(step, slopes, stages.data());
+        for (const Jet& row : stages) jacobians = std::copy_n(row.v.data(), kColumns, jacobians);
+      } else {
+        const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
           HybridFunctionsOf::FlowJacobian(mode, t, x, step.u, step.p, slope, jacobian);
-        }
-      };
-      saltus::LinearizeStep<kSize>(step, kSize * kColumns, flow, slopes, jacobians);
+        };
+        saltus::LinearizeStep<kSize>(step, kSize * kColumns, flow, slopes, jacobians);
+      }
     });
+  }
+  bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override {
+    bool in_one_pass = false;
+    InMode(step.mode, [&](auto mode) {
+      constexpr int kSize = S::kStateSizes[mode], kStages = cooper_verner::kStages;
+      if constexpr (kSize + 1 + S::kNumParameters + S::kNumControls <= kStride) {
+        in_one_pass = true;
+        std::array<double, kStages * kSize> slopes;
+        static thread_local std::array<Jet, kStages * kSize> stages;  // Jets take time to be constructed
+        LinearizeInOnePass<mode>(step, slopes.data(), stages.data());
+        PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.data(), after, out);
+      }
+    });
+    return in_one_pass;
   }
 
   double Guard(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p) const override {
@@ -269,6 +289,27 @@ class HybridFunctionsOf final : public HybridFunctions {
       Seed(states, controls, t, x, p, u, first, &v);
       function(v, first, std::min(kStride, columns - first), columns);
     }
+  }
+
+  // The slopes of all stages of a step, and their Jets. What is differentiated by is the same at all of them but for
+  // its values.
+  template <int kMode>
+  void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
+    constexpr int kSize = S::kStateSizes[kMode];
+    Variables v;
+    Seed(kSize, S::kNumControls, step.t, step.x, step.p, step.u, 0, &v);
+    // With the flow inlined, the compiler sees that what it reads and what it writes are apart.
+    const auto flow = [&](double t, const double* x, double* slope, Jet* stage) __attribute__((flatten, noinline)) {
+      for (int i = 0; i < kSize; ++i) v.x[i].a = x[i];
+      v.t.a = t;
+      std::array<Jet, kMostStates> out;
+      system_.Flow(kMode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+      for (int i = 0; i < kSize; ++i) {
+        stage[i] = out[i];
+        slope[i] = out[i].a;
+      }
+    };
+    saltus::LinearizeStep<kSize>(step, kSize, flow, slopes, stages);
   }
 
   template <std::size_t kSize>

@@ -303,6 +303,9 @@ class MechanicalFunctionsOf final : public MechanicalFunctions {
       layout = system.Layout();
     }
     if (layout.has_friction.empty()) layout.has_friction.assign(layout.num_contacts, kHasSlide || kHasRows);
+    if constexpr (requires(const S& s, const double* q) { s.Reach(0, q, q); }) {
+      if (layout.has_reach.empty()) layout.has_reach.assign(layout.num_contacts, 1);
+    }
     return layout;
   }
 

@@ -5,9 +5,11 @@
 //   k_i = f(t + c_i h, X_i),   X_i = x + h sum_{j < i} a_ij k_j,   x' = x + h sum_i b_i k_i.
 #pragma once
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <type_traits>
 #include <utility>
 
 namespace saltus {
@@ -85,17 +87,22 @@ constexpr std::array<Row, kStages + 1> MakeRows() {
 }
 inline constexpr std::array<Row, kStages + 1> kRows = MakeRows();
 
+// Calls function(stage, factor) for each term of row kRow.
+template <int kRow, typename Function>
+[[gnu::always_inline]] inline void ForTerms(const Function& function) {
+  [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
+    (function(kRows[kRow].terms[k].stage, kRows[kRow].terms[k].factor), ...);
+  }
+  (std::make_index_sequence<kRows[kRow].count>());
+}
+
 // out = x + h sum of the slopes of row kRow, which stand one after the other.
 template <int kRow, int kSize>
 [[gnu::always_inline]] inline void Combine(double h, const double* x, const double* slopes, double* out) {
   double sum[kSize] = {};
-  [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
-    [[maybe_unused]] const auto add = [&](double factor, const double* slope) __attribute__((always_inline)) {
-      for (int i = 0; i < kSize; ++i) sum[i] += factor * slope[i];
-    };
-    (add(kRows[kRow].terms[k].factor, slopes + kRows[kRow].terms[k].stage * kSize), ...);
-  }
-  (std::make_index_sequence<kRows[kRow].count>());
+  ForTerms<kRow>([&](int stage, double factor) __attribute__((always_inline)) {
+    for (int i = 0; i < kSize; ++i) sum[i] += factor * slopes[stage * kSize + i];
+  });
   for (int i = 0; i < kSize; ++i) out[i] = x[i] + h * sum[i];
 }
 // The same of a state whose size is known as the program runs.
@@ -118,11 +125,13 @@ struct FlowStep {
   const double* x = nullptr;  // state of the mode
   const double* u = nullptr;  // control
   const double* p = nullptr;  // parameters
+  // What follows is put onto the equations of the mode (HybridFunctions::Project).
+  bool projects = false;
 };
 
-// Evaluates x' by flow(t, X, k), given k_0.
+// Evaluates x' and the slope there by flow(t, X, k), given k_0.
 template <int kSize, typename Flow>
-void EvaluateStep(const FlowStep& step, const Flow& flow, const double* slope, double* after) {
+void EvaluateStep(const FlowStep& step, const Flow& flow, const double* slope, double* after, double* slope_after) {
   using namespace cooper_verner;
   double x[kSize], stage[kSize], slopes[kStages * kSize];
   std::copy_n(step.x, kSize, x);
@@ -134,12 +143,13 @@ void EvaluateStep(const FlowStep& step, const Flow& flow, const double* slope, d
   }
   (std::make_index_sequence<kStages - 1>());
   Combine<kStages, kSize>(step.h, x, slopes, after);
+  flow(step.t + step.h, after, slope_after);
 }
 
-// Evaluates all k_i and the Jacobians of f at the stages, `stride` numbers each, by flow(t, X, k, jacobian).
-template <int kSize, typename FlowJacobian>
+// Evaluates all k_i and the Jacobians of f at the stages, `stride` numbers or Jets each, by flow(t, X, k, jacobian).
+template <int kSize, typename FlowJacobian, typename Number>
 void LinearizeStep(const FlowStep& step, std::size_t stride, const FlowJacobian& flow, double* slopes,
-                   double* jacobians) {
+                   Number* jacobians) {
   using namespace cooper_verner;
   double stage[kSize];
   [&]<std::size_t... i>(std::index_sequence<i...>) __attribute__((always_inline)) {
@@ -148,6 +158,58 @@ void LinearizeStep(const FlowStep& step, std::size_t stride, const FlowJacobian&
      ...);
   }
   (std::make_index_sequence<kStages>());
+}
+
+// A cotangent of all that a step depends on.
+struct StepCotangent {
+  double* x;      // overwritten
+  double t, h;    // overwritten
+  double *p, *u;  // added to
+};
+
+// Pulls a cotangent of x' back, given the Jets of the slopes of all stages, one after the other, with derivatives by
+// [x t p u]. `after` and out->x may be the same.
+template <int kSize, int kParameters, int kControls, typename Jet>
+void PullBackStages(double h, const Jet* slopes, const double* after, StepCotangent* out) {
+  using namespace cooper_verner;
+  using Variables = std::decay_t<decltype(slopes->v)>;
+  double of_slopes[kStages][kSize] = {};  // divided by h
+  // Adds the cotangent of x + h sum of the slopes of a row.
+  const auto add = [&](const Variables& cotangent) __attribute__((always_inline)) {
+    return [&](int stage, double factor) __attribute__((always_inline)) {
+      for (int j = 0; j < kSize; ++j) of_slopes[stage][j] += factor * cotangent[j];
+    };
+  };
+  Variables sum;
+  for (int j = 0; j < kSize; ++j) sum[j] = after[j];
+  sum[kSize] = 0;
+  for (int j = 0; j < kParameters; ++j) sum[kSize + 1 + j] = out->p[j];
+  for (int j = 0; j < kControls; ++j) sum[kSize + 1 + kParameters + j] = out->u[j];
+  ForTerms<kStages>(add(sum));
+  double by_h = 0;
+  const auto pull_back = [&]<std::size_t kStage>(std::integral_constant<std::size_t, kStage>)
+      __attribute__((always_inline)) {
+    const Jet* slope = slopes + kStage * kSize;
+    const double* of_slope = of_slopes[kStage];
+    Variables of_stage = (h * of_slope[0]) * slope[0].v;
+    by_h += of_slope[0] * slope[0].a;
+    for (int row = 1; row < kSize; ++row) {
+      of_stage += (h * of_slope[row]) * slope[row].v;
+      by_h += of_slope[row] * slope[row].a;
+    }
+    by_h += kC[kStage] * of_stage[kSize];
+    sum += of_stage;
+    ForTerms<kStage>(add(of_stage));
+  };
+  [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
+    (pull_back(std::integral_constant<std::size_t, kStages - 1 - k>()), ...);
+  }
+  (std::make_index_sequence<kStages>());
+  for (int j = 0; j < kSize; ++j) out->x[j] = sum[j];
+  out->t = sum[kSize];
+  out->h = by_h;
+  for (int j = 0; j < kParameters; ++j) out->p[j] = sum[kSize + 1 + j];
+  for (int j = 0; j < kControls; ++j) out->u[j] = sum[kSize + 1 + kParameters + j];
 }
 
 }  // namespace saltus

@@ -26,10 +26,7 @@ class Tape {
   using PullBack = std::function<void(std::span<const double> outputs, std::span<double> inputs)>;
 
   // That of this thread, on which its operations are written.
-  static Tape& OfThread() {
-    static thread_local Tape tape;
-    return tape;
-  }
+  static Tape& OfThread();
 
   // Forgets everything; the memory stays.
   void Clear() {
@@ -75,14 +72,9 @@ class Taped {
   double value() const { return value_; }
   int place() const { return place_; }  // 0: it is constant
 
-  // What a and b give, with these derivatives.
-  static Taped Of(double value, const Taped& a, double by_a) {
-    return {value, a.place_ == 0 ? 0 : Tape::OfThread().Add(a.place_, by_a)};
-  }
-  static Taped Of(double value, const Taped& a, double by_a, const Taped& b, double by_b) {
-    if (a.place_ == 0 && b.place_ == 0) return Taped(value);
-    return {value, Tape::OfThread().Add(a.place_, by_a, b.place_, by_b)};
-  }
+  // What a and b give, with these derivatives. Not inline: the models' functions would be several times larger.
+  static Taped Of(double value, const Taped& a, double by_a);
+  static Taped Of(double value, const Taped& a, double by_a, const Taped& b, double by_b);
 
   friend Taped operator-(const Taped& a) { return Of(-a.value_, a, -1); }
   friend Taped operator+(const Taped& a, const Taped& b) { return Of(a.value_ + b.value_, a, 1, b, 1); }

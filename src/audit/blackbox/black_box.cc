@@ -379,6 +379,23 @@ ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& finding
   return gradient;
 }
 
+// The names of the parameters by which the box gives derivatives.
+std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
+                                         const StopRequest& stop) {
+  const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
+  Question question{Question::Kind::kGradient,
+                    steps,
+                    steps * scene.dt(),
+                    InitialState(scene),
+                    InitialControl(scene, steps),
+                    std::vector<double>(4 * scene.num_bodies(), 1.0)};
+  question.parameters = true;
+  std::vector<std::string> names;
+  const Answer answer = box->Ask(scene, {question}, stop).front();
+  for (const auto& [name, value] : answer.parameters) names.push_back(name);
+  return names;
+}
+
 // What the box could not be asked for any more, though it could before.
 bool HasFailed(BlackBox* box, const Scene& scene, ModelAudit* audit) {
   const BlackBoxTraits traits = TraitsFor(box, scene);
@@ -498,7 +515,12 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
       findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
     }
   }
-  if (!HasFailed(box.get(), scene, &audit)) Remark(audit, &findings);
+  if (HasFailed(box.get(), scene, &audit)) return audit;
+  Remark(audit, &findings);
+  if (traits.gradient && options.refinement.parameters && plan.Fits(0)) {
+    // A scene with other parameters is told to another copy of a command.
+    audit.parameters = CompareParameters(contact, scene, ParametersGiven(box.get(), scene, traits, stop), stop);
+  }
   return audit;
 }
 

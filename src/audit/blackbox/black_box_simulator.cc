@@ -8,6 +8,7 @@
 
 #include "saltus/control/contact_sequence.h"
 #include "saltus/scene/geometry.h"
+#include "saltus/scene/scene_parameter.h"
 #include "simulate/islands.h"
 
 namespace saltus {
@@ -140,8 +141,15 @@ void BlackBoxSimulator::AdjointInto(std::span<const double> cotangent, const Sen
 bool BlackBoxSimulator::AdjointByItself(std::span<const double> cotangent, const SensitivityView& out) {
   Question question = Ask(Kind::kGradient, num_steps_);
   question.of_final.assign(cotangent.begin(), cotangent.end());
+  question.parameters = out.parameters != nullptr && !scene_.design.empty();
   const Answer answer = AnswersTo({question}).front();
   if (!answer.error.empty()) return false;
+  for (std::size_t i = 0; question.parameters && i < scene_.design.size(); ++i) {
+    const std::string name = NameOf(scene_.design[i].parameter, scene_);
+    const auto given = std::ranges::find(answer.parameters, name, [](const auto& one) { return one.first; });
+    if (given == answer.parameters.end()) return false;
+    out.parameters->design.push_back(given->second);
+  }
   for (std::size_t i = 0; i < out.initial.size(); ++i) {
     out.initial[i] = scene_.bodies[i / kNumbers].fixed ? 0.0 : answer.initial[i];
   }

@@ -8,11 +8,13 @@
 #include <memory>
 #include <optional>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -26,13 +28,16 @@ constexpr double kTolerance = 1e-3;  // relative, by which a gradient may miss i
 constexpr double kSettled = 0.1;     // of the miss, by which slopes of neighbouring widths may differ
 constexpr double kJumps = 0.5;       // of the change of loss over a width, that over the next: it does not vanish
 constexpr int kMostJumps = 3;        // widths in a row
+constexpr int kMostDiscs = 16;       // of a scene whose parameters are compared
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 // The loss of a model as a function of some of its variables.
 class Loss {
  public:
-  Loss(const Contact& contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop)
-      : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables), gradient_(shooting_.num_variables()) {
+  Loss(const Contact& contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop,
+       SingleShooting::OfScene of_scene = nullptr)
+      : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables, std::move(of_scene)),
+        gradient_(shooting_.num_variables()) {
     shooting_.set_stop(stop);
     ok_ = shooting_.Evaluate(shooting_.initial_guess(), &value_, gradient_.data());
   }
@@ -70,13 +75,15 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   std::array<double, 2> before = {kNan, kNan};
   std::array<std::optional<double>, 2> settled;  // on another slope, on either side
   std::array<double, 2> change_before = {kNan, kNan};
-  int jumps = 0;  // widths on end at which the loss jumps on both sides
+  std::array<bool, 2> exists = {false, false};  // the loss, on either side: a parameter may be at a bound
+  int jumps = 0;                                // widths on end at which the loss jumps on both sides
   double width = widest;
   for (int i = 0; i < kWidths && jumps < kMostJumps && !loss->shooting().stopped(); ++i, width *= kNarrower) {
     bool jumps_here = true;
     for (int side = 0; side < 2; ++side) {
       const double signed_width = side == 0 ? width : -width;
       const double change = loss->At(direction, signed_width) - loss->value();
+      exists[side] = exists[side] || !std::isnan(change);
       jumps_here = jumps_here && std::abs(change) >= kJumps * std::abs(change_before[side]);
       change_before[side] = change;
       const double slope = change / signed_width;
@@ -91,11 +98,40 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
     }
     jumps = jumps_here ? jumps + 1 : 0;
   }
-  if (settled[0] && settled[1]) {
+  if ((settled[0] || !exists[0]) && (settled[1] || !exists[1]) && (settled[0] || settled[1])) {
     found.agreement = Agreement::kDiffers;
-    found.difference = 0.5 * (*settled[0] + *settled[1]);
+    found.difference = 0.5 * (settled[0].value_or(*settled[1]) + settled[1].value_or(*settled[0]));
   }
   return found;
+}
+
+// What moves in a step, m.
+double LengthOfStep(const Scene& scene, const Simulator& simulator) {
+  double smallest_radius = scene.bodies[0].radius;
+  for (const Body& body : scene.bodies) smallest_radius = std::min(smallest_radius, body.radius);
+  return std::max(LargestSpeed(simulator) * simulator.step(), 1e-3 * smallest_radius);
+}
+
+// What a small change of a parameter is; `length` is what moves in a step.
+double ScaleOf(const SceneParameter& parameter, const Scene& scene, double length) {
+  using Kind = SceneParameter::Kind;
+  const double value = std::abs(ValueOf(parameter, scene));
+  switch (parameter.kind) {
+    case Kind::kMass:
+    case Kind::kStiffness:
+      return value > 0 ? value : 1.0;
+    case Kind::kDamping:
+      return value > 0 ? value : std::max(1.0, std::sqrt(scene.contact.stiffness));
+    case Kind::kGravity:
+      return length / (scene.duration * scene.duration);
+    case Kind::kRadius:
+    case Kind::kPosition:
+    case Kind::kPlaneOffset:
+    case Kind::kSegmentOffset:
+      return length;
+    default:
+      return 1;
+  }
 }
 
 struct Direction {
@@ -151,10 +187,9 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
   if (!by_state.ok()) return worst;
   const double T = scene.duration;
   const Simulator& simulator = by_state.shooting().simulator();
-  double smallest_radius = scene.bodies[0].radius, smallest_mass = std::numeric_limits<double>::infinity();
-  for (const Body& body : scene.bodies) smallest_radius = std::min(smallest_radius, body.radius);
+  double smallest_mass = std::numeric_limits<double>::infinity();
   for (int body : scene.control.bodies) smallest_mass = std::min(smallest_mass, scene.bodies[body].mass);
-  const double length = std::max(LargestSpeed(simulator) * simulator.step(), 1e-3 * smallest_radius);
+  const double length = LengthOfStep(scene, simulator);
 
   std::mt19937 random(1);
   const auto sign = [&] { return random() % 2 == 0 ? 1.0 : -1.0; };
@@ -194,6 +229,53 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
     if (found[i]) worst = Worse(worst, *found[i]);
   }
   return worst;
+}
+
+std::vector<std::string> ParametersToCompare(const Scene& scene) {
+  if (scene.num_bodies() > kMostDiscs) return {};
+  std::vector<std::string> names = {"restitution", "stiffness", "damping", "gravity"};
+  // At zero the loss has only a right derivative with respect to friction.
+  if (scene.contact.friction > 0) names.push_back("friction");
+  for (const Body& body : scene.bodies) {
+    if (!body.fixed) names.push_back("mass." + body.name);
+  }
+  for (const DesignParameter& design : scene.design) names.push_back(NameOf(design.parameter, scene));
+  return names;
+}
+
+std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scene& scene,
+                                              const std::vector<std::string>& names, const StopRequest& stop) {
+  std::vector<ParameterAudit> audits;
+  Scene designed = scene;
+  designed.optimize = Optimize::kNone;
+  designed.design.clear();
+  for (const std::string& name : names) {
+    for (const SceneParameter& parameter : ParametersNamed(name, scene)) {
+      if (!std::ranges::count(designed.design, DesignParameter{parameter})) designed.design.push_back({parameter});
+    }
+  }
+  if (designed.design.empty() || !WhyNotApplicable(contact, designed).empty()) return audits;
+  const auto of_scene = [&](const Scene& other) {
+    return WhyNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
+  };
+  Loss loss(contact, designed, SingleShooting::Variables::kOfScene, stop, of_scene);
+  if (!loss.ok() || loss.num_variables() != static_cast<int>(designed.design.size())) return audits;
+  const double length = LengthOfStep(scene, loss.shooting().simulator());
+  for (int i = 0; i < loss.num_variables() && !loss.shooting().stopped(); ++i) {
+    const SceneParameter& parameter = designed.design[i].parameter;
+    std::vector<double> along(loss.num_variables(), 0.0);
+    along[i] = 1;
+    const OwnDifferences found = Compare(&loss, along, kWidest * ScaleOf(parameter, scene, length));
+    ParameterAudit audit{NameOf(parameter, scene), found.gradient, std::nullopt};
+    if (found.agreement != Agreement::kUndecided) audit.difference = found.difference;
+    if (found.gradient == 0 && audit.difference.value_or(0) == 0) continue;
+    if (found.agreement == Agreement::kAgrees) audit.verdict = Verdict::kRight;
+    if (found.agreement == Agreement::kDiffers) {
+      audit.verdict = found.gradient * found.difference < 0 ? Verdict::kWrongSign : Verdict::kWrong;
+    }
+    audits.push_back(std::move(audit));
+  }
+  return audits;
 }
 
 }  // namespace saltus

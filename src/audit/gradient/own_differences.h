@@ -7,9 +7,20 @@
 // whether the steps are right, which is what the width sweep and the exact gradient are for.
 #pragma once
 
+#include <string>
+#include <vector>
+
 #include "saltus/audit/audit.h"
 
 namespace saltus {
+
+// The same of parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out are those
+// that neither gradient nor differences depend on. Empty where the model cannot take the scene, or has derivatives by
+// parameters in other precisions only.
+std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scene& scene,
+                                              const std::vector<std::string>& names, const StopRequest& stop = nullptr);
+// Those of `contact`, gravity, the masses, and those that the scene optimizes; empty of scenes with many discs.
+std::vector<std::string> ParametersToCompare(const Scene& scene);
 
 // Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
 // more than one needs a contact model whose simulators may run at the same time.

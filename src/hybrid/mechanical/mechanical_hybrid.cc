@@ -685,10 +685,10 @@ int MechanicalHybrid::Reset(int mode, int guard, double t, const double* x, cons
   Impact impact;
   std::string why;
   const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
-  if (!why.empty()) return -1;
+  if (!why.empty() && impact.v_plus.size() == 0) return -1;
   std::copy_n(on.at.q, n, x_plus);
   std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
-  return ModeOf(next);
+  return why.empty() ? ModeOf(next) : -1;
 }
 
 int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
@@ -699,7 +699,7 @@ int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double*
   Impact impact;
   std::string why;
   const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
-  if (!why.empty()) return -1;
+  if (!why.empty() && impact.v_plus.size() == 0) return -1;
   std::copy_n(on.at.q, n, x_plus);
   std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
   for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
@@ -718,7 +718,7 @@ int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double*
     if (impact.v_plus.size() > 0) v = ImpactDerivative(impact, seeds, on.at);
     CopyColumns(q, v, first, columns, jacobian);
   }
-  return ModeOf(next);
+  return why.empty() ? ModeOf(next) : -1;
 }
 
 // Columns of the Jacobian of a state, of which `first` is the first.
@@ -850,6 +850,46 @@ std::string MechanicalHybrid::WhyNoDerivative(int mode, int guard, double t, con
                 " hit at the same instant and are coupled (simultaneous)";
   }
   return boundary;
+}
+
+// Of resets, the contact of the guard alone changes; of jumps of the control, one closed contact.
+std::vector<int> MechanicalHybrid::NextModes(int mode, int guard, const double* p) const {
+  const Mode of = ModeAt(mode);
+  std::vector<int> next;
+  const auto add = [&](int contact, std::string_view letters) {
+    std::string status = of.status;
+    for (const char letter : letters) {
+      status[contact] = letter;
+      if (letter != of.status[contact]) next.push_back(ModeOf(status));
+    }
+  };
+  if (guard < 0) {
+    for (const ClosedContact& closed : of.closed) add(closed.contact, closed.status == 's' ? "o+-" : "o");
+    return next;
+  }
+  const int contact = of.guards[guard].contact;
+  switch (of.guards[guard].what) {
+    case What::kHit:
+      if (functions_->Restitution(contact, p) > 0) return {mode};
+      add(contact, HasFriction(contact) ? "s+-" : "n");
+      break;
+    case What::kOff:
+    case What::kEnd:
+      add(contact, "o");
+      break;
+    case What::kStop:
+      add(contact, of.status[contact] == '+' ? "s-" : "s+");
+      break;
+    case What::kBreakBack:
+      add(contact, "-");
+      break;
+    case What::kBreakOn:
+      add(contact, "+");
+      break;
+    case What::kJam:
+      break;
+  }
+  return next;
 }
 
 int MechanicalHybrid::ModeUnder(int mode, double t, const double* x, const double* u, const double* p) const {

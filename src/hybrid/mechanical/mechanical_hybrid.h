@@ -128,6 +128,10 @@ class MechanicalHybrid final : public HybridFunctions {
     return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
   }
   bool CreatesModes() const override { return true; }
+  std::vector<int> NextModes(int mode, int guard, const double* p) const override;
+  bool ReadsControl(int mode, int guard) const override {
+    return functions_->layout().num_controls > 0 && NeedsForces(ModeAt(mode).guards[guard]);
+  }
   bool EndsAccumulations() const override { return true; }
 
  private:

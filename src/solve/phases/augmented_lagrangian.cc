@@ -10,7 +10,8 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;  // of the weights, from solve to solve
+constexpr double kGrowth = 10;    // of the weights, from solve to solve
+constexpr int kShortPhase = 332;  // steps
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
@@ -120,6 +121,12 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   const Weights* weights_;
   std::vector<double> multipliers_;
 };
+
+void AugmentedLagrangian::Options::ScaleTo(int steps) {
+  const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
+  equality_weight *= length;
+  radius *= length * length;
+}
 
 AugmentedLagrangian::AugmentedLagrangian() : problem_(ProblemOptions()) {}
 AugmentedLagrangian::~AugmentedLagrangian() = default;

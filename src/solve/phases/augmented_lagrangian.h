@@ -45,6 +45,10 @@ class AugmentedLagrangian {
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
+
+    // For phases of up to so many steps. Along a longer one open defects add up and weigh more, and damping, whose part
+    // in a motion of the whole phase grows with its square, would take more iterations.
+    void ScaleTo(int steps);
   };
   struct Summary {
     bool usable = false;     // no solve failed

@@ -15,6 +15,7 @@ namespace {
 constexpr double kMissWeight = 1e3;    // of constraints beside the loss, relative to its scale
 constexpr double kSameTime = 1e-6;     // of the duration
 constexpr double kNodeMargin = 2e-13;  // of the duration: nodes are by half of it behind the events that belong there
+constexpr double kDelay = 1e-7;        // of the duration
 constexpr int kFewestIntervals = 64;   // where no control or cost of intervals gives their number
 
 // The problem with as many intervals as phases need, where their number means nothing.
@@ -72,12 +73,14 @@ class HybridPhaseRun::Transcriber {
     const double stretch = whole / DurationOf(*motion);
     for (double& duration : motion->durations) duration *= stretch;
     run_.MoveWithin(motion);  // multipliers leave about 1e-10 beyond
+    DelayNodes(transcription, motion);
   }
 
   void Simulate(HybridMotion* motion) const { run_.Simulate(motion); }
   double ViolationOf(const HybridMotion& motion) const { return run_.ViolationOf(motion); }
   // The control of a phase acts until its event has happened.
   double NodeMargin(const HybridMotion& motion) const { return -kNodeMargin * DurationOf(motion); }
+  static bool IsAtNode(const ModeEvent& event) { return event.is_switch(); }
   bool IsRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence,
                   const std::vector<double>& times) const {
     if (!motion.exact.ok || !motion.exact.only_impacts || motion.exact.contacts != sequence) return false;
@@ -88,6 +91,24 @@ class HybridPhaseRun::Transcriber {
   }
 
  private:
+  // Events whose guards depend on the control would not happen if it jumped a little before.
+  void DelayNodes(const HybridTranscription& transcription, HybridMotion* motion) const {
+    const std::vector<double> times = transcription.CutTimes();
+    const double delay = kDelay * DurationOf(*motion);
+    for (size_t j = 0; j < times.size(); ++j) {
+      const ModeEvent& event = *plan_.cuts[j];
+      if (event.is_switch() || !run_.problem_.system.functions().ReadsControl(event.mode, event.guard)) continue;
+      double end = 0;
+      size_t k = 0;
+      while (k + 1 < motion->durations.size() && end + 0.5 * motion->durations[k] < times[j]) {
+        end += motion->durations[k++];
+      }
+      if (k == 0 || !(motion->durations[k] > 2 * delay)) continue;
+      motion->durations[k - 1] += delay;
+      motion->durations[k] -= delay;
+    }
+  }
+
   const HybridPhaseRun& run_;
   const PlanOf<ModeEvent>& plan_;
   double duration_;
@@ -117,11 +138,6 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
-  if (!IsPossible(guess_.exact.contacts)) {
-    return Refuse(Termination::kNotApplicable,
-                  "in the initial guess a contact is closed for a while; phases support impacts of contacts that open "
-                  "again");
-  }
   if (guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
@@ -133,12 +149,13 @@ void HybridPhaseRun::FindScales() {
   const HybridSystem& system = problem_.system;
   const HybridSimulator& simulator = shooting_->simulator();
   constexpr double kOfRate = 0.1;  // times the duration: a size that a rate makes
-  const double time = kOfRate * problem_.guess.duration;
-  for (int mode = 0; mode < system.num_modes(); ++mode) {
+  for (int mode = 0; mode < system.num_modes() && !system.functions().CreatesModes(); ++mode) {
     scales_.state.emplace_back(system.state_size(mode), 0.0);
     scales_.guard.emplace_back(system.num_guards(mode), 0.0);
   }
   const std::vector<double> zeros(system.num_controls());
+  std::vector<double> u(zeros.size());
+  const auto control = ControlOf(guess_, system.num_controls());
   const double* p = problem_.guess.parameters.data();
   std::vector<double> slope;
   for (int step = 0; guess_.exact.ok && step < simulator.num_steps(); ++step) {
@@ -147,23 +164,10 @@ void HybridPhaseRun::FindScales() {
     const double t = simulator.StepTime(step);
     slope.resize(x.size());
     system.functions().Flow(mode, t, x.data(), zeros.data(), p, slope.data());
-    for (size_t i = 0; i < x.size(); ++i) {
-      double& scale = scales_.state[mode][i];
-      scale = std::max({scale, std::abs(x[i]), time * std::abs(slope[i])});
-    }
-    for (int guard = 0; guard < system.num_guards(mode); ++guard) {
-      double rate = 0;
-      const double value = system.functions().GuardRate(mode, guard, t, x.data(), slope.data(), nullptr, p, &rate);
-      scales_.guard[mode][guard] = std::max({scales_.guard[mode][guard], std::abs(value), time * std::abs(rate)});
-    }
+    for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
+    scales_.Add(system.functions(), mode, t, x.data(), slope.data(), u.data(), p, kOfRate * problem_.guess.duration);
   }
-  for (auto* of_modes : {&scales_.state, &scales_.guard}) {
-    for (std::vector<double>& scales : *of_modes) {
-      for (double& scale : scales) {
-        if (!(scale > 0) || !std::isfinite(scale)) scale = 1;
-      }
-    }
-  }
+  scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;
 }
 
@@ -183,12 +187,23 @@ void HybridPhaseRun::Simulate(HybridMotion* motion) const {
   HybridShooting::Outcome outcome;
   exact.ok = shooting_->Simulate(InputOf(*motion), &outcome);
   const HybridSimulator& simulator = shooting_->simulator();
-  exact.events = simulator.events();
-  for (HybridEvent& event : exact.events) {
+  // Where the control jumps just behind an event, its mode is that under the new control.
+  std::vector<HybridEvent> events = simulator.events();
+  events.insert(events.end(), simulator.switches().begin(), simulator.switches().end());
+  std::stable_sort(events.begin(), events.end(), [](const auto& a, const auto& b) { return a.time < b.time; });
+  for (HybridEvent& event : events) {
     event.before = event.after = {};
-    exact.contacts.push_back({event.mode, event.guard, event.next_mode});
     if (event.at_once) exact.only_impacts = false;
+    std::vector<HybridEvent>& all = exact.events;
+    const bool joins = event.guard < 0 && !all.empty() && all.back().guard >= 0 &&
+                       event.time - all.back().time <= kNodeMargin * DurationOf(*motion);
+    if (joins) {
+      all.back().next_mode = event.next_mode;
+    } else {
+      all.push_back(event);
+    }
   }
+  for (const HybridEvent& event : exact.events) exact.contacts.push_back({event.mode, event.guard, event.next_mode});
   if (!simulator.grazings().empty()) exact.only_impacts = false;
   if (!exact.ok) {
     exact.reason = shooting_->WhyFailed();
@@ -251,11 +266,8 @@ void HybridPhaseRun::BlendStart(const HybridMotion& to, const HybridMotion& from
 
 bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
   int mode = problem_.guess.mode;
-  const HybridFunctions& functions = problem_.system.functions();
-  const auto supported = [&](int m) { return !functions.CreatesModes() || !functions.Projects(m); };
-  if (!supported(mode)) return false;
   for (const ModeEvent& event : sequence) {
-    if (event.mode != mode || !supported(event.next_mode)) return false;
+    if (event.mode != mode) return false;
     mode = event.next_mode;
   }
   return std::all_of(problem_.terms.begin(), problem_.terms.end(), [&](const HybridTerm& term) {
@@ -289,7 +301,8 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
 
 std::string HybridPhaseRun::NameOf(const ModeEvent& event) const {
   const HybridSystem& system = problem_.system;
-  return system.ModeName(event.mode) + "/" + system.GuardName(event.mode, event.guard);
+  return system.ModeName(event.mode) + "/" +
+         (event.is_switch() ? "control jump" : system.GuardName(event.mode, event.guard));
 }
 
 std::string HybridPhaseRun::NameOf(const std::vector<ModeEvent>& sequence) const {

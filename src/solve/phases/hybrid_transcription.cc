@@ -14,8 +14,6 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
-// As of PhaseTranscription: steps of a phase along which open defects do not add up yet.
-constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
 // Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
 // near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
@@ -23,6 +21,7 @@ constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, 
 constexpr double kFirstWeight = 10;
 constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
 constexpr double kCostOfViolation = 1e-3;  // of other costs, where only violations count
+constexpr double kOfRate = 0.1;            // times the duration: a size that a rate makes
 
 // A time that is a part of the way between two blocks, or one block if `begin` is not one.
 struct TimeOf {
@@ -66,19 +65,20 @@ std::vector<int> Joined(std::initializer_list<int> sizes) {
 // The defect of a step. Blocks: state, control and parameters if there are any, begin and end of the phase, next state.
 class StepRows final : public Rows {
  public:
-  StepRows(const HybridFunctions& functions, RungeKutta* integrator, int mode, int index, int count,
+  StepRows(const HybridFunctions& functions, RungeKutta* integrator, int mode, int index, int count, bool projects,
            std::vector<double> sizes)
-      : Rows(static_cast<int>(sizes.size()), Joined({functions.layout().state_sizes[mode],
+      : Rows(static_cast<int>(sizes.size()), Joined({functions.state_size(mode),
                                                      functions.layout().num_controls,
                                                      functions.layout().num_parameters,
                                                      1,
                                                      1,
-                                                     functions.layout().state_sizes[mode]})),
+                                                     functions.state_size(mode)})),
         functions_(functions),
         integrator_(*integrator),
         mode_(mode),
         index_(index),
         count_(count),
+        projects_(projects),
         scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
@@ -90,32 +90,20 @@ class StepRows final : public Rows {
                         (end - begin) / count_,
                         blocks[0],
                         m > 0 ? blocks[of_control] : nullptr,
-                        P > 0 ? blocks[of_parameters] : nullptr};
-    Eigen::VectorXd slope(n), after(n);
-    functions_.Flow(mode_, step.t, step.x, step.u, step.p, slope.data());
-    integrator_.Step(step, slope.data(), after.data());
+                        P > 0 ? blocks[of_parameters] : nullptr,
+                        projects_};
+    Eigen::VectorXd after(n);
+    integrator_.Step(step, after.data());
     Eigen::Map<Eigen::VectorXd>(rows, n) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    integrator_.Linearize(step);
-    const int columns = n + 1 + P + m + 1;
-    RungeKutta::Tangent seeds{Matrix::Zero(n, columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Eigen::RowVectorXd::Zero(columns),
-                              Matrix::Zero(P, columns),
-                              Matrix::Zero(m, columns)};
-    seeds.x.leftCols(n).setIdentity();
-    seeds.t[n] = 1;
-    seeds.p.middleCols(n + 1, P).setIdentity();
-    seeds.u.middleCols(n + 1 + P, m).setIdentity();
-    seeds.h[columns - 1] = 1;
-    const Matrix by = -(scale_.asDiagonal() * integrator_.PushForward(seeds));
+    const Matrix by = -(scale_.asDiagonal() * integrator_.Jacobian(step));
     Put(jacobians, 0, by.leftCols(n));
     if (m > 0) Put(jacobians, of_control, by.middleCols(n + 1 + P, m));
     if (P > 0) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
-    Put(jacobians, times, (1 - part) * by.col(n) - by.col(columns - 1) / count_);
-    Put(jacobians, times + 1, part * by.col(n) + by.col(columns - 1) / count_);
+    Put(jacobians, times, (1 - part) * by.col(n) - by.rightCols(1) / count_);
+    Put(jacobians, times + 1, part * by.col(n) + by.rightCols(1) / count_);
     Put(jacobians, times + 2, Matrix(scale_.asDiagonal()));
     return true;
   }
@@ -124,17 +112,21 @@ class StepRows final : public Rows {
   const HybridFunctions& functions_;
   RungeKutta& integrator_;
   int mode_, index_, count_;
+  bool projects_;
   Eigen::VectorXd scale_;
 };
 
-// offset + factor g. Blocks: state, parameters if there are any, and the time.
+// offset + factor g. Blocks: state, control if the guard depends on it, parameters if there are any, and the time.
 class GuardRow final : public Rows {
  public:
   GuardRow(const HybridFunctions& functions, int mode, int guard, const TimeOf& time, double offset, double factor)
-      : Rows(1,
-             Joined(
-                 {functions.layout().state_sizes[mode], functions.layout().num_parameters, 1, time.one_block ? 0 : 1})),
+      : Rows(1, Joined({functions.state_size(mode),
+                        functions.ReadsControl(mode, guard) ? functions.layout().num_controls : 0,
+                        functions.layout().num_parameters,
+                        1,
+                        time.one_block ? 0 : 1})),
         functions_(functions),
+        reads_control_(functions.ReadsControl(mode, guard)),
         mode_(mode),
         guard_(guard),
         time_(time),
@@ -142,17 +134,18 @@ class GuardRow final : public Rows {
         factor_(factor) {}
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const int n = functions_.layout().state_sizes[mode_], P = functions_.layout().num_parameters;
-    const int times = 1 + (P > 0);
-    // Guards of systems that are solved in phases do not depend on the control.
-    Eigen::RowVectorXd gradient(n + 1 + P + functions_.layout().num_controls);
-    const double* p = P > 0 ? blocks[1] : nullptr;
+    const int n = functions_.state_size(mode_), P = functions_.layout().num_parameters,
+              m = functions_.layout().num_controls;
+    const int of_parameters = 1 + reads_control_, times = of_parameters + (P > 0);
+    Eigen::RowVectorXd gradient(n + 1 + P + m);
+    const double *u = reads_control_ ? blocks[1] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
     rows[0] = offset_ + factor_ * functions_.GuardGradient(
-                                      mode_, guard_, time_.At(blocks + times), blocks[0], nullptr, p, gradient.data());
+                                      mode_, guard_, time_.At(blocks + times), blocks[0], u, p, gradient.data());
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
     Put(jacobians, 0, factor_ * gradient.head(n));
-    if (P > 0) Put(jacobians, 1, factor_ * gradient.segment(n + 1, P));
+    if (reads_control_) Put(jacobians, 1, factor_ * gradient.tail(m));
+    if (P > 0) Put(jacobians, of_parameters, factor_ * gradient.segment(n + 1, P));
     for (int i = 0; i < time_.num_blocks(); ++i) {
       Put(jacobians, times + i, factor_ * time_.By(i) * gradient.segment(n, 1));
     }
@@ -161,39 +154,42 @@ class GuardRow final : public Rows {
 
  private:
   const HybridFunctions& functions_;
+  bool reads_control_;
   int mode_, guard_;
   TimeOf time_;
   double offset_, factor_;
 };
 
-// The defect of a reset. Blocks: state before, parameters if there are any, time, state after.
+// The defect of a reset. Blocks: state before, parameters if there are any, time, state after. `control` acts before
+// it; where it matters, for the next mode only, that follows from the guards of the phase behind.
 class ResetRows final : public Rows {
  public:
-  ResetRows(const HybridFunctions& functions, const ModeEvent& event, const std::vector<double>& sizes)
-      : Rows(static_cast<int>(sizes.size()), Joined({functions.layout().state_sizes[event.mode],
+  ResetRows(const HybridFunctions& functions, const ModeEvent& event, const double* control,
+            const std::vector<double>& sizes)
+      : Rows(static_cast<int>(sizes.size()), Joined({functions.state_size(event.mode),
                                                      functions.layout().num_parameters,
                                                      1,
-                                                     functions.layout().state_sizes[event.next_mode]})),
+                                                     functions.state_size(event.next_mode)})),
         functions_(functions),
         event_(event),
+        control_(control),
         scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const std::vector<int>& states = functions_.layout().state_sizes;
-    const int n = states[event_.mode], after = num_residuals(), P = functions_.layout().num_parameters;
-    const int most = *std::max_element(states.begin(), states.end());
+    const int n = functions_.state_size(event_.mode), after = num_residuals(), P = functions_.layout().num_parameters;
+    const int most = functions_.most_states();
     const int time = 1 + (P > 0);
-    Eigen::VectorXd x_plus(most);
+    Eigen::VectorXd x_plus = Eigen::VectorXd::Constant(most, NAN);
     Matrix jacobian(most, n + 1 + P);
     const int next = functions_.ResetJacobian(event_.mode,
                                               event_.guard,
                                               blocks[time][0],
                                               blocks[0],
-                                              nullptr,
+                                              control_,
                                               P > 0 ? blocks[1] : nullptr,
                                               x_plus.data(),
                                               jacobian.data());
-    if (next != event_.next_mode) return false;
+    if (next != event_.next_mode && !functions_.CreatesModes()) return false;
     Eigen::Map<Eigen::VectorXd>(rows, after) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[time + 1], after) - x_plus.head(after));
     if (!AreFinite(rows)) return false;
@@ -209,6 +205,7 @@ class ResetRows final : public Rows {
  private:
   const HybridFunctions& functions_;
   ModeEvent event_;
+  const double* control_;
   Eigen::VectorXd scale_;
 };
 
@@ -331,6 +328,34 @@ std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const
 
 }  // namespace
 
+void HybridScales::Add(const HybridFunctions& functions, int mode, double t, const double* x, const double* slope,
+                       const double* u, const double* p, double time) {
+  if (mode >= static_cast<int>(state.size())) {
+    state.resize(mode + 1);
+    guard.resize(mode + 1);
+  }
+  state[mode].resize(functions.state_size(mode));
+  guard[mode].resize(functions.num_guards(mode));
+  for (size_t i = 0; i < state[mode].size(); ++i) {
+    state[mode][i] = std::max({state[mode][i], std::abs(x[i]), time * std::abs(slope[i])});
+  }
+  for (size_t i = 0; i < guard[mode].size(); ++i) {
+    double rate = 0;
+    const double value = functions.GuardRate(mode, static_cast<int>(i), t, x, slope, u, p, &rate);
+    guard[mode][i] = std::max({guard[mode][i], std::abs(value), time * std::abs(rate)});
+  }
+}
+
+void HybridScales::Finish() {
+  for (auto* of_modes : {&state, &guard}) {
+    for (std::vector<double>& scales : *of_modes) {
+      for (double& scale : scales) {
+        if (!(scale > 0) || !std::isfinite(scale)) scale = 1;
+      }
+    }
+  }
+}
+
 HybridTranscription::HybridTranscription(const HybridProblem& problem, const HybridScales& scales,
                                          const PlanOf<ModeEvent>& plan, const Start& start,
                                          const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
@@ -359,6 +384,7 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
   }
   valid_ = Lay(start);
   if (!valid_) return;
+  FindScalesOfNewModes();
   AddSteps();
   HoldWhatIsGiven();
   AddEvents(overlaps);
@@ -369,7 +395,6 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
 
 bool HybridTranscription::Lay(const Start& start) {
   const int m = functions_.layout().num_controls;
-  std::vector<double> slope;
   nodes_.push_back(start.initial);
   for (int j = 0; j < num_phases(); ++j) {
     Phase& phase = phases_[j];
@@ -389,23 +414,27 @@ bool HybridTranscription::Lay(const Start& start) {
                           length / count,
                           x.data(),
                           controls_.back().data(),
-                          parameters_.data()};
-      slope.resize(x.size());
+                          parameters_.data(),
+                          Projects(j, k)};
       std::vector<double> next(x.size());
-      functions_.Flow(phase.mode, step.t, step.x, step.u, step.p, slope.data());
-      integrator_.Step(step, slope.data(), next.data());
+      integrator_.Step(step, next.data());
       nodes_.push_back(std::move(next));
     }
     phase.last_node = static_cast<int>(nodes_.size()) - 1;
     if (j + 1 == num_phases()) break;
     const ModeEvent& event = *plan_.cuts[j];
     if (event.mode != phase.mode) return false;
-    const std::vector<int>& sizes = functions_.layout().state_sizes;
-    std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
-    const int next = functions_.Reset(
-        event.mode, event.guard, *End(j), nodes_.back().data(), nullptr, parameters_.data(), after.data());
-    if (next != event.next_mode) return false;
-    after.resize(sizes[next]);
+    if (event.is_switch()) continue;
+    std::vector<double> after(functions_.most_states(), NAN);
+    const int next = functions_.Reset(event.mode,
+                                      event.guard,
+                                      *End(j),
+                                      nodes_.back().data(),
+                                      controls_.empty() ? nullptr : controls_.back().data(),
+                                      parameters_.data(),
+                                      after.data());
+    if (next != event.next_mode && !functions_.CreatesModes()) return false;
+    after.resize(functions_.state_size(event.next_mode));
     nodes_.push_back(std::move(after));
   }
   return std::all_of(nodes_.begin(), nodes_.end(), [](const std::vector<double>& x) {
@@ -422,10 +451,10 @@ void HybridTranscription::AddSteps() {
       if (!controls_.front().empty()) blocks.push_back(controls_[phase.first_control + k / substeps_].data());
       if (!parameters_.empty()) blocks.push_back(parameters_.data());
       blocks.insert(blocks.end(), {Begin(j), End(j), nodes_[phase.first_node + k + 1].data()});
-      lagrangian_.Add(
-          std::make_unique<StepRows>(functions_, &integrator_, phase.mode, k, count, scales_.state[phase.mode]),
-          {.equalities = static_cast<int>(scales_.state[phase.mode].size())},
-          blocks);
+      lagrangian_.Add(std::make_unique<StepRows>(
+                          functions_, &integrator_, phase.mode, k, count, Projects(j, k), scales_.state[phase.mode]),
+                      {.equalities = static_cast<int>(scales_.state[phase.mode].size())},
+                      blocks);
     }
   }
 }
@@ -453,23 +482,70 @@ void HybridTranscription::HoldWhatIsGiven() {
   if (!problem_.free.duration) ceres.SetParameterBlockConstant(&times_.back());
 }
 
+// The modes that the motion of the scales does not have, from that on which the nodes start.
+void HybridTranscription::FindScalesOfNewModes() {
+  const size_t known = scales_.state.size();
+  const std::vector<char> is_new = [&] {
+    std::vector<char> out(functions_.num_modes(), 0);
+    for (size_t mode = 0; mode < out.size(); ++mode) out[mode] = mode >= known || scales_.state[mode].empty();
+    return out;
+  }();
+  std::vector<double> slope(functions_.most_states());
+  for (int j = 0; j < num_phases(); ++j) {
+    const Phase& phase = phases_[j];
+    if (is_new[phase.mode] == 0) continue;
+    const int count = std::max(phase.intervals * substeps_, 1);
+    for (int node = phase.first_node; node <= phase.last_node; ++node) {
+      const double t = *Begin(j) + (*End(j) - *Begin(j)) * (node - phase.first_node) / count;
+      const double* u = ControlBefore(node - phase.first_node, phase);
+      functions_.Flow(phase.mode, t, nodes_[node].data(), u, parameters_.data(), slope.data());
+      scales_.Add(functions_,
+                  phase.mode,
+                  t,
+                  nodes_[node].data(),
+                  slope.data(),
+                  u,
+                  parameters_.data(),
+                  kOfRate * problem_.guess.duration);
+    }
+  }
+  scales_.Finish();
+}
+
+// Whether a step is projected. The last one before an event is so by the guard and the reset.
+bool HybridTranscription::Projects(int phase, int step) const {
+  const bool to_event =
+      phase + 1 < num_phases() && !plan_.cuts[phase]->is_switch() && step + 1 == phases_[phase].intervals * substeps_;
+  return functions_.Projects(phases_[phase].mode) && !to_event;
+}
+
+// The control of the interval that ends at or behind a node of a phase.
+double* HybridTranscription::ControlBefore(int node, const Phase& phase) {
+  const int interval = phase.first_control + (std::max(node, 1) - 1) / substeps_;
+  return controls_[std::min<size_t>(interval, controls_.size() - 1)].data();
+}
+
 void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
   for (int j = 0; j + 1 < num_phases(); ++j) {
     const ModeEvent& event = *plan_.cuts[j];
+    if (event.is_switch()) continue;
     double *before = nodes_[phases_[j].last_node].data(), *after = nodes_[phases_[j + 1].first_node].data();
-    const bool with_parameters = !parameters_.empty();
     std::vector<double*> blocks = {before};
-    if (with_parameters) blocks.push_back(parameters_.data());
+    double* control = ControlBefore(phases_[j].last_node - phases_[j].first_node, phases_[j]);
+    if (functions_.ReadsControl(event.mode, event.guard)) blocks.push_back(control);
+    if (!parameters_.empty()) blocks.push_back(parameters_.data());
     blocks.push_back(End(j));
     lagrangian_.Add(
         std::make_unique<GuardRow>(
             functions_, event.mode, event.guard, TimeOf{}, overlaps[j], 1 / scales_.guard[event.mode][event.guard]),
         {.equalities = 1},
         blocks);
+    if (functions_.ReadsControl(event.mode, event.guard)) blocks.erase(blocks.begin() + 1);
     blocks.push_back(after);
     const std::vector<double>& sizes = scales_.state[event.next_mode];
-    lagrangian_.Add(
-        std::make_unique<ResetRows>(functions_, event, sizes), {.equalities = static_cast<int>(sizes.size())}, blocks);
+    lagrangian_.Add(std::make_unique<ResetRows>(functions_, event, control, sizes),
+                    {.equalities = static_cast<int>(sizes.size())},
+                    blocks);
   }
 }
 
@@ -483,8 +559,10 @@ void HybridTranscription::AddGuards(double margin) {
         return event.mode == phase.mode && event.guard == guard;
       });
       const bool ends = j + 1 < num_phases() && plan_.cuts[j]->guard == guard;
-      for (int k = 1; k <= count - ends; ++k) {
+      const bool reads_control = functions_.ReadsControl(phase.mode, guard);
+      const auto add = [&](int k, double* control) {
         std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
+        if (reads_control) blocks.push_back(control);
         if (!parameters_.empty()) blocks.push_back(parameters_.data());
         blocks.insert(blocks.end(), {Begin(j), End(j)});
         lagrangian_.Add(std::make_unique<GuardRow>(functions_,
@@ -495,6 +573,11 @@ void HybridTranscription::AddGuards(double margin) {
                                                    -1 / scales_.guard[phase.mode][guard]),
                         {.inequalities = 1},
                         blocks);
+      };
+      for (int k = 1; k <= count - ends; ++k) add(k, ControlBefore(k, phase));
+      // At the beginnings of intervals, under the new control.
+      for (int k = 0; reads_control && k < phase.intervals; ++k) {
+        add(k * substeps_, controls_[phase.first_control + k].data());
       }
     }
   }
@@ -592,10 +675,9 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
-  options.equality_weight = kFirstWeight * length;
+  options.equality_weight = kFirstWeight;
   options.most_open = kMostOpen;
-  options.radius *= length * length;
+  options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
   }
@@ -614,13 +696,18 @@ std::vector<double> HybridTranscription::CutSpeeds() const {
   std::vector<double> speeds, slope;
   for (int j = 0; j + 1 < num_phases(); ++j) {
     const ModeEvent& event = *plan_.cuts[j];
+    if (event.is_switch()) {
+      speeds.push_back(-1);  // no guard grazes
+      continue;
+    }
     const std::vector<double>& x = nodes_[phases_[j].last_node];
     const int control = std::max(phases_[j].first_control + phases_[j].intervals - 1, 0);
     const double t = times_[boundary_[j + 1]];
     slope.resize(x.size());
     functions_.Flow(event.mode, t, x.data(), controls_[control].data(), parameters_.data(), slope.data());
     double rate = 0;
-    functions_.GuardRate(event.mode, event.guard, t, x.data(), slope.data(), nullptr, parameters_.data(), &rate);
+    functions_.GuardRate(
+        event.mode, event.guard, t, x.data(), slope.data(), controls_[control].data(), parameters_.data(), &rate);
     speeds.push_back(rate * problem_.guess.duration / scales_.guard[event.mode][event.guard]);
   }
   return speeds;

@@ -5,14 +5,16 @@
 // Runge-Kutta method. Unknown are the times of the events and T, the states before and after every step and every
 // reset, the controls, the parameters. With h = (end - begin) / (number of steps of the phase), the rows are
 //
-//   step        x_{k+1} - F(x_k, u, p, t_k, h) = 0
-//   event       g(t, x-, p) = 0 and x+ - R(t, x-, p) = 0 at the end of a phase
-//   guards      g >= 0 at every node inside a phase
+//   step        x_{k+1} - F(x_k, u, p, t_k, h) = 0, F with the projection onto the equations of the mode, if it has any
+//   event       g(t, x-, u, p) = 0 and x+ - R(t, x-, p) = 0 at the end of a phase
+//   guards      g >= 0 at every node inside a phase; those that depend on the control under that on either side
 //   bounds      of controls, parameters, initial state, T, and of the lengths of phases
 //   terms       those of the problem, at the nodes that they name
 //
 // Events happen only between phases, so every function is smooth. Rows are divided by the sizes of what they are of
 // (HybridScales), as the augmented Lagrangian wants rows of order one.
+//
+// Where the mode changes because the control jumps (ModeEvent), phases meet without rows: the guards of both say when.
 #pragma once
 
 #include <deque>
@@ -27,9 +29,10 @@
 
 namespace saltus {
 
-// An event of a guard in a mode, whose reset leads to a mode.
+// An event of a guard in a mode, whose reset leads to a mode; or with guard -1 a jump of the control.
 struct ModeEvent {
   int mode = 0, guard = 0, next_mode = 0;
+  bool is_switch() const { return guard < 0; }
   bool operator==(const ModeEvent&) const = default;
 };
 
@@ -37,6 +40,13 @@ struct ModeEvent {
 struct HybridScales {
   std::vector<std::vector<double>> state, guard;
   double loss = 1;
+
+  // Takes a state in a mode into account. Guards have control u; `slope` is the rate of x, which makes a difference
+  // within `time`.
+  void Add(const HybridFunctions& functions, int mode, double t, const double* x, const double* slope, const double* u,
+           const double* p, double time);
+  // Sizes of nothing are 1.
+  void Finish();
 };
 
 class HybridTranscription {
@@ -83,6 +93,9 @@ class HybridTranscription {
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
   bool Lay(const Start& start);
   void AddSteps();
+  void FindScalesOfNewModes();
+  bool Projects(int phase, int step) const;
+  double* ControlBefore(int node, const Phase& phase);
   void AddEvents(const std::vector<double>& overlaps);
   void AddGuards(double margin);
   void AddTerms();

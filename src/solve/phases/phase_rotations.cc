@@ -14,6 +14,7 @@ namespace saltus {
 PhaseRotations::PhaseRotations(const Scene& scene, const Simulator* flight)
     : scene_(scene),
       flight_(flight),
+      step_nodes_(scene.bodies.size()),
       initial_(scene.bodies.size(), -1),
       last_(initial_),
       since_(scene.bodies.size(), 0) {}
@@ -54,6 +55,7 @@ void PhaseRotations::TurnUnder(int body, const Span& span, const Torques& torque
     }
     steps_.push_back({body, last_[body], static_cast<int>(rotations_.size()), span, k, torque});
     rotations_.push_back(next);
+    step_nodes_[body].push_back(last_[body]);
     last_[body] = steps_.back().to;
   }
   since_[body] = span.end;

@@ -43,6 +43,10 @@ class PhaseRotations {
   // All turn until the end.
   void End(int time, std::span<const double> times);
 
+  // The node at the beginning of a step of a disc that is turned, counted over all phases; and the last one of any.
+  int StepNode(int body, int step) const { return step_nodes_[body][step]; }
+  int LastNode(int body) const { return last_[body]; }
+
   double* At(int node) { return rotations_[node].data(); }
   const double* At(int node) const { return rotations_[node].data(); }
 
@@ -72,7 +76,8 @@ class PhaseRotations {
   std::vector<std::array<double, 2>> rotations_;
   std::vector<Turn> turns_;
   std::vector<Step> steps_;
-  std::vector<int> initial_, last_, since_;  // of each disc: its first and its last rotation, or -1; the time of that
+  std::vector<std::vector<int>> step_nodes_;  // of each disc
+  std::vector<int> initial_, last_, since_;   // of each disc: its first and its last rotation, or -1; the time of that
 };
 
 }  // namespace saltus

@@ -34,6 +34,7 @@ class DiscMotions {
   double ViolationOf(const Trial& trial) const;
   // The exact model moves an impact that is a little after a node there.
   double NodeMargin(const Trial& trial) const;
+  static bool IsAtNode(const Candidate&) { return false; }
 
  protected:
   const Scene& motion_scene() const { return *scene_; }

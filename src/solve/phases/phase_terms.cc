@@ -1,5 +1,6 @@
 // What an objective asks of the nodes of a PhaseTranscription: terminal, via and running terms, those of a user's own,
 // and the final time.
+#include <algorithm>
 #include <cmath>
 
 #include "solve/phases/phase_functions.h"
@@ -41,8 +42,13 @@ void PhaseTranscription::AddTerms() {
 }
 
 void PhaseTranscription::AddOwn(const OwnTerm& term) {
-  const auto add = [&](int steps, const auto& node_of, const auto& force_of, const std::vector<double*>& times) {
-    auto cost = std::make_unique<OwnTermCost>(term, scene_.units, steps);
+  const auto add = [&](int steps,
+                       const auto& node_of,
+                       const auto& force_of,
+                       const auto& rotation_of,
+                       int step,
+                       const std::vector<double*>& times) {
+    auto cost = std::make_unique<OwnTermCost>(term, scene_, steps);
     const int rows = cost->num_residuals();
     RowRoles roles;
     if (term.role == OwnTerm::Role::kEquality) roles.equalities = rows;
@@ -50,20 +56,30 @@ void PhaseTranscription::AddOwn(const OwnTerm& term) {
     std::vector<double*> blocks;
     for (const int body : term.states) blocks.push_back(node_of(body));
     for (const int body : term.forces) blocks.push_back(force_of(body));
+    for (const int body : term.rotations) blocks.push_back(rotations_.At(rotation_of(body)));
+    for (const int body : term.torques) {
+      const std::vector<int>& turned = scene_.control.turned;
+      const auto place = std::find(turned.begin(), turned.end(), body) - turned.begin();
+      blocks.push_back(&turns_[static_cast<size_t>(step * scene_.num_turned() + place)]);
+    }
     if (term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());
     problem_.Add(std::move(cost), roles, blocks);
   };
   if (term.at == OwnTerm::At::kEnd) {
     const auto no_force = [](int) -> double* { return nullptr; };
-    add(1, [&](int body) { return NodeAt(final_[body]); }, no_force, {End(num_phases() - 1)});
+    const auto rotation = [&](int body) { return rotations_.LastNode(body); };
+    add(1, [&](int body) { return NodeAt(final_[body]); }, no_force, rotation, 0, {End(num_phases() - 1)});
     return;
   }
+  int step = 0;  // of all phases
   for (int j = 0; j < num_phases(); ++j) {
-    for (int k = 0; k < steps_[j]; ++k) {
+    for (int k = 0; k < steps_[j]; ++k, ++step) {
       add(
           steps_[j],
           [&](int body) { return NodeAt(tracks_[body][j][k]); },
           [&](int body) { return ForceOn(body, j, k); },
+          [&](int body) { return rotations_.StepNode(body, step); },
+          step,
           {Begin(j), End(j)});
     }
   }

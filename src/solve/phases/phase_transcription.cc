@@ -14,9 +14,6 @@
 namespace saltus {
 namespace {
 
-// Steps of a phase. Along a longer one open defects add up and weigh more, and damping, whose part in a motion of the
-// whole phase grows with its square, would take more iterations.
-constexpr int kShortPhase = 332;
 constexpr double kLeastLength = 1e-6;  // of a step of mean length, below which its effort is not smaller
 
 std::optional<Vec2d> FixedAt(const Scene& scene, int body) {
@@ -86,7 +83,7 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
   if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
   if (std::any_of(terms_.begin(), terms_.end(), [&](const OwnTerm& term) {
-        return std::find(term.states.begin(), term.states.end(), body) != term.states.end();
+        return std::ranges::count(term.states, body) + std::ranges::count(term.rotations, body) > 0;
       })) {
     return true;
   }
@@ -337,9 +334,7 @@ void PhaseTranscription::KeepApart(const Candidate& c, double margin) {
 }
 
 AugmentedLagrangian::Summary PhaseTranscription::Minimize(AugmentedLagrangian::Options options) {
-  const double length = std::max(1.0, double(*std::max_element(steps_.begin(), steps_.end())) / kShortPhase);
-  options.equality_weight *= length;
-  options.radius *= length * length;
+  options.ScaleTo(*std::max_element(steps_.begin(), steps_.end()));
   return problem_.Minimize(options);
 }
 

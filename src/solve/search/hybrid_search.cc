@@ -6,16 +6,13 @@
 #include "base/random.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "solve/phases/hybrid_phases.h"
-#include "solve/search/search_solve.h"
 #include "solve/search/sequence_search.h"
 
 namespace saltus {
 namespace {
 
-constexpr int kIterationsUpdating = 1000;
-constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
-constexpr int kIterationsShooting = 30;  // from random starts
 constexpr size_t kMostNeighbours = 200;
+constexpr size_t kMostModes = 24;  // of those created as motions meet them
 
 using Sequence = std::vector<ModeEvent>;
 using Finding = FindingOf<HybridMotion>;
@@ -104,16 +101,9 @@ class HybridSearch {
     return neighbours;
   }
 
-  Finding SolveFrom(const SearchStartOf<HybridPhaseRun>& start, double most_work, const SolverOptions& options) const {
-    SolverOptions own;
-    own.stop = options.stop;
-    own.search = options.search;
-    own.iterations =
-        IterationsWithin(most_work, WorkBySteps(), start.sequence ? kIterationsAlong : kIterationsUpdating);
+  Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, const SolverOptions& options) const {
     Finding finding;
-    HybridMotion from = start.trial;
-    if (start.shoot) finding.shooting = Shoot(most_work, options, &from);
-    HybridPhaseRun run("mode_search", problem_, own, std::move(from), start.sequence);
+    HybridPhaseRun run("mode_search", problem_, options, std::move(from), sequence);
     if (auto refused = run.WhyNotStart()) {
       finding.report = std::move(*refused);
       return finding;
@@ -126,9 +116,26 @@ class HybridSearch {
     return finding;
   }
 
-  double WorkOf(const Finding& finding) const {
-    return finding.report.evaluations * WorkBySteps() + finding.shooting * WorkByRollout();
+  // With equalities as costs and without inequalities.
+  int Shoot(const SolverOptions& options, HybridMotion* motion) const {
+    HybridProblem relaxed = run_.problem();
+    std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
+    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
+    relaxed.guess.control = motion->control;
+    relaxed.guess.initial = motion->initial;
+    relaxed.guess.parameters = motion->parameters;
+    const SolveReport report = Solve("ceres_lm", relaxed, options);
+    if (!report.losses.empty()) {
+      motion->control = report.control;
+      motion->initial = report.initial_state;
+      motion->parameters = report.parameters;
+      if (!report.durations.empty()) motion->durations = report.durations;
+    }
+    return report.evaluations;
   }
+
+  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
+  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
   double LossForUser(double loss) const { return loss; }
 
   LocalOptimum OptimumOf(const HybridMotion& motion) const {
@@ -145,28 +152,48 @@ class HybridSearch {
   Sequence AllEvents() const {
     const HybridSystem& system = problem_.system;
     Sequence events = run_.guess().exact.contacts;
+    if (system.functions().CreatesModes()) return EventsOfCreatedModes(std::move(events));
     const auto known = [&](int mode, int guard) {
       return std::any_of(events.begin(), events.end(), [&](const ModeEvent& event) {
         return event.mode == mode && event.guard == guard;
       });
     };
-    const std::vector<int>& sizes = system.layout().state_sizes;
-    std::vector<double> after(*std::max_element(sizes.begin(), sizes.end()));
-    const bool creates = system.functions().CreatesModes();
+    std::vector<double> after(system.functions().most_states());
     for (int mode = 0; mode < system.num_modes(); ++mode) {
-      if (creates && system.functions().Projects(mode)) continue;
       std::vector<double> x(system.state_size(mode), 1.0);
       if (mode == problem_.guess.mode) x = problem_.guess.initial;
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
-        // Contacts open again after an impact.
-        const int next = creates
-                             ? mode
-                             : system.functions().Reset(
-                                   mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
+        const int next =
+            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }
+    return Distinct(events);
+  }
+
+  // Of modes that the guess meets, and of those that events lead to from there.
+  Sequence EventsOfCreatedModes(Sequence events) const {
+    const HybridFunctions& functions = problem_.system.functions();
+    std::vector<int> modes = {problem_.guess.mode};
+    const auto add = [&](int mode) {
+      if (std::find(modes.begin(), modes.end(), mode) == modes.end() && modes.size() < kMostModes)
+        modes.push_back(mode);
+    };
+    for (const ModeEvent& event : events) add(event.next_mode);
+    for (size_t i = 0; i < modes.size(); ++i) {
+      const int mode = modes[i];
+      for (int guard = -1; guard < functions.num_guards(mode); ++guard) {
+        for (const int next : functions.NextModes(mode, guard, problem_.guess.parameters.data())) {
+          add(next);
+          events.push_back({mode, guard, next});
+        }
+      }
+    }
+    return Distinct(events);
+  }
+
+  static Sequence Distinct(const Sequence& events) {
     Sequence distinct;
     for (const ModeEvent& event : events) {
       if (std::find(distinct.begin(), distinct.end(), event) == distinct.end()) distinct.push_back(event);
@@ -201,32 +228,6 @@ class HybridSearch {
     }
     return sizes;
   }
-
-  // Brings a motion near the targets, with equalities as costs and without inequalities. Returns the gradients
-  // computed.
-  int Shoot(double most_work, const SolverOptions& options, HybridMotion* motion) const {
-    HybridProblem relaxed = run_.problem();
-    std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
-    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
-    relaxed.guess.control = motion->control;
-    relaxed.guess.initial = motion->initial;
-    relaxed.guess.parameters = motion->parameters;
-    SolverOptions own;
-    own.stop = options.stop;
-    own.iterations = IterationsWithin(most_work, WorkByRollout(), kIterationsShooting);
-    const SolveReport report = Solve("ceres_lm", relaxed, own);
-    if (!report.losses.empty()) {
-      motion->control = report.control;
-      motion->initial = report.initial_state;
-      motion->parameters = report.parameters;
-      if (!report.durations.empty()) motion->durations = report.durations;
-    }
-    return report.evaluations;
-  }
-
-  // As SearchOptions::work.
-  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
-  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
 
   const HybridPhaseRun& run_;
   const HybridProblem& problem_;

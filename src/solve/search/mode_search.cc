@@ -21,6 +21,7 @@
 #include "solve/search/search_queue.h"
 #include "solve/search/search_solve.h"
 #include "solve/search/search_starts.h"
+#include "solve/search/sequence_search.h"
 #include "solve/search/task_line.h"
 
 namespace saltus {

@@ -19,10 +19,6 @@
 namespace saltus {
 namespace {
 
-constexpr int kIterationsMending = 1000;
-constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
-constexpr int kIterationsShooting = 30;  // from starts of its own
-
 using Finding = FindingOf<Trial>;
 
 // The problem without what closed arcs and shooting do not take; hard terms are costs.
@@ -80,17 +76,10 @@ class DiscSearch {
     return saltus::NeighboursOf(scene, trial, left_out);
   }
 
-  Finding SolveFrom(const SearchStartOf<PhaseRun>& start, double most_work, const SolverOptions& options) const {
-    SolverOptions own;
-    own.stop = options.stop;
-    own.sequence = start.sequence;
-    own.search = options.search;
-    own.iterations =
-        IterationsWithin(most_work, WorkBySteps(scene_), start.sequence ? kIterationsAlong : kIterationsMending);
+  Finding SolveAlong(Trial from, const std::optional<ContactSequence>& sequence, SolverOptions options) const {
+    options.sequence = sequence;
     Finding finding;
-    const Trial begin =
-        run_.WithinBounds(start.shoot ? Shoot(start.trial, most_work, options, &finding.shooting) : start.trial);
-    PhaseRun run("mode_search", request_, own, begin);
+    PhaseRun run("mode_search", request_, options, run_.WithinBounds(std::move(from)));
     if (auto refused = run.WhyNotStart()) {
       finding.report = std::move(*refused);
       return finding;
@@ -104,32 +93,26 @@ class DiscSearch {
     return finding;
   }
 
-  // Towards the targets, whatever the constraints.
-  Trial Shoot(const Trial& from, double most_work, const SolverOptions& options, int* evaluations) const {
-    SolveRequest relaxed{Relaxed(BeginningAs(from, scene_)), request_.contact};
-    SolverOptions own;
-    own.stop = options.stop;
-    own.memory_limit = options.memory_limit;
-    own.most_impacts = kMostImpactsOfMotion;
-    own.iterations = IterationsWithin(most_work, WorkByRollout(scene_), kIterationsShooting);
-    if (scene_.optimize == Optimize::kControl) own.guess = ControlGuess{from.control, from.durations};
-    const SolveReport report = SolveByCeresLm(relaxed, own);
-    *evaluations = report.evaluations;
-    if (report.losses.empty()) return from;
-    Trial trial = from;
+  // Whatever the constraints.
+  int Shoot(SolverOptions options, Trial* trial) const {
+    SolveRequest relaxed{Relaxed(BeginningAs(*trial, scene_)), request_.contact};
+    options.memory_limit = run_.options().memory_limit;
+    options.most_impacts = kMostImpactsOfMotion;
+    if (scene_.optimize == Optimize::kControl) options.guess = ControlGuess{trial->control, trial->durations};
+    const SolveReport report = SolveByCeresLm(relaxed, options);
+    if (report.losses.empty()) return report.evaluations;
     if (scene_.optimize == Optimize::kControl) {
-      trial.control = report.control;
-      trial.durations.assign(scene_.steps, scene_.dt());
+      trial->control = report.control;
+      trial->durations.assign(scene_.steps, scene_.dt());
     } else {
-      trial.initial = report.initial_state;
+      trial->initial = report.initial_state;
     }
-    Simulate(scene_, request_.terms, &trial);
-    return trial;
+    Simulate(scene_, request_.terms, trial);
+    return report.evaluations;
   }
 
-  double WorkOf(const Finding& finding) const {
-    return finding.report.evaluations * WorkBySteps(scene_) + finding.shooting * WorkByRollout(scene_);
-  }
+  double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
+  double WorkBySteps() const { return saltus::WorkBySteps(scene_); }
   double LossForUser(double loss) const { return ConvertLoss(loss, scene_.units, {}); }
   LocalOptimum OptimumOf(const Trial& trial) const {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};

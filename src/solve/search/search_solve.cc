@@ -7,6 +7,7 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/sequence_mending.h"
+#include "solve/search/sequence_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 
 namespace saltus {
@@ -146,10 +147,6 @@ double WorkBySteps(const Scene& scene) {
   return 20 + each * scene.steps * scene.num_bodies();
 }
 
-int IterationsWithin(double most_work, double each, int iterations) {
-  return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
-}
-
 SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   switch (task.kind) {
     case SearchTask::Kind::kAlong:
@@ -162,10 +159,6 @@ SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& option
       return Shoot(request, options, task);
   }
   return {};
-}
-
-std::string BestOf(size_t optima) {
-  return optima == 1 ? "the only optimum found" : "best of " + std::to_string(optima) + " optima";
 }
 
 std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {

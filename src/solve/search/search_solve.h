@@ -33,8 +33,6 @@ struct SearchTask {
 double WorkByRollout(const Scene& scene);
 double WorkByArcs(const Scene& scene, size_t impacts);
 double WorkBySteps(const Scene& scene);
-// So many iterations, or as many as the work allows if each takes `each`, at least one.
-int IterationsWithin(double most_work, double each, int iterations);
 
 // What a solve has found.
 struct SearchFinding {
@@ -47,9 +45,6 @@ struct SearchFinding {
   double work = 0;  // as SearchOptions::work
 };
 SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& options, const SearchTask& task);
-
-// In words: the optimum that a search ends with, of all that it has found.
-std::string BestOf(size_t optima);
 
 // The sequences that differ from that of `trial` by one impact inserted, removed or replaced by one of another pair: at
 // most so many, first of all removals, then those whose new pair comes nearest to a touch. Precondition: impacts only.

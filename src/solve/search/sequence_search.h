@@ -19,8 +19,10 @@
 //   SolveRelaxed(options)                      the optima of the relaxed problem
 //   BeginAtRandom(seed, number)                a motion, or nothing if there is nothing to be drawn
 //   NeighboursOf(trial, &left_out)             the sequences
-//   SolveFrom(start, most_work, options)       one solve; called by several threads at the same time
-//   WorkOf(finding), LossForUser(loss), OptimumOf(trial), kLeftOut
+//   Shoot(options, &trial)                     a motion nearer to the targets, by shooting; the gradients computed
+//   SolveAlong(trial, sequence, options)       one solve; this and Shoot are called by several threads at the same time
+//   WorkByRollout(), WorkBySteps()             of a gradient by shooting and of a Jacobian, as SearchOptions::work
+//   LossForUser(loss), OptimumOf(trial), kLeftOut
 #pragma once
 
 #include <algorithm>
@@ -63,13 +65,22 @@ struct RelaxedOptima {
 };
 
 // In words: the optimum that a search ends with, of all that it has found.
-std::string BestOf(size_t optima);
+inline std::string BestOf(size_t optima) {
+  return optima == 1 ? "the only optimum found" : "best of " + std::to_string(optima) + " optima";
+}
+// So many iterations, or as many as the work allows if each takes `each`, at least one.
+inline int IterationsWithin(double most_work, double each, int iterations) {
+  return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
+}
 
 namespace sequence_search {
 
 inline constexpr double kShareRelaxed = 0.3;     // of the limits, for the problem without constraints
 inline constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
 inline constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
+inline constexpr int kIterationsUpdating = 1000;
+inline constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
+inline constexpr int kIterationsShooting = 30;  // from starts of its own
 
 }  // namespace sequence_search
 
@@ -187,9 +198,7 @@ class SequenceSearch {
       end_ = End::kIterations;
       return std::nullopt;
     };
-    line.solve = [this](const Draw& draw) {
-      return Stopped() ? Finding{} : problem_.SolveFrom(*draw.start, draw.most_work, options_);
-    };
+    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(*draw.start, draw.most_work); };
     line.look = [this](const Draw& draw, Finding finding) {
       if (finding.report.solver.empty()) return EndByStop();  // not begun
       if (const auto& sequence = draw.start->sequence) {
@@ -203,6 +212,25 @@ class SequenceSearch {
     if (Stopped()) EndByStop();
   }
 
+  Finding SolveFrom(const Start& start, double most_work) const {
+    SolverOptions own;
+    own.stop = options_.stop;
+    own.search = options_.search;
+    Trial from = start.trial;
+    int shooting = 0;
+    if (start.shoot) {
+      own.iterations = IterationsWithin(most_work, problem_.WorkByRollout(), sequence_search::kIterationsShooting);
+      shooting = problem_.Shoot(own, &from);
+    }
+    own.iterations =
+        IterationsWithin(most_work,
+                         problem_.WorkBySteps(),
+                         start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
+    Finding finding = problem_.SolveAlong(std::move(from), start.sequence, own);
+    finding.shooting = shooting;
+    return finding;
+  }
+
   void EndByStop() {
     const StopRequest& interrupt = run_.options().stop;
     end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
@@ -211,7 +239,7 @@ class SequenceSearch {
   void Look(Finding finding) {
     ++solves_;
     run_.report().evaluations += finding.report.evaluations + finding.shooting;
-    searched_.work += problem_.WorkOf(finding);
+    searched_.work += finding.report.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
     if (run_.options().status) {
       run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
                             std::to_string(problem_.LossForUser(BestLoss())));

@@ -71,7 +71,7 @@ class Step {
       value = std::clamp(value, range.min, range.max);
     }
     if (forces_ + design_ == z->size()) return;
-    z->back() = std::clamp(z->back(), scene_.objective.duration->min, scene_.objective.duration->max);
+    (*z)[forces_] = std::clamp((*z)[forces_], scene_.objective.duration->min, scene_.objective.duration->max);
   }
 
  private:
@@ -277,15 +277,17 @@ void AddEffort(const SingleShooting& shooting, const VariableBlocks& variables, 
   const Scene& scene = shooting.scene();
   if (shooting.has_duration()) {
     const FreeDuration& free = *scene.objective.duration;
+    const size_t num_forces = blocks.size() - 1 - shooting.num_design();
+    double* const time = blocks[num_forces];
     if (free.weight > 0) {
       using Price = ceres::AutoDiffCostFunction<DurationPrice, DurationPrice::kRows, 1>;
-      problem->AddResidualBlock(new Price(new DurationPrice{free.weight}), nullptr, blocks.back());
+      problem->AddResidualBlock(new Price(new DurationPrice{free.weight}), nullptr, time);
     }
-    problem->SetParameterLowerBound(blocks.back(), 0, free.min);
-    problem->SetParameterUpperBound(blocks.back(), 0, free.max);
-    for (size_t i = 0; i + 1 < blocks.size() && scene.objective.effort > 0; ++i) {
+    problem->SetParameterLowerBound(time, 0, free.min);
+    problem->SetParameterUpperBound(time, 0, free.max);
+    for (size_t i = 0; i < num_forces && scene.objective.effort > 0; ++i) {
       const double weight = scene.objective.effort / shooting.simulator().num_steps();
-      problem->AddResidualBlock(new ScaledEffortCost(weight, sizes[i]), nullptr, blocks[i], blocks.back());
+      problem->AddResidualBlock(new ScaledEffortCost(weight, sizes[i]), nullptr, blocks[i], time);
     }
     return;
   }

@@ -119,6 +119,22 @@ TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LT(report.final_loss, 0.014982);
   EXPECT_TRUE(Resimulate(scene, report).events.empty());
+  // A post whose radius is greater by d costs d times the multiplier of the touch.
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid) << report.certificate->reason;
+  ASSERT_EQ(report.certificate->impacts.size(), 1u);
+  const ImpactCertificate& touch = report.certificate->impacts[0];
+  EXPECT_EQ(touch.a, "ball");
+  const auto least_loss = [&](double change) {
+    Scene other = scene;
+    for (const int post : {1, 2}) {
+      if (other.bodies[post].name == touch.b) other.bodies[post].radius += change;
+    }
+    return Solve("ceres_phases", {other, "event"}, {.guess = ControlGuess{report.control, report.durations}})
+        .final_loss;
+  };
+  EXPECT_NEAR(touch.multiplier, (least_loss(1e-4) - least_loss(-1e-4)) / 2e-4, 1e-3 * touch.multiplier);
+  EXPECT_GT(touch.multiplier, 0);
   for (const int post : {1, 2}) scene.bodies[post].radius += 1e-6;
   EXPECT_FALSE(Resimulate(scene, report).events.empty());
 }

@@ -205,6 +205,7 @@ TEST(ModeSearch, ConvergesWhereTheLossHasAKink) {
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_THAT(report.certificate->reason, HasSubstr("at the final time"));
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid);
 }
 
 // A ball that crosses its box six thousand times.

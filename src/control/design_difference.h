@@ -1,0 +1,19 @@
+// Derivatives by the design parameters of a scene as differences.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+#include "saltus/scene/scene.h"
+
+namespace saltus {
+
+// A vector as a function of the values of Scene::design; empty where it has no value.
+using FunctionOfDesign = std::function<std::vector<double>(const std::vector<double>& values)>;
+// Its derivative by the i-th value at `values`, by differences of fourth order: to both sides, or where it has no value
+// there, to one; empty if it has values on neither. Precondition: the scene is in natural units.
+std::vector<double> DifferenceByDesign(const Scene& scene, std::vector<double> values, std::size_t i,
+                                       const FunctionOfDesign& function);
+
+}  // namespace saltus
