@@ -13,6 +13,7 @@ constexpr double kGrazes = 1e-12;  // depth of a minimum that counts as zero, re
 constexpr double kNearZero = 0.5;  // minimum of the cubic, of the smaller value at the ends, that is looked at
 constexpr double kSettles = 1e-9;  // last steps of an iteration, of the length of the step
 constexpr double kNoise = 4 * std::numeric_limits<double>::epsilon();
+constexpr double kSoon = 1.0 / 64;  // of a step
 constexpr int kMostIterations = 100;
 
 // The cubic with these values and derivatives at 0 and h.
@@ -145,11 +146,38 @@ EventSearch::Found EventSearch::Locate(const FlowStep& step, const double* slope
   return {Found::What::kEvent, s};
 }
 
+// Where a guard that ends a step below -noise is so after `above`, where it is not.
+double EventSearch::FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise) {
+  double below = step.h;
+  for (int i = 0; i < kMostIterations && below - above > kSettles * step.h; ++i) {
+    const double s = 0.5 * (above + below);
+    (After(step, slope, guard, s).value < -noise ? below : above) = s;
+  }
+  return below;
+}
+
+bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& begin, const GuardValue& end) const {
+  return begin.rate > 0 && end.value > 0 && begin.value <= begin.rate * step.h &&
+         functions_.WaitsBehind(step.mode, guard);
+}
+
 EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
                                      const GuardValue& begin, const GuardValue& end) {
   const double h = step.h;
   if (!(h > 0)) return {};
   const double curvature = (end.rate - begin.rate) / h;
+  if (MayReturn(step, guard, begin, end)) {
+    // Where it would be back at zero if its second derivative stayed what it is.
+    const GuardValue soon = After(step, slope, guard, kSoon * h);
+    const double second = (soon.rate - begin.rate) / (kSoon * h);
+    const double back = second < 0 ? -2 * begin.rate / second : h;
+    double below = kSoon * h;
+    if (soon.value > 0 && 1.5 * back < h) below = std::max(below, 1.5 * back);
+    double above = 0;
+    if (After(step, slope, guard, below).value < 0 && FindAbove(step, slope, guard, below, &above)) {
+      return Locate(step, slope, guard, above, below, back, /*curvature=*/-1);
+    }
+  }
   if (armed && end.value > 0) {
     // A minimum in between.
     if (!(begin.rate <= 0 && end.rate >= 0) || begin.rate == end.rate) return {};
@@ -173,7 +201,15 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return Locate(step, slope, guard, 0, s, FirstClosing(cubic, h), curvature);
   }
   const GapPolynomial cubic = Hermite(begin, end, h);
-  if (armed) return Locate(step, slope, guard, 0, h, FirstClosing(cubic, h), curvature);
+  if (armed) {
+    const Found found = Locate(step, slope, guard, 0, h, FirstClosing(cubic, h), curvature);
+    if (found.what != Found::What::kGrazing) return found;
+    const double noise = kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
+    if (!(end.value < -noise)) return found;
+    // A guard with a kink, behind which it is below zero: where it falls, or is by more than rounding.
+    if (After(step, slope, guard, found.s).rate < 0) return {Found::What::kEvent, found.s};
+    return {Found::What::kEvent, FirstBelow(step, slope, guard, found.s, noise)};
+  }
   // It must rise above zero first.
   const double closing = FirstClosing(cubic, h, /*ignore_start=*/true);
   if (end.value > 0) {
@@ -190,8 +226,13 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
   }
   // It rises by less than rounding.
-  if (!closes || !(begin.rate > 0) || !(step.t + closing > step.t)) return {};
-  return After(step, slope, guard, closing).rate < 0 ? Found{Found::What::kEvent, closing} : Found{};
+  if (closes && begin.rate > 0 && step.t + closing > step.t) {
+    return After(step, slope, guard, closing).rate < 0 ? Found{Found::What::kEvent, closing} : Found{};
+  }
+  // It does not reach zero, as it began below by rounding.
+  const double noise = 2 * std::abs(begin.value) + kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
+  if (closes || !(begin.rate > 0) || !(end.value < -noise) || !functions_.WaitsBehind(step.mode, guard)) return {};
+  return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 
 }  // namespace saltus

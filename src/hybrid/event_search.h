@@ -37,6 +37,9 @@ class EventSearch {
   // above zero before.
   Found Find(const FlowStep& step, const double* slope, int guard, bool armed, const GuardValue& begin,
              const GuardValue& end);
+  // Whether a guard that rises at the beginning of a step and is above zero at its end is looked at in between as well:
+  // it may have a kink, as the gap of a corner that moves on to another edge, and return before.
+  bool MayReturn(const FlowStep& step, int guard, const GuardValue& begin, const GuardValue& end) const;
 
   // The size of a guard's terms, of which rounding errors are a part: sum |g_x x| + |g_t t| + sum |g_p p| + sum |g_u
   // u|.
@@ -49,6 +52,7 @@ class EventSearch {
  private:
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
+  double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
 
   const HybridFunctions& functions_;

@@ -332,7 +332,10 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
   Due earliest;
   for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
     const GuardValue& begin = at_.guards[guard];
-    if (at_.armed[guard] && end[guard].value > 0 && !(begin.rate <= 0 && end[guard].rate >= 0)) continue;
+    if (at_.armed[guard] && end[guard].value > 0 && !(begin.rate <= 0 && end[guard].rate >= 0) &&
+        !search_.MayReturn(step, guard, begin, end[guard])) {
+      continue;
+    }
     const EventSearch::Found found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
     if (found.what == EventSearch::Found::What::kEvent) {
       if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s};

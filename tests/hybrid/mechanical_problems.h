@@ -331,4 +331,57 @@ struct Bowl {
   }
 };
 
+// A planar hopper: hip (x, y), thigh and shank at the angles al and be, torques at knee and hip. a0, b0: angles at the
+// start.
+struct Hopper {
+  static constexpr int kNumCoordinates = 4, kNumControls = 2, kNumParameters = 12, kNumContacts = 1;
+  static constexpr std::array<const char*, 12> kParameterNames = {
+      "m0", "m1", "m2", "l1", "l2", "g", "ck", "ch", "e", "mu", "a0", "b0"};
+  static constexpr std::array<const char*, 1> kContactNames = {"foot"};
+
+  template <typename T>
+  void Mass(const T* q, const T* p, T* M) const {
+    using std::cos, std::sin;
+    const T first = (0.5 * p[1] + p[2]) * p[3], second = 0.5 * p[2] * p[4];
+    M[0] = M[5] = p[0] + p[1] + p[2];
+    M[1] = M[4] = T(0.0);
+    M[2] = M[8] = first * cos(q[2]);
+    M[3] = M[12] = second * cos(q[3]);
+    M[6] = M[9] = first * sin(q[2]);
+    M[7] = M[13] = second * sin(q[3]);
+    M[10] = (p[1] / 3.0 + p[2]) * p[3] * p[3];
+    M[11] = M[14] = 0.5 * p[2] * p[3] * p[4] * cos(q[2] - q[3]);
+    M[15] = p[2] * p[4] * p[4] / 3.0;
+  }
+  template <typename T>
+  void Force(const T&, const T* q, const T* v, const T* u, const T* p, T* h) const {
+    using std::cos, std::sin;
+    const T first = (0.5 * p[1] + p[2]) * p[3], second = 0.5 * p[2] * p[4];
+    const T s = 0.5 * p[2] * p[3] * p[4] * sin(q[2] - q[3]);
+    const T knee = u[0] - p[6] * (v[3] - v[2]), hip = u[1] - p[7] * v[2];
+    h[0] = first * sin(q[2]) * v[2] * v[2] + second * sin(q[3]) * v[3] * v[3];
+    h[1] = -first * cos(q[2]) * v[2] * v[2] - second * cos(q[3]) * v[3] * v[3] - (p[0] + p[1] + p[2]) * p[5];
+    h[2] = -s * v[3] * v[3] - first * p[5] * sin(q[2]) - knee + hip;
+    h[3] = s * v[2] * v[2] - second * p[5] * sin(q[3]) + knee;
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T* p) const {
+    using std::cos;
+    return q[1] - p[3] * cos(q[2]) - p[4] * cos(q[3]);
+  }
+  template <typename T>
+  T Slide(int, const T* q, const T* p) const {
+    using std::sin;
+    return q[0] + p[3] * sin(q[2]) + p[4] * sin(q[3]);
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[8];
+  }
+  template <typename T>
+  T Friction(int, const T* p) const {
+    return p[9];
+  }
+};
+
 }  // namespace saltus

@@ -15,7 +15,6 @@
 
 #include "control/hybrid_shooting.h"
 #include "folders.h"
-#include "problems/hybrid/leg_hopper.h"
 #include "problems/hybrid/pushed_box.h"
 #include "problems/hybrid/wall_swing_up.h"
 #include "saltus/hybrid/hybrid_problem.h"

@@ -78,9 +78,14 @@ class HybridPhaseRun::Transcriber {
 
   void Simulate(HybridMotion* motion) const { run_.Simulate(motion); }
   double ViolationOf(const HybridMotion& motion) const { return run_.ViolationOf(motion); }
-  // The control of a phase acts until its event has happened.
+  // The control of a phase acts until its event has happened; where the next mode depends on the control, but the guard
+  // does not, that of the next phase acts.
   double NodeMargin(const HybridMotion& motion) const { return -kNodeMargin * DurationOf(motion); }
-  static bool IsAtNode(const ModeEvent& event) { return event.is_switch(); }
+  int SideOf(const ModeEvent& event) const {
+    const HybridFunctions& functions = run_.problem_.system.functions();
+    if (event.is_switch()) return 0;
+    return functions.CreatesModes() && !functions.ReadsControl(event.mode, event.guard) ? -1 : 1;
+  }
   bool IsRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence,
                   const std::vector<double>& times) const {
     if (!motion.exact.ok || !motion.exact.only_impacts || motion.exact.contacts != sequence) return false;
@@ -91,19 +96,19 @@ class HybridPhaseRun::Transcriber {
   }
 
  private:
-  // Events whose guards depend on the control would not happen if it jumped a little before.
+  // Of systems whose modes depend on the control, nodes are on the sides of the events where they belong.
   void DelayNodes(const HybridTranscription& transcription, HybridMotion* motion) const {
     const std::vector<double> times = transcription.CutTimes();
-    const double delay = kDelay * DurationOf(*motion);
+    if (!run_.problem_.system.functions().CreatesModes()) return;
     for (size_t j = 0; j < times.size(); ++j) {
       const ModeEvent& event = *plan_.cuts[j];
-      if (event.is_switch() || !run_.problem_.system.functions().ReadsControl(event.mode, event.guard)) continue;
+      const double delay = SideOf(event) * kDelay * DurationOf(*motion);
       double end = 0;
       size_t k = 0;
       while (k + 1 < motion->durations.size() && end + 0.5 * motion->durations[k] < times[j]) {
         end += motion->durations[k++];
       }
-      if (k == 0 || !(motion->durations[k] > 2 * delay)) continue;
+      if (k == 0 || !(std::min(motion->durations[k - 1], motion->durations[k]) > 2 * std::abs(delay))) continue;
       motion->durations[k - 1] += delay;
       motion->durations[k] -= delay;
     }

@@ -30,8 +30,8 @@ void SimulatePlan(const Motions& motions, const PlanOf<Event>& plan, PlanAttempt
 }
 
 // Moves nodes to half of Motions::NodeMargin before the events that are meant to be there (after them, if it is
-// negative), where the exact model takes the event at the node; those for which Motions::IsAtNode happen there anyway.
-// False if they are in place.
+// negative), where the exact model takes the event at the node; Motions::SideOf is 1, or -1 for events that want the
+// other side and 0 for those that happen at nodes anyway. False if they are in place.
 template <typename Motions, typename Event, typename Motion>
 bool Snap(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
           PlanAttemptOf<Motion>* attempt) {
@@ -41,7 +41,7 @@ bool Snap(const Motions& motions, const PlanOf<Event>& plan, const std::vector<i
   size_t event = 0;
   for (size_t k = 0; k < plan.cuts.size(); ++k) {
     if (plan.cuts[k]) attempt->times[k] = trial.exact.events[event++].time;
-    ends.push_back(attempt->times[k] - (plan.cuts[k] && !motions.IsAtNode(*plan.cuts[k]) ? 0.5 * margin : 0.0));
+    ends.push_back(attempt->times[k] - (plan.cuts[k] ? motions.SideOf(*plan.cuts[k]) * 0.5 * margin : 0.0));
   }
   ends.push_back(DurationOf(trial));
   for (size_t k = plan.cuts.size(); k-- > 0;) {

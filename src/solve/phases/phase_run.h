@@ -34,7 +34,7 @@ class DiscMotions {
   double ViolationOf(const Trial& trial) const;
   // The exact model moves an impact that is a little after a node there.
   double NodeMargin(const Trial& trial) const;
-  static bool IsAtNode(const Candidate&) { return false; }
+  static int SideOf(const Candidate&) { return 1; }
 
  protected:
   const Scene& motion_scene() const { return *scene_; }
