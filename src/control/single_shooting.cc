@@ -215,7 +215,7 @@ void SingleShooting::WayGradient(std::span<const double> z, double* gradient) {
                      EffortLoss(scene().objective, control, simulator_->step()) / scene().duration;
     }
   }
-  DifferenceByParameters([&] { return std::vector<double>{LossOfLastRollout(at_)}; },
+  DifferenceByParameters([&] { return std::vector<double>{LossOfLastRollout(Effort(at_))}; },
                          [&](int i, const std::vector<double>& by) { gradient[i] = by[0]; });
 }
 

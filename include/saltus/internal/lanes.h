@@ -6,6 +6,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <cstring>
 
 #include "saltus/base/scalar.h"
@@ -50,6 +51,9 @@ class Lanes {
 
 // As of doubles (base/smooth_math.h).
 inline Lanes Divide(const Lanes& a, const Lanes& b) { return a / b; }
+inline Lanes SafeSqrt(const Lanes& x) {
+  return Lanes(Lanes::Pack{std::sqrt(x[0]), std::sqrt(x[1]), std::sqrt(x[2]), std::sqrt(x[3])});
+}
 
 namespace internal {
 template <>

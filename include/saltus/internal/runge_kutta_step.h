@@ -180,9 +180,8 @@ void PullBackStages(double h, const Jet* slopes, const double* after, StepCotang
       for (int j = 0; j < kSize; ++j) of_slopes[stage][j] += factor * cotangent[j];
     };
   };
-  Variables sum;
+  Variables sum = Variables::Zero();  // Jets may be wider than [x t p u]
   for (int j = 0; j < kSize; ++j) sum[j] = after[j];
-  sum[kSize] = 0;
   for (int j = 0; j < kParameters; ++j) sum[kSize + 1 + j] = out->p[j];
   for (int j = 0; j < kControls; ++j) sum[kSize + 1 + kParameters + j] = out->u[j];
   ForTerms<kStages>(add(sum));
