@@ -372,7 +372,7 @@ TEST_F(SweepRunsTest, FeedbackHasColumnsThatThreadsDoNotChange) {
 }
 
 TEST_F(SweepRunsTest, OptimizedParametersHaveColumns) {
-  const Outcome outcome = RunProgram("saltus_sweep" + Scene("post_shot") +
+  const Outcome outcome = RunProgram("saltus_sweep" + SceneFlag("post_shot") +
                                      " --contact=event --solver=ceres_event --sweep=steps=24,48 --progress=none");
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
