@@ -379,7 +379,8 @@ ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& finding
   return gradient;
 }
 
-// The names of the parameters by which the box gives derivatives.
+// The names of the parameters by which the box gives derivatives. The cotangent is zero, as some boxes only give the
+// gradient of the loss.
 std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
                                          const StopRequest& stop) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
@@ -388,7 +389,7 @@ std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, cons
                     steps * scene.dt(),
                     InitialState(scene),
                     InitialControl(scene, steps),
-                    std::vector<double>(4 * scene.num_bodies(), 1.0)};
+                    std::vector<double>(4 * scene.num_bodies(), 0.0)};
   question.parameters = true;
   std::vector<std::string> names;
   const Answer answer = box->Ask(scene, {question}, stop).front();
