@@ -63,8 +63,8 @@ class SingleShooting final : public ShootingFunction {
 
   // How many points EvaluateTogether takes at once; 1 if that is no faster than one after the other.
   int num_lanes() const;
-  // Evaluate() of point i, row i of `points`, by shootings[i], for up to num_lanes() points: the same bits. ok[i] is what
-  // it returns; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same problem.
+  // Evaluate() of point i, row i of `points`, by shootings[i], for up to num_lanes() points: the same bits. ok[i] is
+  // what it returns; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same problem.
   static void EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
                                std::span<const double> points, std::span<double> losses, std::span<double> gradients,
                                std::span<bool> ok);
