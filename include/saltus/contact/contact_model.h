@@ -29,7 +29,7 @@ namespace saltus {
 //   const;
 //       the step of disc i when it touches nothing. (p, v) -> (p', v') is affine and isotropic, with the same Jacobian
 //       in every step, and force enters through Acceleration(i) only; the rotation depends on the rotation only.
-//       Checked once, by derivatives at two states.
+//       Checked once, by derivatives at two states. T may be Lanes (internal/lanes.h): Free compares no values.
 //   template <typename T> void Step(const StepInput<T>&, std::span<const BodyState<T, kRotation>> x,
 //                                   std::span<BodyState<T, kRotation>> next) const;
 //       the step of all discs. Contacts that take effect are reported (StepInput::Report): derivatives are taken of
