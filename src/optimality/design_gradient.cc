@@ -55,8 +55,8 @@ class FollowingRuns {
     }
   }
 
-  // The Lagrangian, which is the loss without constraints, with other values of the design parameters; nothing if the
-  // impacts are not the same then.
+  // The Lagrangian at other values of the design parameters; without constraints it is the loss. Empty if the impacts
+  // differ from those at the given values.
   std::vector<double> LagrangianAt(const std::vector<double>& values) const {
     const Scene designed = WithDesign(scene_, values);
     const std::vector<double> initial = InitialIn(designed, initial_);

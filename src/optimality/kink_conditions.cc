@@ -208,7 +208,7 @@ class KinkCertifier {
     return largest / std::max(scale, 1e-300);
   }
 
-  // Of multipliers and slopes, that are zero but for rounding.
+  // The rounding error of multipliers and slopes.
   double Noise() const { return kNoJump * std::max(1.0, std::abs(exact_.loss)); }
 
   std::string WhyOtherSideIsLess(const Kink& kink, std::size_t i) const {

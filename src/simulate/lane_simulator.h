@@ -9,7 +9,7 @@ namespace saltus {
 
 class LaneSimulator : public Simulator {
  public:
-  // A motion of the scene, simulated by a simulator of its own.
+  // A motion of the scene, with the simulator that no other motion uses.
   struct Motion {
     LaneSimulator* simulator;
     std::span<const double> initial, control;  // as of Rollout; the control must stay as long as results are asked for

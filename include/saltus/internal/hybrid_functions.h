@@ -291,8 +291,8 @@ class HybridFunctionsOf final : public HybridFunctions {
     }
   }
 
-  // The slopes of all stages of a step, and their Jets. What is differentiated by is the same at all of them but for
-  // its values.
+  // The slopes of all stages of a step, and their Jets. All stages have the same variables of differentiation, with
+  // other values.
   template <int kMode>
   void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
     constexpr int kSize = S::kStateSizes[kMode];

@@ -80,7 +80,7 @@ inline constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
 inline constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
 inline constexpr int kIterationsUpdating = 1000;
 inline constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
-inline constexpr int kIterationsShooting = 30;  // from starts of its own
+inline constexpr int kIterationsShooting = 30;  // from random starts
 
 }  // namespace sequence_search
 
