@@ -1,8 +1,8 @@
 // Many points of one problem at once: multi-start, sampling, studies of initial conditions or controls.
 //
 // Points are shared among threads, and those of a thread simulated in groups whose flights go through the lanes of the
-// core together (SingleShooting::EvaluateTogether). No two motions of a group share a simulator and no two results share
-// a place, so that results have the bits of single evaluations, for any number of threads.
+// core together (SingleShooting::EvaluateTogether). No two motions of a group share a simulator and no two results
+// share a place, so that results have the bits of single evaluations, for any number of threads.
 #pragma once
 
 #include <cstddef>
