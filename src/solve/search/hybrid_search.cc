@@ -11,7 +11,6 @@
 namespace saltus {
 namespace {
 
-constexpr size_t kMostNeighbours = 200;
 constexpr size_t kMostModes = 24;  // of those created as motions meet them
 
 using Sequence = std::vector<ModeEvent>;
@@ -96,8 +95,8 @@ class HybridSearch {
         }
       }
     }
-    *left_out = neighbours.size() > kMostNeighbours;
-    if (*left_out) neighbours.resize(kMostNeighbours);
+    *left_out = neighbours.size() > sequence_search::kMostNeighbours;
+    if (*left_out) neighbours.resize(sequence_search::kMostNeighbours);
     return neighbours;
   }
 

@@ -15,10 +15,8 @@ namespace {
 
 constexpr int kIterationsAlong = 80;  // of Ceres, along one sequence
 constexpr int kIterationsMending = 1000;
-constexpr int kIterationsShooting = 30;  // from starts of the search's own
-constexpr double kLossChange = 0.02;     // relative, in the last steps of a solve
-constexpr double kShareGain = 1e-7;      // relative: of the loss, for which intervals change their phase
-constexpr size_t kMostNeighbours = 200;
+constexpr double kLossChange = 0.02;  // relative, in the last steps of a solve
+constexpr double kShareGain = 1e-7;   // relative: of the loss, for which intervals change their phase
 
 void Certify(const Scene& scene, SearchFinding* finding) {
   if (!finding->certificate) finding->certificate = CertifyTrial(scene, finding->trial);
@@ -102,8 +100,8 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   own.most_impacts = kMostImpactsOfMotion;
   SolveReport report;
   if (task.kind == SearchTask::Kind::kShoot) {
-    own.iterations =
-        IterationsWithin(task.most_work, WorkByRollout(scene), given ? options.iterations : kIterationsShooting);
+    own.iterations = IterationsWithin(
+        task.most_work, WorkByRollout(scene), given ? options.iterations : sequence_search::kIterationsShooting);
     report = SolveByCeresLm(request, own);
   } else {
     const UnitFactors to(Units{}, scene.units);  // the rate is N^2 per unit of the loss
@@ -185,7 +183,7 @@ std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial
       }
     }
   }
-  *left_out = neighbours.size() > kMostNeighbours;
+  *left_out = neighbours.size() > sequence_search::kMostNeighbours;
   if (!*left_out) return neighbours;
   const Flight flight = FlightOf(scene, trial);
   std::vector<std::pair<double, size_t>> order;  // by gap
@@ -199,7 +197,8 @@ std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial
   }
   std::sort(order.begin(), order.end());
   std::vector<ContactSequence> nearest;
-  for (size_t n = 0; n < kMostNeighbours; ++n) nearest.push_back(std::move(neighbours[order[n].second]));
+  for (size_t n = 0; n < sequence_search::kMostNeighbours; ++n)
+    nearest.push_back(std::move(neighbours[order[n].second]));
   return nearest;
 }
 

@@ -81,6 +81,7 @@ inline constexpr double kSameLoss = 1e-6;        // relative: the same optimum o
 inline constexpr int kIterationsUpdating = 1000;
 inline constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
 inline constexpr int kIterationsShooting = 30;  // from random starts
+inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
 
 }  // namespace sequence_search
 
