@@ -28,15 +28,16 @@ inline constexpr double kStillSpeed = 1e-14;       // up to which a gap does not
 inline constexpr double kPushing = 1e-11;          // acceleration that closes a gap [rest]
 inline constexpr double kHeadOn = 1e-9;            // of the closing speed: an impact that does not slide [gradient]
 
+// Angles, rad.
+inline constexpr double kLongestTurn = 0.05;  // of a normal within a sub-step with friction [rolling]
+
 // Shares.
-inline constexpr double kSubStepEnd = 1e-6;     // of a sub-step: an event this close to its end is at its end [rolling]
-inline constexpr double kLargestGain = 1e-9;    // of the energy: its growth, beyond which a step fails [piles, stress]
-inline constexpr double kRoughSubStep = 0.1;    // of the longest sub-step without friction: with it [rolling]
-inline constexpr double kBeforeModeEnd = 0.99;  // of a sub-step until a contact mode ends: where it is cut [rolling]
-inline constexpr double kBeyondModeEnd = 1e-6;  // of the sub-step, added to it, so that the mode does end [rolling]
-inline constexpr double kOpenForce = 1e-12;     // of the largest force of a group: a contact is open [rest, piles]
-inline constexpr double kAtBound = 1e-12;       // of the bound of friction: a contact slides [rest]
-inline constexpr double kOverlapOfOpen = 0.1;   // of kContactGap: the overlap from which open contacts are closed
+inline constexpr double kSubStepEnd = 1e-6;   // of a sub-step: an event this close to its end is at its end [rolling]
+inline constexpr double kLargestGain = 1e-9;  // of the energy: its growth, beyond which a step fails [piles, stress]
+inline constexpr double kBeyondModeEnd = 1e-11;  // of a normal force: by which it is past the end of a mode [rolling]
+inline constexpr double kOpenForce = 1e-12;      // of the largest force of a group: a contact is open [rest, piles]
+inline constexpr double kAtBound = 1e-12;        // of the bound of friction: a contact slides [rest]
+inline constexpr double kOverlapOfOpen = 0.1;    // of kContactGap: the overlap from which open contacts are closed
 
 // Numbers of events in a step.
 inline constexpr int kMaxEvents = 100000;    // after which impacts are plastic; after twice as many it fails [piles]

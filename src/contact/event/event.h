@@ -46,12 +46,13 @@
 //   is taken by one implicit time-stepping step instead (event_fallback.h): to first order in its length, without
 //   restitution. Not of discs that spin, on tables, among pockets, or by a learned law. Its active contacts are
 //   reported as sustained, all pairs of its discs without a time.
-// Sub-steps. Two discs that slide along each other turn their normal: they move in sub-steps (event_sub_steps.h), at
-//   the end of which they are exactly in contact and no work was done. With friction such motion is of second order in
-//   its sub-steps, its derivatives, where it begins and ends, of first. Everything else is exact.
+// Sub-steps. Two discs that slide along each other turn their normal: they move in sub-steps (event_sub_steps.h), of
+//   order 8 with friction. Without, and in large groups of discs that do not spin, they are exactly in contact at the
+//   end of each, and no work was done, but the time at which they are there is of second order in the sub-step, 1e-6 of
+//   it. Everything else is exact.
 // Spin. Discs that stick roll: their points of contact do not move along each other, and a disc begins and ceases to
 //   roll as any contact begins and ceases to stick. Discs that roll around each other, or on a curved wall, do so in
-//   sub-steps, at the end of which they have neither separated nor slid, and no work was done.
+//   sub-steps.
 // Edges. The sides and ends of segments, polygons and arcs (walls.h) are met where they count, to kSeam. A disc that
 //   slides off the end of one leaves it there: onto the next, around the end, or freely.
 // Tables. Each disc slows at a constant rate against its velocity and stops at the exact time; both are reported as

@@ -77,6 +77,7 @@ class EventChanges {
     disc.moved = disc.dirty = true;
     disc.event = at.event;
     disc.sub_step_end = kNever;
+    disc.curve = nullptr;
   }
 
   // Moves disc i to an instant, with all discs that it is in closed contact with, and ends these contacts.

@@ -14,6 +14,7 @@
 
 #include "contact/event/event_rows.h"
 #include "contact/solvers/resting_forces.h"
+#include "saltus/internal/runge_kutta_step.h"
 
 namespace saltus::internal {
 
@@ -40,12 +41,13 @@ class EventGroup {
     int pair = 0;  // index of its candidate
     RestingContact force = {};
     ContactMode mode = ContactMode::kFrictionless;
-    bool closed = false;   // its force keeps its gap at zero
-    bool stopped = false;  // not closed, but closing slowly: that speed is taken away
-    bool rests = false;    // its normal velocity is rounding, not that of bounces that are cut off here
-    bool drifts = false;   // its discs have moved around each other since it was last closed exactly
-    bool rolled = false;   // by rolling: what they slide is drift, too
-    bool bends = false;    // its normal turns as its discs move along each other
+    bool closed = false;        // its force keeps its gap at zero
+    bool stopped = false;       // not closed, but closing slowly: that speed is taken away
+    bool rests = false;         // its normal velocity is rounding, not that of bounces that are cut off here
+    bool drifts = false;        // its discs have moved around each other since it was last closed exactly
+    bool rolled = false;        // by rolling: what they slide is drift, too
+    bool bends = false;         // its normal turns as its discs move along each other
+    double force_at_start = 0;  // N, its normal force at the instant
     // Discs that stick do not move along each other, unless they roll.
     bool MayTurn() const { return mode != ContactMode::kStick || kRotation == kSpin; }
     bool Curved() const { return bends && MayTurn(); }
@@ -60,7 +62,9 @@ class EventGroup {
         has_disc_(in.scratch),
         has_pair_(in.scratch),
         rows_(in),
-        before_(in.scratch) {}
+        before_(in.scratch),
+        moving_(in.scratch),
+        stages_(in.scratch) {}
 
   // The discs of the step, which the functions below read and change. They must stay where they are.
   void SetDiscs(std::span<Disc> discs) { discs_ = discs; }
@@ -110,6 +114,7 @@ class EventGroup {
       largest = std::max(largest, force.normal_force);
     }
     for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      contacts_[k].force_at_start = contacts_[k].force.normal_force;
       Classify(Value(in_.contact.friction), kOpenForce * largest, found[3 + 3 * k], &contacts_[k]);
     }
     return true;
@@ -191,10 +196,9 @@ class EventGroup {
   }
 
   // Sets the accelerations under which closed contacts stay closed: at the instant, with sub_step = 0, or for discs
-  // that move around each other over the next `sub_step` s. A constant acceleration keeps them exactly in contact at
-  // the end if their mean relative velocity is normal to the sum of the distances at both ends; then contact forces do
-  // no work either. With friction the force at half the time is taken. The ends are predicted by the present
-  // accelerations.
+  // that slide around each other without friction over the next `sub_step` s. A constant acceleration keeps them
+  // exactly in contact at the end if their mean relative velocity is normal to the sum of the distances at both ends;
+  // then contact forces do no work either. The ends are predicted by the present accelerations.
   void SetAccelerations(const T& sub_step) {
     AddRowsOfClosed([&](const Contact& contact) { AddAccelerationRows(contact, sub_step); });
     for (const Contact& contact : contacts_) {
@@ -224,6 +228,43 @@ class EventGroup {
     push_and_turn();
   }
 
+  // Lets all discs of the group move for `length` s from the instant as their contact forces say, which turn with the
+  // normals: by one Runge-Kutta step of order 8 (saltus/internal/runge_kutta_step.h). In between, the position is the
+  // polynomial of degree 5 with the positions, velocities and accelerations of both ends. Positions and velocities are
+  // computed as differences from a motion of constant acceleration, so that short sub-steps lose no digits.
+  void SetCurves(double length) {
+    using cooper_verner::kStages;
+    FindAccelerations();
+    moving_.clear();
+    for (std::size_t i = 0; i < discs_.size(); ++i) {
+      if (HasDisc(i)) moving_.push_back(i);
+    }
+    const std::size_t n = moving_.size();
+    before_.clear();
+    for (int i : moving_) before_.push_back(discs_[i]);
+    stages_.assign((kStages + 1) * n, Bent());
+    for (int stage = 1; stage <= kStages; ++stage) {
+      const double s = stage < kStages ? cooper_verner::kC[stage] * length : length;
+      for (std::size_t k = 0; k < n; ++k) Bend(stage, s, length, k);
+      FindAccelerations();
+      for (std::size_t k = 0; k < n; ++k) {
+        const Disc &disc = discs_[moving_[k]], &start = before_[k];
+        Bent& bent = stages_[stage * n + k];
+        bent.a = disc.a - start.a;
+        if constexpr (kRotation == kSpin) bent.turn.a = disc.turn.acceleration - start.turn.acceleration;
+      }
+    }
+    for (std::size_t k = 0; k < n; ++k) {
+      Disc& disc = discs_[moving_[k]];
+      disc = before_[k];
+      const Bent& end = stages_[kStages * n + k];
+      disc.curve = KeepCurve<Vec2<T>>(end, length, [](double s, const Vec2<T>& x) { return Scale(s, x); });
+      if constexpr (kRotation == kSpin) {
+        disc.turn.curve = KeepCurve<T>(end.turn, length, [](double s, const T& x) { return T(s * x); });
+      }
+    }
+  }
+
   // Opens the closed contacts that would have to pull under these accelerations: they separate within the sub-step.
   // Returns whether there are any.
   bool OpenPulling() {
@@ -231,8 +272,7 @@ class EventGroup {
     std::size_t row = 0;
     for (Contact& contact : contacts_) {
       if (!contact.closed) continue;
-      const double force = contact.force.normal_force + Value(rows_[row].force);
-      row += contact.mode == ContactMode::kStick ? 2 : 1;
+      const double force = contact.force.normal_force + Value(rows_[row++].force);
       if (force >= 0) continue;
       contact.closed = false;
       any = true;
@@ -240,43 +280,25 @@ class EventGroup {
     return any;
   }
 
-  // The part of the sub-step until just before a contact with friction opens or begins to slide, and finally until just
-  // after it; 1 if none does. Forces do not jump there, so derivatives only need a sub-step that ends there. The forces
-  // over the sub-step are those at half of it for a contact that slides, and on average those at a third for one that
-  // rolls, which are found from positions.
-  double ShareInMode() const {
+  // How far the forces are from where a contact with friction opens or begins to slide, at the end of the curves: the
+  // least, as a part of the normal force at the start; negative beyond that.
+  double LeftInMode() const {
     const double friction = Value(in_.contact.friction);
-    double share = 1;
-    std::size_t row = 0;
+    double left = kNever;
     for (const Contact& contact : contacts_) {
       if (!contact.closed) continue;
       const RestingContact& f = contact.force;
       const bool sticks = contact.mode == ContactMode::kStick;
-      const double normal = f.normal_force + Value(rows_[row].force);
-      double left = f.normal_force, later = normal;  // at the start, and over the sub-step
-      if (sticks) {
-        left = friction * left - std::abs(f.tangential_force);
-        later = friction * normal - std::abs(f.tangential_force + Value(rows_[row + 1].force));
-      }
-      row += sticks ? 2 : 1;
-      if (later < left)
-        share = std::min(
-            share, kBeforeModeEnd * (sticks ? 1.0 / 3 : 0.5) * std::max(left, 0.0) / (left - later) + kBeyondModeEnd);
+      const double force = sticks ? friction * f.normal_force - std::abs(f.tangential_force) : f.normal_force;
+      left = std::min(left, force / contact.force_at_start);
     }
-    return share;
+    return left;
   }
 
   // The tangential force of a sliding contact per normal force.
   T TangentialShare(const Contact& contact) const {
     if (contact.mode == ContactMode::kStick || jammed_) return T(0.0);
     return in_.contact.friction * double(-contact.force.sliding);
-  }
-
-  // Whether discs roll around each other, or on a curved wall.
-  bool RollsAround() const {
-    return std::ranges::any_of(contacts_, [](const Contact& contact) {
-      return contact.closed && contact.Curved() && contact.mode == ContactMode::kStick;
-    });
   }
 
   // Speed and acceleration of the centres along each other, as values: these turn the normal.
@@ -550,37 +572,86 @@ class EventGroup {
   void AddAccelerationRows(const Contact& contact, const T& sub_step) {
     const Candidate& c = in_.candidates[contact.pair];
     const RestingContact& f = contact.force;
-    // With friction the mean force must be right as well: the force at half the time is.
-    const bool half = contact.mode == ContactMode::kSlip;
-    const T ahead = (half ? 0.25 : 0.5) * sub_step;
+    const T half = 0.5 * sub_step;
     const Separation<T> at = SeparationAt(in_, c, [&](int i) -> Vec2<T> {
-      return discs_[i].p + Scale(T(0.5 * sub_step), Vec2<T>(discs_[i].v + Scale(ahead, discs_[i].a)));
+      return discs_[i].p + Scale(half, Vec2<T>(discs_[i].v + Scale(half, discs_[i].a)));
     });
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
-    T turning(0.0), slipping(0.0);
+    T turning(0.0);
     const T distance = TurningDistance(in_, c, at.distance);
     if (contact.MayTurn() && Value(distance) != 0) {
-      const T until = (half ? 0.5 : 0.0) * sub_step;
-      const Vec2<T> w =
-          RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return discs_[i].v + Scale(until, discs_[i].a); });
-      const T passing = Dot(tangent, w);
-      if (Value(sub_step) > 0 && !half) {
+      const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
+      if (Value(sub_step) > 0) {
         turning = Divide(T(2.0 * Dot(at.normal, w)), sub_step);
-        slipping = Divide(
-            T(2.0 * AlongSurface<kRotation>(in_, c, passing, [&](auto i) { return discs_[i].turn.speed; })), sub_step);
       } else {
+        const T passing = Dot(tangent, w);
         turning = Divide(T(passing * passing), distance);
       }
     }
     if (contact.mode == ContactMode::kStick) {
       rows_.Add({c.a, b, at.normal, at.normal, turning, T(f.normal_force)});
-      rows_.Add({c.a, b, tangent, tangent, slipping, T(f.tangential_force), T(1.0), T(1.0)});
+      rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force), T(1.0), T(1.0)});
       return;
     }
     const T share = in_.contact.friction * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);
     rows_.Add({c.a, b, at.normal, push, turning, T(f.normal_force), T(0.0), share});
+  }
+
+  // Sets accelerations and forces at the present positions and velocities. The forces are found first, then corrected:
+  // the correction carries the derivatives where it is rounding.
+  void FindAccelerations() {
+    for (int pass = 0; pass < 2; ++pass) {
+      SetAccelerations(T(0.0));
+      std::size_t row = 0;
+      for (Contact& contact : contacts_) {
+        if (!contact.closed) continue;
+        contact.force.normal_force += Value(rows_[row++].force);
+        if (contact.mode == ContactMode::kStick) contact.force.tangential_force += Value(rows_[row++].force);
+      }
+    }
+  }
+
+  // Differences of velocity and acceleration (and position) from a motion of constant acceleration.
+  template <typename V>
+  struct Difference {
+    V p, v, a;
+  };
+  struct Bent : Difference<Vec2<T>> {
+    Bent() : Difference<Vec2<T>>{Zero(), Zero(), Zero()} {}
+    static Vec2<T> Zero() { return {T(0.0), T(0.0)}; }
+    Difference<T> turn{T(0.0), T(0.0), T(0.0)};
+  };
+  // Moves disc k of those that move to a stage, s after the start of a sub-step.
+  void Bend(int stage, double s, double length, std::size_t k) {
+    const std::size_t n = moving_.size();
+    Bent& bent = stages_[stage * n + k];
+    const auto& row = cooper_verner::kRows[stage];
+    for (int term = 0; term < row.count; ++term) {
+      const Bent& before = stages_[row.terms[term].stage * n + k];
+      const double factor = row.terms[term].factor * length;
+      bent.p += Scale(factor, before.v);
+      bent.v += Scale(factor, before.a);
+      if constexpr (kRotation == kSpin) {
+        bent.turn.p += factor * before.turn.v;
+        bent.turn.v += factor * before.turn.a;
+      }
+    }
+    const Disc& start = before_[k];
+    Disc& disc = discs_[moving_[k]];
+    disc.p = start.p + Scale(s, Vec2<T>(start.v + Scale(0.5 * s, start.a))) + bent.p;
+    disc.v = start.v + Scale(s, start.a) + bent.v;
+  }
+  // The terms with these differences at the end of a sub-step.
+  template <typename V, typename Scaled>
+  const Curve<V>* KeepCurve(const Difference<V>& end, double h, const Scaled& times) const {
+    Curve<V>* const curve = in_.template Array<Curve<V>>(1).data();
+    const V p = end.p, v = times(h, end.v), a = times(h * h, end.a);
+    (*curve)[0] = times(1 / (h * h * h), V(times(10.0, p) - times(4.0, v) + times(0.5, a)));
+    (*curve)[1] = times(1 / (h * h * h * h), V(times(7.0, v) - times(15.0, p) - a));
+    (*curve)[2] = times(1 / (h * h * h * h * h), V(times(6.0, p) - times(3.0, v) + times(0.5, a)));
+    return curve;
   }
 
   const StepInput<T>& in_;
@@ -593,7 +664,9 @@ class EventGroup {
   std::pmr::vector<double> turning_;            // angular accelerations, likewise; empty where discs do not spin
   std::pmr::vector<char> has_disc_, has_pair_;  // per disc that moves, per candidate: it is in the group
   ForceRows<T, kRotation> rows_;
-  std::pmr::vector<Disc> before_;  // the discs before the contacts were closed
+  std::pmr::vector<Disc> before_;  // the discs before the contacts were closed, or at the start of a sub-step
+  std::pmr::vector<int> moving_;   // discs of the group
+  std::pmr::vector<Bent> stages_;  // of a Runge-Kutta step, by stage and disc
 };
 
 }  // namespace saltus::internal

@@ -135,7 +135,12 @@ class EventMotion {
   }
   Motion MotionAt(int i, double time) const {
     const Disc& disc = discs_[i];
-    return Motion{ValueOf(disc.p), ValueOf(disc.v), ValueOf(disc.a)}.After(time - Value(disc.t));
+    Motion motion{ValueOf(disc.p), ValueOf(disc.v), ValueOf(disc.a)};
+    if (disc.curve != nullptr) {
+      motion.curved = true;
+      for (int k = 0; k < 3; ++k) motion.curve[k] = ValueOf((*disc.curve)[k]);
+    }
+    return motion.After(time - Value(disc.t));
   }
   Approach ApproachAt(const Candidate& c, double time) const {
     return Measure(c, [&](int i) { return MotionAt(i, time); });
@@ -166,7 +171,11 @@ class EventMotion {
     const Motion motion = MotionAt(c.a, now);
     for (const WallExtent::Bound& bound : in_.extents[c.b].bounds) {
       const double speed = Dot(bound.normal, motion.v), change = Dot(bound.normal, motion.a);
-      const GapPolynomial left{{bound.Inside(motion.p) + 2 * kSeam, speed, 0.5 * change, 0, 0}};
+      GapPolynomial left{{bound.Inside(motion.p) + 2 * kSeam, speed, 0.5 * change, 0, 0}};
+      if (motion.curved) {
+        for (int k = 0; k < 3; ++k) left.c[3 + k] = Dot(bound.normal, motion.curve[k]);
+        left.degree = 5;
+      }
       const double after = FirstClosing(left, in_.h - now);
       if (after < first && !in_.extents[c.b].Covers(motion.After(after).p, kSeam)) first = after;
     }
@@ -198,16 +207,29 @@ class EventMotion {
     const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
     return time - Divide(T(speed - Value(speed)), approach.acceleration);
   }
+  // The speed at which the points of contact slide along the tangent.
+  T SlidingAlong(const Vec2<T>& tangent, const Candidate& c, const T& time) const {
+    return AlongSurface<kRotation>(in_, c, T(Dot(tangent, RelativeVelocityAt(c, time))), [&](auto i) {
+      return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
+    });
+  }
+  // When sliding ends between two times, kNever if it does not.
+  double FirstStop(const Candidate& c, double begin, double end) const {
+    const auto sliding = [&](double time) {
+      return Value(SlidingAlong(Perpendicular(SeparationAtTime(c, T(time)).normal), c, T(time)));
+    };
+    const double at_begin = sliding(begin), at_end = sliding(end);
+    if (at_begin * at_end > 0) return kNever;
+    return FindZero(begin, at_begin, end, at_end, 0, sliding);
+  }
   // The time at which sliding ends.
   T StopTime(const Candidate& c, double predicted) const {
     const T time(predicted);
     const Vec2<T> tangent = Perpendicular(SeparationAtTime(c, time).normal);
-    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].a; });
-    const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, RelativeVelocityAt(c, time))), [&](auto i) {
-      return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
-    });
-    const T change =
-        AlongSurface<kRotation>(in_, c, T(Dot(tangent, a)), [&](auto i) { return discs_[i].turn.acceleration; });
+    const Vec2<T> a = RelativeVelocity<T>(c, [&](int i) { return discs_[i].AccelerationAt(time); });
+    const T sliding = SlidingAlong(tangent, c, time);
+    const T change = AlongSurface<kRotation>(
+        in_, c, T(Dot(tangent, a)), [&](auto i) { return discs_[i].turn.AccelerationAfter(T(time - discs_[i].t)); });
     return time - Divide(T(sliding - Value(sliding)), Value(change));
   }
   // The time at which a disc reaches the rim of a pocket.

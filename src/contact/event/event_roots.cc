@@ -6,8 +6,6 @@
 namespace saltus {
 namespace {
 
-constexpr int kDegree = 4;
-
 // b^2 - 4 a c without cancellation (Kahan).
 double Discriminant(double a, double b, double c) {
   const double product = 4 * a * c;
@@ -33,7 +31,7 @@ double FirstClosingOfQuadratic(double a, double b, double c, double horizon, boo
 }
 
 struct Roots {
-  std::array<double, kDegree> s;
+  std::array<double, GapPolynomial::kLargestDegree> s;
   int count = 0;
 };
 
@@ -65,7 +63,7 @@ double RootOfPiece(const double* c, int degree, double low, double high) {
   return s;
 }
 
-// Where the sign of a polynomial of `degree` <= 3 changes strictly inside (0, horizon), in order.
+// Where the sign of a polynomial of `degree` < kLargestDegree changes strictly inside (0, horizon), in order.
 Roots SignChanges(const double* c, int degree, double horizon) {
   while (degree > 0 && c[degree] == 0) --degree;
   Roots roots;
@@ -75,7 +73,7 @@ Roots SignChanges(const double* c, int degree, double horizon) {
     if (s > 0 && s < horizon) roots.s[roots.count++] = s;
     return roots;
   }
-  std::array<double, kDegree> derivative{};
+  std::array<double, GapPolynomial::kLargestDegree> derivative{};
   for (int k = 1; k <= degree; ++k) derivative[k - 1] = k * c[k];
   Roots cuts = SignChanges(derivative.data(), degree - 1, horizon);
   double low = 0, value = c[0];
@@ -89,16 +87,15 @@ Roots SignChanges(const double* c, int degree, double horizon) {
   return roots;
 }
 
-// First closing of a quartic.
-double FirstClosingOfQuartic(const GapPolynomial& g, double horizon, bool ignore_start) {
-  std::array<double, kDegree> derivative;
-  for (int k = 1; k <= kDegree; ++k) derivative[k - 1] = k * g.c[k];
-  const Roots extrema = SignChanges(derivative.data(), kDegree - 1, horizon);
+double FirstClosingOfAny(const GapPolynomial& g, double horizon, bool ignore_start) {
+  std::array<double, GapPolynomial::kLargestDegree> derivative;
+  for (int k = 1; k <= g.degree; ++k) derivative[k - 1] = k * g.c[k];
+  const Roots extrema = SignChanges(derivative.data(), g.degree - 1, horizon);
   double low = 0, value = g.c[0];
   for (int i = 0; i <= extrema.count; ++i) {
     const double high = i < extrema.count ? extrema.s[i] : horizon;
     const double next = g(high);
-    if (value > 0 && next <= 0) return RootOfPiece(g.c.data(), kDegree, low, high);
+    if (value > 0 && next <= 0) return RootOfPiece(g.c.data(), g.degree, low, high);
     if (value <= 0 && next < value && !(ignore_start && i == 0)) return low;
     low = high;
     value = next;
@@ -110,8 +107,10 @@ double FirstClosingOfQuartic(const GapPolynomial& g, double horizon, bool ignore
 
 double FirstClosing(const GapPolynomial& g, double horizon, bool ignore_start) {
   if (StaysApart(g, horizon)) return kNever;
-  if (g.c[3] == 0 && g.c[4] == 0) return FirstClosingOfQuadratic(g.c[2], g.c[1], g.c[0], horizon, ignore_start);
-  return FirstClosingOfQuartic(g, horizon, ignore_start);
+  if (g.degree == 4 && g.c[3] == 0 && g.c[4] == 0) {
+    return FirstClosingOfQuadratic(g.c[2], g.c[1], g.c[0], horizon, ignore_start);
+  }
+  return FirstClosingOfAny(g, horizon, ignore_start);
 }
 
 }  // namespace saltus

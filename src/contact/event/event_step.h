@@ -136,7 +136,7 @@ class EventStep {
     if (!group_.SolveForces() || !group_.Close()) {
       return changes_.Fail("the forces of contacts at rest are not found");
     }
-    const double sub_step = Value(sub_steps_.SetAccelerations(at.time, latest));
+    const double sub_step = sub_steps_.SetMotion(at.time, latest);
     for (const auto& contact : group_.contacts()) Hold(contact, at, sub_step);
   }
 
@@ -189,8 +189,10 @@ class EventStep {
       state = PairState::kLeaving;
     }
     const double sliding = group_.SlidingSpeed(contact), change = group_.SlidingAcceleration(contact);
-    if (contact.mode == ContactMode::kSlip && std::abs(sliding) > kStickSpeed && sliding * change < 0) {
-      if (const double stop = now - sliding / change; comes_first(stop)) {
+    if (contact.mode == ContactMode::kSlip && std::abs(sliding) > kStickSpeed) {
+      double stop = sliding * change < 0 ? now - sliding / change : kNever;
+      if (sub_step > 0) stop = motion_.FirstStop(c, now, end + kSubStepEnd * sub_step);
+      if (comes_first(stop)) {
         pair.next = std::min(stop, pair.next);
         state = PairState::kStopping;
       }

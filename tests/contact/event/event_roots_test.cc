@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -19,12 +20,13 @@ GapPolynomial WithZeros(const std::vector<double>& zeros, double lead) {
     ++degree;
     for (int k = degree; k >= 0; --k) g.c[k] = (k > 0 ? g.c[k - 1] : 0.0) - zero * g.c[k];
   }
+  g.degree = std::max(4, degree);
   return g;
 }
 
 double Noise(const GapPolynomial& g, double s) {
   double sum = 0;
-  for (int k = 4; k >= 0; --k) sum = sum * std::abs(s) + std::abs(g.c[k]);
+  for (int k = g.degree; k >= 0; --k) sum = sum * std::abs(s) + std::abs(g.c[k]);
   return 1e-15 * sum;
 }
 
@@ -34,6 +36,12 @@ TEST(FirstClosing, SimpleZerosOfQuartics) {
   EXPECT_NEAR(FirstClosing(WithZeros({-1, 0.5, 3, 7}, -1), 10), 0.5, 1e-14);
   EXPECT_EQ(FirstClosing(WithZeros({1, 2, 3, 4}, 1), 0.999), kNever);
   EXPECT_EQ(FirstClosing(WithZeros({-4, -3, -2, -1}, 1), 10), kNever);
+}
+
+TEST(FirstClosing, SimpleZerosOfHigherDegree) {
+  EXPECT_NEAR(FirstClosing(WithZeros({-2, 0.5, 1, 3, 5}, 1), 10), 0.5, 1e-13);
+  EXPECT_NEAR(FirstClosing(WithZeros({-0.3, -0.2, 0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5}, 1), 1), 0.1, 1e-13);
+  EXPECT_NEAR(FirstClosing(WithZeros({-0.3, -0.2, 0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5}, -1), 1), 0.3, 1e-12);
 }
 
 TEST(FirstClosing, NearlyDoubleZeros) {
@@ -80,8 +88,9 @@ TEST(FirstClosing, AgreesWithSampling) {
   int closings = 0;
   for (int trial = 0; trial < 20000; ++trial) {
     GapPolynomial g;
-    const int kind = trial % 3;
-    for (int k = 0; k <= (kind == 0 ? 2 : 4); ++k) g.c[k] = uniform(random) * std::pow(10, 2 * uniform(random));
+    const int kind = trial % 4;
+    if (kind == 3) g.degree = GapPolynomial::kLargestDegree;
+    for (int k = 0; k <= (kind == 0 ? 2 : g.degree); ++k) g.c[k] = uniform(random) * std::pow(10, 2 * uniform(random));
     if (kind == 2) g.c[3] = 0;
     const double horizon = std::pow(10, uniform(random));
     const double s = FirstClosing(g, horizon);
@@ -112,7 +121,8 @@ TEST(StaysApart, IsNeverWrong) {
   int apart = 0;
   for (int trial = 0; trial < 20000; ++trial) {
     GapPolynomial g;
-    for (double& c : g.c) c = uniform(random);
+    if (trial % 2 == 0) g.degree = GapPolynomial::kLargestDegree;
+    for (int k = 0; k <= g.degree; ++k) g.c[k] = uniform(random);
     g.c[0] = std::abs(g.c[0]);
     if (!StaysApart(g, 0.7)) continue;
     ++apart;
