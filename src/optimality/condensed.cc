@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "base/linear_algebra.h"
+#include "base/time_grid.h"
 #include "simulate/costate_sweep.h"
 
 namespace saltus {
@@ -23,10 +24,17 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       width_(scene.control_width()) {
   std::erase_if(soft_.terminal, [](const TerminalTerm& term) { return term.hard; });
   num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
+  const auto is_hard = [](const TerminalTerm& term) { return term.hard; };
+  int hard = static_cast<int>(std::ranges::count_if(scene.objective.terminal, is_hard));
+  for (const ViaTerm& term : scene.objective.via) {
+    hard_via_.push_back(term.hard && !restrictions_.hard.empty() ? hard++ : -1);
+  }
   const std::vector<Flight::Hit>& hits = flight.hits();
   theta_.resize(hits.size());
   pushed_.assign(scene.num_bodies(), -1);
   for (int c = 0; c < scene.num_controlled(); ++c) pushed_[scene.control.bodies[c]] = c;
+  turned_.assign(scene.num_bodies(), -1);
+  for (int t = 0; t < scene.num_turned(); ++t) turned_[scene.control.turned[t]] = t;
   nodes_ = {0.0};
   for (double length : lengths) nodes_.push_back(nodes_.back() + length);
   nodes_.back() = scene.duration;
@@ -60,13 +68,18 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       side.body = bodies[i];
       add_arc(side.body, k);
       side.arc_before = last_arc_[side.body];
-      if (pushed_[side.body] < 0) continue;
-      side.force_before = AddForce(side.body, before);
-      side.force_after = after == before ? side.force_before : AddForce(side.body, after);
+      side.before = AddForce(side.body, before);
+      side.after = after == before ? side.before : AddForce(side.body, after);
     }
   }
   for (int i = 0; i < scene.num_bodies(); ++i) {
     if (!scene.bodies[i].fixed) add_arc(i, -1);
+  }
+  if (scene.objective.duration && restrictions_.duration) {
+    const int last = static_cast<int>(lengths.size()) - 1;
+    for (int i = 0; i < scene.num_bodies(); ++i) last_.push_back(AddForce(i, last));
+    by_duration_ = static_cast<int>(functionals_.size());
+    functionals_.emplace_back();
   }
 
   for (const Functional& f : functionals_) {
@@ -83,36 +96,101 @@ std::pair<int, int> CondensedLoss::IntervalsAt(int hit) const {
 }
 
 int CondensedLoss::AddArc(int body, int from_hit, int to_hit) {
-  Arc arc;
-  arc.body = body;
-  arc.begin = from_hit >= 0 ? flight_.hits()[from_hit].time : 0.0;
-  arc.end = to_hit >= 0 ? flight_.hits()[to_hit].time : scene_.duration;
-  if (pushed_[body] >= 0) {
-    const int first = from_hit >= 0 ? IntervalsAt(from_hit).second : 0;
-    const int last = to_hit >= 0 ? IntervalsAt(to_hit).first : static_cast<int>(lengths_.size()) - 1;
-    const double inverse_mass = 1 / scene_.bodies[body].mass;
-    std::vector<double> gain, way;
-    for (int i = first; i <= last; ++i) {
-      const double begin = i == first ? arc.begin : nodes_[i], end = i == last ? arc.end : nodes_[i + 1];
-      gain.push_back(inverse_mass * (end - begin));
-      way.push_back(gain.back() * (arc.end - 0.5 * (begin + end)));
-    }
-    arc.functional = static_cast<int>(functionals_.size());
-    AddFunctionals(body, first, gain);
-    AddFunctionals(body, first, way);
+  Arc arc{static_cast<int>(legs_.size())};
+  double begin = from_hit >= 0 ? flight_.hits()[from_hit].time : 0.0;
+  const double end = to_hit >= 0 ? flight_.hits()[to_hit].time : scene_.duration;
+  int first = from_hit >= 0 ? IntervalsAt(from_hit).second : 0;
+  const int last = to_hit >= 0 ? IntervalsAt(to_hit).first : static_cast<int>(lengths_.size()) - 1;
+  // Where it is cut: at waypoints, and if it has running terms, at nodes and where targets turn.
+  struct Cut {
+    double time;
+    int interval;  // that starts there, or that it lies in
+    int via;
+  };
+  std::vector<Cut> cuts;
+  const auto cut_at = [&](double time, int via) {
+    int interval = first;
+    while (interval < last && nodes_[interval + 1] <= time + kNodeMargin * lengths_[interval + 1]) ++interval;
+    const double margin = kNodeMargin * lengths_[interval];
+    if (time > begin + margin && time < end - (via < 0 ? margin : -margin)) cuts.push_back({time, interval, via});
+  };
+  for (size_t i = 0; i < scene_.objective.via.size(); ++i) {
+    if (scene_.objective.via[i].body == body) cut_at(scene_.objective.via[i].time, static_cast<int>(i));
   }
+  if (IsTracked(body)) {
+    for (int i = first + 1; i <= last && pushed_[body] >= 0; ++i) cut_at(nodes_[i], -1);
+    for (const RunningTerm& term : scene_.objective.running) {
+      for (double time : term.times) {
+        if (term.body == body) cut_at(time, -1);
+      }
+    }
+  }
+  std::ranges::sort(cuts, {}, &Cut::time);
+  for (const Cut& cut : cuts) {
+    const bool at_node = std::abs(cut.time - nodes_[cut.interval]) <= kNodeMargin * lengths_[cut.interval];
+    AddLeg(body, begin, cut.time, first, std::max(first, cut.interval - at_node), cut.via);
+    begin = cut.time;
+    first = cut.interval;
+  }
+  if (begin < end || cuts.empty()) AddLeg(body, begin, end, first, last, -1);
+  arc.end = static_cast<int>(legs_.size());
   arcs_.push_back(arc);
   return static_cast<int>(arcs_.size()) - 1;
 }
 
-int CondensedLoss::AddForce(int body, int interval) {
-  const int functional = static_cast<int>(functionals_.size());
-  AddFunctionals(body, interval, {1.0});
-  return functional;
+void CondensedLoss::AddLeg(int body, double begin, double end, int first, int last, int via) {
+  Leg leg{.body = body, .begin = begin, .end = end, .tracked = IsTracked(body), .via = via};
+  if (leg.tracked) {
+    const double length = end - begin;
+    leg.gain = leg.way = AddForce(body, first);
+    leg.by_gain = length / scene_.bodies[body].mass;
+    leg.by_way = 0.5 * length * leg.by_gain;
+    leg.by_turn = length * RateOfTurn(body);
+    leg.by_turned = 0.5 * length * leg.by_turn;
+  } else if (pushed_[body] >= 0) {
+    const double inverse_mass = 1 / scene_.bodies[body].mass;
+    std::vector<double> gain, way;
+    for (int i = first; i <= last; ++i) {
+      const double from = i == first ? begin : nodes_[i], to = i == last ? end : nodes_[i + 1];
+      gain.push_back(inverse_mass * (to - from));
+      way.push_back(gain.back() * (end - 0.5 * (from + to)));
+    }
+    leg.gain = AddFunctionals(body, first, gain);
+    leg.way = AddFunctionals(body, first, way);
+    leg.by_turn = leg.by_turned = scene_.bodies[body].mass * RateOfTurn(body);
+  }
+  legs_.push_back(leg);
 }
 
-void CondensedLoss::AddFunctionals(int body, int first, const std::vector<double>& weights) {
+CondensedLoss::Push CondensedLoss::AddForce(int body, int interval) {
+  if (pushed_[body] < 0) return {};
+  if (!IsTracked(body)) return AddFunctionals(body, interval, {1.0});
+  // Several legs share it.
+  const int at = static_cast<int>(scene_.ForceIndex(interval, pushed_[body]));
+  if (const auto known = forces_.find(at); known != forces_.end()) {
+    return {known->second, turned_[body] < 0 ? -1 : known->second + 2};
+  }
+  const Push push = AddFunctionals(body, interval, {1.0});
+  forces_[at] = push.force;
+  return push;
+}
+
+CondensedLoss::Push CondensedLoss::AddFunctionals(int body, int first, const std::vector<double>& weights) {
+  Push push{static_cast<int>(functionals_.size())};
   for (int axis = 0; axis < 2; ++axis) functionals_.push_back({2 * pushed_[body] + axis, first, weights});
+  if (turned_[body] >= 0) {
+    push.turn = static_cast<int>(functionals_.size());
+    functionals_.push_back({2 * scene_.num_controlled() + turned_[body], first, weights});
+  }
+  return push;
+}
+
+double CondensedLoss::RateOfTurn(int body) const {
+  return turned_[body] < 0 ? 0.0 : scene_.bodies[body].radius / scene_.bodies[body].MomentOfInertia();
+}
+
+bool CondensedLoss::IsTracked(int body) const {
+  return std::ranges::any_of(scene_.objective.running, [&](const RunningTerm& term) { return term.body == body; });
 }
 
 template <typename T>
@@ -125,27 +203,63 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   struct Passed {
     T dt;
     Impact<T> impact;
-    std::array<Vec2<T>, 2> before, after;  // velocities
-    std::array<T, 2> spin;                 // angular velocities before
+    std::array<Vec2<T>, 2> position, before, after;  // velocities
+    std::array<T, 2> spin;                           // angular velocities before
   };
   const auto at = [&](int functional) { return Vec2<T>(s[functional], s[functional + 1]); };
   const auto add = [&](int functional, const Vec2<T>& by) {
     for (int axis = 0; axis < 2; ++axis) gradient[functional + axis] += by[axis];
   };
-  const auto acceleration = [&](int body, int force) -> Vec2<T> {
+  const auto acceleration = [&](int body, const Push& push) -> Vec2<T> {
     Vec2<T> a = scene_.gravity.template cast<T>();
-    if (force >= 0) a += Scale(1 / scene_.bodies[body].mass, at(force));
+    if (push.force >= 0) a += Scale(1 / scene_.bodies[body].mass, at(push.force));
     return a;
   };
+  const auto turning = [&](int body, const Push& push) {
+    return push.turn < 0 ? T(0.0) : T(RateOfTurn(body) * s[push.turn]);
+  };
   const bool spins = scene_.Spins();
+  std::vector<Motion> at_leg(legs_.size()), at_via(scene_.objective.via.size());
   const auto fly = [&](const Arc& arc, Motion* x) {
-    const double length = arc.end - arc.begin;
-    if (spins) x->angle += length * x->spin;
-    x->p += Scale(length, x->v) + (0.5 * length * length * scene_.gravity).template cast<T>();
-    x->v += (length * scene_.gravity).template cast<T>();
-    if (arc.functional < 0) return;
-    x->v += at(arc.functional);
-    x->p += at(arc.functional + 2);
+    for (int i = arc.first; i < arc.end; ++i) {
+      const Leg& leg = legs_[i];
+      if (leg.tracked) at_leg[i] = *x;
+      const double length = leg.end - leg.begin;
+      if (spins) x->angle += length * x->spin;
+      x->p += Scale(length, x->v) + (0.5 * length * length * scene_.gravity).template cast<T>();
+      x->v += (length * scene_.gravity).template cast<T>();
+      if (leg.gain.force >= 0) {
+        x->v += Scale(leg.by_gain, at(leg.gain.force));
+        x->p += Scale(leg.by_way, at(leg.way.force));
+      }
+      if (leg.gain.turn >= 0) {
+        x->spin += leg.by_turn * s[leg.gain.turn];
+        x->angle += leg.by_turned * s[leg.way.turn];
+      }
+      if (leg.via < 0) continue;
+      at_via[leg.via] = *x;
+      if (hard_via_[leg.via] < 0 || gaps == nullptr) continue;
+      const Vec2<T>& held = scene_.objective.via[leg.via].quantity == TerminalTerm::Quantity::kPosition ? x->p : x->v;
+      for (int axis = 0; axis < 2; ++axis) *gaps++ = held[axis];
+    }
+  };
+  // The derivatives of the rate of the running terms by position and velocity, and their rate as far as velocities go.
+  struct Rate {
+    Vec2<T> by_position = Vec2<T>(T(0.0), T(0.0)), by_velocity = by_position;
+    T of_velocity = T(0.0), all = T(0.0);
+  };
+  const auto running = [&](int body, const T& time, const Vec2<T>& p, const Vec2<T>& v) {
+    Rate rate;
+    for (const RunningTerm& term : scene_.objective.running) {
+      if (term.body != body) continue;
+      const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
+      const Vec2<T> miss = (of_position ? p : v) - TargetAt(term, time);
+      (of_position ? rate.by_position : rate.by_velocity) += Scale(2 * term.weight, miss);
+      const T value = term.weight * Dot(miss, miss);
+      rate.all += value;
+      if (!of_position) rate.of_velocity += value;
+    }
+    return rate;
   };
 
   std::vector<Motion> now;
@@ -181,8 +295,9 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       if (side.body < 0) continue;
       Motion& x = now[side.body];
       x.p += Scale(out.dt, x.v);
-      x.v += Scale(out.dt, acceleration(side.body, side.force_before));
+      x.v += Scale(out.dt, acceleration(side.body, side.before));
       if (spins) x.angle += out.dt * x.spin;
+      if (side.before.turn >= 0) x.spin += out.dt * turning(side.body, side.before);
     }
     out.spin = {now[c.a].spin, c.plane ? T(0.0) : now[c.b].spin};
     out.impact = MakeImpact<T>(law, separation().normal, relative(), out.spin);
@@ -190,22 +305,33 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
       Motion& x = now[side.body];
+      out.position[i] = x.p;
       out.before[i] = x.v;
       x.v += Scale(i == 0 ? law.inverse_mass_a : -law.inverse_mass_b, out.impact.impulse);
       out.after[i] = x.v;
       x.p -= Scale(out.dt, x.v);
-      x.v -= Scale(out.dt, acceleration(side.body, side.force_after));
+      x.v -= Scale(out.dt, acceleration(side.body, side.after));
       if (!spins) continue;
       x.spin += SpinGain(law, i, out.impact);
       x.angle -= out.dt * x.spin;
+      if (side.after.turn >= 0) x.spin -= out.dt * turning(side.body, side.after);
     }
   }
 
   std::fill(gradient, gradient + num_functionals(), T(0.0));
   std::vector<Costate<T>> costates;
+  const T end = by_duration_ < 0 ? T(scene_.duration) : T(scene_.duration + s[by_duration_]);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
-    if (last_arc_[i] >= 0) fly(arcs_[last_arc_[i]], &now[i]);
-    costates.push_back(TerminalCostate<T>(soft_, i, T(scene_.duration), now[i].p, now[i].v, now[i].angle, now[i].spin));
+    Motion& x = now[i];
+    if (last_arc_[i] >= 0) fly(arcs_[last_arc_[i]], &x);
+    if (by_duration_ >= 0 && last_arc_[i] >= 0) {
+      const T& later = s[by_duration_];
+      x.p += Scale(later, x.v);
+      x.v += Scale(later, acceleration(i, last_[i]));
+      x.angle += later * x.spin;
+      x.spin += later * turning(i, last_[i]);
+    }
+    costates.push_back(TerminalCostate<T>(soft_, i, end, x.p, x.v, x.angle, x.spin));
   }
   size_t hard = 0;
   for (const TerminalTerm& term : scene_.objective.terminal) {
@@ -223,63 +349,131 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     const Vec2<T>& held = of_position ? now[term.body].p : now[term.body].v;
     for (int axis = 0; axis < 2 && gaps != nullptr; ++axis) *gaps++ = held[axis];
   }
-  const auto fly_back = [&](const Arc& arc) {
-    Costate<T>& costate = costates[arc.body];
-    if (arc.functional >= 0) {
-      add(arc.functional, costate.velocity);
-      add(arc.functional + 2, costate.position);
-    }
-    costate.velocity += Scale(arc.end - arc.begin, costate.position);
-    if (spins) costate.angular_velocity += (arc.end - arc.begin) * costate.angle;
-  };
   const double effort = scene_.objective.effort;
+  const auto fly_back = [&](const Arc& arc) {
+    for (int i = arc.end - 1; i >= arc.first; --i) {
+      const Leg& leg = legs_[i];
+      Costate<T>& costate = costates[leg.body];
+      if (leg.via >= 0) {
+        const ViaTerm& term = scene_.objective.via[leg.via];
+        const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
+        Vec2<T>& part = of_position ? costate.position : costate.velocity;
+        if (hard_via_[leg.via] >= 0) {
+          part += restrictions_.hard[hard_via_[leg.via]].template cast<T>();
+        } else if (!term.hard) {
+          const Vec2<T>& q = of_position ? at_via[leg.via].p : at_via[leg.via].v;
+          part += Scale(2 * term.weight, Vec2<T>(q - term.target.template cast<T>()));
+        }
+      }
+      if (leg.gain.force >= 0) {
+        add(leg.gain.force, Scale(leg.by_gain, costate.velocity));
+        add(leg.way.force, Scale(leg.by_way, costate.position));
+      }
+      if (leg.gain.turn >= 0) {
+        gradient[leg.gain.turn] += leg.by_turn * costate.angular_velocity;
+        gradient[leg.way.turn] += leg.by_turned * costate.angle;
+      }
+      const double length = leg.end - leg.begin;
+      costate.velocity += Scale(length, costate.position);
+      if (spins) costate.angular_velocity += length * costate.angle;
+      if (!leg.tracked) continue;
+      const Motion& x = at_leg[i];
+      const Vec2<T> a = acceleration(leg.body, leg.gain);
+      for (size_t g = 0; g < kGaussNodes.size(); ++g) {
+        const double after = kGaussNodes[g] * length;
+        const Vec2<T> v = x.v + Scale(after, a), p = x.p + Scale(after, Vec2<T>(x.v + Scale(0.5 * after, a)));
+        const Rate rate = running(leg.body, T(leg.begin + after), p, v);
+        const double weight = kGaussWeights[g] * length;
+        const Vec2<T> by_v = Scale(weight, Vec2<T>(rate.by_velocity + Scale(after, rate.by_position)));
+        costate.position += Scale(weight, rate.by_position);
+        costate.velocity += by_v;
+        if (leg.gain.force < 0) continue;
+        const Vec2<T> by_a = Scale(after, Vec2<T>(by_v - Scale(0.5 * weight * after, rate.by_position)));
+        add(leg.gain.force, Scale(1 / scene_.bodies[leg.body].mass, by_a));
+      }
+    }
+  };
+  // The Hamiltonian's part of a disc, without the running terms of its position.
+  const auto kinetic = [&](int body, const Vec2<T>& velocity, const Push& push) {
+    const Costate<T>& costate = costates[body];
+    T sum = Dot(costate.position, velocity) + Dot(costate.velocity, acceleration(body, push));
+    if (push.turn >= 0) sum += costate.angular_velocity * turning(body, push);
+    return sum;
+  };
+  const auto effort_of = [&](const Push& push) {
+    T sum(0.0);
+    if (push.force >= 0) sum += effort * Dot(at(push.force), at(push.force));
+    if (push.turn >= 0) sum += effort * s[push.turn] * s[push.turn];
+    return sum;
+  };
+  // The derivatives by the forces as these act for dt longer.
+  const auto lengthen = [&](int body, const Push& push, const T& dt) {
+    if (push.force < 0) return;
+    const Vec2<T> slope = Scale(1 / scene_.bodies[body].mass, costates[body].velocity);
+    add(push.force, Scale(dt, Vec2<T>(slope + Scale(2 * effort, at(push.force)))));
+    if (push.turn < 0) return;
+    gradient[push.turn] += dt * (RateOfTurn(body) * costates[body].angular_velocity + 2 * effort * s[push.turn]);
+  };
+  if (by_duration_ >= 0) {
+    const T& later = s[by_duration_];
+    T power(scene_.objective.duration->weight);
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (last_arc_[i] < 0) continue;
+      const Motion& x = now[i];
+      const Rate rate = running(i, end, x.p, x.v);
+      power += kinetic(i, x.v, last_[i]) + effort_of(last_[i]) + rate.all + costates[i].angle * x.spin;
+      Costate<T>& costate = costates[i];
+      lengthen(i, last_[i], later);
+      costate.position += Scale(later, rate.by_position);
+      costate.velocity += Scale(later, Vec2<T>(costate.position + rate.by_velocity));
+      costate.angular_velocity += later * costate.angle;
+    }
+    gradient[by_duration_] = power;
+  }
   for (int k = num_hits - 1; k >= 0; --k) {
     const Candidate& c = flight_.hits()[k].contact;
     const ImpactConstants law = MakeImpactConstants(scene_, c);
     const Passed& at_impact = passed[k];
     T power(0.0), early(0.0), late(0.0);  // what the Hamiltonian gains: with the forces there are, or one on both sides
-    const auto count = [&](const Side& side, const Vec2<T>& velocity, int force, double sign) {
-      const Costate<T>& costate = costates[side.body];
-      const auto kinetic = [&](int f) {
-        return T(Dot(costate.position, velocity) + Dot(costate.velocity, acceleration(side.body, f)));
-      };
-      power += sign * kinetic(force);
-      if (force >= 0) power += sign * effort * Dot(at(force), at(force));
-      early += sign * kinetic(side.force_before);
-      late += sign * kinetic(side.force_after);
-    };
-    const auto lengthen = [&](const Side& side, int force, const T& dt) {
-      if (force < 0) return;
-      const Vec2<T> slope = Scale(1 / scene_.bodies[side.body].mass, costates[side.body].velocity);
-      add(force, Scale(dt, Vec2<T>(slope + Scale(2 * effort, at(force)))));
+    const T time = flight_.hits()[k].time + at_impact.dt;
+    const auto count = [&](const Side& side, const Rate& rate, const Vec2<T>& velocity, const Push& push, double sign) {
+      power += sign * kinetic(side.body, velocity, push);
+      if (push.force >= 0) power += sign * effort_of(push);
+      early += sign * kinetic(side.body, velocity, side.before);
+      late += sign * kinetic(side.body, velocity, side.after);
+      for (T* sum : {&power, &early, &late}) *sum += sign * rate.of_velocity;
     };
     Vec2<T> y(T(0.0), T(0.0));
-    std::array<T, 2> turning = {T(0.0), T(0.0)};  // costates of the angular velocities
+    std::array<T, 2> of_spin = {T(0.0), T(0.0)};  // costates of the angular velocities
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
       fly_back(arcs_[side.arc_after]);
       Costate<T>& costate = costates[side.body];
       costate.velocity -= Scale(at_impact.dt, costate.position);
+      const Rate rate = running(side.body, time, at_impact.position[i], at_impact.after[i]);
+      costate.position -= Scale(at_impact.dt, rate.by_position);
+      costate.velocity -= Scale(at_impact.dt, rate.by_velocity);
       if (spins) {
         costate.angular_velocity -= at_impact.dt * costate.angle;
-        turning[i] = costate.angular_velocity;
+        of_spin[i] = costate.angular_velocity;
         power += costate.angle * SpinGain(law, i, at_impact.impact);
         early += costate.angle * SpinGain(law, i, at_impact.impact);
         late += costate.angle * SpinGain(law, i, at_impact.impact);
       }
-      lengthen(side, side.force_after, -at_impact.dt);
-      count(side, at_impact.after[i], side.force_after, 1);
+      lengthen(side.body, side.after, -at_impact.dt);
+      count(side, rate, at_impact.after[i], side.after, 1);
       y += Scale(i == 0 ? law.inverse_mass_a : -law.inverse_mass_b, costate.velocity);
     }
-    const CostateGain<T> gain = ImpactAdjoint<T>(law, at_impact.impact, y, at_impact.spin, turning);
+    const CostateGain<T> gain = ImpactAdjoint<T>(law, at_impact.impact, y, at_impact.spin, of_spin);
     for (int i = 0; i < 2; ++i) {
       const Side& side = sides_[k][i];
       if (side.body < 0) continue;
       costates[side.body].position += Scale(i == 0 ? 1.0 : -1.0, gain.position);
       costates[side.body].velocity += Scale(i == 0 ? 1.0 : -1.0, gain.velocity);
       costates[side.body].angular_velocity += law.radius[i] * gain.spin;
-      count(side, at_impact.before[i], side.force_before, -1);
+      const Rate rate = running(side.body, time, at_impact.position[i], at_impact.before[i]);
+      count(side, rate, at_impact.before[i], side.before, -1);
     }
     T multiplier = power / at_impact.impact.speed;
     if (theta_[k]) {
@@ -291,8 +485,10 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       if (side.body < 0) continue;
       Costate<T>& costate = costates[side.body];
       costate.position += Scale(T((i == 0 ? 1.0 : -1.0) * multiplier), at_impact.impact.normal);
-      lengthen(side, side.force_before, at_impact.dt);
-      costate.velocity += Scale(at_impact.dt, costate.position);
+      lengthen(side.body, side.before, at_impact.dt);
+      const Rate rate = running(side.body, time, at_impact.position[i], at_impact.before[i]);
+      costate.position += Scale(at_impact.dt, rate.by_position);
+      costate.velocity += Scale(at_impact.dt, Vec2<T>(costate.position + rate.by_velocity));
       if (spins) costate.angular_velocity += at_impact.dt * costate.angle;
     }
   }
@@ -346,14 +542,20 @@ Eigen::MatrixXd CondensedLoss::Gram() const {
     const Functional& a = functionals_[j];
     for (int k = j; k < n; ++k) {
       const Functional& b = functionals_[k];
-      if (a.column / 2 != b.column / 2) continue;
       const int c = a.column / 2;
+      const bool turns = a.column >= 2 * scene_.num_controlled();
+      if (turns ? a.column != b.column : c != b.column / 2) continue;
       const int begin = std::max(a.first, b.first);
       const int end =
           std::min(a.first + static_cast<int>(a.weights.size()), b.first + static_cast<int>(b.weights.size()));
       for (int i = begin; i < end; ++i) {
-        const Restrictions::Force& force = ForceAt(i, c);
-        const double share = force.free(a.column % 2, b.column % 2) / (1 + force.bend);
+        double share = 1;
+        if (turns) {
+          share = IsFreeTurn(i, a.column - 2 * scene_.num_controlled());
+        } else {
+          const Restrictions::Force& force = ForceAt(i, c);
+          share = force.free(a.column % 2, b.column % 2) / (1 + force.bend);
+        }
         gram(j, k) += share * a.weights[i - a.first] * b.weights[i - b.first] / lengths_[i];
       }
       gram(k, j) = gram(j, k);
@@ -363,16 +565,23 @@ Eigen::MatrixXd CondensedLoss::Gram() const {
 }
 
 void CondensedLoss::DivideByWeights(Eigen::VectorXd* x) const {
-  for (Eigen::Index i = 0; i < x->size(); i += 2) {
-    const Restrictions::Force& force = ForceAt(i / width_, static_cast<int>(i % width_ / 2));
-    x->segment<2>(i) = (force.free * x->segment<2>(i) / ((1 + force.bend) * Length(i))).eval();
+  for (size_t k = 0; k < lengths_.size(); ++k) {
+    for (int c = 0; c < scene_.num_controlled(); ++c) {
+      const Restrictions::Force& force = ForceAt(k, c);
+      auto at = x->segment<2>(static_cast<Eigen::Index>(scene_.ForceIndex(k, c)));
+      at = (force.free * at / ((1 + force.bend) * lengths_[k])).eval();
+    }
+    for (int t = 0; t < scene_.num_turned(); ++t) {
+      (*x)[static_cast<Eigen::Index>(scene_.TurnIndex(k, t))] *= IsFreeTurn(k, t) / lengths_[k];
+    }
   }
 }
 
 Eigen::Index CondensedLoss::NumFree() const {
-  double sum = 0;
+  double sum = by_duration_ >= 0;
   for (size_t k = 0; k < lengths_.size(); ++k) {
-    for (int c = 0; c < width_ / 2; ++c) sum += ForceAt(k, c).free.trace();
+    for (int c = 0; c < scene_.num_controlled(); ++c) sum += ForceAt(k, c).free.trace();
+    for (int t = 0; t < scene_.num_turned(); ++t) sum += IsFreeTurn(k, t);
   }
   return std::lround(sum);
 }
@@ -418,7 +627,16 @@ CurvatureRange CondensedLoss::SmallestCurvature() const {
   CHECK_GT(scene_.objective.effort, 0);
   Eigen::MatrixXd hessian, gaps;  // held are impacts on their nodes, and hard terms
   SecondDerivatives(&hessian, &gaps);
-  const LeastCurvature least = FindLeastCurvature(Gram(), hessian, gaps, 2 * scene_.objective.effort);
+  const double unit = 2 * scene_.objective.effort;
+  Eigen::MatrixXd gram = Gram();
+  if (by_duration_ >= 0) {
+    // The final time has no effort: it is measured by its own second derivative.
+    double& own = hessian(by_duration_, by_duration_);
+    const double size = own != 0 ? std::abs(own) : unit;
+    gram(by_duration_, by_duration_) = unit / size;
+    own -= size;
+  }
+  const LeastCurvature least = FindLeastCurvature(gram, hessian, gaps, unit);
   CurvatureRange result;
   result.direction = Eigen::VectorXd::Zero(control_.size());
   const bool others = least.rank < NumFree();  // directions that the motion does not notice
@@ -427,10 +645,10 @@ CurvatureRange CondensedLoss::SmallestCurvature() const {
   result.largest = 1 + least.largest;
   result.direction = Transposed(least.source);
   DivideByWeights(&result.direction);
-  if (!restrictions_.forces.empty()) {  // orthonormal to another measure
+  if (!restrictions_.forces.empty() || by_duration_ >= 0) {  // orthonormal to another measure
     double square = 0;
     for (Eigen::Index i = 0; i < result.direction.size(); ++i) square += Length(i) * std::pow(result.direction[i], 2);
-    result.direction /= std::sqrt(square);
+    if (square > 0) result.direction /= std::sqrt(square);
   }
   Eigen::Index most = 0;
   result.direction.cwiseAbs().maxCoeff(&most);
@@ -470,12 +688,17 @@ std::optional<Eigen::VectorXd> CondensedLoss::NewtonStep() const {
 Eigen::MatrixXd CondensedLoss::DenseHessian() const {
   Eigen::MatrixXd by_functionals, gaps;
   SecondDerivatives(&by_functionals, &gaps);
-  Eigen::MatrixXd f(num_functionals(), control_.size());
+  const Eigen::Index size = static_cast<Eigen::Index>(control_.size()) + (by_duration_ >= 0);
+  Eigen::MatrixXd f = Eigen::MatrixXd::Zero(num_functionals(), size);
   for (int j = 0; j < num_functionals(); ++j) {
-    f.row(j) = Transposed(Eigen::VectorXd::Unit(num_functionals(), j)).transpose();
+    f.row(j).head(static_cast<Eigen::Index>(control_.size())) =
+        Transposed(Eigen::VectorXd::Unit(num_functionals(), j)).transpose();
   }
+  if (by_duration_ >= 0) f(by_duration_, size - 1) = 1;
   Eigen::MatrixXd hessian = Multiply(MultiplyTransposed(f, by_functionals), f);
-  for (Eigen::Index i = 0; i < hessian.rows(); ++i) hessian(i, i) += 2 * scene_.objective.effort * Length(i);
+  for (Eigen::Index i = 0; i < static_cast<Eigen::Index>(control_.size()); ++i) {
+    hessian(i, i) += 2 * scene_.objective.effort * Length(i);
+  }
   return hessian;
 }
 

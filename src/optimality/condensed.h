@@ -2,17 +2,21 @@
 // eliminated, the times by the implicit function theorem. Along the sequence this function is smooth.
 //
 // The motion depends on the control only through a few linear functionals s = F u. For each controlled disc on each of
-// its arcs, that is between two of its impacts, which last a fixed time S and consist of pieces of lengths l_i with
-// middles t_i from the start, these are the changes of velocity and of position by the forces,
+// its legs, that is between two of its impacts or waypoints, which last a fixed time S and consist of pieces of lengths
+// l_i with middles t_i from the start, these are the changes of velocity and of position by the forces,
 //
-//   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m.
+//   sum l_i u_i / m   and   sum l_i (S - t_i) u_i / m,
+//
+// and of angular velocity and angle by the torques. A disc with running terms has a leg for each interval, as these
+// notice every force: the functionals are the forces.
 //
 // At each impact whose time varies there is also the force: if the time shifts by dt, the force just before acts for dt
-// longer and that just after for dt less (for an impact inside an interval the two cancel). With interval lengths M,
+// longer and that just after for dt less (for an impact inside an interval the two cancel); likewise at a free final
+// time, which is one functional more that no force enters. With interval lengths M,
 //
 //   L(u) = effort u^T M u + G(F u),   with second derivative   2 effort M + F^T G'' F.
 //
-// The rank of the second part is a few times the number of impacts, whatever the number of intervals. G' comes from
+// Without running terms the rank of the second part is a few times the number of impacts. G' comes from
 // costates carried backwards through the impacts (impact.h), G'' from the same sweep in Jets.
 //
 // An impact on a node at which the force jumps is treated in one of two ways. Either the boundary of the two intervals
@@ -26,6 +30,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <map>
 #include <optional>
 #include <span>
 #include <vector>
@@ -35,14 +40,16 @@
 
 namespace saltus {
 
-// Active bounds on the forces and hard terminal terms, with their multipliers.
+// Active bounds on the forces and hard terms, with their multipliers.
 struct Restrictions {
   struct Force {
     Eigen::Matrix2d free = Eigen::Matrix2d::Identity();  // projects on the directions along its bounds
     double bend = 0;  // second derivative of its bounds, times their multiplier, as a part of that of the effort
   };
   std::vector<Force> forces = {};  // K x C; empty: all are free
-  std::vector<Vec2d> hard = {};    // multipliers of hard terminal terms
+  std::vector<char> turns = {};    // K x number of torques: whether it is free; empty: all are
+  std::vector<Vec2d> hard = {};    // multipliers of hard terms: terminal ones, then waypoints
+  bool duration = true;            // the final time may vary, if the scene has it free
 };
 
 // The least curvature of M + F^T G F, with M positive definite, along directions d that keep what is held: F d is in
@@ -72,43 +79,59 @@ class CondensedLoss {
   // The number of rows of F.
   int num_functionals() const { return static_cast<int>(values_.size()); }
 
-  // By the control, K x C x 2, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left out.
+  // By the control, of its shape, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left
+  // out.
   Eigen::VectorXd Gradient() const;
 
   // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort (and of the
-  // bounds on norms) alone, and its direction (K x C x 2).
+  // bounds on norms) alone, and its direction, of the shape of the control.
   CurvatureRange SmallestCurvature() const;
 
   // The control that one step of Newton's method leads to, along directions that keep what is held: to the optimum, if
   // this is near. Nothing if second derivatives are singular. Precondition: forces are not restricted.
   std::optional<Eigen::VectorXd> NewtonStep() const;
 
-  // 2 effort M + F^T G'' F, for tests.
+  // 2 effort M + F^T G'' F, for tests; behind the control the final time, if that varies.
   Eigen::MatrixXd DenseHessian() const;
 
  private:
-  // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end).
+  // Functionals of a disc: a force, or a change by the forces, and a torque or a change by the torques; -1: there are
+  // none.
+  struct Push {
+    int force = -1, turn = -1;
+  };
+  // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end): its legs.
   struct Arc {
+    int first = 0, end = 0;
+  };
+  struct Leg {
     int body = 0;
     double begin = 0, end = 0;  // s
-    int functional = -1;        // of the first of its four; -1: not pushed
+    Push gain = {}, way = {};   // whose multiples are the changes of velocity and of position
+    double by_gain = 1, by_way = 1, by_turn = 1, by_turned = 1;
+    bool tracked = false;  // with running terms; `gain` and `way` are the forces of an interval
+    int via = -1;          // the waypoint at its end
   };
   struct Side {
     int body = -1;  // -1: a plane or a fixed disc
     int arc_before = -1, arc_after = -1;
-    int force_before = -1, force_after = -1;  // functionals: the forces of the intervals that end and start there
+    Push before, after;  // the forces of the intervals that end and start there
   };
   // A component of F u: `weights` of the forces, along one axis, of a pushed disc from interval `first` on.
   struct Functional {
-    int column = 0;  // 2 c + axis
+    int column = 0;  // of an interval's row of the control
     int first = 0;
     std::vector<double> weights;
   };
 
   int AddArc(int body, int from_hit, int to_hit);
-  int AddForce(int body, int interval);
-  void AddFunctionals(int body, int first, const std::vector<double>& weights);
+  // Between intervals first..last, both of which it may have a part of only.
+  void AddLeg(int body, double begin, double end, int first, int last, int via);
+  Push AddForce(int body, int interval);
+  Push AddFunctionals(int body, int first, const std::vector<double>& weights);
   std::pair<int, int> IntervalsAt(int hit) const;
+  double RateOfTurn(int body) const;  // angular acceleration per torque / radius, 1/(kg m)
+  bool IsTracked(int body) const;
   // Derivatives of G by F u where that is s; and unless null what is held: the gaps at impacts (in order), and what
   // hard terms hold.
   template <typename T>
@@ -119,7 +142,10 @@ class CondensedLoss {
   Eigen::MatrixXd Gram() const;                                // F M^-1 F^T, M restricted
   double Length(Eigen::Index i) const { return lengths_[i / width_]; }
   const Restrictions::Force& ForceAt(size_t interval, int c) const {
-    return restrictions_.forces.empty() ? free_ : restrictions_.forces[interval * (width_ / 2) + c];
+    return restrictions_.forces.empty() ? free_ : restrictions_.forces[interval * scene_.num_controlled() + c];
+  }
+  bool IsFreeTurn(size_t interval, int t) const {
+    return restrictions_.turns.empty() || restrictions_.turns[interval * scene_.num_turned() + t];
   }
   // M^-1 x of the free directions, and how many these are.
   void DivideByWeights(Eigen::VectorXd* x) const;
@@ -131,14 +157,19 @@ class CondensedLoss {
   std::vector<std::optional<double>> theta_;
   Restrictions restrictions_;
   Restrictions::Force free_;
-  Objective soft_;           // without hard terms
-  int width_;                // 2 C
-  std::vector<int> pushed_;  // by body: its place among the pushed ones, or -1
+  Objective soft_;                    // without hard terms
+  int width_;                         // of a row of the control
+  std::vector<int> pushed_, turned_;  // by body: its place among those with a force (a torque), or -1
   std::vector<double> nodes_;
   std::vector<int> interval_at_;  // by hit: that which it lies in or starts; see IntervalsAt
   std::vector<Arc> arcs_;
+  std::vector<Leg> legs_;
   std::vector<int> first_arc_, last_arc_;  // by body; -1 if it is fixed
   std::vector<std::array<Side, 2>> sides_;
+  std::vector<Push> last_;     // by body: the forces of the last interval, if the final time varies
+  int by_duration_ = -1;       // the functional that is the change of the final time
+  std::vector<int> hard_via_;  // by waypoint: where its multiplier is, or -1
+  std::map<int, int> forces_;  // functionals that are one component of a control: by its index
   std::vector<Functional> functionals_;
   std::vector<double> values_;  // F u
   int num_held_ = 0;

@@ -69,10 +69,13 @@ class ConstrainedCertifier {
       Judge(&result);
     }
     if (!result.IsStationary()) return result;
-    result.reason = WhyNoCurvature();
-    if (result.reason.empty()) {
-      AddCurvature(&result);
+    result.reason = WhyNoCurvature(result);
+    if (!result.reason.empty()) return result;
+    AddCurvature(&result);
+    if (result.curvature) {
       Judge(&result);
+    } else {
+      result.reason = "its second derivative is not computed: the matrices would be too large";
     }
     return result;
   }
@@ -369,20 +372,22 @@ class ConstrainedCertifier {
                  });
   }
 
-  // Terms on the way and the final time would have a part of their own; impacts at the final time are a kink.
-  std::string WhyNoCurvature() const {
-    const Objective& objective = scene_.objective;
-    const auto with = [](const char* what) { return std::string("its curvature is not looked at with ") + what; };
-    if (objective.effort == 0) return "its curvature is not looked at without a cost of effort";
-    if (!objective.running.empty()) return with("running costs");
-    if (!objective.via.empty()) return with("waypoint costs");
-    if (scene_.num_turned() > 0) return with("torques");
-    if (objective.duration) return with("a free duration");
+  std::string WhyNoCurvature(const Certificate& result) const {
+    // The condition of Legendre and Clebsch: where H_uu is zero, the second variation is not positive definite.
+    if (scene_.objective.effort == 0) {
+      return "without a cost of effort the Hamiltonian is linear in the forces, and no condition of second order "
+             "proves "
+             "a minimum";
+    }
     for (int k = 0; k < num_hits(); ++k) {
-      if (IsAtEnd(k)) return with("an impact at the final time");
+      if (IsAtEnd(k)) return "an impact is at the final time, where the loss has a kink and no second derivative";
+    }
+    if (IsDurationFree() && result.verdict == Certificate::Verdict::kStationaryOnGrid) {
+      return "its second derivative is not computed where all intervals scale with the final time";
     }
     return "";
   }
+  bool IsDurationFree() const { return scene_.objective.duration && SignByDuration() == 0; }
 
   void AddCurvature(Certificate* result) const {
     std::vector<std::optional<double>> held(num_hits());
@@ -396,6 +401,14 @@ class ConstrainedCertifier {
   // At the multipliers found.
   void SetRestrictions(const ConeConditions& conditions) {
     restrictions_.hard = HardOf(conditions.theta());
+    restrictions_.duration = IsDurationFree();
+    restrictions_.turns.clear();
+    for (size_t k = 0; k < motion_.lengths.size(); ++k) {
+      for (int t = 0; t < scene_.num_turned(); ++t) {
+        const int interval = static_cast<int>(k);
+        restrictions_.turns.push_back(std::abs(Turn(interval, t)) < (1 - kAtBound) * MostTurn(scene_, t));
+      }
+    }
     restrictions_.forces.assign(motion_.lengths.size() * scene_.num_controlled(), {});
     size_t next = 0;
     for (size_t i = 0; i < restrictions_.forces.size(); ++i) {

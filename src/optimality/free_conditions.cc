@@ -10,7 +10,7 @@
 namespace saltus {
 namespace {
 
-constexpr int kMostFunctionals = 400;  // of the control, by which the motion knows it: dense matrices of that size
+constexpr int kMostFunctionals = 1000;  // of the control, by which the motion knows it: dense matrices of that size
 
 using Thetas = std::vector<std::optional<double>>;  // by impact
 

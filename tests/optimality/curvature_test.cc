@@ -53,6 +53,31 @@ std::vector<double> Along(const std::vector<double>& control, const std::vector<
   return moved;
 }
 
+// With a waypoint for each of the discs.
+Scene WithWaypoints(Scene scene) {
+  scene.objective.via = {
+      {.body = 0, .time = 0.33, .target = {0.5, 0.2}, .weight = 2},
+      {.body = 1, .time = 0.6, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0.1, -1}, .weight = 0.4}};
+  return scene;
+}
+// With running terms of both, whose targets turn.
+Scene WithRunningTerms(Scene scene) {
+  scene.objective.running = {
+      {.body = 0, .times = {0, 0.37, 1.3}, .targets = {{0, 0.7}, {0.6, 0.2}, {1, 0.5}}, .weight = 1.5},
+      {.body = 1, .times = {0.2}, .targets = {{0.7, 0.6}}, .weight = 0.5},
+      {.body = 0,
+       .quantity = TerminalTerm::Quantity::kVelocity,
+       .times = {0, 1.4},
+       .targets = {{1, 0}, {0.5, 0.3}},
+       .weight = 0.3}};
+  return scene;
+}
+Scene WithTorques(Scene scene) {
+  scene.control.turned = scene.control.bodies;
+  scene.control.initial_torque = {0.03, -0.05};
+  return scene;
+}
+
 struct Case {
   const char* name;
   Scene scene;
@@ -114,8 +139,73 @@ INSTANTIATE_TEST_SUITE_P(Scenes, Condensed,
                                          Case{"multiple_collisions", With(ProblemScene("multiple_collisions"), 25), 3},
                                          Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2},
                                          Case{"spin_slips", TwoSpin(0.05), 2}, Case{"spin_sticks", TwoSpin(2), 2},
-                                         Case{"strike_sticks", SpinStrike(2), 1}),
+                                         Case{"strike_sticks", SpinStrike(2), 1},
+                                         Case{"torques_slip", WithTorques(TwoSpin(0.05)), 2},
+                                         Case{"torques_stick", WithTorques(TwoSpin(2)), 2}),
                          [](const auto& at) { return at.param.name; });
+
+// Path costs and a free final time, which is one variable more, by second differences of the loss: the last interval
+// becomes longer.
+TEST(Curvature, HasPathCostsAndTheFinalTime) {
+  const Scene scenes[] = {WithWaypoints(TwoPushed()),
+                          WithRunningTerms(TwoPushed()),
+                          WithTorques(WithRunningTerms(WithWaypoints(TwoSpin(0.05)))),
+                          WithTorques(WithRunningTerms(WithWaypoints(TwoSpin(2))))};
+  for (Scene scene : scenes) {
+    SCOPED_TRACE(scene.name);
+    scene.objective.duration = {.min = 0.5, .max = 2, .weight = 0.7};
+    const std::vector<double> control = Wavy(scene), lengths = EqualLengths(scene);
+    const Exact exact(scene, control, lengths);
+    const CondensedLoss condensed(scene, exact.flight, control, lengths);
+    const Eigen::MatrixXd hessian = condensed.DenseHessian();
+    const Eigen::VectorXd gradient = condensed.Gradient();
+    const auto n = static_cast<Eigen::Index>(control.size());
+    ASSERT_EQ(hessian.rows(), n + 1);
+    const auto loss = [&](const Eigen::VectorXd& by, double eps) {
+      Scene longer = scene;
+      std::vector<double> moved = control, durations = lengths;
+      for (Eigen::Index i = 0; i < n; ++i) moved[i] += eps * by[i];
+      longer.duration += eps * by[n];
+      durations.back() += eps * by[n];
+      return ExactLoss(longer, moved, durations);
+    };
+    Eigen::VectorXd by = Eigen::VectorXd::Zero(n + 1);
+    for (int trial = 0; trial < 5; ++trial) {
+      by[n] = trial == 1 ? 0 : 0.3;
+      const auto first = [&](double eps) { return (loss(by, eps) - loss(by, -eps)) / (2 * eps); };
+      const auto second = [&](double eps) { return (loss(by, eps) - 2 * loss(by, 0) + loss(by, -eps)) / (eps * eps); };
+      const double differences = (4 * second(5e-4) - second(1e-3)) / 3, along = by.dot(hessian * by);
+      EXPECT_NEAR(along, differences, 1e-6 * std::max(1.0, std::abs(along))) << trial;
+      if (trial == 1) {
+        EXPECT_NEAR(by.head(n).dot(gradient), (4 * first(5e-4) - first(1e-3)) / 3, 1e-9);
+      }
+      for (Eigen::Index i = 0; i < n; ++i) by[i] = std::sin(static_cast<double>((trial + 2) * i + trial));
+    }
+  }
+}
+
+// The least curvature is measured by the effort and, along the final time, by another size: it has the sign of the
+// least eigenvalue (Sylvester).
+TEST(Curvature, IsPositiveWhereTheMatrixIs) {
+  int negative = 0, positive = 0;
+  Scene flies = With(HeadOn(), 23);
+  flies.bodies[0].velocity = {0, 1};
+  flies.objective.terminal[0].target = {-1, 1};
+  for (Scene scene : {WithWaypoints(TwoPushed()), With(HeadOn(), 23), flies}) {
+    scene.objective.duration = {.min = 0.5, .max = 2, .weight = 0.7};
+    for (double effort : {0.01, 0.5, 1000.0}) {
+      scene.objective.effort = effort;
+      const std::vector<double> control = Wavy(scene), lengths = EqualLengths(scene);
+      const Exact exact(scene, control, lengths);
+      const CondensedLoss loss(scene, exact.flight, control, lengths);
+      const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> dense(loss.DenseHessian());
+      (dense.eigenvalues()[0] < 0 ? negative : positive) += 1;
+      EXPECT_EQ(loss.SmallestCurvature().smallest > 0, dense.eigenvalues()[0] > 0) << scene.name << effort;
+    }
+  }
+  EXPECT_GT(negative, 0);
+  EXPECT_GT(positive, 0);
+}
 
 // Forces that are free, at one bound, at two, and at one that is curved; and hard terms for both discs.
 Restrictions SomeRestrictions(const Scene& scene) {

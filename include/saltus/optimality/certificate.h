@@ -75,7 +75,8 @@ struct ParameterCertificate {
 };
 
 // The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
-// along eps d from a stationary control the loss gains effort * curvature * eps^2. Bounds and hard terms are kept.
+// along eps d from a stationary control the loss gains effort * curvature * eps^2. Bounds and hard terms are kept. A
+// final time that is free varies too, with the last interval, and is measured by its own second derivative.
 struct Curvature {
   enum class Kind {
     kMinimum,  // positive along all: a local minimum along the sequence of impacts
@@ -84,7 +85,7 @@ struct Curvature {
   };
   Kind kind = Kind::kFlat;
   double smallest = 0;            // at most 1 as long as there are more controls than the motion notices
-  std::vector<double> direction;  // K x C x 2, N; its largest component is positive
+  std::vector<double> direction;  // of the shape of the control, N; its largest component is positive
 };
 
 struct Certificate {
@@ -118,8 +119,8 @@ struct Certificate {
   // 2 effort m u + lambda_v over an interval, relative to the largest costate.
   std::optional<double> gradient;
 
-  // At stationary controls (on the grid too); not with path costs, a free final time or no effort, nor where the
-  // matrices would be too large.
+  // At stationary controls (on the grid too); not without effort, with an impact at the final time, on a grid that
+  // scales with a free final time, nor where the matrices would be too large.
   std::optional<Curvature> curvature;
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
