@@ -5,8 +5,8 @@
 //
 // with k_n the slope of the normal force and k_t = min(k_f, mu f_n / |w_t|) the secant of friction; of a disc that
 // spins P has a third row, in which t goes on with -r and m is its inertia. With alpha 1 stiff and crowded contacts may
-// cycle, with 0.5 they converge. With newton=1 there are no iterations: Newton's method starts at v_f. This and exponent
-// 2 are the penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
+// cycle, with 0.5 they converge. With newton=1 there are no iterations: Newton's method starts at v_f. This and
+// exponent 2 are the penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
 //
 // With implicit=0 the last iterate is the result and derivatives pass through the iterations, as published. Momentum is
 // conserved at convergence.

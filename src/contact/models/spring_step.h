@@ -15,8 +15,8 @@
 // goes to zero and plastic as the stiffness goes to infinity.
 //
 // The iterations of a model end near the solution. Newton's method takes the rest, so that the value is that of the
-// equations, whose derivatives follow from the implicit function theorem. The iterations alone, with derivatives through
-// each of them, are the published algorithm: implicit=0.
+// equations, whose derivatives follow from the implicit function theorem. The iterations alone, with derivatives
+// through each of them, are the published algorithm: implicit=0.
 #pragma once
 
 #include <Eigen/Core>
