@@ -216,7 +216,7 @@ class SpringDescent {
  protected:
   static constexpr double kReferenceDepth = 0.01;  // m
   static constexpr int kMostNewtonSteps = 60;
-  static constexpr double kRounding = 1e-15;  // relative, of a residual
+  static constexpr double kRounding = 1e-14;  // relative, of a residual
 
   template <typename Visit>
   void VisitSharedOptions(const Visit& visit) {
