@@ -28,7 +28,7 @@ html_extra_path = [path for path in [os.environ.get("SALTUS_DOXYGEN", "")] if pa
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 # The compiled part is mocked where it is not built; its signatures are in _saltus.pyi.
-autodoc_mock_imports = ["torch"] + ([] if os.environ.get("SALTUS_PYTHON") else ["saltus._saltus"])
+autodoc_mock_imports = ["jax", "torch"] + ([] if os.environ.get("SALTUS_PYTHON") else ["saltus._saltus"])
 suppress_warnings = ["myst.header"]
 
 

@@ -87,6 +87,38 @@ class TestTorch:
         assert final.dtype == control.grad.dtype == torch.float32
 
 
+class TestJax:
+    @pytest.fixture(autouse=True)
+    def jax(self):
+        jax = pytest.importorskip("jax", reason="jax is not installed")
+        jax.config.update("jax_enable_x64", True)
+        return jax
+
+    def test_losses(self, jax, short):
+        import saltus.jax
+
+        batch = saltus.Batch(short, "toi_velocity")
+        points = np.stack([scale * saltus.Simulation(short).initial_guess for scale in (0.9, 1.0, 1.1)])
+        losses, gradients = batch.loss_and_gradient(points)
+        function = saltus.jax.losses(batch)
+        np.testing.assert_array_equal(jax.jit(function)(points), losses)
+        found = jax.jit(jax.grad(lambda points: function(points) @ np.array([1.0, 2.0, 3.0])))(points)
+        np.testing.assert_allclose(found.reshape(3, -1), [[1], [2], [3]] * gradients, rtol=1e-15)
+
+    def test_a_loss_written_in_jax(self, jax, short):
+        import saltus.jax
+
+        end, start = saltus.jax.end_state(short, "event"), saltus.EndState(short)
+
+        def loss(control):
+            return jax.numpy.sum(end(start.initial, control)[1, :2] ** 2) + 0.1 * short.dt * jax.numpy.sum(control**2)
+
+        found, by_control = jax.value_and_grad(loss)(jax.numpy.asarray(start.control))
+        expected, gradient = saltus.Simulation(short, "event").loss_and_gradient()
+        assert found == pytest.approx(expected, rel=1e-14)
+        np.testing.assert_allclose(by_control, gradient, rtol=1e-9, atol=1e-13)
+
+
 class TestScipy:
     def test_minimize(self, two_balls):
         """L-BFGS of scipy on the exact gradient, to the optimum that the minimum principle finds."""
