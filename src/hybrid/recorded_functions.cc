@@ -10,6 +10,8 @@
 #include <tuple>
 #include <utility>
 
+#include "hybrid/runge_kutta.h"
+
 namespace saltus {
 namespace {
 
@@ -430,13 +432,35 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
   derivatives_ = builder.Derivatives();
 }
 
-template <typename Parts>
-const double* RecordedFunction::Run(const Tape& tape, const Parts& inputs, double* slots) const {
-  double* next = slots;
-  for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
-  next = std::copy(tape.constants.begin(), tape.constants.end(), next);
-  const double* at = slots;
-  for (const typename Tape::Instruction& instruction : tape.instructions) {
+// Evaluates a function, or it and its derivatives, at inputs of which any may be changed from one time to the next.
+class RecordedFunction::Evaluation {
+ public:
+  template <typename Parts>
+  Evaluation(const RecordedFunction& function, bool with_derivatives, const Parts& inputs)
+      : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Of(tape_.size)) {
+    double* next = slots_;
+    for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
+    results_ = std::copy(tape_.constants.begin(), tape_.constants.end(), next);
+  }
+  Evaluation(const Evaluation&) = delete;
+  Evaluation& operator=(const Evaluation&) = delete;
+
+  double* inputs() { return slots_; }
+  [[gnu::noinline]] void Run(double* outputs);
+  // Derivatives where they are not always zero, after Run.
+  const std::vector<Tape::Entry>& entries() const { return tape_.entries; }
+  double operator[](const Tape::Entry& entry) const { return slots_[entry.slot]; }
+
+ private:
+  const Tape& tape_;
+  Memory memory_;
+  double *slots_, *results_;
+};
+
+void RecordedFunction::Evaluation::Run(double* outputs) {
+  double* next = results_;
+  const double* at = slots_;
+  for (const Tape::Instruction& instruction : tape_.instructions) {
     const double a = at[instruction.a];
     // The most frequent ones without a call.
     switch (instruction.operation) {
@@ -455,42 +479,39 @@ const double* RecordedFunction::Run(const Tape& tape, const Parts& inputs, doubl
       case Operation::kNegate:
         *next++ = -a;
         break;
+      case Operation::kSqrt:
+        *next++ = std::sqrt(a);
+        break;
       default:
         *next++ = Apply(instruction.operation, a, at[instruction.b], at[instruction.c]);
     }
   }
-  return at;
+  for (const int slot : tape_.outputs) *outputs++ = at[slot];
 }
 
 void RecordedFunction::Evaluate(std::initializer_list<Part> inputs, double* outputs) const {
-  Memory memory;
-  const double* at = Run(values_, inputs, memory.Of(values_.size));
-  for (const int slot : values_.outputs) *outputs++ = at[slot];
+  Evaluation(*this, false, inputs).Run(outputs);
 }
 
 void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns, double* outputs,
                                  double* jacobian) const {
-  Memory memory;
-  const double* at = Run(derivatives_, inputs, memory.Of(derivatives_.size));
-  for (const int slot : derivatives_.outputs) *outputs++ = at[slot];
+  Evaluation at(*this, true, inputs);
+  at.Run(outputs);
   std::fill_n(jacobian, num_outputs_ * columns, 0.0);
-  for (const typename Tape::Entry& entry : derivatives_.entries) {
-    jacobian[entry.row * columns + entry.column] = at[entry.slot];
-  }
+  for (const Tape::Entry& entry : at.entries()) jacobian[entry.row * columns + entry.column] = at[entry];
 }
 
 void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
-  Memory memory;
-  const double* at = Run(derivatives_, inputs, memory.Of(derivatives_.size));
-  for (const int slot : derivatives_.outputs) *outputs++ = at[slot];
+  Evaluation at(*this, true, inputs);
+  at.Run(outputs);
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     if (jacobians[i] != nullptr) std::fill_n(jacobians[i], num_outputs_ * inputs[i].size, 0.0);
   }
-  for (const typename Tape::Entry& entry : derivatives_.entries) {
+  for (const Tape::Entry& entry : at.entries()) {
     std::size_t block = 0;
     int column = entry.column;
     for (; column >= inputs[block].size; ++block) column -= inputs[block].size;
-    if (jacobians[block] != nullptr) jacobians[block][entry.row * inputs[block].size + column] = at[entry.slot];
+    if (jacobians[block] != nullptr) jacobians[block][entry.row * inputs[block].size + column] = at[entry];
   }
 }
 
@@ -523,6 +544,53 @@ void RecordedSystem::FlowJacobian(int mode, double t, const double* x, const dou
                               jacobian);
 }
 
+// Of the flow, at the beginning of a step; state and time, which come first, are to change.
+RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, bool with_derivatives) const {
+  const std::initializer_list<RecordedFunction::Part> inputs = {
+      {step.x, size(step.mode)}, {&step.t, 1}, {step.p, num_parameters()}, {step.u, layout().num_controls}};
+  return {modes_[step.mode].flow, with_derivatives, inputs};
+}
+
+void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
+                          double* slope_after) const {
+  const int n = size(step.mode);
+  RecordedFunction::Evaluation at = EvaluationOf(step, false);
+  const auto flow = [&](double t, const double* x, double* xdot) {
+    std::copy_n(x, n, at.inputs());
+    at.inputs()[n] = t;
+    at.Run(xdot);
+  };
+  EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
+}
+
+// By the derivatives that are not always zero.
+bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const {
+  constexpr int kStages = cooper_verner::kStages;
+  const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
+  RecordedFunction::Evaluation at = EvaluationOf(step, true);
+  const std::size_t count = at.entries().size();
+  static thread_local std::vector<double> numbers;
+  numbers.resize(kStages * (n + count) + (kStages * n + columns));
+  double *slopes = numbers.data(), *entries = slopes + kStages * n, *scratch = entries + kStages * count;
+  const auto flow = [&](double t, const double* x, double* slope, double* derivatives) {
+    std::copy_n(x, n, at.inputs());
+    at.inputs()[n] = t;
+    at.Run(slope);
+    for (const auto& entry : at.entries()) *derivatives++ = at[entry];
+  };
+  saltus::LinearizeStep(n, step, count, flow, scratch, slopes, entries);
+  const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
+    std::fill_n(of_stage, columns, 0.0);
+    const double* derivative = entries + stage * count;
+    for (const auto& entry : at.entries()) of_stage[entry.column] += of_slope[entry.row] * *derivative++;
+  };
+  WithSize(n, [&](auto known) {
+    PullBackThroughStages<known>(
+        n, num_parameters(), layout().num_controls, step.h, slopes, multiply, scratch, after, out);
+  });
+  return true;
+}
+
 double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* /*u*/,
                              const double* p) const {
   double value = 0;
@@ -530,13 +598,17 @@ double RecordedSystem::Guard(int mode, int guard, double t, const double* x, con
   return value;
 }
 
-double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
-                                 const double* p, double* rate) const {
-  Memory memory;
-  double* gradient = memory.Of(size(mode) + 1 + num_parameters() + layout().num_controls);
-  const double value = GuardGradient(mode, guard, t, x, u, p, gradient);
-  *rate = gradient[size(mode)];
-  for (int i = 0; i < size(mode); ++i) *rate += gradient[i] * xdot[i];
+double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot,
+                                 const double* /*u*/, const double* p, double* rate) const {
+  const int n = size(mode);
+  const std::initializer_list<RecordedFunction::Part> inputs = {{x, n}, {&t, 1}, {p, num_parameters()}};
+  RecordedFunction::Evaluation at(transition(mode, guard).guard, true, inputs);
+  double value = 0;
+  at.Run(&value);
+  *rate = 0;
+  for (const auto& entry : at.entries()) {
+    if (entry.column <= n) *rate += entry.column < n ? at[entry] * xdot[entry.column] : at[entry];
+  }
   return value;
 }
 

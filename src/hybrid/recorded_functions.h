@@ -95,6 +95,8 @@ class RecordedFunction {
   // The same with the parts of a cost function: any of `jacobians` may be null.
   void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
 
+  class Evaluation;
+
  private:
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
@@ -113,8 +115,6 @@ class RecordedFunction {
     std::vector<Entry> entries;
   };
   class Builder;
-  template <typename Parts>
-  const double* Run(const Tape& tape, const Parts& inputs, double* slots) const;
 
   int num_inputs_ = 0, num_outputs_ = 0;
   Tape values_, derivatives_;
@@ -137,6 +137,9 @@ class RecordedSystem final : public HybridFunctions {
   void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
   void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
                     double* jacobian) const override;
+  void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
+            double* slope_after) const override;
+  bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override;
   double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
   double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
                    double* rate) const override;
@@ -151,6 +154,7 @@ class RecordedSystem final : public HybridFunctions {
   int size(int mode) const { return layout().state_sizes[mode]; }
   int num_parameters() const { return layout().num_parameters; }
   const Transition& transition(int mode, int guard) const { return modes_[mode].transitions[guard]; }
+  RecordedFunction::Evaluation EvaluationOf(const FlowStep& step, bool with_derivatives) const;
 
   const std::vector<Mode> modes_;
 };

@@ -2,50 +2,15 @@
 
 #include <algorithm>
 #include <array>
-#include <type_traits>
 
 namespace saltus {
-namespace {
 
 using namespace cooper_verner;
-// Calls function(size) with the size of the state as a constant if it is small, else with 0.
-template <typename Function>
-void WithSize(int size, const Function& function) {
-  switch (size) {
-    case 1:
-      return function(std::integral_constant<int, 1>());
-    case 2:
-      return function(std::integral_constant<int, 2>());
-    case 3:
-      return function(std::integral_constant<int, 3>());
-    case 4:
-      return function(std::integral_constant<int, 4>());
-    case 5:
-      return function(std::integral_constant<int, 5>());
-    case 6:
-      return function(std::integral_constant<int, 6>());
-    default:
-      return function(std::integral_constant<int, 0>());
-  }
-}
-
-}  // namespace
 
 void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                            double* slope_after) const {
-  const int n = state_size(step.mode);
   const auto flow = [&](double t, const double* x, double* xdot) { Flow(step.mode, t, x, step.u, step.p, xdot); };
-  WithSize(n, [&](auto size) {
-    if constexpr (size > 0) return EvaluateStep<size>(step, flow, slope, after, slope_after);
-    double *slopes = scratch, *stage = scratch + kStages * n;
-    std::copy_n(slope, n, slopes);
-    for (int i = 1; i < kStages; ++i) {
-      Combine(i, n, step.h, step.x, slopes, stage);
-      flow(step.t + kC[i] * step.h, stage, slopes + i * n);
-    }
-    Combine(kStages, n, step.h, step.x, slopes, after);
-    flow(step.t + step.h, after, slope_after);
-  });
+  EvaluateStep(state_size(step.mode), step, flow, slope, scratch, after, slope_after);
 }
 
 void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const {
@@ -54,13 +19,7 @@ void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, doubl
   const auto flow = [&](double t, const double* x, double* xdot, double* jacobian) {
     FlowJacobian(step.mode, t, x, step.u, step.p, xdot, jacobian);
   };
-  WithSize(n, [&](auto size) {
-    if constexpr (size > 0) return saltus::LinearizeStep<size>(step, stride, flow, slopes, jacobians);
-    for (int i = 0; i < kStages; ++i) {
-      Combine(i, n, step.h, step.x, slopes, scratch);
-      flow(step.t + kC[i] * step.h, scratch, slopes + i * n, jacobians + i * stride);
-    }
-  });
+  saltus::LinearizeStep(n, step, stride, flow, scratch, slopes, jacobians);
 }
 
 RungeKutta::RungeKutta(const HybridFunctions& functions)
@@ -131,52 +90,24 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
     std::copy_n(by.data(), size_, out->x);
     after = out->x;
   }
-  WithSize(size_, [&](auto size) { PullBackOfSize<decltype(size)::value>(after, out); });
-}
-
-template <int kSize>
-void RungeKutta::PullBackOfSize(const double* after, StepCotangent* out) const {
-  const int n = kSize > 0 ? kSize : size_, columns = n + 1 + num_parameters_ + num_controls_;
-  // Of the slopes, divided by h.
-  double* of_slopes = scratch_.data();
-  std::fill_n(of_slopes, kStages * n, 0.0);
-  double by_t = 0, by_h = 0;
-  // Adds the cotangent of x + h sum of the row's slopes.
-  const auto add = [&](const Row& row, const double* cotangent) {
-    for (int k = 0; k < row.count; ++k) {
-      double* of_slope = of_slopes + row.terms[k].stage * n;
-      for (int j = 0; j < n; ++j) of_slope[j] += row.terms[k].factor * cotangent[j];
-    }
-  };
-  add(kRows[kStages], after);
-  if (out->x != after) std::copy_n(after, n, out->x);
-  double* of_stage = of_slopes + kStages * n;
-  for (int i = kStages - 1; i >= 0; --i) {
-    const double *jacobian = &jacobians_[static_cast<std::size_t>(i) * n * columns], *slope = &slopes_[i * n];
-    double* of_slope = of_slopes + i * n;
-    for (int j = 0; j < n; ++j) {
-      by_h += of_slope[j] * slope[j];
-      of_slope[j] *= length_;
-    }
-    const auto multiply = [&](int first, int last) {
-      for (int column = first; column < last; ++column) of_stage[column] = of_slope[0] * jacobian[column];
-      for (int row = 1; row < n; ++row) {
-        for (int column = first; column < last; ++column) {
-          of_stage[column] += of_slope[row] * jacobian[row * columns + column];
+  WithSize(size_, [&](auto size) {
+    const int n = size > 0 ? size : size_, columns = size_ + 1 + num_parameters_ + num_controls_;
+    const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
+      const double* jacobian = &jacobians_[static_cast<std::size_t>(stage) * n * columns];
+      const auto columns_from = [&](int first, int last) {
+        for (int column = first; column < last; ++column) of_stage[column] = of_slope[0] * jacobian[column];
+        for (int row = 1; row < n; ++row) {
+          for (int column = first; column < last; ++column) {
+            of_stage[column] += of_slope[row] * jacobian[row * columns + column];
+          }
         }
-      }
+      };
+      columns_from(0, n);  // a number of columns that the compiler knows
+      columns_from(n, columns);
     };
-    multiply(0, n);  // a number of columns that the compiler knows
-    multiply(n, columns);
-    for (int j = 0; j < n; ++j) out->x[j] += of_stage[j];
-    by_t += of_stage[n];
-    by_h += kC[i] * of_stage[n];
-    for (int j = 0; j < num_parameters_; ++j) out->p[j] += of_stage[n + 1 + j];
-    for (int j = 0; j < num_controls_; ++j) out->u[j] += of_stage[n + 1 + num_parameters_ + j];
-    add(kRows[i], of_stage);
-  }
-  out->t = by_t;
-  out->h = by_h;
+    PullBackThroughStages<size>(
+        size_, num_parameters_, num_controls_, length_, slopes_.data(), multiply, scratch_.data(), after, out);
+  });
 }
 
 RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {

@@ -5,11 +5,94 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <type_traits>
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
 
 namespace saltus {
+
+// Calls function(size) with the size of the state as a constant if it is small, else with 0.
+template <int kFrom = 1, typename Function>
+void WithSize(int size, const Function& function) {
+  constexpr int kMost = 6;
+  if (size == kFrom) return function(std::integral_constant<int, kFrom>());
+  if constexpr (kFrom < kMost) return WithSize<kFrom + 1>(size, function);
+  function(std::integral_constant<int, 0>());
+}
+
+// As EvaluateStep and LinearizeStep of runge_kutta_step.h, of a state of `size` numbers. `scratch` has room for the
+// slopes of all stages and a state.
+template <typename Flow>
+void EvaluateStep(int size, const FlowStep& step, const Flow& flow, const double* slope, double* scratch, double* after,
+                  double* slope_after) {
+  using namespace cooper_verner;
+  WithSize(size, [&](auto known) {
+    if constexpr (known > 0) return EvaluateStep<known>(step, flow, slope, after, slope_after);
+    double *slopes = scratch, *stage = scratch + kStages * size;
+    std::copy_n(slope, size, slopes);
+    for (int i = 1; i < kStages; ++i) {
+      Combine(i, size, step.h, step.x, slopes, stage);
+      flow(step.t + kC[i] * step.h, stage, slopes + i * size);
+    }
+    Combine(kStages, size, step.h, step.x, slopes, after);
+    flow(step.t + step.h, after, slope_after);
+  });
+}
+template <typename FlowJacobian>
+void LinearizeStep(int size, const FlowStep& step, std::size_t stride, const FlowJacobian& flow, double* scratch,
+                   double* slopes, double* jacobians) {
+  using namespace cooper_verner;
+  WithSize(size, [&](auto known) {
+    if constexpr (known > 0) return LinearizeStep<known>(step, stride, flow, slopes, jacobians);
+    for (int i = 0; i < kStages; ++i) {
+      Combine(i, size, step.h, step.x, slopes, scratch);
+      flow(step.t + kC[i] * step.h, scratch, slopes + i * size, jacobians + i * stride);
+    }
+  });
+}
+
+// Pulls a cotangent of x' back through the stages of a step of length h, whose slopes are given. multiply(stage,
+// of_slope, of_stage) sets of_stage, by [x t p u], to the product of of_slope and the Jacobian of the flow at a stage.
+// `after` and out->x may be the same; `scratch` has room for all slopes and [x t p u].
+template <int kSize, typename Multiply>
+void PullBackThroughStages(int size, int num_parameters, int num_controls, double h, const double* slopes,
+                           const Multiply& multiply, double* scratch, const double* after, StepCotangent* out) {
+  using namespace cooper_verner;
+  const int n = kSize > 0 ? kSize : size;
+  // Of the slopes, divided by h.
+  double* of_slopes = scratch;
+  std::fill_n(of_slopes, kStages * n, 0.0);
+  double by_t = 0, by_h = 0;
+  // Adds the cotangent of x + h sum of the row's slopes.
+  const auto add = [&](const Row& row, const double* cotangent) {
+    for (int k = 0; k < row.count; ++k) {
+      double* of_slope = of_slopes + row.terms[k].stage * n;
+      for (int j = 0; j < n; ++j) of_slope[j] += row.terms[k].factor * cotangent[j];
+    }
+  };
+  add(kRows[kStages], after);
+  if (out->x != after) std::copy_n(after, n, out->x);
+  double* of_stage = of_slopes + kStages * n;
+  for (int i = kStages - 1; i >= 0; --i) {
+    const double* slope = slopes + i * n;
+    double* of_slope = of_slopes + i * n;
+    for (int j = 0; j < n; ++j) {
+      by_h += of_slope[j] * slope[j];
+      of_slope[j] *= h;
+    }
+    multiply(i, of_slope, of_stage);
+    for (int j = 0; j < n; ++j) out->x[j] += of_stage[j];
+    by_t += of_stage[n];
+    by_h += kC[i] * of_stage[n];
+    for (int j = 0; j < num_parameters; ++j) out->p[j] += of_stage[n + 1 + j];
+    for (int j = 0; j < num_controls; ++j) out->u[j] += of_stage[n + 1 + num_parameters + j];
+    add(kRows[i], of_stage);
+  }
+  out->t = by_t;
+  out->h = by_h;
+}
 
 class RungeKutta {
  public:
@@ -46,8 +129,6 @@ class RungeKutta {
  private:
   using ConstMatrixMap = Eigen::Map<const Matrix>;
   ConstMatrixMap JacobianOfStage(int stage) const;
-  template <int kSize>
-  void PullBackOfSize(const double* after, StepCotangent* out) const;
 
   const HybridFunctions& functions_;
   int num_parameters_, num_controls_;

@@ -1,5 +1,6 @@
-// Contact models are headers, which a user's project compiles with its own options, such as -march=native. Whatever
-// they are, a step with derivatives has the values of the step without, to the last bit. Exit code 0 if it does.
+// Contact models and hybrid systems are headers, which a user's project compiles with its own options, such as
+// -march=native. Whatever they are, a step with derivatives has the values of the step without, to the last bit. Exit
+// code 0 if it does.
 #include <array>
 #include <iostream>
 #include <memory_resource>
@@ -9,6 +10,7 @@
 
 #include "own_model.h"
 #include "saltus/base/scalar.h"
+#include "saltus/hybrid/hybrid_system.h"
 
 namespace {
 
@@ -67,6 +69,58 @@ bool ValuesAgree() {
   return true;
 }
 
+// Whose slopes have sums and differences of products side by side, which a compiler may fuse: (x1, x2, x3, x4) are two
+// points that spiral, and x5 counts.
+struct Spirals {
+  static constexpr int kNumControls = 1;
+  static constexpr int kNumParameters = 2;
+  static constexpr std::array kStateSizes = {5};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T* p, T* xdot) const {
+    for (int i = 0; i < 4; i += 2) {
+      xdot[i] = p[0] * x[i] - p[1] * x[i + 1];
+      xdot[i + 1] = p[0] * x[i + 1] + p[1] * x[i];
+    }
+    xdot[4] = u[0] * x[0] + x[4];
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+// The slopes of a step of the integration and the state after it.
+bool StepsAgree() {
+  using namespace cooper_verner;
+  const HybridSystem system{Spirals()};
+  constexpr int kSize = 5, kColumns = kSize + 1 + 2 + 1;
+  std::mt19937 random(2);
+  const auto number = [&] { return random() / 2147483648.0 - 1; };
+  for (int sample = 0; sample < 2000; ++sample) {
+    double x[kSize], slope[kSize], after[kSize], slope_after[kSize], again[kSize], scratch[kSize];
+    double slopes[kStages * kSize], jacobians[kStages * kSize * kColumns];
+    for (double& entry : x) entry = number();
+    const double u[] = {number()}, p[] = {number(), number()};
+    const FlowStep step{0, 0, 0.1, x, u, p};
+    system.functions().Flow(0, 0, x, u, p, slope);
+    system.functions().Step(step, slope, scratch, after, slope_after);
+    system.functions().LinearizeStep(step, scratch, slopes, jacobians);
+    Combine<kStages, kSize>(step.h, x, slopes, again);
+    for (int i = 0; i < kSize; ++i) {
+      if (after[i] == again[i] && slope[i] == slopes[i]) continue;
+      std::cerr.precision(17);
+      std::cerr << "step: " << after[i] << " without derivatives, " << again[i] << " with them\n";
+      return false;
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
-int main() { return ValuesAgree<OwnModel>() ? 0 : 1; }
+int main() { return ValuesAgree<OwnModel>() && StepsAgree() ? 0 : 1; }

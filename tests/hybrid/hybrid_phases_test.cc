@@ -143,57 +143,70 @@ TEST(HybridPhases, ReachTheOptimumOfTheBallInContinuousTime) {
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_NEAR(report.final_loss, kBallOptimum, 1e-12);
+  // The reference: a change of the forces by 1e-6 m/s^2 changes the loss by rounding alone.
+  constexpr double kImpact = 0.697936180950424916232723, kSpeed = 9.14598342235800406373598;
+  constexpr double kStart = -13.261035960757762298, kBefore = 6.6523834449838246927;
+  constexpr double kAfter = -9.5034049214054638468, kEnd = -13.258802112336916118;
   const std::vector<double>& p = report.parameters;
-  HybridSimulator simulator(problem.system);
+  EXPECT_NEAR(p[2], kStart, 1e-6);
+  EXPECT_NEAR(p[2] + p[3] * kImpact, kBefore, 1e-6);
+  EXPECT_NEAR(p[4] + p[5] * kImpact, kAfter, 1e-6);
+  EXPECT_NEAR(p[4] + p[5], kEnd, 1e-6);
+  HybridSimulator simulator(problem.system, {.tolerance = 1e-14});
   HybridInput best = problem.guess;
   best.parameters = p;
   ASSERT_TRUE(simulator.Rollout(best));
   ASSERT_EQ(simulator.events().size(), 1u);
-  const HybridEvent impact = simulator.events()[0];
-  const double s = impact.time, speed = -impact.before[1];
-  EXPECT_NEAR(s, 0.697936180950424916232723, 1e-8);
-  EXPECT_NEAR(speed, 9.14598342235800406373598, 1e-8);
-  // A change of the forces by 1e-6 m/s^2 changes the loss by rounding alone.
-  EXPECT_NEAR(p[2], -13.261035960757762298, 1e-6);
-  EXPECT_NEAR(p[2] + p[3] * s, 6.6523834449838246927, 1e-6);
-  EXPECT_NEAR(p[4] + p[5] * s, -9.5034049214054638468, 1e-6);
-  EXPECT_NEAR(p[4] + p[5], -13.258802112336916118, 1e-6);
-  const double y = simulator.final_state()[0], v = simulator.final_state()[1], effort = simulator.final_state()[2] / 32;
-  EXPECT_NEAR(y, 0.9961148553777191287357, 1e-9);
-  EXPECT_NEAR(v, 0.004143375660105286286961, 1e-9);
-  EXPECT_NEAR(effort, 2.192662419243672985, 1e-8);
-  EXPECT_NEAR((y - 1) * (y - 1) + v * v, 0.00003226191059679089073, 1e-10);
+  EXPECT_NEAR(simulator.events()[0].time, kImpact, 1e-8);
+  EXPECT_NEAR(simulator.events()[0].before[1], -kSpeed, 1e-8);
+  EXPECT_NEAR(simulator.final_state()[0], 0.9961148553777191287357, 1e-9);
+  EXPECT_NEAR(simulator.final_state()[1], 0.004143375660105286286961, 1e-9);
 
-  // Costates are derivatives of the loss to come by the state: at the end, at the start, and of motions that begin just
-  // before and just after the impact.
+  // The motion under the forces of the reference, and its derivatives.
+  const double slope = (kEnd - kAfter) / (1 - kImpact);
+  best.parameters = {9.8, 0.7, kStart, (kBefore - kStart) / kImpact, kAfter - slope * kImpact, slope, 0, 0};
+  ASSERT_TRUE(simulator.Rollout(best));
+  ASSERT_EQ(simulator.events().size(), 1u);
+  EXPECT_NEAR(simulator.events()[0].time, kImpact, 1e-13);
+  EXPECT_NEAR(simulator.events()[0].before[1], -kSpeed, 1e-12);
+  const double y = simulator.final_state()[0], v = simulator.final_state()[1], squares = simulator.final_state()[2];
+  EXPECT_NEAR(y, 0.9961148553777191287357, 1e-12);
+  EXPECT_NEAR(v, 0.004143375660105286286961, 1e-12);
+  EXPECT_NEAR(squares / 32, 2.192662419243672985, 1e-11);
+  EXPECT_NEAR(squares, 70.16519741579753551, 1e-10);  // dJ/deps
+  EXPECT_NEAR(100 * ((y - 1) * (y - 1) + v * v), 0.003226191059679089073, 1e-12);
+  EXPECT_NEAR((y - 1) * (y - 1) + v * v, 0.00003226191059679089073, 1e-14);  // dJ/dw
+  EXPECT_NEAR(squares / 32 + 100 * ((y - 1) * (y - 1) + v * v), kBallOptimum, 1e-11);
+  // Costates are derivatives of the loss to come by the state: at the end (by the target the opposite), at the start,
+  // and of motions that begin just before and just after the impact.
   const std::vector<double> at_end = {200 * (y - 1), 200 * v, 1.0 / 32};
-  EXPECT_NEAR(at_end[0], -0.77702892445617425286, 1e-7);
-  EXPECT_NEAR(at_end[1], 0.82867513202105725739, 1e-7);
+  EXPECT_NEAR(at_end[0], -0.77702892445617425286, 1e-10);
+  EXPECT_NEAR(at_end[1], 0.82867513202105725739, 1e-10);
   const HybridGradient whole = simulator.Adjoint(at_end);
-  EXPECT_NEAR(whole.initial[0], 1.7832414292722467846, 1e-7);
-  EXPECT_NEAR(whole.initial[1], 0.82881474754736014361, 1e-7);
-  EXPECT_NEAR(whole.parameters[0], -0.3590017776467813514, 1e-7);  // g
-  EXPECT_NEAR(whole.parameters[1], 5.432373991695615179, 1e-6);    // e
-  EXPECT_NEAR(whole.duration, -13.61785561198008402, 1e-6);
-  for (int i = 2; i < 6; ++i) EXPECT_NEAR(whole.parameters[i], 0, 1e-8);
-  best.begin = s;
-  best.duration = 1 - s;
-  best.initial = {0, -speed, 0};
+  EXPECT_NEAR(whole.initial[0], 1.7832414292722467846, 1e-10);
+  EXPECT_NEAR(whole.initial[1], 0.82881474754736014361, 1e-10);
+  EXPECT_NEAR(whole.parameters[0], -0.3590017776467813514, 1e-10);  // g
+  EXPECT_NEAR(whole.parameters[1], 5.432373991695615179, 1e-10);    // e
+  EXPECT_NEAR(whole.duration, -13.61785561198008402, 1e-10);
+  for (int i = 2; i < 6; ++i) EXPECT_NEAR(whole.parameters[i], 0, 1e-10);
+  best.begin = kImpact;
+  best.duration = 1 - kImpact;
+  best.initial = {0, -kSpeed, 0};
   ASSERT_TRUE(simulator.Rollout(best));
   const std::vector<double> before = simulator.Adjoint(at_end).initial;
   best.mode = 1;
-  best.initial = {0, 0.7 * speed, 0};
+  best.initial = {0, 0.7 * kSpeed, 0};
   ASSERT_TRUE(simulator.Rollout(best));
   const std::vector<double> after = simulator.Adjoint(at_end).initial;
-  EXPECT_NEAR(before[0], 1.7832414292722467846, 1e-7);
-  EXPECT_NEAR(before[1], -0.4157739653114890433, 1e-7);
-  EXPECT_NEAR(after[0], -0.77702892445617425286, 1e-7);
-  EXPECT_NEAR(after[1], 0.59396280758784149042, 1e-7);
+  EXPECT_NEAR(before[0], 1.7832414292722467846, 1e-10);
+  EXPECT_NEAR(before[1], -0.4157739653114890433, 1e-10);
+  EXPECT_NEAR(after[0], -0.77702892445617425286, 1e-10);
+  EXPECT_NEAR(after[1], 0.59396280758784149042, 1e-10);
   const auto hamiltonian = [&](const std::vector<double>& costate, double velocity, double u) {
     return u * u / 32 + costate[0] * velocity + costate[1] * (u - 9.8);
   };
-  EXPECT_NEAR(hamiltonian(before, -speed, p[2] + p[3] * s), -13.617855611980084025, 1e-6);
-  EXPECT_NEAR(hamiltonian(after, 0.7 * speed, p[4] + p[5] * s), -13.617855611980084025, 1e-6);
+  EXPECT_NEAR(hamiltonian(before, -kSpeed, kBefore), -13.617855611980084025, 1e-9);
+  EXPECT_NEAR(hamiltonian(after, 0.7 * kSpeed, kAfter), -13.617855611980084025, 1e-9);
 }
 
 TEST(HybridPhases, ReachOtherOptimaOfTheBallInContinuousTime) {

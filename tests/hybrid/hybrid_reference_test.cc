@@ -7,6 +7,7 @@
 #include <cmath>
 #include <complex>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "hybrid/reference_systems.h"
@@ -149,6 +150,17 @@ void ExpectMatrix(const std::vector<double>& found, const std::vector<double>& e
   }
 }
 
+// In any order.
+void ExpectEigenvalues(const Eigen::MatrixXd& matrix, const std::vector<std::complex<double>>& expected) {
+  Eigen::VectorXcd found = matrix.eigenvalues();
+  ASSERT_EQ(found.size(), static_cast<Eigen::Index>(expected.size()));
+  for (const std::complex<double>& value : expected) {
+    Eigen::Index nearest = 0;
+    EXPECT_LT((found.array() - value).abs().minCoeff(&nearest), 1e-10 * std::max(1.0, std::abs(value))) << value;
+    found[nearest] = 1e300;
+  }
+}
+
 TEST(HybridReference, BouncingBall) {
   Motion run(HybridSystem(BouncingBall()), {.initial = {1.3, 0.4}, .parameters = {9.81, 0.8}, .duration = 2});
   run.ExpectTimes({0.55720308415835660801, 1.3834884673336435927});
@@ -170,6 +182,16 @@ TEST(HybridReference, BouncingBallOfTheSensitivityTutorial) {
   EXPECT_EQ(right.simulator.events().size(), 2u);
   right.ExpectFinal({{"state", {20, -23.2772784829975162}}}, {kValue});
   EXPECT_NEAR(right.simulator.Adjoint(std::vector<double>{1, 0}).parameters[1], 488.533815009348211, 1e-10);
+  // The loss (y - 20)^2 has the second derivative 2 (dy/de)^2 where it is zero.
+  const auto slope = [&](double change) {
+    HybridInput moved = input;
+    moved.parameters[1] += change;
+    Motion run(HybridSystem(BouncingBall()), moved);
+    const double miss = run.simulator.final_state()[0] - 20;
+    return run.simulator.Adjoint(std::vector<double>{2 * miss, 0}).parameters[1];
+  };
+  constexpr double kWidth = 1e-6, kSecond = 2 * 488.533815009348211 * 488.533815009348211;
+  EXPECT_NEAR((slope(kWidth) - slope(-kWidth)) / (2 * kWidth), kSecond, 1e-9 * kSecond);
 }
 
 TEST(HybridReference, BouncingBallAtThePublishedLocalMinimum) {
@@ -238,11 +260,12 @@ void ExpectWheel(const Wheel& wheel) {
   ExpectMatrix(SaltationMatrix(system, 0, 0, impact.time, impact.before, {}, wheel.parameters), wheel.saltation);
   // Xi Phi: the state after the impact at a time that is fixed, from that at the time of the impact.
   const double slope[2] = {impact.after[1], wheel.parameters[0] * std::sin(impact.after[0] + wheel.parameters[2])};
-  std::vector<double> monodromy;
+  Eigen::Matrix2d monodromy;
   for (int i = 0; i < 2; ++i) {
-    for (int j = 0; j < 2; ++j) monodromy.push_back(cycle.Forward(0, i, X(j)) - slope[i] * cycle.Forward(0, -1, X(j)));
+    for (int j = 0; j < 2; ++j) monodromy(i, j) = cycle.Forward(0, i, X(j)) - slope[i] * cycle.Forward(0, -1, X(j));
   }
-  ExpectMatrix(monodromy, wheel.monodromy, 1e-10);
+  ExpectMatrix({monodromy(0, 0), monodromy(0, 1), monodromy(1, 0), monodromy(1, 1)}, wheel.monodromy, 1e-10);
+  ExpectEigenvalues(monodromy, {1, wheel.eigenvalue});
 }
 
 TEST(HybridReference, RimlessWheelOfSixSpokes) {
@@ -324,14 +347,27 @@ struct WalkerCycle {
     return {strike.after[0], strike.after[1]};
   }
   // Xi Phi over a step has the eigenvalues of the map and, along the motion and onto the surface of strikes, 1 and 0.
-  void ExpectMonodromy(std::complex<double> first, std::complex<double> second) const {
-    Eigen::Vector4cd found = monodromy.eigenvalues();
-    for (const std::complex<double> expected : {first, second, std::complex<double>(1), std::complex<double>(0)}) {
-      Eigen::Index nearest = 0;
-      EXPECT_LT((found.array() - expected).abs().minCoeff(&nearest), 1e-10 * std::max(1.0, std::abs(expected)))
-          << expected;
-      found[nearest] = 1e300;
-    }
+  void ExpectEigenvaluesOfMap(std::complex<double> first, std::complex<double> second) const {
+    ExpectEigenvalues(jacobian, {first, second});
+    ExpectEigenvalues(monodromy, {first, second, 1, 0});
+  }
+  // What is zero at heel strike, and the height of the swing foot, at a time of the cycle.
+  std::pair<double, double> FootAt(double time) const {
+    const double c = std::cos(2 * fixed[0]);
+    Motion part(
+        HybridSystem(SimplestWalker()),
+        {.initial = {fixed[0], fixed[1], 2 * fixed[0], (1 - c) * fixed[1]}, .parameters = {0.009}, .duration = time});
+    const std::span<const double> x = part.simulator.final_state();
+    return {2 * x[0] - x[2], std::cos(x[0]) - std::cos(x[0] - x[2])};
+  }
+  // The foot scuffs at mid-stance: both rise or fall through zero there, the guard at `closes`, the height between
+  // `height` - 5e-6 and `height` + 5e-6.
+  void ExpectScuffing(double closes, double height) const {
+    EXPECT_NEAR(FootAt(closes).first, 0, 1e-11);
+    EXPECT_LT(FootAt(closes - 1e-3).first, 0);
+    EXPECT_GT(FootAt(closes + 1e-3).first, 0);
+    EXPECT_GT(FootAt(height - 5e-6).second, 0);
+    EXPECT_LT(FootAt(height + 5e-6).second, 0);
   }
   Eigen::Vector2d fixed, map_by_gamma, by_gamma;
   Eigen::Matrix2d jacobian;
@@ -350,11 +386,9 @@ TEST(HybridReference, StableCycleOfTheSimplestWalker) {
   ExpectMatrix({cycle.jacobian(0, 0), cycle.jacobian(0, 1), cycle.jacobian(1, 0), cycle.jacobian(1, 1)},
                {-6.1058394607603964605, -6.8470415084028162734, 5.1565178333520240734, 5.7256397786286201683},
                1e-10);
-  const std::complex<double> eigenvalue = cycle.jacobian.eigenvalues()[0];
-  EXPECT_NEAR(eigenvalue.real(), -0.19009984106588814607, 1e-10);
-  EXPECT_NEAR(std::abs(eigenvalue.imag()), 0.55759877668206826877, 1e-10);
-  cycle.ExpectMonodromy({-0.19009984106588814607, 0.55759877668206826877},
-                        {-0.19009984106588814607, -0.55759877668206826877});
+  cycle.ExpectEigenvaluesOfMap({-0.19009984106588814607, 0.55759877668206826877},
+                               {-0.19009984106588814607, -0.55759877668206826877});
+  cycle.ExpectScuffing(1.813895690556209, 1.81390);
   EXPECT_NEAR(cycle.by_gamma[0], 7.2978202116226419735, 1e-9);
   EXPECT_NEAR(cycle.by_gamma[1], -6.5709274333289764301, 1e-9);
   ExpectMatrix(
@@ -388,13 +422,10 @@ TEST(HybridReference, UnstableCycleOfTheSimplestWalker) {
   ExpectMatrix({cycle.jacobian(0, 0), cycle.jacobian(0, 1), cycle.jacobian(1, 0), cycle.jacobian(1, 1)},
                {8.0927108183930260697, 6.5914596801007867757, -4.735015038386639586, -3.6292568696656473035},
                1e-10);
-  std::vector<double> eigenvalues = {cycle.jacobian.eigenvalues()[0].real(), cycle.jacobian.eigenvalues()[1].real()};
-  std::sort(eigenvalues.begin(), eigenvalues.end());
-  EXPECT_NEAR(eigenvalues[0], 0.45958958979767158751, 1e-10);
-  EXPECT_NEAR(eigenvalues[1], 4.0038643589297071788, 4e-10);
+  cycle.ExpectEigenvaluesOfMap(4.0038643589297071788, 0.45958958979767158751);
+  cycle.ExpectScuffing(2.143805844268424, 1.86021);
   EXPECT_NEAR(cycle.by_gamma[0], 7.001596542711016503, 1e-9);
   EXPECT_NEAR(cycle.by_gamma[1], -6.8058099126910206699, 1e-9);
-  cycle.ExpectMonodromy(4.0038643589297071788, 0.45958958979767158751);
   ExpectMatrix(
       SaltationMatrix(HybridSystem(SimplestWalker()), 1, 0, cycle.period, cycle.before, {}, std::vector{0.009}),
       {3.1602727075404236,
@@ -461,10 +492,7 @@ void ExpectHopper(const Hopper& hopper) {
   Eigen::Matrix2d jacobian;
   jacobian << apex.Forward(2, 2, X(2)), apex.Forward(2, 2, X(1)), apex.Forward(2, 1, X(2)), apex.Forward(2, 1, X(1));
   ExpectMatrix({jacobian(0, 0), jacobian(0, 1), jacobian(1, 0), jacobian(1, 1)}, hopper.jacobian, 1e-10);
-  std::vector<double> eigenvalues = {jacobian.eigenvalues()[0].real(), jacobian.eigenvalues()[1].real()};
-  std::sort(eigenvalues.begin(), eigenvalues.end());
-  EXPECT_NEAR(eigenvalues[0], 1, 1e-10);
-  EXPECT_NEAR(eigenvalues[1], hopper.eigenvalue, 1e-10 * hopper.eigenvalue);
+  ExpectEigenvalues(jacobian, {1, hopper.eigenvalue});
   for (const auto& [y, expected] : hopper.fixed) {
     double vx = 1.001 * expected;
     for (int i = 0; i < 8; ++i) {
@@ -728,6 +756,10 @@ TEST(HybridReference, TurboCarsInMinimumTime) {
   ExpectCar(TurboCar(), 59.0 / 5, {15, 29, 15}, 200, {2, 49.0 / 5});
   ExpectCar(TurboCar{.on = 15, .off = 10}, 152.0 / 15, {55, 52, 45}, 150, {3, 122.0 / 15});
   ExpectCar(TurboCar{.on = 100}, 13, {3, 7, 3}, 150, {});
+  // dT/dq = 1/v_max: a goal that is 1 m further takes 1/v_max of cruise more.
+  ExpectCar(TurboCar(), 40.0 / 3 + 1.0 / 20, {160, 483, 160}, 201, {2, 34.0 / 3 + 1.0 / 20});
+  ExpectCar(TurboCar(), 59.0 / 5 + 1.0 / 25, {75, 146, 75}, 201, {2, 49.0 / 5 + 1.0 / 25});
+  ExpectCar(TurboCar{.on = 15, .off = 10}, 152.0 / 15 + 1.0 / 25, {275, 263, 225}, 151, {3, 122.0 / 15 + 1.0 / 25});
   const HybridSystem system{TurboCar()};
   ExpectMatrix(SaltationMatrix(system, 0, 0, 2, std::vector{10.0, 10.0}, std::vector{5.0}, {}), {1, 0, 0, 3});
 }
@@ -796,7 +828,7 @@ TEST(HybridReference, JuggledBall) {
 
 // The orbit of the juggled ball with one impact in each period of the paddle; the other phase, -t*, is a saddle.
 struct Orbit {
-  double amplitude, phase;
+  double amplitude, phase, height, acceleration;  // of the paddle at that phase
   std::vector<double> map, saltation;
   std::complex<double> first, second;  // eigenvalues of the map
   double other_first, other_second;
@@ -823,8 +855,13 @@ void ExpectOrbit(const Orbit& orbit) {
   };
   const Eigen::Matrix2d found = by_start(1) * by_start(0).inverse();
   ExpectMatrix({found(0, 0), found(0, 1), found(1, 0), found(1, 1)}, orbit.map, 1e-11);
+  EXPECT_NEAR(found.determinant(), 0.64, 1e-11);
+  ExpectEigenvalues(found, {orbit.first, orbit.second});
   const HybridEvent& impact = run.simulator.events()[0];
   EXPECT_NEAR(impact.after[1], v, 1e-12);
+  EXPECT_NEAR(impact.after[0], orbit.height, 1e-12);
+  EXPECT_NEAR((impact.after[1] + 0.8 * impact.before[1]) / 1.8, 0.2725, 1e-12);  // the paddle's velocity
+  EXPECT_NEAR(found(1, 0) / 1.8, orbit.acceleration, 1e-10);
   const auto saltation = [&](double time, std::span<const double> before) {
     return SaltationMatrix(system, 0, 0, time, before, {}, run.input.parameters);
   };
@@ -834,10 +871,7 @@ void ExpectOrbit(const Orbit& orbit) {
   const auto expect_eigenvalues = [&](const std::vector<double>& xi, const auto& first, const auto& second) {
     Eigen::Matrix2d monodromy;
     monodromy << xi[0], xi[0] * period + xi[1], xi[2], xi[2] * period + xi[3];
-    Eigen::Vector2cd eigenvalues = monodromy.eigenvalues();
-    if (std::abs(eigenvalues[0] - first) > std::abs(eigenvalues[1] - first)) eigenvalues.reverseInPlace();
-    EXPECT_NEAR(std::abs(eigenvalues[0] - first), 0, 1e-10);
-    EXPECT_NEAR(std::abs(eigenvalues[1] - second), 0, 1e-10);
+    ExpectEigenvalues(monodromy, {first, second});
   };
   expect_eigenvalues(saltation(impact.time, impact.before), orbit.first, orbit.second);
   expect_eigenvalues(saltation(-phase, std::vector{-y, -v}), orbit.other_first, orbit.other_second);
@@ -846,6 +880,8 @@ void ExpectOrbit(const Orbit& orbit) {
 TEST(HybridReference, OrbitsOfTheJuggledBall) {
   ExpectOrbit({.amplitude = 0.025,
                .phase = 0.041448258402558381342,
+               .height = 0.012440530678890510706,
+               .acceleration = -1.9645298614442395344,
                .map = {1, 0.1834862385321100917, -3.536153750599631162, -0.008835550568739662743},
                .saltation = {-0.8, 0, 5.182328898862520674, -0.8},
                .first = {0.4955822247156301686, 0.6280113522428608475},
@@ -854,6 +890,8 @@ TEST(HybridReference, OrbitsOfTheJuggledBall) {
                .other_second = 0.3260706335487697036});
   ExpectOrbit({.amplitude = 0.25,
                .phase = 0.11808880949516617047,
+               .height = 0.24905775796704750709,
+               .acceleration = -39.329624706512325539,
                .map = {1, 0.1834862385321100917, -70.79332447172218597, -12.34960082049948366},
                .saltation = {-0.8, 0, -19.49920164099896733, -0.8},
                .first = -0.05667263525470900486,
@@ -988,6 +1026,8 @@ TEST(HybridReference, TwoMassHopper) {
   EXPECT_NEAR(HopLoss(&best, &gradient, &height), 0.0184634928516979, 1e-12);
   EXPECT_NEAR(height, 0.593873732801498, 1e-12);
   best.ExpectTimes({0.141609893504157, 0.390193881283024}, 1e-12);
+  ExpectMatrix({best.simulator.final_state().begin(), best.simulator.final_state().end()},
+               {0.67808877961454, 0.32694504488798, 0.16886189833144, 1.6329130366939, 0.5560339368332});
   ExpectMatrix(gradient, std::vector<double>(20), 2e-12);
 
   Eigen::MatrixXd hessian(20, 20);
@@ -1074,6 +1114,8 @@ TEST(HybridReference, LinearRockingBlock) {
                    5.4307408768727564,
                    6.132301400915311});
   run.ExpectFinal({{"state", {0.0397330800660441952, -0.0491179742255871286}}}, {kValue});
+  // A quarter of the period without loss ends at the first impact.
+  EXPECT_NEAR(4 * run.simulator.events()[0].time, 4.584863339122355376, 1e-12);
 }
 
 TEST(HybridReference, Thermostat) {

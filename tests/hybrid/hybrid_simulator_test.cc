@@ -146,9 +146,19 @@ TEST(HybridSimulator, AccumulatingEventsAreReported) {
 
 TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
   HybridSimulator simulator = Ball();
-  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.35526}));
-  EXPECT_EQ(simulator.events().size(), 19u);
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.355261854}));
+  EXPECT_EQ(simulator.events().size(), 32u);
   EXPECT_FALSE(simulator.accumulation());
+  constexpr double kFirst = 0.45175395145262562;
+  double before_end = 2 * kFirst;  // from impact k to their accumulation, 2^(2 - k) times the time of the first
+  for (const HybridEvent& impact : simulator.events()) {
+    EXPECT_NEAR(impact.time, 3 * kFirst - before_end, 1e-14);
+    EXPECT_NEAR(impact.before[1], -9.8 * before_end / 2, 1e-14);
+    before_end /= 2;
+  }
+  // A guard that rises by less than 1e-9 of its rate within a step counts as one that does not rise.
+  EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.3552618543566}));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("events without time passing (Zeno behaviour)"));
 }
 
 // A point in a corner or a wedge of two walls, without friction: [x y vx vy]. p = [].
@@ -211,6 +221,14 @@ TEST(HybridSimulator, ImpactsAtOnceWhoseOrderMatters) {
   EXPECT_NEAR(simulator.events()[1].after[2], 0.614878036686951439, 1e-14);
   EXPECT_NEAR(simulator.events()[1].after[3], -0.455, 1e-14);
   EXPECT_NEAR(simulator.events()[2].after[3], 0.364, 1e-14);
+  // The order n2, n1, n2.
+  HybridSimulator other{HybridSystem(Walls{.first = {std::sqrt(0.75), -0.5}, .second = {0, 1}})};
+  ASSERT_TRUE(other.Rollout({.initial = {c, s, -c, -s}, .duration = 1.5}));
+  ASSERT_EQ(other.events().size(), 3u);
+  EXPECT_NEAR(other.events()[1].after[2], -0.0866025403784438647, 1e-14);
+  EXPECT_NEAR(other.events()[1].after[3], 0.76, 1e-14);
+  EXPECT_NEAR(other.events()[2].after[2], 0.622672265321011387, 1e-14);
+  EXPECT_NEAR(other.events()[2].after[3], 0.3505, 1e-14);
 }
 
 // Whose reset leads behind the guard of the next mode, by 1 - 0.5 x1 + margin.
@@ -275,6 +293,12 @@ TEST(HybridSimulator, EventAtTheFinalTimeCounts) {
   EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("event at the final time"));
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], -0.5, 1e-13);
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 3, 1e-13);
+  // Just before it.
+  ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {8, 0.5}, .duration = 0.5 - 1e-9}));
+  EXPECT_THAT(simulator.events(), IsEmpty());
+  ExpectNumbers(simulator.final_state(), {0, -4}, 1e-8);
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], 1, 1e-13);
+  EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 0, 1e-13);
   // Whatever the step is, rounding does not decide.
   for (int steps = 1; steps < 100; ++steps) {
     HybridSimulator other = Ball({.steps_per_interval = steps});
@@ -304,6 +328,10 @@ TEST(HybridSimulator, GuardBelowZeroAtTheStart) {
   EXPECT_NEAR(waits.events()[0].time, 0.5768673298249306, 1e-14);
   EXPECT_NEAR(waits.events()[1].time, 0.95591016300840487, 1e-14);
   ExpectNumbers(waits.final_state(), {0.04779676571953615, 0.86803651530168445}, 1e-13);
+  HybridInput until_armed = input;
+  until_armed.duration = 0.035377568134253074;
+  ASSERT_TRUE(waits.Rollout(until_armed));
+  ExpectNumbers(waits.final_state(), {0, 3 - 9.8 * until_armed.duration}, 1e-14);
 }
 
 TEST(HybridSimulator, GuardAtZeroAtTheStart) {
