@@ -62,6 +62,7 @@ if [[ -n $output ]]; then cp "$work/sorted" "$output"; fi
 
 awk -F'\t' -v before="$before" -v after="$after" -v clock="$clock" -v cores="$(nproc)" '
   function part(object, piece) {
+    if (object ~ /\.gch$/) return "precompiled headers";
     if (object !~ /\.o$/) return "links";
     if (object ~ /_entry_[0-9]+\.cc\.o$/) return object ~ /^src\// ? "contact models" : "tests";
     if (object ~ /CMakeFiles\/saltus\.dir\//) {

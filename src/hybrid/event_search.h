@@ -13,10 +13,6 @@
 
 namespace saltus {
 
-struct GuardValue {
-  double value = 0, rate = 0;
-};
-
 class EventSearch {
  public:
   explicit EventSearch(const HybridFunctions& functions);

@@ -99,9 +99,8 @@ bool RolloutRun::UpdateSlope() {
 }
 
 void RolloutRun::UpdateGuards() {
-  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
-    at_.guards[guard] = search_.At(StepFrom(0), at_.slope.data(), guard);
-  }
+  const FlowStep here = StepFrom(0);
+  functions_.GuardRates(here.mode, here.t, here.x, at_.slope.data(), here.u, here.p, at_.guards.data());
 }
 
 // The control has jumped: the motion goes on in the mode that the system's functions say.
@@ -194,10 +193,11 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
     const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
     int due = -1;
     bool located = false;
+    UpdateGuards();
     const auto num_guards = static_cast<std::size_t>(system_.num_guards(at_.mode));
     for (std::size_t place = 0; place < num_guards; ++place) {
       const int guard = order.size() == num_guards ? order[place] : static_cast<int>(place);
-      const GuardValue& value = at_.guards[guard] = search_.At(ahead, at_.slope.data(), guard);
+      const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value)) {
         return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
       }
@@ -291,8 +291,8 @@ bool RolloutRun::StepTo(int node) {
       end_ = RolloutEnd::kNotFinite;
       return false;
     }
+    functions_.GuardRates(end.mode, end.t, end.x, next_slope_.data(), end.u, end.p, next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
-      next_guards_[guard] = search_.At(end, next_slope_.data(), guard);
       if (std::isfinite(next_guards_[guard].value)) continue;
       return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
     }

@@ -72,7 +72,8 @@ int Spawn(const std::string& executable, std::FILE* in, std::FILE* out, std::FIL
   posix_spawnattr_setpgroup(&attributes, 0);
   std::string name = executable;
   std::string no_user_settings = "-d";
-  char* const arguments[] = {name.data(), no_user_settings.data(), nullptr};
+  std::string script = "/dev/stdin";  // by its name: what gnuplot reads without one, it reads character by character
+  char* const arguments[] = {name.data(), no_user_settings.data(), script.data(), nullptr};
   pid_t child = 0;
   const int error = posix_spawnp(&child, executable.c_str(), &actions, &attributes, arguments, environ);
   posix_spawn_file_actions_destroy(&actions);

@@ -1,5 +1,5 @@
-// The registry's entries. Every model is instantiated in a translation unit of its own, generated from
-// registry_entry.cc.in for each line of contact/models.cmake.
+// The registry's entries. The models of a header are instantiated in a translation unit of their own, generated from
+// registry_entry.cc.in for the lines of contact/models.cmake.
 #pragma once
 
 #include "saltus/simulate/registry.h"

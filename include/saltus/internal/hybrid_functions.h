@@ -30,6 +30,11 @@ struct HybridLayout {
                            parameter_names = {};
 };
 
+// A guard, and its derivative by time along the motion.
+struct GuardValue {
+  double value = 0, rate = 0;
+};
+
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
 // the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
 //
@@ -71,6 +76,13 @@ class HybridFunctions {
   // And its derivative by time along xdot, under a control that is held.
   virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
                            const double* p, double* rate) const = 0;
+  // Both of all guards of a mode.
+  virtual void GuardRates(int mode, double t, const double* x, const double* xdot, const double* u, const double* p,
+                          GuardValue* all) const {
+    for (int guard = 0; guard < num_guards(mode); ++guard) {
+      all[guard].value = GuardRate(mode, guard, t, x, xdot, u, p, &all[guard].rate);
+    }
+  }
   // And its derivative by [x t p u]: n + 1 + P + m numbers.
   virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                double* gradient) const = 0;

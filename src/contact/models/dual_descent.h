@@ -8,11 +8,11 @@
 //
 // from forces of zero; the limit is that of primal_descent. With gauss_seidel=1 z follows every contact at once. With
 // incremental=1 only what changes of l and s is added, along n and t of its own iteration: with discs that meet
-// obliquely that is another limit. With stiff springs in a crowd alpha 1 may diverge; 1 over the contacts of a disc is
-// safe.
+// obliquely that is another limit than r = 0, so the last iterate is the result, whatever implicit is. With stiff
+// springs in a crowd alpha 1 may diverge; 1 over the contacts of a disc is safe.
 //
-// Derivatives pass through the iterations, or (implicit=1) are those of r = 0, which without convergence are not those
-// of the value. Momentum is conserved.
+// With implicit=0 the last iterate is the result and derivatives pass through the iterations, as published. Momentum is
+// conserved.
 #pragma once
 
 #include <vector>
@@ -53,8 +53,9 @@ struct DualDescentOf : SpringDescent<kTurn> {
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    const bool through = !implicit || incremental;
     this->template StepBy<T>(
-        in, /*exponent=*/2, !implicit, x, next, [&]<typename U>(const Problem<U>& problem, auto z, auto touched) {
+        in, /*exponent=*/2, through, x, next, [&]<typename U>(const Problem<U>& problem, auto z, auto touched) {
           Descend<U>(problem, z, touched);
         });
   }

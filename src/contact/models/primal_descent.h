@@ -5,11 +5,11 @@
 //
 // with k_n the slope of the normal force and k_t = min(k_f, mu f_n / |w_t|) the secant of friction; of a disc that
 // spins P has a third row, in which t goes on with -r and m is its inertia. With alpha 1 stiff and crowded contacts may
-// cycle, with 0.5 they converge. newton=1 is Newton's method on r instead, and what it and exponent 2 give is the
-// penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
+// cycle, with 0.5 they converge. With newton=1 there are no iterations: Newton's method starts at v_f. This and
+// exponent 2 are the penalty contact of ADD (Geilinger et al. 2020) with substeps=1.
 //
-// Derivatives pass through the iterations, or (implicit=1, and always with Newton's method) are those of r = 0, which
-// without convergence are not those of the value. Momentum is conserved at convergence.
+// With implicit=0 the last iterate is the result and derivatives pass through the iterations, as published. Momentum is
+// conserved at convergence.
 #pragma once
 
 #include <Eigen/Core>
@@ -53,17 +53,11 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
     const bool through = !implicit && !newton;
     this->template StepBy<T>(
         in, exponent, through, x, next, [&]<typename U>(const Problem<U>& problem, auto z, auto touched) {
-          if (!newton) {
-            Descend<U>(problem, z, touched);
-          } else if constexpr (std::is_same_v<U, double>) {
-            SolveByNewton(problem, z, touched);
-          }
+          if (!newton) Descend<U>(problem, z, touched);
         });
   }
 
  private:
-  static constexpr int kMostNewtonSteps = 60;
-
   // Of one disc: P and the force of its contacts.
   template <typename T>
   struct Block {
@@ -188,37 +182,6 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
     }
     for (int j = 0; j < 2; ++j) at[j] -= alpha * step[j];
     at[2] -= alpha * turn;
-  }
-
-  // Steps are halved until the residual falls.
-  static void SolveByNewton(const Problem<double>& problem, std::span<double> z, std::span<char> touched) {
-    Eigen::Map<Eigen::VectorXd> at(z.data(), z.size());
-    double error = Mark(problem, z, touched);
-    for (int step = 0; step < kMostNewtonSteps && error > 0; ++step) {
-      const Linearized linear = LinearizeByUnknowns(problem, at);
-      const Eigen::VectorXd start = at, change = SolveLu(linear.jacobian, -linear.residual);
-      double length = 1, reached = error;
-      for (; length > 1e-10; length *= 0.5) {
-        at = start + length * change;
-        reached = Mark(problem, z, touched);
-        if (reached < error) break;
-      }
-      if (!(reached < error)) {
-        at = start;  // to rounding
-        return;
-      }
-      error = reached;
-    }
-  }
-
-  // |r(z)|; marks what presses there.
-  static double Mark(const Problem<double>& problem, std::span<const double> z, std::span<char> touched) {
-    for (std::size_t c = 0; c < touched.size(); ++c) {
-      if (problem.Locate(z, problem.contacts[c]).pressed) touched[c] = 1;
-    }
-    std::vector<double> F(z.size());
-    problem.Residual(z, F);
-    return Eigen::Map<const Eigen::VectorXd>(F.data(), F.size()).norm();
   }
 };
 

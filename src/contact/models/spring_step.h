@@ -13,6 +13,10 @@
 // k is such that the force of exponent 2, and that of others at the depth reference_depth, is that of the scene's
 // stiffness. Damping and restitution are not read: what comes out is what implicit Euler leaves, elastic as the step
 // goes to zero and plastic as the stiffness goes to infinity.
+//
+// The iterations of a model end near the solution. Newton's method takes the rest, so that the value is that of the
+// equations, whose derivatives follow from the implicit function theorem. The iterations alone, with derivatives
+// through each of them, are the published algorithm: implicit=0.
 #pragma once
 
 #include <Eigen/Core>
@@ -197,7 +201,7 @@ class SpringDescent {
   int iterations = 20;
   double alpha = 1;
   int substeps = 10;
-  bool implicit = false;
+  bool implicit = true;
   double tolerance = 1e-6;  // m/s
 
   template <typename T, typename H>
@@ -211,6 +215,8 @@ class SpringDescent {
 
  protected:
   static constexpr double kReferenceDepth = 0.01;  // m
+  static constexpr int kMostNewtonSteps = 60;
+  static constexpr double kRounding = 1e-14;  // relative, of a residual
 
   template <typename Visit>
   void VisitSharedOptions(const Visit& visit) {
@@ -218,13 +224,18 @@ class SpringDescent {
     visit(ModelOption{"iterations", "iterations of a substep", 1, 1e6}, iterations);
     visit(ModelOption{"alpha", "step length of an iteration", 1e-3, 1}, alpha);
     visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
-    visit(ModelOption{"implicit", "1: derivatives by the implicit function theorem; 0: through the iterations", 0, 1},
+    visit(ModelOption{"implicit",
+                      "1: Newton's method after the iterations, derivatives of the solution; 0: the last iterate, "
+                      "derivatives through the iterations, as published",
+                      0,
+                      1},
           implicit);
-    visit(ModelOption{"tolerance", "largest accepted residual of the iterations, m/s", 1e-15, 1e3}, tolerance);
+    visit(ModelOption{"tolerance", "largest accepted residual of a substep, m/s", 1e-15, 1e3}, tolerance);
   }
 
-  // descend(problem, z, touched) moves z from v_f to the solution, with any scalar, and marks in `touched` each contact
-  // that has pushed on the way. `through`: derivatives pass through it.
+  // descend(problem, z, touched) moves z from v_f towards the solution, with any scalar, and marks in `touched` each
+  // contact that has pushed on the way. `through`: it ends there, and derivatives pass through it; else Newton's method
+  // follows.
   template <typename T, typename Descend>
   void StepBy(const StepInput<T>& in, double exponent, bool through, std::span<const State<T>> x,
               std::span<State<T>> next, const Descend& descend) const {
@@ -305,6 +316,37 @@ class SpringDescent {
     return z;
   }
 
+  // Steps are halved until the residual falls.
+  static void SolveByNewton(const Problem<double>& problem, std::span<double> z, std::span<char> touched) {
+    Eigen::Map<Eigen::VectorXd> at(z.data(), z.size());
+    double error = Mark(problem, z, touched);
+    for (int step = 0; step < kMostNewtonSteps && error > kRounding * at.norm(); ++step) {
+      const Linearized linear = LinearizeByUnknowns(problem, at);
+      const Eigen::VectorXd start = at, change = SolveLu(linear.jacobian, -linear.residual);
+      double length = 1, reached = error;
+      for (; length > 1e-10; length *= 0.5) {
+        at = start + length * change;
+        reached = Mark(problem, z, touched);
+        if (reached < error) break;
+      }
+      if (!(reached < error)) {
+        at = start;  // to rounding
+        return;
+      }
+      error = reached;
+    }
+  }
+
+  // |r(z)|; marks what presses there.
+  static double Mark(const Problem<double>& problem, std::span<const double> z, std::span<char> touched) {
+    for (std::size_t c = 0; c < touched.size(); ++c) {
+      if (problem.Locate(z, problem.contacts[c]).pressed) touched[c] = 1;
+    }
+    std::vector<double> F(z.size());
+    problem.Residual(z, F);
+    return Eigen::Map<const Eigen::VectorXd>(F.data(), F.size()).norm();
+  }
+
   // The solution of values, and its derivative by one Newton correction.
   template <typename T, typename Descend>
   std::vector<T> AtEnd(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
@@ -314,6 +356,7 @@ class SpringDescent {
       std::vector<double> z = Start(values);
       std::fill(touched->begin(), touched->end(), 0);
       descend(values, std::span<double>(z), std::span<char>(*touched));
+      SolveByNewton(values, z, *touched);
       const double residual = LargestResidual(values, z);
       z.insert(z.end(), touched->begin(), touched->end());
       z.push_back(residual);

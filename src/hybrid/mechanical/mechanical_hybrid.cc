@@ -3,7 +3,6 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstdio>
 #include <mutex>
@@ -34,11 +33,6 @@ HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
 }
 
 // Systems are told apart by numbers, as an address may be that of one that has gone.
-int NextId() {
-  static std::atomic<int> next = 0;
-  return next++;
-}
-
 std::string Text(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.6g", value);
@@ -108,8 +102,7 @@ MechanicalHybrid::MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> fu
       functions_(std::move(functions)),
       options_(options),
       equations_(*functions_),
-      no_control_(functions_->layout().num_controls, 0.0),
-      id_(NextId()) {
+      no_control_(functions_->layout().num_controls, 0.0) {
   ModeOf(std::string(functions_->layout().num_contacts, 'o'));
 }
 
@@ -570,54 +563,40 @@ double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, c
   return GuardRate(mode, guard, t, x, still.data(), u, p, &rate);
 }
 
+GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at, const double* xdot,
+                                        const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion) const {
+  if (guarded.what == Guarded::What::kHit) {
+    return {equations_.Gap(guarded.contact, at), equations_.RateAlong({guarded.contact, false}, at.q, xdot, at.p)};
+  }
+  const Jet value = GuardJet(mode, guarded, at, seeds, &motion);
+  return {value.a, value.v[0]};
+}
+
 double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
                                    const double* p, double* rate) const {
   const Mode& of = ModeAt(mode);
   const Guarded& guarded = of.guards[guard];
-  if (of.closed.empty()) {
-    *rate = equations_.RateAlong({guarded.contact, false}, x, xdot, p);
-    return equations_.Gap(guarded.contact, PointAt(t, x, u, p));
-  }
-  const AtOnce& all = GuardsAt(of, mode, PointAt(t, x, u, p), xdot);
-  *rate = all.rates[guard];
-  return all.values[guard];
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  MechanicalEquations::Seeds seeds;
+  ClosedMotion motion;
+  if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
+  if (NeedsForces(guarded)) motion = MotionOf(of, on.at, &seeds);
+  const GuardValue found = GuardAlong(of, guarded, on.at, xdot, seeds, motion);
+  *rate = found.rate;
+  return found.value;
 }
 
-// The guards of a mode with closed contacts, at a point and along a direction. The engine asks for one after the other.
-const MechanicalHybrid::AtOnce& MechanicalHybrid::GuardsAt(const Mode& mode, int number, const Point& at,
-                                                           const double* xdot) const {
-  static thread_local AtOnce last;
-  static thread_local std::vector<double> key;
-  const int n = equations_.n();
-  const MechanicalLayout& layout = functions_->layout();
-  key.clear();
-  key.push_back(static_cast<double>(number));
-  key.push_back(at.t);
-  key.insert(key.end(), at.q, at.q + n);
-  key.insert(key.end(), at.v, at.v + n);
-  key.insert(key.end(), xdot, xdot + 2 * n);
-  key.insert(key.end(), at.u, at.u + layout.num_controls);
-  key.insert(key.end(), at.p, at.p + layout.num_parameters);
-  if (last.system == id_ && last.key == key) return last;
-  const OnMode on = Projected(mode, at);
-  const MechanicalEquations::Seeds seeds = equations_.SeedDirection(on.at, xdot);
-  const ClosedMotion motion = MotionOf(mode, on.at, &seeds);
-  last.system = id_;
-  last.key.swap(key);
-  last.values.clear();
-  last.rates.clear();
-  for (const Guarded& guarded : mode.guards) {
-    Jet value;
-    if (guarded.what == Guarded::What::kHit) {
-      value = Jet(equations_.Gap(guarded.contact, on.at));
-      value.v[0] = equations_.RateAlong({guarded.contact, false}, on.at.q, xdot, on.at.p);
-    } else {
-      value = GuardJet(mode, guarded, on.at, seeds, &motion);
-    }
-    last.values.push_back(value.a);
-    last.rates.push_back(value.v[0]);
+void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const double* xdot, const double* u,
+                                  const double* p, GuardValue* all) const {
+  const Mode& of = ModeAt(mode);
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  MechanicalEquations::Seeds seeds;
+  ClosedMotion motion;
+  if (!of.closed.empty()) {
+    seeds = equations_.SeedDirection(on.at, xdot);
+    motion = MotionOf(of, on.at, &seeds);
   }
-  return last;
+  for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, xdot, seeds, motion);
 }
 
 double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,

@@ -110,6 +110,8 @@ class MechanicalHybrid final : public HybridFunctions {
   double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
   double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
                    double* rate) const override;
+  void GuardRates(int mode, double t, const double* x, const double* xdot, const double* u, const double* p,
+                  GuardValue* all) const override;
   double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                        double* gradient) const override;
   int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
@@ -152,16 +154,14 @@ class MechanicalHybrid final : public HybridFunctions {
     Eigen::VectorXd a, force;
     MechanicalEquations::Derivative derivative;
   };
-  struct AtOnce {
-    int system = -1;
-    std::vector<double> key, values, rates;
-  };
-  const AtOnce& GuardsAt(const Mode& mode, int number, const Point& at, const double* xdot) const;
   void CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const;
   static bool NeedsForces(const Guarded& guarded);
   ClosedMotion MotionOf(const Mode& mode, const Point& at, const MechanicalEquations::Seeds* seeds) const;
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion* motion) const;
+  // A guard and its rate along xdot. Seeds and motion are not read where a gap is the guard.
+  GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at, const double* xdot,
+                        const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
   // Whether what a mode says of closed contacts holds at a jump of the control.
@@ -171,7 +171,6 @@ class MechanicalHybrid final : public HybridFunctions {
   const MechanicalOptions options_;
   const MechanicalEquations equations_;
   const std::vector<double> no_control_;
-  const int id_;
   mutable std::shared_mutex mutex_;
   mutable std::deque<Mode> modes_;            // under mutex_; the elements do not move
   mutable std::map<std::string, int> known_;  // under mutex_

@@ -336,13 +336,13 @@ void HybridScales::Add(const HybridFunctions& functions, int mode, double t, con
   }
   state[mode].resize(functions.state_size(mode));
   guard[mode].resize(functions.num_guards(mode));
+  std::vector<GuardValue> guards(guard[mode].size());
+  functions.GuardRates(mode, t, x, slope, u, p, guards.data());
   for (size_t i = 0; i < state[mode].size(); ++i) {
     state[mode][i] = std::max({state[mode][i], std::abs(x[i]), time * std::abs(slope[i])});
   }
   for (size_t i = 0; i < guard[mode].size(); ++i) {
-    double rate = 0;
-    const double value = functions.GuardRate(mode, static_cast<int>(i), t, x, slope, u, p, &rate);
-    guard[mode][i] = std::max({guard[mode][i], std::abs(value), time * std::abs(rate)});
+    guard[mode][i] = std::max({guard[mode][i], std::abs(guards[i].value), time * std::abs(guards[i].rate)});
   }
 }
 

@@ -35,6 +35,8 @@ constexpr int kPatience = 150;        // solves after which nothing better is ex
 constexpr int kMoreStarts = 3;        // times the starts, that are tried then
 constexpr int kMostRounds = 4;        // of more starts
 constexpr int kMorePatience = 100;    // solves after those
+constexpr double kLongWork = 1e6;     // of a search (SearchOptions::work), from which on its work is compared with
+constexpr double kPatienceWork = 5;   // times the work at which it was last better
 constexpr int kMostMended = 12;       // motions, each the best at its time, whose sequence is mended
 constexpr int kMoreMended = 2;        // others near the best, where the search has come to a stop
 constexpr double kNearBest = 1.05;    // of its loss
@@ -66,7 +68,10 @@ class ModeSearch {
       starts_left_.push_back(AlongGuess(first));
     }
     WorkOff([this] { return Next(); });
-    if (!end_ && HasMore()) Leave("nothing better in " + std::to_string(kPatience) + " solves");
+    if (!end_ && HasMore()) {
+      Leave(IsLong() ? "nothing better in most of the work"
+                     : "nothing better in " + std::to_string(kPatience) + " solves");
+    }
     if (options_.search && !end_) {
       ShareBest();
       MendUnstationary();
@@ -145,9 +150,9 @@ class ModeSearch {
     if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
     if (auto mend = MendBest(best_is_mended_ ? 1 - kSameLoss : kMuchBetter)) return mend;
     while (HasMore()) {
-      if (solves_ - last_better_ > kPatience) {
+      if (solves_ - last_better_ > kPatience || IsLong()) {
         if (auto mend = MendBest(1 - kSameLoss)) return mend;
-        if (AddMoreStarts()) return TakeStart();
+        if (!IsLong() && AddMoreStarts()) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
@@ -155,6 +160,9 @@ class ModeSearch {
     }
     return MendBest(1 - kSameLoss);
   }
+
+  // Solves along many impacts take so much that the patience in solves would outlast any limit.
+  bool IsLong() const { return searched_.work > std::max(kLongWork, kPatienceWork * better_work_); }
 
   bool HasMore() const { return !queue_.empty() && queue_.first_loss() <= Bound(); }
 
@@ -270,6 +278,7 @@ class ModeSearch {
     const bool is_best = trial.exact.loss < (1 - kSameLoss) * BestLoss();
     if (is_best) {
       last_better_ = solves_;
+      better_work_ = searched_.work;
       best_is_mended_ = task.kind == SearchTask::Kind::kMend;
       best_along_ = task.kind == SearchTask::Kind::kAlong ? task.sequence : trial.exact.contacts;
     }
@@ -443,6 +452,7 @@ class ModeSearch {
   std::string left_;  // what limits have kept it from
   Searched searched_;
   double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
+  double better_work_ = 0;                                        // done when the search was last better
   int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
   bool mends_ = false;  // a motion is being mended
   bool best_is_mended_ = false;
