@@ -1,6 +1,7 @@
 // usage: gradient_cost <contact> <points>
 // What the gradient of task 3 costs in C++, for python/bench/cost.py: one line of JSON with the time of one call, us of
-// this thread, and of each gradient of a batch, us of CPU on one thread and of the clock on 1, 2, ... threads.
+// this thread, and of each gradient of a batch, us of CPU on one thread and of the clock on 1, 2, ... threads; and with
+// that of one gradient of the SLIP hopper by all that may be free.
 #include <glog/logging.h>
 #include <tbb/info.h>
 
@@ -9,6 +10,8 @@
 #include <cstdlib>
 #include <vector>
 
+#include "control/hybrid_shooting.h"
+#include "problems/hybrid/slip_hopper.h"
 #include "saltus/control/batch.h"
 #include "timing.h"
 
@@ -45,9 +48,19 @@ double BatchTime(const std::string& contact, const Scene& scene, int count, int 
   return least / count;
 }
 
+double HopperTime() {
+  HybridProblem problem = SlipHopperProblem();
+  problem.free = {.initial = {0, 1, 2, 3}, .parameters = {0, 1}, .duration = true};
+  HybridShooting shooting(problem);
+  std::vector<double> gradient(shooting.num_variables());
+  double loss = 0;
+  return TimeInTurns([&] { CHECK(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())); })[0];
+}
+
 int Main(const std::string& contact, int count) {
   const Scene scene = ProblemScene("two_balls", 480);
-  std::printf("{\"call\": %.4f, \"batch_cpu\": %.4f, \"batch\": [",
+  std::printf("{\"hopper\": %.4f, \"call\": %.4f, \"batch_cpu\": %.4f, \"batch\": [",
+              1e6 * HopperTime(),
               1e6 * CallTime(contact, scene),
               1e6 * BatchTime(contact, scene, count, 1, ThreadTime));
   for (int threads = 1; threads <= tbb::info::default_concurrency(); ++threads) {

@@ -2,11 +2,13 @@
 """usage: python/bench/cost.py GRADIENT_COST [contact...]
 
 What the gradient of task 3 costs from Python, beside C++ (the program bench/gradient_cost.cc): one call into arrays that
-are there, a batch of 10 000, and memory over 10^6 calls. Least times of several rounds, C++ and Python in turns; times of
+are there, a batch of 10 000, and memory over 10^6 calls; and what that of the SLIP hopper costs, whose functions are recorded
+in Python. Least times of several rounds, C++ and Python in turns; times of
 calls are CPU times of the thread, so that a busy machine disturbs little.
 """
 
 import json
+import math
 import resource
 import subprocess
 import sys
@@ -52,6 +54,46 @@ def batch_time(scene, contact, threads, now):
     return least(measure, 3)
 
 
+def hopper_problem():
+    """That of problems/hybrid/slip_hopper.h, m = l0 = 1, g = 10."""
+
+    def spring(x, k):
+        return k * (1 / math.sqrt(x[0] ** 2 + x[1] ** 2) - 1)
+
+    def flight(t, x, u, p):
+        return [x[2], x[3], 0, -10]
+
+    hopper = saltus.HybridSystem(
+        states={"down": ["x", "y", "vx", "vy"], "stance": ["xr", "y", "vx", "vy", "xf"], "up": ["x", "y", "vx", "vy"]},
+        parameters=["k", "theta"],
+        flow={"down": flight, "up": flight,
+              "stance": lambda t, x, u, p: [x[2], x[3], spring(x, p[0]) * x[0], spring(x, p[0]) * x[1] - 10, 0]},
+        guards={"down": {"touch-down": lambda t, x, p: x[1] - math.cos(p[1])},
+                "stance": {"lift-off": lambda t, x, p: 1 - x[0] ** 2 - x[1] ** 2},
+                "up": {"apex": lambda t, x, p: x[3]}},
+        resets={"down": {"touch-down": lambda t, x, p: (
+                    "stance", [-math.sin(p[1]), math.cos(p[1]), x[2], x[3], x[0] + math.sin(p[1])])},
+                "stance": {"lift-off": lambda t, x, p: ("up", [x[0] + x[4], *x[1:4]])},
+                "up": {"apex": lambda t, x, p: ("down", x)}})
+    return saltus.HybridProblem(
+        hopper, mode="down", initial=[0, 1.18, 1.02, -0.1], parameters=[100.5, math.radians(10.05)], duration=2.1,
+        costs=[saltus.terminal([0.1434523421370905, 0.8489130552112413, None, None, None], mode="stance")])
+
+
+def hopper_time():
+    """us of one loss_and_gradient of the hopper."""
+    problem = hopper_problem()
+    saltus.loss_and_gradient(problem)
+
+    def measure():
+        start = time.thread_time()
+        for _ in range(CALLS // 10):
+            saltus.loss_and_gradient(problem)
+        return 1e7 * (time.thread_time() - start) / CALLS
+
+    return least(measure)
+
+
 def growth(scene, contact):
     """Bytes of memory that each of a million calls leaves."""
     simulation = saltus.Simulation(scene, contact)
@@ -75,9 +117,12 @@ def main():
             done = subprocess.run([program, contact, str(POINTS)], capture_output=True, text=True, check=True)
             cpp.append(json.loads(done.stdout))
             batches = [batch_time(scene, contact, 1 + i, time.perf_counter) for i in range(len(cpp[-1]["batch"]))]
-            python.append({"call": call_time(scene, contact), "batch": batches,
+            python.append({"hopper": hopper_time(), "call": call_time(scene, contact), "batch": batches,
                            "batch_cpu": batch_time(scene, contact, 1, time.thread_time)})
-        best = {key: [min(run[key] for run in runs) for runs in (cpp, python)] for key in ("call", "batch_cpu")}
+        best = {key: [min(run[key] for run in runs) for runs in (cpp, python)] for key in ("hopper", "call", "batch_cpu")}
+        there, here = best["hopper"]
+        print(f"the SLIP hopper: a gradient takes {there:.1f} us in C++, {here:.1f} us from Python: {100 * there / here:.0f} % of "
+              "the throughput")
         there, here = best["call"]
         print(f"{contact}: a call takes {there:.2f} us in C++, {here:.2f} us from Python: {here - there:+.2f} us")
         there, here = best["batch_cpu"]

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <map>
 #include <tuple>
+#include <type_traits>
 #include <utility>
 
 #include "hybrid/runge_kutta.h"
@@ -445,7 +446,17 @@ class RecordedFunction::Evaluation {
   Evaluation(const Evaluation&) = delete;
   Evaluation& operator=(const Evaluation&) = delete;
 
-  double* inputs() { return slots_; }
+  // Of a flow, at another state and time, which come first. The state: n numbers, or an array of them.
+  template <typename State>
+  void Run(const State& x, int n, double t, double* outputs) {
+    if constexpr (std::is_array_v<State>) {
+      std::copy_n(x, std::extent_v<State>, slots_);  // in place, where n numbers take a call
+    } else {
+      std::copy_n(x, n, slots_);
+    }
+    slots_[n] = t;
+    Run(outputs);
+  }
   [[gnu::noinline]] void Run(double* outputs);
   // Derivatives where they are not always zero, after Run.
   const std::vector<Tape::Entry>& entries() const { return tape_.entries; }
@@ -555,11 +566,7 @@ void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scr
                           double* slope_after) const {
   const int n = size(step.mode);
   RecordedFunction::Evaluation at = EvaluationOf(step, false);
-  const auto flow = [&](double t, const double* x, double* xdot) {
-    std::copy_n(x, n, at.inputs());
-    at.inputs()[n] = t;
-    at.Run(xdot);
-  };
+  const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
 }
 
@@ -570,12 +577,10 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   RecordedFunction::Evaluation at = EvaluationOf(step, true);
   const std::size_t count = at.entries().size();
   static thread_local std::vector<double> numbers;
-  numbers.resize(kStages * (n + count) + (kStages * n + columns));
+  numbers.resize(kStages * (n + count) + (kStages + 1) * n + columns);
   double *slopes = numbers.data(), *entries = slopes + kStages * n, *scratch = entries + kStages * count;
-  const auto flow = [&](double t, const double* x, double* slope, double* derivatives) {
-    std::copy_n(x, n, at.inputs());
-    at.inputs()[n] = t;
-    at.Run(slope);
+  const auto flow = [&](double t, const auto& x, double* slope, double* derivatives) {
+    at.Run(x, n, t, slope);
     for (const auto& entry : at.entries()) *derivatives++ = at[entry];
   };
   saltus::LinearizeStep(n, step, count, flow, scratch, slopes, entries);

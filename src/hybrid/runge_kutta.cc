@@ -27,7 +27,7 @@ RungeKutta::RungeKutta(const HybridFunctions& functions)
       num_parameters_(functions.layout().num_parameters),
       num_controls_(functions.layout().num_controls) {
   const int most = functions.most_states();
-  scratch_.resize((kStages + 1) * most + 1 + num_parameters_ + num_controls_);
+  scratch_.resize((kStages + 2) * most + 1 + num_parameters_ + num_controls_);
   slopes_.resize(kStages * most);
   jacobians_.resize(kStages * most * (most + 1 + num_parameters_ + num_controls_));
 }

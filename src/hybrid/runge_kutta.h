@@ -6,12 +6,30 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <array>
 #include <type_traits>
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
 
 namespace saltus {
+
+namespace cooper_verner {
+
+// The coefficients by columns: in which rows the slope of a stage stands, the last row first.
+constexpr std::array<Row, kStages> MakeColumns() {
+  std::array<Row, kStages> columns{};
+  for (int row = kStages; row >= 0; --row) {
+    for (int k = 0; k < kRows[row].count; ++k) {
+      Row& column = columns[kRows[row].terms[k].stage];
+      column.terms[column.count++] = {row, kRows[row].terms[k].factor};
+    }
+  }
+  return columns;
+}
+inline constexpr std::array<Row, kStages> kColumns = MakeColumns();
+
+}  // namespace cooper_verner
 
 // Calls function(size) with the size of the state as a constant if it is small, else with 0.
 template <int kFrom = 1, typename Function>
@@ -23,7 +41,7 @@ void WithSize(int size, const Function& function) {
 }
 
 // As EvaluateStep and LinearizeStep of runge_kutta_step.h, of a state of `size` numbers. `scratch` has room for the
-// slopes of all stages and a state.
+// slopes of all stages and a state. Where the size is small, the flow gets the state as an array of that size.
 template <typename Flow>
 void EvaluateStep(int size, const FlowStep& step, const Flow& flow, const double* slope, double* scratch, double* after,
                   double* slope_after) {
@@ -55,40 +73,39 @@ void LinearizeStep(int size, const FlowStep& step, std::size_t stride, const Flo
 
 // Pulls a cotangent of x' back through the stages of a step of length h, whose slopes are given. multiply(stage,
 // of_slope, of_stage) sets of_stage, by [x t p u], to the product of of_slope and the Jacobian of the flow at a stage.
-// `after` and out->x may be the same; `scratch` has room for all slopes and [x t p u].
+// `after` and out->x may be the same; `scratch` has room for the slopes of all stages, a state and [x t p u].
 template <int kSize, typename Multiply>
 void PullBackThroughStages(int size, int num_parameters, int num_controls, double h, const double* slopes,
                            const Multiply& multiply, double* scratch, const double* after, StepCotangent* out) {
   using namespace cooper_verner;
   const int n = kSize > 0 ? kSize : size;
-  // Of the slopes, divided by h.
-  double* of_slopes = scratch;
-  std::fill_n(of_slopes, kStages * n, 0.0);
-  double by_t = 0, by_h = 0;
-  // Adds the cotangent of x + h sum of the row's slopes.
-  const auto add = [&](const Row& row, const double* cotangent) {
-    for (int k = 0; k < row.count; ++k) {
-      double* of_slope = of_slopes + row.terms[k].stage * n;
-      for (int j = 0; j < n; ++j) of_slope[j] += row.terms[k].factor * cotangent[j];
-    }
-  };
-  add(kRows[kStages], after);
+  // Cotangents of the sums of rows 1 to kStages, of the slope of a stage, and of all that it depends on.
+  double *of_rows = scratch, *of_slope = of_rows + kStages * n, *of_stage = of_slope + n;
+  double known[kSize > 0 ? kSize : 1];
+  double* sum = kSize > 0 ? known : of_slope;
+  std::copy_n(after, n, of_rows + (kStages - 1) * n);
   if (out->x != after) std::copy_n(after, n, out->x);
-  double* of_stage = of_slopes + kStages * n;
+  double by_t = 0, by_h = 0;
   for (int i = kStages - 1; i >= 0; --i) {
-    const double* slope = slopes + i * n;
-    double* of_slope = of_slopes + i * n;
+    for (int j = 0; j < n; ++j) sum[j] = 0;
+    for (int k = 0; k < kColumns[i].count; ++k) {
+      const Term& term = kColumns[i].terms[k];
+      const double* of_row = of_rows + (term.stage - 1) * n;
+      for (int j = 0; j < n; ++j) sum[j] += term.factor * of_row[j];
+    }
     for (int j = 0; j < n; ++j) {
-      by_h += of_slope[j] * slope[j];
-      of_slope[j] *= h;
+      by_h += sum[j] * slopes[i * n + j];
+      of_slope[j] = sum[j] * h;
     }
     multiply(i, of_slope, of_stage);
-    for (int j = 0; j < n; ++j) out->x[j] += of_stage[j];
+    for (int j = 0; j < n; ++j) {
+      out->x[j] += of_stage[j];
+      if (i > 0) of_rows[(i - 1) * n + j] = of_stage[j];
+    }
     by_t += of_stage[n];
     by_h += kC[i] * of_stage[n];
     for (int j = 0; j < num_parameters; ++j) out->p[j] += of_stage[n + 1 + j];
     for (int j = 0; j < num_controls; ++j) out->u[j] += of_stage[n + 1 + num_parameters + j];
-    add(kRows[i], of_stage);
   }
   out->t = by_t;
   out->h = by_h;

@@ -11,6 +11,7 @@
 #include "problems/hybrid/bouncing_ball.h"
 #include "problems/hybrid/juggled_ball.h"
 #include "problems/hybrid/rimless_wheel.h"
+#include "problems/hybrid/switched_line.h"
 
 namespace saltus {
 namespace {
@@ -59,6 +60,17 @@ struct EulerWheel : RimlessWheel {
     Flow(0, t, after, u, p, rate);
     for (int i = 0; i < 2; ++i) next[i] = after[i] + (h - s) * rate[i];
     return 0;
+  }
+};
+
+// Whose slope changes at the end of a step; both components are exact within it.
+struct UnlocatedLine : SwitchedLine {
+  template <typename T>
+  int Step(int, const T&, const T* x, const T*, const T*, const T& h, T* next) const {
+    const double slope = x[0] < -1e-9 ? 3 : 1;
+    next[0] = x[0] + h * slope;
+    next[1] = x[1] + h * (x[0] * x[0] + slope * h * (x[0] + slope * h / 3.0));
+    return next[0] < -1e-9 ? 0 : 1;
   }
 };
 
@@ -120,6 +132,20 @@ TEST(HybridAudit, AFirstOrderSchemeIsConsistent) {
   const double q = -0.23914503614007037852, u = 0.39059699118321483405;
   EXPECT_NEAR(audit.exact.initial[0], 2 * (q * 0.53871791106265228971 + u * -0.050942996534334235189), 1e-9);
   EXPECT_NEAR(audit.exact.parameters[2], 2 * (q * 5.1402610024554010808 + u * 1.2907093452549274645), 1e-8);
+}
+
+// Stewart, Anitescu 2010: without the location of the event dx(T)/dx0 is 1 for any step, in the place of 1/3, even
+// where the event is at the end of a step, so that the loss is exact.
+TEST(HybridAudit, StepsThatDoNotLocateTheEventAreWrong) {
+  HybridSchemeOf<UnlocatedLine> scheme((UnlocatedLine()));
+  for (const int steps : {60, 600}) {
+    const HybridAudit audit = AuditScheme(SwitchedLineProblem(), &scheme, Steps(steps));
+    ASSERT_TRUE(audit.ok()) << audit.reason;
+    EXPECT_EQ(audit.verdict, Verdict::kWrong);
+    EXPECT_NEAR(audit.loss, 134.0 / 81, 1e-12);
+    EXPECT_NEAR(audit.gradient.initial[0], 22.0 / 9, 1e-12);
+    EXPECT_NEAR(audit.exact.initial[0], 16.0 / 27, 1e-12);
+  }
 }
 
 // Guards that depend on time are compared at their own time.
