@@ -133,7 +133,7 @@ class Memory {
   }
 
  private:
-  static constexpr std::size_t kSmall = 256;
+  static constexpr std::size_t kSmall = 1024;
   double small_[kSmall];  // not initialized
   std::vector<double> large_;
 };
@@ -576,9 +576,9 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
   RecordedFunction::Evaluation at = EvaluationOf(step, true);
   const std::size_t count = at.entries().size();
-  static thread_local std::vector<double> numbers;
-  numbers.resize(kStages * (n + count) + (kStages + 1) * n + columns);
-  double *slopes = numbers.data(), *entries = slopes + kStages * n, *scratch = entries + kStages * count;
+  Memory memory;
+  double* slopes = memory.Of(kStages * (n + count) + (kStages + 1) * n + columns);
+  double *entries = slopes + kStages * n, *scratch = entries + kStages * count;
   const auto flow = [&](double t, const auto& x, double* slope, double* derivatives) {
     at.Run(x, n, t, slope);
     for (const auto& entry : at.entries()) *derivatives++ = at[entry];
