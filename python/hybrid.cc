@@ -32,7 +32,7 @@ RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
   return RecordedFunction(recording);
 }
 
-using TransitionTuple = std::tuple<std::string, Outputs, Outputs, int>;
+using TransitionTuple = std::tuple<std::string, Outputs, Outputs, int, int>;
 using ModeTuple = std::tuple<std::string, std::vector<std::string>, Outputs, std::vector<TransitionTuple>>;
 
 HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<std::string>& controls,
@@ -50,9 +50,10 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
     layout.state_names.insert(layout.state_names.end(), states.begin(), states.end());
     RecordedSystem::Mode& mode =
         recorded.emplace_back(RecordedSystem::Mode{ReadFunction(of_guards + layout.num_controls, flow), {}});
-    for (const auto& [guard_name, guard, reset, next_mode] : transitions) {
+    for (const auto& [guard_name, guard, reset, next_mode, accumulation_mode] : transitions) {
       layout.guard_names.push_back(guard_name);
-      mode.transitions.push_back({ReadFunction(of_guards, guard), ReadFunction(of_guards, reset), next_mode});
+      mode.transitions.push_back(
+          {ReadFunction(of_guards, guard), ReadFunction(of_guards, reset), next_mode, accumulation_mode});
     }
   }
   return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded)));

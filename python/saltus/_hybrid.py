@@ -61,6 +61,7 @@ class HybridSystem:
     guards: of each mode that has any, functions (t, x, p) by the name of the guard; an event happens where one falls
     through zero.
     resets: of each guard a function (t, x, p) that returns the next mode and its state.
+    on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour).
 
         >>> ball = saltus.HybridSystem(
         ...     states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
@@ -84,6 +85,7 @@ class HybridSystem:
         resets: Mapping[str, Mapping[str, Callable[..., Any]]] | None = None,
         controls: Sequence[str] = (),
         parameters: Sequence[str] = (),
+        on_accumulation: Mapping[str, Mapping[str, str]] | None = None,
     ):
         self.modes = _names("states", _named("states", states))
         self.states = {mode: _names(f"states of mode '{mode}'", states[mode]) for mode in self.modes}
@@ -95,6 +97,7 @@ class HybridSystem:
             ("flow", _named("flow", flow)),
             ("guards", _named("guards", guards or {})),
             ("resets", _named("resets", resets or {})),
+            ("on_accumulation", _named("on_accumulation", on_accumulation or {})),
         ]
         for kind, by_mode in given:
             for mode in by_mode:
@@ -113,11 +116,22 @@ class HybridSystem:
                 odd = sorted(set(of_guards) ^ set(of_resets))[0]
                 raise ValueError(f"mode '{mode}': found '{odd}' only in one of guards and resets, expected it in both")
             self.guards[mode] = list(of_guards)
+            goes_on = self._modes_after_accumulation(mode, given[3][1].get(mode, {}))
             transitions = [
-                (name, *self._record_guard(mode, name, guard, of_resets[name])) for name, guard in of_guards.items()
+                (name, *self._record_guard(mode, name, guard, of_resets[name]), goes_on.get(name, -1))
+                for name, guard in of_guards.items()
             ]
             recorded.append((mode, self.states[mode], self._record_flow(mode, given[0][1][mode]), transitions))
         self._system = _saltus.HybridSystem(recorded, self.controls, self.parameters)
+
+    def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
+        what = f"on_accumulation of mode '{mode}'"
+        for guard, after in _named(what, named).items():
+            if guard not in self.guards[mode]:
+                raise ValueError(f"{what}: found guard {guard!r}, expected some of {', '.join(self.guards[mode])}")
+            if after not in self.states or len(self.states[after]) != len(self.states[mode]):
+                raise ValueError(f"{what}: found mode {after!r}, expected one with {len(self.states[mode])} states")
+        return {guard: self.modes.index(after) for guard, after in named.items()}
 
     def _arguments(self, mode: str, control: bool) -> tuple[Tape, list[Any]]:
         """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""

@@ -56,6 +56,26 @@ def hopper_problem():
                                 parameters=[100, math.radians(10)], duration=2.1)
 
 
+def test_events_that_accumulate_may_lead_on():
+    """The time of accumulation is 3 sqrt(2 y0 / g) at restitution 0.5; the ball slides on at a quarter of its speed."""
+    states = ["x", "y", "v"]
+    changes = {
+        "states": {"flight": states, "rest": states}, "controls": [],
+        "flow": {"flight": lambda t, x, u, p: [1, x[2], -p[0]], "rest": lambda t, x, u, p: [0.25, 0, 0]},
+        "guards": {"flight": {"ground": lambda t, x, p: x[1]}},
+        "resets": {"flight": {"ground": lambda t, x, p: ("flight", [x[0], x[1], -p[1] * x[2]])}},
+    }
+    system = ball(**changes, on_accumulation={"flight": {"ground": "rest"}})
+    problem = saltus.HybridProblem(system, mode="flight", initial=[0, 1, 0], parameters=[9.8, 0.5], duration=2.0)
+    motion = saltus.rollout(problem)
+    assert motion.mode == "rest"
+    assert_allclose(motion.final, [0.5 + 0.75 * 3 * sqrt(2 / 9.8), 0, 0], atol=1e-8)
+    with pytest.raises(ValueError, match="on_accumulation of mode 'flight': found mode 'ground'"):
+        ball(**changes, on_accumulation={"flight": {"ground": "ground"}})
+    with pytest.raises(ValueError, match="on_accumulation of mode 'flight': found guard 'wall', expected some of ground"):
+        ball(**changes, on_accumulation={"flight": {"wall": "rest"}})
+
+
 def test_ball():
     problem = ball_problem()
     motion = saltus.rollout(problem)

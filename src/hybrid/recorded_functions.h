@@ -126,6 +126,7 @@ class RecordedSystem final : public HybridFunctions {
   struct Transition {
     RecordedFunction guard, reset;
     int next_mode = 0;
+    int accumulation_mode = -1;  // OnAccumulation
   };
   struct Mode {
     RecordedFunction flow;
@@ -145,6 +146,7 @@ class RecordedSystem final : public HybridFunctions {
                    double* rate) const override;
   double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                        double* gradient) const override;
+  int OnAccumulation(int mode, int guard) const override { return transition(mode, guard).accumulation_mode; }
   int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
             double* x_plus) const override;
   int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,

@@ -449,8 +449,9 @@ void RolloutRun::TryOrders(const std::vector<int>& guards) {
   ties_.push_back(std::move(tie));
 }
 
-// Whether the events accumulate at a point before the end: the intervals between them, or those over two, have become
-// tiny and shrink geometrically. The point is Aitken's extrapolation, exact for a geometric sequence.
+// Whether the motion ends because events accumulate at a point before its end: the intervals between them, or those
+// over two, have become tiny and shrink geometrically. The point is Aitken's extrapolation, exact for a geometric
+// sequence.
 bool RolloutRun::Accumulates() {
   if (functions_.EndsAccumulations()) return false;
   const auto count = static_cast<int>(events_.size());
@@ -468,11 +469,19 @@ bool RolloutRun::Accumulates() {
     const double point = at_.t + interval(0) * ratio / (1 - ratio);
     if (!(point < input_->begin + input_->duration)) continue;
     accumulation_ = point;
+    const HybridEvent& last = events_.back();
+    const int next = functions_.OnAccumulation(last.mode, last.guard);
+    if (next >= 0 && next < system_.num_modes() && system_.state_size(next) == system_.state_size(at_.mode)) {
+      at_.mode = events_.back().next_mode = next;
+      return !Enter(Entry::kAfterReset, {}, true);
+    }
     char text[32];
     std::snprintf(text, sizeof text, "%.16g", point);
     return !Refuse("events accumulate (Zeno behaviour) at about t = " + std::string(text) + ", of guard '" +
-                   system_.GuardName(events_.back().mode, events_.back().guard) + "' in mode '" +
-                   system_.ModeName(events_.back().mode) + "'");
+                   system_.GuardName(last.mode, last.guard) + "' in mode '" + system_.ModeName(last.mode) + "'" +
+                   (next < 0 ? ""
+                             : "; OnAccumulation names mode " + std::to_string(next) +
+                                   ", expected one with states of the same size"));
   }
   return false;
 }

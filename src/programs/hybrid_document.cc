@@ -103,7 +103,7 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   const HybridSystem& system = simulator.system();
   Json motion = Json::object();
   if (!ok) motion["failed"] = simulator.WhyFailed();
-  if (!ok && simulator.accumulation()) motion["accumulation"] = NumberToJson(*simulator.accumulation());
+  if (simulator.accumulation()) motion["accumulation"] = NumberToJson(*simulator.accumulation());
   if (ok) {
     motion["mode"] = system.ModeName(simulator.final_mode());
     motion["final"] = NumbersOf(simulator.final_state());

@@ -144,6 +144,54 @@ TEST(HybridSimulator, AccumulatingEventsAreReported) {
   }
 }
 
+// A ball that moves to the right as it bounces, and on the ground with a quarter of that speed.
+struct BallThatComesToRest {
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 2;  // gravity, restitution
+  static constexpr std::array kStateSizes = {3, 3, 2};
+  static constexpr std::array kNumGuards = {1, 0, 0};
+  int mode_at_rest = 1;
+
+  template <typename T>
+  void Flow(int mode, const T&, const T* x, const T*, const T* p, T* xdot) const {
+    xdot[0] = mode == 0 ? x[1] : T(0.0);
+    xdot[1] = mode == 0 ? T(-p[0]) : T(0.0);
+    if (mode < 2) xdot[2] = T(mode == 0 ? 1.0 : 0.25);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T* p, T* x_plus) const {
+    x_plus[0] = x[0];
+    x_plus[1] = -p[1] * x[1];
+    x_plus[2] = x[2];
+    return 0;
+  }
+  int OnAccumulation(int /*mode*/, int /*guard*/) const { return mode_at_rest; }
+};
+
+TEST(HybridSimulator, AMotionGoesOnWhereEventsAccumulateIfTheSystemSaysHow) {
+  const HybridInput input{.initial = {1, 0, 0}, .parameters = {9.8, 0.5}, .duration = 2};
+  HybridSimulator simulator{HybridSystem(BallThatComesToRest())};
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  constexpr double kAccumulated = 1.3552618543578768566;
+  ASSERT_TRUE(simulator.accumulation());
+  EXPECT_NEAR(*simulator.accumulation(), kAccumulated, 1e-14);
+  EXPECT_EQ(simulator.final_mode(), 1);
+  EXPECT_EQ(simulator.events().back().next_mode, 1);
+  ExpectNumbers(simulator.final_state(), {0, 0, kAccumulated + 0.25 * (2 - kAccumulated)}, 1e-8);
+  // The time of accumulation, by the initial height, gravity and restitution.
+  const HybridGradient by = simulator.Adjoint(std::vector<double>{0, 0, 1});
+  EXPECT_NEAR(by.initial[0], 0.75 * 0.67763092717893843, 1e-8);
+  ExpectNumbers(by.parameters, {0.75 * -0.069146012977442697, 0.75 * 3.614031611621005}, 1e-7);
+
+  HybridSimulator other{HybridSystem(BallThatComesToRest{.mode_at_rest = 2})};
+  EXPECT_FALSE(other.Rollout(input));
+  EXPECT_THAT(other.WhyFailed(), HasSubstr("names mode 2, expected one with states of the same size"));
+}
+
 TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
   HybridSimulator simulator = Ball();
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.355261854}));

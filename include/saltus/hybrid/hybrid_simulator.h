@@ -119,7 +119,8 @@ class HybridSimulator {
   // Precondition: WhatIsWrongWith(input, system) is empty.
   bool Rollout(const HybridInput& input);
   const std::string& WhyFailed() const;
-  // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then.
+  // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then, unless
+  // the system names a mode in which the motion goes on.
   std::optional<double> accumulation() const;
 
   // Of the last rollout. If it failed, what came before.

@@ -26,6 +26,10 @@
 //   };
 //   HybridSystem system{BouncingBall()};
 //
+// Optional: int OnAccumulation(int mode, int guard) const, the mode in which a motion goes on where events of the guard
+// accumulate (Zeno behaviour), or -1. Its states have the size of those of the last event's mode, and are those after
+// that event, within 1e-9 of the duration of the accumulation; so far are states and derivatives from their limits.
+//
 // Names are optional and appear in messages and outputs: static constexpr std::array<const char*, n> kModeNames,
 // kControlNames and kParameterNames; kGuardNames, those of all modes one after the other; kStateNames, those of all
 // modes one after the other, or those of one mode if all modes have states of the same size.

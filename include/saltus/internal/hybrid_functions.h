@@ -133,7 +133,10 @@ class HybridFunctions {
   // Whether a guard depends on the control.
   virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
 
-  // Whether the resets themselves end an accumulation of events (Zeno behaviour).
+  // The mode in which a motion goes on where events of a guard accumulate (Zeno behaviour), with states of the same
+  // size; a negative number: there is none.
+  virtual int OnAccumulation(int /*mode*/, int /*guard*/) const { return -1; }
+  // Whether the resets themselves end an accumulation.
   virtual bool EndsAccumulations() const { return false; }
 
  protected:
@@ -235,6 +238,14 @@ class HybridFunctionsOf final : public HybridFunctions {
       Unpack(out, 1, first, width, columns, &value, gradient);
     });
     return value;
+  }
+
+  int OnAccumulation(int mode, int guard) const override {
+    if constexpr (requires(const S& system) { system.OnAccumulation(0, 0); }) {
+      return system_.OnAccumulation(mode, guard);
+    } else {
+      return -1;
+    }
   }
 
   int Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,

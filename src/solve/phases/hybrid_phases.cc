@@ -210,6 +210,11 @@ void HybridPhaseRun::Simulate(HybridMotion* motion) const {
   }
   for (const HybridEvent& event : exact.events) exact.contacts.push_back({event.mode, event.guard, event.next_mode});
   if (!simulator.grazings().empty()) exact.only_impacts = false;
+  if (exact.ok && simulator.accumulation()) {
+    exact.ok = false;
+    exact.reason = "events accumulate (Zeno behaviour), and every event ends a phase";
+    return;
+  }
   if (!exact.ok) {
     exact.reason = shooting_->WhyFailed();
     return;
