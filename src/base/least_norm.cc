@@ -1,23 +1,50 @@
-// What linear_algebra.h has of the complete orthogonal decomposition, of matrices by columns.
+// What linear_algebra.h has of the complete orthogonal decomposition. It is compiled for two kinds of matrices, each
+// with right sides that are vectors and matrices of its own kind: others are copied, as the compiler takes seconds for
+// each.
 #include "base/linear_algebra.h"
 
 namespace saltus {
+namespace {
+
+using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostSmallRows, kMostSmallRows>;
+using SmallVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostSmallRows, 1>;
+
+template <typename Matrix>
+void Compute(const auto& matrix, std::optional<double> threshold,
+             Eigen::CompleteOrthogonalDecomposition<Matrix>* decomposition) {
+  if (threshold) decomposition->setThreshold(*threshold);
+  decomposition->compute(matrix);
+}
+
+template <typename Matrix>
+Matrix Inverse(const auto& matrix, std::optional<double> threshold) {
+  Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;
+  Compute(matrix, threshold, &decomposition);
+  const Matrix identity = Matrix::Identity(matrix.rows(), matrix.rows());
+  return decomposition.solve(identity);
+}
+
+// Sets the matrix of n rows, whatever its storage.
+void InvertInto(const auto& matrix, std::optional<double> threshold, auto* inverse) {
+  if (matrix.rows() <= kMostSmallRows) {
+    *inverse = Inverse<SmallMatrix>(matrix, threshold);
+  } else {
+    *inverse = Inverse<Eigen::MatrixXd>(matrix, threshold);
+  }
+}
+
+}  // namespace
 
 LeastNormSolver::LeastNormSolver(const ConstMatrixRef& matrix, std::optional<double> threshold) {
-  const auto compute = [&](auto& decomposition) {
-    if (threshold) decomposition.setThreshold(*threshold);
-    decomposition.compute(matrix);
-  };
   if (matrix.rows() <= kMostSmallRows && matrix.cols() <= kMostSmallRows) {
-    compute(decomposition_.emplace<0>());
+    Compute(matrix, threshold, &decomposition_.emplace<0>());
   } else {
-    compute(decomposition_.emplace<1>());
+    Compute(matrix, threshold, &decomposition_.emplace<1>());
   }
 }
 
 void LeastNormSolver::Solve(const ConstVectorRef& right, VectorRef solution) const {
   if (const auto* small = std::get_if<0>(&decomposition_)) {
-    using SmallVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostSmallRows, 1>;
     const SmallVector copy = right, found = small->solve(copy);
     solution = found;
   } else {
@@ -37,17 +64,7 @@ Eigen::MatrixXd LeastNormSolutions(const Eigen::MatrixXd& matrix, const Eigen::M
 }
 
 void PseudoInvert(const ConstMatrixRef& matrix, std::optional<double> threshold, MatrixRef inverse) {
-  const auto invert = [&](auto decomposition) {
-    if (threshold) decomposition.setThreshold(*threshold);
-    decomposition.compute(matrix);
-    inverse = decomposition.pseudoInverse();
-  };
-  if (matrix.rows() <= kMostSmallRows) {
-    using Small = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostSmallRows, kMostSmallRows>;
-    invert(Eigen::CompleteOrthogonalDecomposition<Small>());
-  } else {
-    invert(Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd>());
-  }
+  InvertInto(matrix, threshold, &inverse);
 }
 
 Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& matrix) {
@@ -56,13 +73,24 @@ Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& matrix) {
   return inverse;
 }
 
+// Not the inverse of the transpose: that would pivot otherwise.
+void PseudoInvertRows(int n, std::span<double> matrix, double threshold) {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  Eigen::Map<RowMajor> rows(matrix.data(), n, n);
+  InvertInto(rows, threshold, &rows);
+}
+
+Eigen::MatrixXf PseudoInverse(const Eigen::MatrixXf& matrix) {
+  return matrix.completeOrthogonalDecomposition().pseudoInverse();
+}
+
 Eigen::MatrixXd SchurComplement(const Eigen::MatrixXd& information, Eigen::Index count) {
   const Eigen::Index rest = information.cols() - count;
   if (rest == 0) return information;
   const Eigen::MatrixXd cross = information.topRightCorner(count, rest);
   const Eigen::MatrixXd others = information.bottomRightCorner(rest, rest);
-  return information.topLeftCorner(count, count) -
-         cross * others.completeOrthogonalDecomposition().solve(cross.transpose());
+  const Eigen::MatrixXd right = cross.transpose();
+  return information.topLeftCorner(count, count) - cross * others.completeOrthogonalDecomposition().solve(right);
 }
 
 }  // namespace saltus
