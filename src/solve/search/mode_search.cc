@@ -27,22 +27,23 @@
 namespace saltus {
 namespace {
 
-constexpr double kBound = 3;          // times the best loss
-constexpr double kSameLoss = 1e-6;    // relative: the same optimum of a sequence
-constexpr double kNoLoss = 1e-12;     // in natural units: to be compared with nothing smaller
-constexpr double kProved = 1e-8;      // relative, between the best loss and a lower bound
-constexpr int kPatience = 150;        // solves after which nothing better is expected
-constexpr int kMoreStarts = 3;        // times the starts, that are tried then
-constexpr int kMostRounds = 4;        // of more starts
-constexpr int kMorePatience = 100;    // solves after those
-constexpr double kLongWork = 1e6;     // of a search (SearchOptions::work), from which on its work is compared with
-constexpr double kPatienceWork = 5;   // times the work at which it was last better
-constexpr int kMostMended = 12;       // motions, each the best at its time, whose sequence is mended
-constexpr int kMoreMended = 2;        // others near the best, where the search has come to a stop
-constexpr double kNearBest = 1.05;    // of its loss
-constexpr double kApart = 1.001;      // the losses of these
-constexpr double kMuchBetter = 0.99;  // of the loss of the last one: mended at once, else where the search would stop
-constexpr int kAheadOfLong = 100;     // solves that go on beside one that takes as long as many
+constexpr double kBound = 3;           // times the best loss
+constexpr double kSameLoss = 1e-6;     // relative: the same optimum of a sequence
+constexpr double kNoLoss = 1e-12;      // in natural units: to be compared with nothing smaller
+constexpr double kProved = 1e-8;       // relative, between the best loss and a lower bound
+constexpr int kPatience = 150;         // solves after which nothing better is expected
+constexpr int kMoreStarts = 3;         // times the starts, that are tried then
+constexpr int kMostRounds = 4;         // of more starts
+constexpr int kMorePatience = 100;     // solves after those
+constexpr double kLongWork = 1e6;      // of a search (SearchOptions::work), from which on it may be a long one
+constexpr double kLongPatience = 1e7;  // work of as many solves, from which on the work is compared with
+constexpr double kPatienceWork = 5;    // times the work at which the search was last better
+constexpr int kMostMended = 12;        // motions, each the best at its time, whose sequence is mended
+constexpr int kMoreMended = 2;         // others near the best, where the search has come to a stop
+constexpr double kNearBest = 1.05;     // of its loss
+constexpr double kApart = 1.001;       // the losses of these
+constexpr double kMuchBetter = 0.99;   // of the loss of the last one: mended at once, else where the search would stop
+constexpr int kAheadOfLong = 100;      // solves that go on beside one that takes as long as many
 
 class ModeSearch {
  public:
@@ -162,7 +163,10 @@ class ModeSearch {
   }
 
   // Solves along many impacts take so much that the patience in solves would outlast any limit.
-  bool IsLong() const { return searched_.work > std::max(kLongWork, kPatienceWork * better_work_); }
+  bool IsLong() const {
+    return searched_.work > std::max(kLongWork, kPatienceWork * better_work_) &&
+           searched_.work * kPatience > kLongPatience * solves_;
+  }
 
   bool HasMore() const { return !queue_.empty() && queue_.first_loss() <= Bound(); }
 
