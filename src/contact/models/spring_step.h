@@ -337,7 +337,7 @@ class SpringDescent {
     }
   }
 
-  // |r(z)|; marks what presses there.
+  // Returns |r(z)| and marks the contacts whose springs are pressed at z.
   static double Mark(const Problem<double>& problem, std::span<const double> z, std::span<char> touched) {
     for (std::size_t c = 0; c < touched.size(); ++c) {
       if (problem.Locate(z, problem.contacts[c]).pressed) touched[c] = 1;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "contact/event/event_run.h"
+#include "exact/exact_scenes.h"
 #include "spinning_disc.h"
 
 namespace saltus {
@@ -182,15 +183,6 @@ TEST(EventRolling, SlidesThenRolls) {
 
 TEST(EventRolling, RollsThenSlides) { ExpectMotion({.angle = 0.2, .friction = 0.2}, 0.5, 10, Made::kOfDisc, false); }
 
-// The derivative of a function at 0 by central differences, of three widths, extrapolated twice (Richardson).
-template <typename Function>
-double Difference(const Function& function, double width) {
-  const auto at = [&](double w) { return (function(w) - function(-w)) / (2 * w); };
-  const double wide = at(width), half = at(width / 2), quarter = at(width / 4);
-  const double first = (4 * half - wide) / 3, second = (4 * quarter - half) / 3;
-  return (16 * second - first) / 15;
-}
-
 // Expects of each entry of the final state of scene_of(change), for small changes, that its derivative is that of
 // differences. `width` is that of the differences.
 template <typename SceneOfChange>
@@ -202,9 +194,10 @@ void ExpectDerivatives(const SceneOfChange& scene_of, double width, double toler
     double exact = 0;
     for (std::size_t c = 0; c < size; ++c) {
       if (gradient[c] == 0) continue;
-      exact += gradient[c] * Difference([&](double by) { return InitialState(scene_of(by))[c]; }, width);
+      exact += gradient[c] * exact_test::Richardson([&](double by) { return InitialState(scene_of(by))[c]; }, width);
     }
-    const double difference = Difference([&](double by) { return EventRun(scene_of(by)).End()[row]; }, width);
+    const double difference =
+        exact_test::Richardson([&](double by) { return EventRun(scene_of(by)).End()[row]; }, width);
     EXPECT_NEAR(exact, difference, tolerance * std::max(1.0, std::abs(exact))) << row;
   }
 }
