@@ -284,6 +284,50 @@ optimize: none
   EXPECT_EQ(document["motion"]["events"], json::array());
 }
 
+// A simulator that is told of the bodies, whose steps end with the impulse of a disc that has struck the ground.
+constexpr const char* kDiscBox = R"(
+import json, sys
+scene = json.loads(sys.stdin.readline())["scene"]
+disc, = scene["bodies"]
+assert (disc["name"], disc["radius"], disc["mass"], disc["inertia"]) == ("disc", 0.1, 2, 0.01), disc
+assert scene["planes"] == [{"point": [0, 0], "normal": [0, 1]}] and scene["frictionless"], scene
+print(json.dumps({"name": "mine"}), flush=True)
+for line in sys.stdin:
+    q = json.loads(line)
+    s = q["step"]
+    (x, y, angle, vx, vy, spin), (e, _, gx, gy), h = s["state"], s["parameters"], s["h"]
+    vx, vy = vx + h * gx, vy + h * gy
+    if y < disc["radius"] and vy < 0:
+        vy *= -e
+    state = [x + h * vx, y + h * vy, angle + h * spin, vx, vy, spin]
+    print(json.dumps({"id": q["id"], "mode": s["mode"], "state": state}), flush=True)
+)";
+
+TEST_F(BodiesProgram, AuditsASimulator) {
+  const std::string script = testing::TempDir() + "/disc_box_" + std::to_string(getpid()) + ".py";
+  std::ofstream(script) << kDiscBox;
+  const json document = Document(R"(
+name: bounce
+duration: 0.5
+gravity: [0, -10]
+bodies: [{name: disc, radius: 0.1, mass: 2, position: [0, 1.1], velocity: [1, -3]}]
+planes: [{point: [0, 0], normal: [0, 1]}]
+contact: {restitution: 0.5}
+objective: {terminal: [{body: disc, quantity: position, target: [1, 1]}]}
+optimize: velocity
+)",
+                                 "--solver=none --steps=30 --simulate=\"box=python3 " + script + "\"",
+                                 1);
+  const json& audit = document["audits"][0];
+  EXPECT_EQ(audit["verdict"], "wrong sign");
+  const double time = (-3 + std::sqrt(9 + 20.0)) / 10;  // of a fall through 1 m
+  EXPECT_NEAR(audit["first_wrong"]["time"], time, 1e-12);
+  EXPECT_EQ(audit["first_wrong"]["step"], static_cast<int>(time / (0.5 / 30)));
+  const double left = 0.5 - time, height = 0.1 + 0.5 * (3 + 10 * time) * left - 5 * left * left;
+  EXPECT_NEAR(audit["exact_loss"], (0.5 - 1) * (0.5 - 1) + (height - 1) * (height - 1), 1e-12);
+  std::filesystem::remove(script);
+}
+
 TEST_F(BodiesProgram, AWrongFileIsNamedWithItsPlace) {
   const std::string good = R"(name: box
 duration: 1
