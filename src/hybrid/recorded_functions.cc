@@ -509,7 +509,9 @@ void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   std::fill_n(jacobian, num_outputs_ * columns, 0.0);
-  for (const Tape::Entry& entry : at.entries()) jacobian[entry.row * columns + entry.column] = at[entry];
+  for (const Tape::Entry& entry : at.entries()) {
+    if (entry.column < columns) jacobian[entry.row * columns + entry.column] = at[entry];
+  }
 }
 
 void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
@@ -533,6 +535,10 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
     const int of_guards = size(static_cast<int>(mode)) + 1 + num_parameters();
     CHECK_EQ(modes_[mode].flow.num_inputs(), of_guards + this->layout().num_controls);
     CHECK_EQ(modes_[mode].flow.num_outputs(), size(static_cast<int>(mode)));
+    if (const auto& fly = modes_[mode].fly) {
+      CHECK_EQ(fly->num_inputs(), modes_[mode].flow.num_inputs() + 1);
+      CHECK_EQ(fly->num_outputs(), size(static_cast<int>(mode)));
+    }
     CHECK_EQ(static_cast<int>(modes_[mode].transitions.size()), this->layout().num_guards[mode]);
     for (const Transition& transition : modes_[mode].transitions) {
       CHECK_EQ(transition.guard.num_inputs(), of_guards);
@@ -565,6 +571,7 @@ RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, 
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
+  if (Fly(step, after, nullptr)) return Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
   RecordedFunction::Evaluation at = EvaluationOf(step, false);
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
@@ -572,6 +579,7 @@ void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scr
 
 // By the derivatives that are not always zero.
 bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const {
+  if (modes_[step.mode].fly) return false;
   constexpr int kStages = cooper_verner::kStages;
   const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
   RecordedFunction::Evaluation at = EvaluationOf(step, true);
@@ -593,6 +601,22 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
     PullBackThroughStages<known>(
         n, num_parameters(), layout().num_controls, step.h, slopes, multiply, scratch, after, out);
   });
+  return true;
+}
+
+bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
+  const std::optional<RecordedFunction>& fly = modes_[step.mode].fly;
+  if (!fly) return false;
+  const std::initializer_list<RecordedFunction::Part> inputs = {{step.x, size(step.mode)},
+                                                                {&step.t, 1},
+                                                                {step.p, num_parameters()},
+                                                                {step.u, layout().num_controls},
+                                                                {&step.h, 1}};
+  if (jacobian == nullptr) {
+    fly->Evaluate(inputs, after);
+  } else {
+    fly->Linearize(inputs, fly->num_inputs() - 1, after, jacobian);
+  }
   return true;
 }
 
