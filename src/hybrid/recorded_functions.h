@@ -99,6 +99,7 @@ class RecordedFunction {
   class Evaluation;
 
  private:
+  friend class RecordedSystem;
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
     struct Instruction {

@@ -577,7 +577,7 @@ TEST(HybridPhases, FindTheRestitutionOfTheTutorial) {
 TEST(HybridSolvers, BringTheTwoMassHopperFromAllStartsToOneOptimum) {
   HybridProblem problem = TwoMassHopperProblem();
   std::mt19937_64 random(1);
-  std::uniform_real_distribution<double> rate(-1, 1);
+  std::uniform_real_distribution<double> rate(-0.5, 0.5);
   SolverOptions options;
   options.iterations = 200;
   for (int start = 0; start < 14; ++start) {
