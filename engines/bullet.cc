@@ -15,7 +15,10 @@ constexpr btScalar kHalfDepth = 0.5;  // m, of a box
 class BulletWorld : public engines::World {
  public:
   BulletWorld(const Scene& scene, const std::vector<State>& initial)
-      : scene_(scene), dispatcher_(&configuration_), world_(&dispatcher_, &broadphase_, &solver_, &configuration_) {
+      : scene_(scene),
+        configuration_(SmallPools()),
+        dispatcher_(&configuration_),
+        world_(&dispatcher_, &broadphase_, &solver_, &configuration_) {
     world_.setGravity(Vector(scene.gravity));
     for (std::size_t i = 0; i < initial.size(); ++i) {
       const engines::Body& given = scene.bodies[i];
@@ -57,6 +60,12 @@ class BulletWorld : public engines::World {
   }
 
  private:
+  // The default ones take longer to be made than a step does.
+  static btDefaultCollisionConstructionInfo SmallPools() {
+    btDefaultCollisionConstructionInfo info;
+    info.m_defaultMaxPersistentManifoldPoolSize = info.m_defaultMaxCollisionAlgorithmPoolSize = 64;
+    return info;
+  }
   static btVector3 Vector(const engines::Vec2& v) {
     return {static_cast<btScalar>(v[0]), static_cast<btScalar>(v[1]), 0};
   }
