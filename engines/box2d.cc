@@ -1,4 +1,4 @@
-// Box2D 2.4: discs as they are, half-planes as long edges.
+// Box2D 2.4: discs and boxes as they are, half-planes as long edges.
 #include <box2d/box2d.h>
 
 #include "protocol.h"
@@ -18,19 +18,24 @@ class Box2dWorld : public engines::World {
     fixture.restitution = static_cast<float>(scene.restitution);
     fixture.friction = static_cast<float>(scene.friction);
     for (std::size_t i = 0; i < initial.size(); ++i) {
-      const engines::Disc& disc = scene.discs[i];
+      const engines::Body& given = scene.bodies[i];
       b2BodyDef body;
-      body.type = disc.fixed ? b2_staticBody : b2_dynamicBody;
+      body.type = given.fixed ? b2_staticBody : b2_dynamicBody;
       body.position = Vector({initial[i][0], initial[i][1]});
       body.linearVelocity = Vector({initial[i][2], initial[i][3]});
-      body.fixedRotation = true;
+      body.fixedRotation = given.inertia == 0;
+      body.angle = static_cast<float>(given.angle);
+      body.angularVelocity = static_cast<float>(given.spin);
       bodies_.push_back(world_.CreateBody(&body));
       b2CircleShape circle;
-      circle.m_radius = static_cast<float>(disc.radius);
+      circle.m_radius = static_cast<float>(given.radius);
+      b2PolygonShape box;
+      if (given.radius == 0) box.SetAsBox(static_cast<float>(given.half[0]), static_cast<float>(given.half[1]));
       fixture.shape = &circle;
+      if (given.radius == 0) fixture.shape = &box;
       fixture.density = 1;
       bodies_.back()->CreateFixture(&fixture);
-      const b2MassData mass{static_cast<float>(disc.mass), b2Vec2(0, 0), 0};
+      const b2MassData mass{static_cast<float>(given.mass), b2Vec2(0, 0), static_cast<float>(given.inertia)};
       bodies_.back()->SetMassData(&mass);
     }
     for (const engines::Plane& plane : scene.planes) {
@@ -51,6 +56,9 @@ class Box2dWorld : public engines::World {
     const b2Vec2 p = bodies_[disc]->GetPosition(), v = bodies_[disc]->GetLinearVelocity();
     return {p.x, p.y, v.x, v.y};
   }
+  engines::Vec2 Turn(int body) const override {
+    return {bodies_[body]->GetAngle(), bodies_[body]->GetAngularVelocity()};
+  }
 
  private:
   static b2Vec2 Vector(const engines::Vec2& v) { return {static_cast<float>(v[0]), static_cast<float>(v[1])}; }
@@ -64,7 +72,9 @@ class Box2dWorld : public engines::World {
 int main() {
   const std::string name = "Box2D " + std::to_string(b2_version.major) + "." + std::to_string(b2_version.minor) + "." +
                            std::to_string(b2_version.revision);
-  return engines::Serve({name, [](const Scene& scene, const std::vector<State>& initial, double) {
-                           return std::make_unique<Box2dWorld>(scene, initial);
-                         }});
+  return engines::Serve({.name = name,
+                         .make = [](const Scene& scene,
+                                    const std::vector<State>& initial,
+                                    double) { return std::make_unique<Box2dWorld>(scene, initial); },
+                         .boxes = true});
 }

@@ -1,5 +1,6 @@
-// Bullet: discs as spheres that stay in the plane z = 0, half-planes as planes. Built once for each precision. It sees
-// a plane from 0.02 m on, and with steps in which a disc moves less it brakes there: nothing rebounds.
+// Bullet: discs as spheres and boxes as deep ones, which stay in the plane z = 0, half-planes as planes. Built once for
+// each precision. It sees a plane from 0.02 m on, and with steps in which a disc moves less it brakes there: nothing
+// rebounds.
 #include <btBulletDynamicsCommon.h>
 
 #include "protocol.h"
@@ -9,21 +10,33 @@ namespace {
 using engines::Scene;
 using engines::State;
 
+constexpr btScalar kHalfDepth = 0.5;  // m, of a box
+
 class BulletWorld : public engines::World {
  public:
   BulletWorld(const Scene& scene, const std::vector<State>& initial)
-      : scene_(scene), dispatcher_(&configuration_), world_(&dispatcher_, &broadphase_, &solver_, &configuration_) {
+      : scene_(scene),
+        configuration_(SmallPools()),
+        dispatcher_(&configuration_),
+        world_(&dispatcher_, &broadphase_, &solver_, &configuration_) {
     world_.setGravity(Vector(scene.gravity));
     for (std::size_t i = 0; i < initial.size(); ++i) {
-      const engines::Disc& disc = scene.discs[i];
-      const auto radius = static_cast<btScalar>(disc.radius);
-      btRigidBody& body = Add(std::make_unique<btSphereShape>(radius), disc.fixed ? 0 : disc.mass);
+      const engines::Body& given = scene.bodies[i];
+      const auto radius = static_cast<btScalar>(given.radius), inertia = static_cast<btScalar>(given.inertia);
+      std::unique_ptr<btCollisionShape> shape = std::make_unique<btSphereShape>(radius);
+      if (given.radius == 0) shape = std::make_unique<btBoxShape>(Vector(given.half) + btVector3(0, 0, kHalfDepth));
+      btRigidBody& body = Add(std::move(shape), given.fixed ? 0 : given.mass, btVector3(inertia, inertia, inertia));
       btTransform at;
       at.setIdentity();
       at.setOrigin(Vector({initial[i][0], initial[i][1]}));
+      at.setRotation(btQuaternion(btVector3(0, 0, 1), static_cast<btScalar>(given.angle)));
       body.setWorldTransform(at);
       body.setInterpolationWorldTransform(at);
-      if (!disc.fixed) body.setLinearVelocity(Vector({initial[i][2], initial[i][3]}));
+      if (given.fixed) continue;
+      body.setLinearVelocity(Vector({initial[i][2], initial[i][3]}));
+      if (given.inertia == 0) continue;
+      body.setAngularFactor(btVector3(0, 0, 1));
+      body.setAngularVelocity(btVector3(0, 0, static_cast<btScalar>(given.spin)));
     }
     for (const engines::Plane& plane : scene.planes) {
       const double height = plane.normal[0] * plane.point[0] + plane.normal[1] * plane.point[1];
@@ -41,15 +54,25 @@ class BulletWorld : public engines::World {
     const btVector3 &p = bodies_[disc]->getCenterOfMassPosition(), &v = bodies_[disc]->getLinearVelocity();
     return {p.x(), p.y(), v.x(), v.y()};
   }
+  engines::Vec2 Turn(int body) const override {
+    const btMatrix3x3& turned = bodies_[body]->getCenterOfMassTransform().getBasis();
+    return {btAtan2(turned[1].x(), turned[0].x()), bodies_[body]->getAngularVelocity().z()};
+  }
 
  private:
+  // The default ones take longer to be made than a step does.
+  static btDefaultCollisionConstructionInfo SmallPools() {
+    btDefaultCollisionConstructionInfo info;
+    info.m_defaultMaxPersistentManifoldPoolSize = info.m_defaultMaxCollisionAlgorithmPoolSize = 64;
+    return info;
+  }
   static btVector3 Vector(const engines::Vec2& v) {
     return {static_cast<btScalar>(v[0]), static_cast<btScalar>(v[1]), 0};
   }
 
   // Of two bodies, the product of restitutions and of frictions counts.
-  btRigidBody& Add(std::unique_ptr<btCollisionShape> shape, double mass) {
-    btRigidBody::btRigidBodyConstructionInfo info(static_cast<btScalar>(mass), nullptr, shape.get());
+  btRigidBody& Add(std::unique_ptr<btCollisionShape> shape, double mass, const btVector3& inertia = {0, 0, 0}) {
+    btRigidBody::btRigidBodyConstructionInfo info(static_cast<btScalar>(mass), nullptr, shape.get(), inertia);
     info.m_restitution = static_cast<btScalar>(std::sqrt(scene_.restitution));
     info.m_friction = static_cast<btScalar>(std::sqrt(scene_.friction));
     shapes_.push_back(std::move(shape));
@@ -75,7 +98,9 @@ int main() {
   const int version = btGetVersion();
   const std::string name = "Bullet " + std::to_string(version / 100) + "." + std::to_string(version % 100) +
                            (btIsDoublePrecision() ? ", float64" : ", float32");
-  return engines::Serve({name, [](const Scene& scene, const std::vector<State>& initial, double) {
-                           return std::make_unique<BulletWorld>(scene, initial);
-                         }});
+  return engines::Serve({.name = name,
+                         .make = [](const Scene& scene,
+                                    const std::vector<State>& initial,
+                                    double) { return std::make_unique<BulletWorld>(scene, initial); },
+                         .boxes = true});
 }

@@ -7,7 +7,7 @@ function make(scene, initial) {
   world.defaultContactMaterial.restitution = scene.restitution;
   world.defaultContactMaterial.friction = scene.friction;
   const bodies = initial.map(([x, y, vx, vy], i) => {
-    const disc = scene.discs[i];
+    const disc = scene.bodies[i];
     const body = new cannon.Body({ mass: disc.fixed ? 0 : disc.mass, position: new cannon.Vec3(x, y, 0),
       velocity: new cannon.Vec3(vx, vy, 0), shape: new cannon.Sphere(disc.radius), linearDamping: 0,
       linearFactor: new cannon.Vec3(1, 1, 0), fixedRotation: true });

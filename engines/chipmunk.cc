@@ -1,4 +1,4 @@
-// Chipmunk 7: discs as they are, half-planes as long segments.
+// Chipmunk 7: discs and boxes as they are, half-planes as long segments.
 #include <chipmunk/chipmunk.h>
 
 #include "protocol.h"
@@ -16,12 +16,18 @@ class ChipmunkWorld : public engines::World {
   ChipmunkWorld(const Scene& scene, const std::vector<State>& initial) : scene_(scene), space_(cpSpaceNew()) {
     cpSpaceSetGravity(space_, cpv(scene.gravity[0], scene.gravity[1]));
     for (std::size_t i = 0; i < initial.size(); ++i) {
-      const engines::Disc& disc = scene.discs[i];
-      cpBody* body = disc.fixed ? cpBodyNewStatic() : cpBodyNew(disc.mass, INFINITY);
+      const engines::Body& given = scene.bodies[i];
+      cpBody* body =
+          given.fixed ? cpBodyNewStatic() : cpBodyNew(given.mass, given.inertia > 0 ? given.inertia : INFINITY);
       cpBodySetPosition(body, cpv(initial[i][0], initial[i][1]));
-      if (!disc.fixed) cpBodySetVelocity(body, cpv(initial[i][2], initial[i][3]));
+      cpBodySetAngle(body, given.angle);
+      if (!given.fixed) {
+        cpBodySetVelocity(body, cpv(initial[i][2], initial[i][3]));
+        cpBodySetAngularVelocity(body, given.spin);
+      }
       bodies_.push_back(cpSpaceAddBody(space_, body));
-      Add(cpCircleShapeNew(body, disc.radius, cpvzero));
+      Add(given.radius > 0 ? cpCircleShapeNew(body, given.radius, cpvzero)
+                           : cpBoxShapeNew(body, 2 * given.half[0], 2 * given.half[1], 0));
     }
     for (const engines::Plane& plane : scene.planes) {
       const cpVect normal = cpv(plane.normal[0], plane.normal[1]);
@@ -50,6 +56,9 @@ class ChipmunkWorld : public engines::World {
     const cpVect p = cpBodyGetPosition(bodies_[disc]), v = cpBodyGetVelocity(bodies_[disc]);
     return {p.x, p.y, v.x, v.y};
   }
+  engines::Vec2 Turn(int body) const override {
+    return {cpBodyGetAngle(bodies_[body]), cpBodyGetAngularVelocity(bodies_[body])};
+  }
 
  private:
   // Of two shapes, the product counts.
@@ -68,8 +77,9 @@ class ChipmunkWorld : public engines::World {
 }  // namespace
 
 int main() {
-  return engines::Serve(
-      {std::string("Chipmunk ") + cpVersionString, [](const Scene& scene, const std::vector<State>& initial, double) {
-         return std::make_unique<ChipmunkWorld>(scene, initial);
-       }});
+  return engines::Serve({.name = std::string("Chipmunk ") + cpVersionString,
+                         .make = [](const Scene& scene,
+                                    const std::vector<State>& initial,
+                                    double) { return std::make_unique<ChipmunkWorld>(scene, initial); },
+                         .boxes = true});
 }

@@ -29,7 +29,7 @@ function make(scene, initial, h) {
   hk.HP_World_SetIdealStepTime(world, h);
   const shapes = [];
   const bodies = initial.map(([x, y, vx, vy], i) => {
-    const disc = scene.discs[i];
+    const disc = scene.bodies[i];
     shapes.push(value(hk.HP_Shape_CreateSphere([0, 0, 0], disc.radius)));
     const body = addBody(scene, shapes.at(-1), disc.fixed ? hk.MotionType.STATIC : hk.MotionType.DYNAMIC, [x, y]);
     if (!disc.fixed) {

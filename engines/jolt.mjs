@@ -72,7 +72,7 @@ function make(scene, initial) {
   vector(...scene.gravity, (gravity) => physics.SetGravity(gravity));
   const all = physics.GetBodyInterface();
   const bodies = initial.map((state, i) => {
-    const disc = scene.discs[i];
+    const disc = scene.bodies[i];
     return addBody(all, scene, new Jolt.SphereShape(disc.radius, null), state, disc.fixed ? 0 : disc.mass);
   });
   const grounds = scene.planes.map((plane) => addBody(all, scene, planeShape(plane), [0, 0, 0, 0], 0));

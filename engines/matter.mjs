@@ -1,4 +1,4 @@
-// Matter: discs as the polygons that it makes of them, half-planes as large rectangles. It is made for pixels and ms.
+// Matter: boxes as they are, discs as the polygons that it makes of them, half-planes as large rectangles. It is made for pixels and ms.
 import matter from 'matter-js';
 import { serve, versionOf } from './protocol.mjs';
 
@@ -12,13 +12,18 @@ function make(scene, initial, h) {
   const surface = { restitution: scene.restitution, friction: scene.friction, frictionStatic: 0, frictionAir: 0 };
   const perStep = METRE * matter.Body._baseDelta / SECOND;  // Matter's velocities are per 1/60 s
   const bodies = initial.map(([x, y, vx, vy], i) => {
-    const disc = scene.discs[i];
-    const body = matter.Bodies.circle(x * METRE, y * METRE, disc.radius * METRE, { ...surface, isStatic: disc.fixed });
-    if (!disc.fixed) {
-      matter.Body.setMass(body, disc.mass);
-      matter.Body.setInertia(body, Infinity);
+    const given = scene.bodies[i];
+    const options = { ...surface, isStatic: given.fixed };
+    const [width, height] = (given.half ?? []).map((half) => 2 * half * METRE);
+    const body = given.radius ? matter.Bodies.circle(x * METRE, y * METRE, given.radius * METRE, options)
+      : matter.Bodies.rectangle(x * METRE, y * METRE, width, height, options);
+    matter.Body.setAngle(body, given.angle);
+    if (!given.fixed) {
+      matter.Body.setMass(body, given.mass);
+      matter.Body.setInertia(body, given.inertia ? given.inertia * METRE ** 2 : Infinity);
       body.deltaTime = h * SECOND;
       matter.Body.setVelocity(body, { x: vx * perStep, y: vy * perStep });
+      matter.Body.setAngularVelocity(body, given.spin * perStep / METRE);
     }
     return body;
   });
@@ -36,7 +41,8 @@ function make(scene, initial, h) {
       const p = bodies[disc].position, v = matter.Body.getVelocity(bodies[disc]);
       return [p.x / METRE, p.y / METRE, v.x / perStep, v.y / perStep];
     },
+    turn: (body) => [bodies[body].angle, matter.Body.getAngularVelocity(bodies[body]) * METRE / perStep],
   };
 }
 
-await serve({ name: `matter-js ${await versionOf('matter-js')}`, make });
+await serve({ name: `matter-js ${await versionOf('matter-js')}`, make, boxes: true });

@@ -20,11 +20,11 @@ std::string Model(const Scene& scene, const std::vector<State>& initial, double 
       << "<default><geom solref='-40000 0' condim='" << (scene.friction > 0 ? 3 : 1) << "' friction='" << scene.friction
       << " 0 0'/></default><worldbody>";
   for (std::size_t i = 0; i < initial.size(); ++i) {
-    const engines::Disc& disc = scene.discs[i];
+    const engines::Body& given = scene.bodies[i];
     std::ostringstream sphere;
     sphere.precision(17);
-    sphere << "<geom type='sphere' size='" << disc.radius << "' mass='" << disc.mass << "'";
-    if (disc.fixed) {
+    sphere << "<geom type='sphere' size='" << given.radius << "' mass='" << given.mass << "'";
+    if (given.fixed) {
       xml << sphere.str() << " pos='" << initial[i][0] << " " << initial[i][1] << " 0'/>";
     } else {
       xml << "<body><joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>" << sphere.str()
@@ -58,7 +58,7 @@ class MujocoWorld : public engines::World {
     int next = 0;
     for (std::size_t i = 0; i < initial.size(); ++i) {
       slides_.push_back(next);
-      if (scene.discs[i].fixed) continue;
+      if (scene.bodies[i].fixed) continue;
       for (int axis = 0; axis < 2; ++axis, ++next) {
         data_->qpos[next] = initial[i][axis];
         data_->qvel[next] = initial[i][axis + 2];

@@ -9,7 +9,7 @@ const solref = argument('default') ? '' : "solref='-40000 0'";
 // The scene as MuJoCo's XML.
 function model(scene, initial, h) {
   const bodies = initial.map(([x, y], i) => {
-    const disc = scene.discs[i];
+    const disc = scene.bodies[i];
     const sphere = `<geom type='sphere' size='${disc.radius}' mass='${disc.mass}'`;
     return disc.fixed ? `${sphere} pos='${x} ${y} 0'/>`
       : `<body><joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>${sphere}/></body>`;
@@ -28,7 +28,7 @@ function make(scene, initial, h) {
   let next = 0;
   initial.forEach(([x, y, vx, vy], i) => {
     slides.push(next);
-    if (scene.discs[i].fixed) return;
+    if (scene.bodies[i].fixed) return;
     data.qpos.set([x, y], next);
     data.qvel.set([vx, vy], next);
     next += 2;

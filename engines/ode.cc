@@ -1,4 +1,5 @@
-// ODE: discs as spheres that stay in the plane z = 0, half-planes as planes. --quick takes its iterative stepper.
+// ODE: discs as spheres and boxes as deep ones, which stay in the plane z = 0, half-planes as planes. --quick takes its
+// iterative stepper.
 #include <ode/ode.h>
 
 #include "protocol.h"
@@ -8,7 +9,8 @@ namespace {
 using engines::Scene;
 using engines::State;
 
-constexpr int kMaxContacts = 4;  // of two geometries; spheres and planes have one
+constexpr int kMaxContacts = 8;  // of two geometries; spheres and planes have one
+constexpr double kDepth = 1;     // m, of a box
 
 class OdeWorld : public engines::World {
  public:
@@ -20,17 +22,31 @@ class OdeWorld : public engines::World {
         contacts_(dJointGroupCreate(0)) {
     dWorldSetGravity(world_, scene.gravity[0], scene.gravity[1], 0);
     for (std::size_t i = 0; i < initial.size(); ++i) {
-      const engines::Disc& disc = scene.discs[i];
-      const dGeomID geometry = dCreateSphere(space_, disc.radius);
+      const engines::Body& given = scene.bodies[i];
+      const dGeomID geometry = given.radius > 0 ? dCreateSphere(space_, given.radius)
+                                                : dCreateBox(space_, 2 * given.half[0], 2 * given.half[1], kDepth);
+      dMatrix3 turned;
+      dRFromAxisAndAngle(turned, 0, 0, 1, given.angle);
       dBodyID body = nullptr;
-      if (disc.fixed) {
+      if (given.fixed) {
         dGeomSetPosition(geometry, initial[i][0], initial[i][1], 0);
+        dGeomSetRotation(geometry, turned);
       } else {
         body = dBodyCreate(world_);
         dMass mass;
-        dMassSetSphereTotal(&mass, disc.mass, disc.radius);
+        dMassSetSphereTotal(&mass, given.mass, given.radius > 0 ? given.radius : 1);
+        if (given.inertia > 0) {
+          const double about = given.inertia;
+          dMassSetParameters(&mass, given.mass, 0, 0, 0, about, about, about, 0, 0, 0);
+        }
         dBodySetMass(body, &mass);
-        dBodySetMaxAngularSpeed(body, 0);
+        if (given.inertia > 0) {
+          dJointAttach(dJointCreatePlane2D(world_, nullptr), body, nullptr);
+        } else {
+          dBodySetMaxAngularSpeed(body, 0);
+        }
+        dBodySetRotation(body, turned);
+        dBodySetAngularVel(body, 0, 0, given.spin);
         dBodySetPosition(body, initial[i][0], initial[i][1], 0);
         dBodySetLinearVel(body, initial[i][2], initial[i][3], 0);
         dGeomSetBody(geometry, body);
@@ -57,6 +73,10 @@ class OdeWorld : public engines::World {
   State Get(int disc) const override {
     const dReal *p = dBodyGetPosition(bodies_[disc]), *v = dBodyGetLinearVel(bodies_[disc]);
     return {p[0], p[1], v[0], v[1]};
+  }
+  engines::Vec2 Turn(int body) const override {
+    const dReal* turned = dBodyGetRotation(bodies_[body]);
+    return {std::atan2(turned[4], turned[0]), dBodyGetAngularVel(bodies_[body])[2]};
   }
 
  private:
@@ -88,8 +108,9 @@ class OdeWorld : public engines::World {
 int main(int argc, char** argv) {
   const bool quick = engines::HasFlag(argc, argv, "--quick");
   dInitODE2(0);
-  return engines::Serve(
-      {quick ? "ODE, quickStep" : "ODE", [quick](const Scene& scene, const std::vector<State>& initial, double) {
-         return std::make_unique<OdeWorld>(scene, initial, quick);
-       }});
+  return engines::Serve({.name = quick ? "ODE, quickStep" : "ODE",
+                         .make = [quick](const Scene& scene,
+                                         const std::vector<State>& initial,
+                                         double) { return std::make_unique<OdeWorld>(scene, initial, quick); },
+                         .boxes = true});
 }

@@ -99,7 +99,7 @@ function addPlane(world, { point: [x, y], normal: [nx, ny] }, material) {
 function make(scene, initial) {
   const world = newWorld(scene.gravity);
   const material = physics.createMaterial(scene.friction, scene.friction, scene.restitution);
-  const bodies = initial.map((state, i) => addDisc(world, scene.discs[i], material, state));
+  const bodies = initial.map((state, i) => addDisc(world, scene.bodies[i], material, state));
   const grounds = scene.planes.map((plane) => addPlane(world, plane, material));
   return {
     push: (disc, fx, fy) => vector(fx, fy, (force) => bodies[disc].addForce(force)),

@@ -1,4 +1,4 @@
-// planck: discs as they are, half-planes as long edges.
+// planck: discs and boxes as they are, half-planes as long edges.
 import * as planck from 'planck';
 import { serve, versionOf } from './protocol.mjs';
 
@@ -8,11 +8,11 @@ function make(scene, initial) {
   const world = new planck.World({ gravity: { x: scene.gravity[0], y: scene.gravity[1] }, allowSleep: false });
   const surface = { restitution: scene.restitution, friction: scene.friction, density: 1 };
   const bodies = initial.map(([x, y, vx, vy], i) => {
-    const disc = scene.discs[i];
-    const body = world.createBody({ type: disc.fixed ? 'static' : 'dynamic', position: { x, y },
-      linearVelocity: { x: vx, y: vy }, fixedRotation: true });
-    body.createFixture({ shape: new planck.Circle(disc.radius), ...surface });
-    if (!disc.fixed) body.setMassData({ mass: disc.mass, center: { x: 0, y: 0 }, I: 0 });
+    const given = scene.bodies[i];
+    const body = world.createBody({ type: given.fixed ? 'static' : 'dynamic', position: { x, y },
+      linearVelocity: { x: vx, y: vy }, fixedRotation: !given.inertia, angle: given.angle, angularVelocity: given.spin });
+    body.createFixture({ shape: given.radius ? new planck.Circle(given.radius) : new planck.Box(...given.half), ...surface });
+    if (!given.fixed) body.setMassData({ mass: given.mass, center: { x: 0, y: 0 }, I: given.inertia });
     return body;
   });
   for (const { point: [x, y], normal: [nx, ny] } of scene.planes) {
@@ -26,7 +26,8 @@ function make(scene, initial) {
       const p = bodies[disc].getPosition(), v = bodies[disc].getLinearVelocity();
       return [p.x, p.y, v.x, v.y];
     },
+    turn: (body) => [bodies[body].getAngle(), bodies[body].getAngularVelocity()],
   };
 }
 
-await serve({ name: `planck ${await versionOf('planck')}`, make });
+await serve({ name: `planck ${await versionOf('planck')}`, make, boxes: true });

@@ -7,6 +7,12 @@
 //   -> {"id": 1, "simulate": {"steps": 480, "duration": 1, "initial": [[px, py, vx, vy], ...], "control": [[[fx, fy],
 //   ...], ...]}}
 //   <- {"id": 1, "final": [[px, py, vx, vy], ...]}
+// Boxes, and discs that turn, are those of a hybrid system (saltus_bodies), whose steps are asked for one by one:
+//   -> {"saltus": 1, "hybrid": {...}, "scene": {...}}
+//   -> {"id": 1, "step": {"mode": "ooo", "t": 0, "h": 0.01, "state": [q, v], "parameters": [restitution, friction,
+//       gravity x, gravity y]}}
+//   <- {"id": 1, "mode": "ooo", "state": [q, v]}
+// with x, y and the angle of each body that moves in q, and their rates in v.
 // A control has a row of forces a step (or one row for all steps), one force a controlled disc.
 #pragma once
 
@@ -33,10 +39,16 @@ using Json = nlohmann::json;
 using Vec2 = std::array<double, 2>;
 using State = std::array<double, 4>;  // px py vx vy, in m and m/s
 
-struct Disc {
+// A disc or, if it has no radius, a box.
+struct Body {
   double radius = 0;  // m
   double mass = 1;    // kg
   bool fixed = false;
+  Vec2 half{};         // m, half the width and the height of a box
+  double inertia = 0;  // kg m^2; 0: it does not turn
+  double angle = 0;    // rad, at the start
+  double spin = 0;     // rad/s, at the start
+  Vec2 position{};     // m, of a fixed one
 };
 
 // Discs stay on the side of `point` that `normal` points to.
@@ -47,22 +59,25 @@ struct Plane {
 
 struct Scene {
   Vec2 gravity{};  // m/s^2
-  std::vector<Disc> discs;
+  std::vector<Body> bodies;
   std::vector<Plane> planes;
   double restitution = 1;
   double friction = 0;
-  std::vector<int> controlled;  // discs
+  std::vector<int> controlled;
+  bool frictionless = false;  // of a hybrid system: whatever its parameters say
 };
 
-// A simulation at work. Discs do not turn.
+// A simulation at work.
 class World {
  public:
   virtual ~World() = default;
-  // A force in N on the centre of a disc that is not fixed, in the next step only.
-  virtual void Push(int disc, double fx, double fy) = 0;
+  // A force in N on the centre of a body that is not fixed, in the next step only.
+  virtual void Push(int body, double fx, double fy) = 0;
   // h: s.
   virtual void Step(double h) = 0;
-  virtual State Get(int disc) const = 0;
+  virtual State Get(int body) const = 0;
+  // Angle and angular velocity, of worlds in which bodies turn.
+  virtual Vec2 Turn(int) const { return {}; }
 };
 
 struct Simulator {
@@ -71,6 +86,7 @@ struct Simulator {
   std::function<std::unique_ptr<World>(const Scene&, const std::vector<State>& initial, double h)> make;
   // Why the simulator cannot take a scene; empty if it can.
   std::function<std::string(const Scene&)> refusal = [](const Scene&) { return std::string(); };
+  bool boxes = false;  // whether its worlds have boxes, and bodies that turn
 };
 
 // A scene that asks for what no Scene holds: the reason.
@@ -89,7 +105,8 @@ inline void RefuseUnknown(const Json& object, const std::string& where, const st
   }
 }
 
-inline Scene ReadScene(const Json& in) {
+// `hybrid`: a scene of saltus_bodies.
+inline Scene ReadScene(const Json& in, bool hybrid) {
   RefuseUnknown(in,
                 "scene",
                 {"name",
@@ -103,14 +120,29 @@ inline Scene ReadScene(const Json& in) {
                  "objective",
                  "optimize",
                  "free",
-                 "no_contact"});
+                 "no_contact",
+                 hybrid ? "frictionless" : "name"});
   Scene scene;
+  scene.frictionless = hybrid && in.value("frictionless", false);
   scene.gravity = in.value("gravity", Vec2{});
   std::vector<std::string> names;
   for (const Json& body : in.at("bodies")) {
-    RefuseUnknown(body, "a body", {"name", "radius", "mass", "fixed", "position", "velocity"});
-    const bool fixed = body.value("fixed", false);
-    scene.discs.push_back({body.at("radius").get<double>(), fixed ? 1 : body.at("mass").get<double>(), fixed});
+    std::vector<std::string> known = {"name", "radius", "mass", "fixed", "position", "velocity"};
+    if (hybrid) known.insert(known.end(), {"box", "inertia", "angle"});
+    RefuseUnknown(body, "a body", known);
+    Body& added = scene.bodies.emplace_back();
+    added.fixed = body.value("fixed", false);
+    if (!added.fixed) added.mass = body.at("mass").get<double>();
+    if (hybrid) {
+      added.inertia = added.fixed ? 0 : body.at("inertia").get<double>();
+      added.angle = body.at("angle").get<double>();
+      added.position = body.at("position").get<Vec2>();
+    }
+    if (hybrid && body.contains("box")) {
+      added.half = body["box"].get<Vec2>();
+    } else {
+      added.radius = body.at("radius").get<double>();
+    }
     names.push_back(body.at("name").get<std::string>());
   }
   for (const Json& plane : in.value("planes", Json::array())) {
@@ -137,10 +169,10 @@ inline Scene ReadScene(const Json& in) {
 inline std::vector<State> States(const World& world, const Scene& scene, const std::vector<State>& initial) {
   std::vector<State> states = initial;
   for (std::size_t i = 0; i < states.size(); ++i) {
-    if (scene.discs[i].fixed) continue;
+    if (scene.bodies[i].fixed) continue;
     states[i] = world.Get(static_cast<int>(i));
     for (const double number : states[i]) {
-      if (!std::isfinite(number)) throw std::runtime_error("the state of disc " + std::to_string(i) + " is not finite");
+      if (!std::isfinite(number)) throw std::runtime_error("the state of body " + std::to_string(i) + " is not finite");
     }
   }
   return states;
@@ -153,8 +185,8 @@ inline Json Simulate(const Simulator& simulator, const Scene& scene, const Json&
   const auto initial = request.at("initial").get<std::vector<State>>();
   const auto control = request.value("control", std::vector<std::vector<Vec2>>());
   if (steps < 1 || !(h > 0)) throw std::runtime_error("steps and duration must be positive");
-  if (initial.size() != scene.discs.size()) {
-    throw std::runtime_error("initial: expected " + std::to_string(scene.discs.size()) + " rows, one a body");
+  if (initial.size() != scene.bodies.size()) {
+    throw std::runtime_error("initial: expected " + std::to_string(scene.bodies.size()) + " rows, one a body");
   }
   const std::size_t rows = control.size();
   if (!scene.controlled.empty() && rows != 1 && rows != static_cast<std::size_t>(steps)) {
@@ -181,6 +213,46 @@ inline Json Simulate(const Simulator& simulator, const Scene& scene, const Json&
   return answer;
 }
 
+// The answer to one "step", without its id.
+inline Json Step(const Simulator& simulator, Scene scene, const Json& step) {
+  const auto before = step.at("state").get<std::vector<double>>(), p = step.at("parameters").get<std::vector<double>>();
+  const std::size_t n = before.size() / 2;
+  std::size_t moving = 0;
+  for (const Body& body : scene.bodies) moving += body.fixed ? 0 : 1;
+  if (n != 3 * moving || before.size() != 2 * n || p.size() != 4) throw std::runtime_error("a state of another size");
+  scene.restitution = std::max(p[0], 0.0);
+  scene.friction = scene.frictionless ? 0 : std::max(p[1], 0.0);
+  scene.gravity = {p[2], p[3]};
+  std::vector<State> initial;
+  auto at = before.begin();
+  for (Body& body : scene.bodies) {
+    if (body.fixed) {
+      initial.push_back({body.position[0], body.position[1], 0, 0});
+      continue;
+    }
+    initial.push_back({at[0], at[1], at[n], at[n + 1]});
+    body.angle = at[2];
+    body.spin = at[n + 2];
+    at += 3;
+  }
+  const double h = step.at("h").get<double>();
+  const std::unique_ptr<World> world = simulator.make(scene, initial, h);
+  world->Step(h);
+  const std::vector<State> states = States(*world, scene, initial);
+  std::vector<double> after;
+  for (const bool of_rates : {false, true}) {
+    for (std::size_t i = 0; i < states.size(); ++i) {
+      if (scene.bodies[i].fixed) continue;
+      const auto turn = world->Turn(static_cast<int>(i));
+      after.insert(after.end(), {states[i][of_rates ? 2 : 0], states[i][of_rates ? 3 : 1], turn[of_rates ? 1 : 0]});
+      // Some worlds have angles from -pi to pi only.
+      const double jump = of_rates ? 0 : after.back() - scene.bodies[i].angle;
+      if (std::abs(jump) > M_PI) after.back() -= 2 * M_PI * std::round(jump / (2 * M_PI));
+    }
+  }
+  return {{"mode", step.at("mode")}, {"state", after}};
+}
+
 // The answer to one line. `scene` is that of the first line, once it has come.
 inline Json Answer(const Simulator& simulator, const std::string& line, Scene& scene) {
   Json answer = Json::object();
@@ -189,13 +261,19 @@ inline Json Answer(const Simulator& simulator, const std::string& line, Scene& s
     if (request.contains("id")) answer["id"] = request["id"];
     if (request.contains("saltus")) {
       answer = {{"name", simulator.name}, {"can", {"states"}}};
-      scene = ReadScene(request.at("scene"));
+      const bool hybrid = request.contains("hybrid");
+      if (hybrid && !simulator.boxes) throw NotApplicable("this driver has discs that do not turn only");
+      if (hybrid && !request.contains("scene")) throw NotApplicable("this driver has bodies only, in a \"scene\"");
+      if (hybrid) answer.erase("can");
+      scene = ReadScene(request.at("scene"), hybrid);
       const std::string refusal = simulator.refusal(scene);
       if (!refusal.empty()) throw NotApplicable(refusal);
     } else if (request.contains("simulate")) {
       answer.update(Simulate(simulator, scene, request["simulate"]));
+    } else if (request.contains("step")) {
+      answer.update(Step(simulator, scene, request["step"]));
     } else {
-      throw std::runtime_error("expected \"saltus\" or \"simulate\"");
+      throw std::runtime_error("expected \"saltus\", \"step\" or \"simulate\"");
     }
   } catch (const NotApplicable& reason) {
     answer["not_applicable"] = reason.what();

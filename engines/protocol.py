@@ -104,6 +104,8 @@ def serve(name, make, refusal=lambda scene: ""):
                 answer["id"] = request["id"]
             if "saltus" in request:
                 answer = {"name": name, "can": ["states"]}
+                if "hybrid" in request:
+                    raise NotApplicable("this driver has discs that do not turn only")
                 scene = Scene(request["scene"])
                 reason = refusal(scene)
                 if reason:

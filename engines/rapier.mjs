@@ -1,4 +1,4 @@
-// Rapier, 2-D: discs as they are, half-planes as half-spaces.
+// Rapier, 2-D: discs and boxes as they are, half-planes as half-spaces.
 import RAPIER from '@dimforge/rapier2d-compat';
 import { serve } from './protocol.mjs';
 
@@ -9,11 +9,15 @@ function make(scene, initial, h) {
   world.timestep = h;
   const surface = (collider) => collider.setRestitution(scene.restitution).setFriction(scene.friction);
   const bodies = initial.map(([x, y, vx, vy], i) => {
-    const disc = scene.discs[i];
-    const description = disc.fixed ? RAPIER.RigidBodyDesc.fixed() : RAPIER.RigidBodyDesc.dynamic();
-    const body = world.createRigidBody(
-      description.setTranslation(x, y).setLinvel(vx, vy).lockRotations().setCanSleep(false));
-    world.createCollider(surface(RAPIER.ColliderDesc.ball(disc.radius)).setMass(disc.mass), body);
+    const given = scene.bodies[i];
+    const description = given.fixed ? RAPIER.RigidBodyDesc.fixed() : RAPIER.RigidBodyDesc.dynamic();
+    if (!given.inertia) description.lockRotations();
+    const body = world.createRigidBody(description.setTranslation(x, y).setLinvel(vx, vy).setRotation(given.angle)
+      .setAngvel(given.spin).setCanSleep(false));
+    const shape = given.radius ? RAPIER.ColliderDesc.ball(given.radius) : RAPIER.ColliderDesc.cuboid(...given.half);
+    const collider = surface(shape);
+    world.createCollider(given.inertia ? collider.setMassProperties(given.mass, { x: 0, y: 0 }, given.inertia)
+      : collider.setMass(given.mass), body);
     return body;
   });
   for (const { point, normal } of scene.planes) {
@@ -30,8 +34,9 @@ function make(scene, initial, h) {
       const p = bodies[disc].translation(), v = bodies[disc].linvel();
       return [p.x, p.y, v.x, v.y];
     },
+    turn: (body) => [bodies[body].rotation(), bodies[body].angvel()],
     free: () => world.free(),
   };
 }
 
-await serve({ name: `Rapier ${RAPIER.version()}`, make });
+await serve({ name: `Rapier ${RAPIER.version()}`, make, boxes: true });

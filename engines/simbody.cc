@@ -13,18 +13,18 @@ class RigidWorld : public engines::SimbodyWorld {
   RigidWorld(const Scene& scene, const std::vector<State>& initial) : SimbodyWorld(scene), stepper_(system_) {
     const double e = scene.restitution, mu = scene.friction;
     for (std::size_t i = 0; i < initial.size(); ++i) {
-      const engines::Disc& disc = scene.discs[i];
+      const engines::Body& given = scene.bodies[i];
       const SimTK::Vec3 centre = Centre(disc, initial[i]);
       for (std::size_t j = 0; j < i; ++j) {
-        const engines::Disc& other = scene.discs[j];
-        if (disc.fixed && other.fixed) continue;
+        const engines::Body& other = scene.bodies[j];
+        if (given.fixed && other.fixed) continue;
         matter_.adoptUnilateralContact(new SimTK::SphereSphereContact(
-            bodies_[j], Centre(other, initial[j]), other.radius, bodies_[i], centre, disc.radius, e, mu, mu, 0));
+            bodies_[j], Centre(other, initial[j]), other.radius, bodies_[i], centre, given.radius, e, mu, mu, 0));
       }
       for (const engines::Plane& plane : scene.planes) {
-        if (disc.fixed) continue;
+        if (given.fixed) continue;
         // A centre that stays above its plane.
-        const double height = plane.normal[0] * plane.point[0] + plane.normal[1] * plane.point[1] + disc.radius;
+        const double height = plane.normal[0] * plane.point[0] + plane.normal[1] * plane.point[1] + given.radius;
         matter_.adoptUnilateralContact(
             new SimTK::PointPlaneContact(matter_.updGround(),
                                          SimTK::UnitVec3(plane.normal[0], plane.normal[1], 0),

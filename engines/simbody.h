@@ -14,7 +14,7 @@ class SimbodyWorld : public World {
         forces_(system_),
         gravity_(forces_, matter_, SimTK::Vec3(scene.gravity[0], scene.gravity[1], 0)),
         pushes_(forces_, matter_) {
-    for (const Disc& disc : scene.discs) {
+    for (const Body& disc : scene.bodies) {
       if (disc.fixed) {
         bodies_.push_back(matter_.Ground());
       } else {
@@ -45,7 +45,7 @@ class SimbodyWorld : public World {
   virtual void Advance(double h) = 0;
 
   // Where the centre of a disc is in the frame of its body.
-  static SimTK::Vec3 Centre(const Disc& disc, const State& initial) {
+  static SimTK::Vec3 Centre(const Body& disc, const State& initial) {
     return disc.fixed ? SimTK::Vec3(initial[0], initial[1], 0) : SimTK::Vec3(0);
   }
   // The state to begin with. Once all that is in the system has been added.

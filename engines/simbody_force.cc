@@ -20,8 +20,8 @@ class ForceWorld : public engines::SimbodyWorld {
     for (std::size_t i = 0; i < initial.size(); ++i) {
       contacts_.addBody(set,
                         bodies_[i],
-                        SimTK::ContactGeometry::Sphere(scene.discs[i].radius),
-                        SimTK::Transform(Centre(scene.discs[i], initial[i])));
+                        SimTK::ContactGeometry::Sphere(scene.bodies[i].radius),
+                        SimTK::Transform(Centre(scene.bodies[i], initial[i])));
     }
     for (const engines::Plane& plane : scene.planes) {  // a half-space is where x > 0
       const SimTK::Rotation into(SimTK::UnitVec3(-plane.normal[0], -plane.normal[1], 0), SimTK::XAxis);
@@ -60,14 +60,14 @@ class ForceWorld : public engines::SimbodyWorld {
     double fastest = 0;
     std::vector<State> now = initial_;
     for (std::size_t i = 0; i < now.size(); ++i) {
-      if (!scene_.discs[i].fixed) now[i] = Get(static_cast<int>(i));
+      if (!scene_.bodies[i].fixed) now[i] = Get(static_cast<int>(i));
       fastest = std::max(fastest, std::hypot(now[i][2], now[i][3]));
     }
     const double reach = 4 * h * fastest + h;
     for (std::size_t i = 0; i < now.size(); ++i) {
-      const double radius = scene_.discs[i].radius + reach;
+      const double radius = scene_.bodies[i].radius + reach;
       for (std::size_t j = 0; j < i; ++j) {
-        if (std::hypot(now[i][0] - now[j][0], now[i][1] - now[j][1]) < radius + scene_.discs[j].radius) return true;
+        if (std::hypot(now[i][0] - now[j][0], now[i][1] - now[j][1]) < radius + scene_.bodies[j].radius) return true;
       }
       for (const engines::Plane& plane : scene_.planes) {
         const double x = now[i][0] - plane.point[0], y = now[i][1] - plane.point[1];

@@ -22,8 +22,8 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PROGRAMS = ["saltus_audit", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene", "saltus_simulate",
-            "saltus_replay", "saltus_reproduce", "two_balls", "bouncing_ball"]
+PROGRAMS = ["saltus_audit", "saltus_bodies", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene",
+            "saltus_simulate", "saltus_replay", "saltus_reproduce", "two_balls", "bouncing_ball"]
 # What stands for many programs.
 KINDS = {"two_balls": "the problems", "bouncing_ball": "the hybrid systems"}
 TASKS = {"bounce_once": "one bounce", "ground_wall": "ground and wall", "two_balls": "two balls"}

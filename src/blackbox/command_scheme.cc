@@ -2,6 +2,7 @@
 
 #include <poll.h>
 
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -24,7 +25,7 @@ ProtocolJson NamesOf(int count, const Name& name) {
 
 }  // namespace
 
-CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options)
+CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options, const ProtocolJson& scene)
     : system_(system),
       options_(std::move(options)),
       conversation_(std::make_unique<Conversation>(options_.command, options_.on_error_line)) {
@@ -33,12 +34,13 @@ CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options)
     modes.push_back({{"name", system.ModeName(mode)},
                      {"states", NamesOf(system.state_size(mode), [&](int i) { return system.StateName(mode, i); })}});
   }
-  const ProtocolJson hello = {
+  ProtocolJson hello = {
       {"saltus", 1},
       {"hybrid",
        {{"modes", std::move(modes)},
         {"controls", NamesOf(system.num_controls(), [&](int i) { return system.ControlName(i); })},
         {"parameters", NamesOf(system.num_parameters(), [&](int i) { return system.ParameterName(i); })}}}};
+  if (!scene.is_null()) hello["scene"] = scene;
   const std::string line = Answer(hello.dump(), "the greeting");
   if (!broken_.empty()) return;
   const ProtocolJson greeting = ProtocolJson::parse(line, nullptr, /*allow_exceptions=*/false);
@@ -110,6 +112,7 @@ int CommandScheme::Ask(const SchemeStep& step, double* next, double* jacobian, s
     const std::size_t size = system_.state_size(mode), columns = n + m + P;
     const std::vector<double> state = NumbersFrom(json.value("state", ProtocolJson()), {size}, "\"state\"");
     std::copy(state.begin(), state.end(), next);
+    for (const double number : state) is_float32_ = is_float32_ && number == static_cast<float>(number);
     if (jacobian == nullptr) return mode;
     const std::vector<double> rows =
         NumbersFrom(json.value("jacobian", ProtocolJson()), {size, columns}, "\"jacobian\"");
@@ -125,7 +128,9 @@ int CommandScheme::Step(const SchemeStep& step, double* next, double* jacobian, 
   const StepFunction ask = [this](const SchemeStep& at, double* after, std::string* why) {
     return Ask(at, after, nullptr, why);
   };
-  return DifferenceStep(system_, step, ask, next, jacobian, error);
+  if (next_id_ == 1 && Ask(step, next, nullptr, error) < 0) return -1;  // to know the precision
+  const double precision = is_float32_ ? std::numeric_limits<float>::epsilon() : std::numeric_limits<double>::epsilon();
+  return DifferenceStep(system_, step, ask, next, jacobian, error, precision);
 }
 
 }  // namespace saltus

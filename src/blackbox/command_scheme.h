@@ -1,7 +1,7 @@
 // A time-stepping scheme for a hybrid system that is a command: it is asked for steps, one JSON object a line.
 //
 //   -> {"saltus": 1, "hybrid": {"modes": [{"name": "flight", "states": ["y", "v"]}], "controls": [...],
-//                               "parameters": [...]}}
+//                               "parameters": [...]}, "scene": {...}}     "scene" if the system is made of one
 //   <- {"name": "mine 1.0", "can": ["jacobian"]}      both optional; "not_applicable": "why"
 //   -> {"id": 1, "step": {"mode": "flight", "t": 0, "h": 0.01, "state": [...], "control": [...], "parameters": [...],
 //                         "jacobian": true}}
@@ -9,11 +9,12 @@
 //   <- {"id": 1, "error": "what went wrong"}          instead of an answer
 //
 // A Jacobian has a row for each component of the new state and a column for each of [state control parameters]. Without
-// one, steps are differentiated by differences.
+// one, steps are differentiated by differences, which are wider if all that is answered are numbers of float32.
 #pragma once
 
 #include <cstdint>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <string>
 
 #include "blackbox/command_box.h"
@@ -25,8 +26,9 @@ class Conversation;
 
 class CommandScheme final : public HybridScheme {
  public:
-  // Starts the command; of the options `copies` has no meaning.
-  CommandScheme(const HybridSystem& system, CommandOptions options);
+  // Starts the command; of the options `copies` has no meaning. `scene`: what the command is told beside the names of
+  // the system; null if there is nothing.
+  CommandScheme(const HybridSystem& system, CommandOptions options, const nlohmann::ordered_json& scene = nullptr);
   ~CommandScheme() override;
 
   std::string name() const override { return options_.name; }
@@ -42,6 +44,7 @@ class CommandScheme final : public HybridScheme {
   std::unique_ptr<Conversation> conversation_;
   std::string broken_;  // why it is of no use
   bool has_jacobian_ = false;
+  bool is_float32_ = true;  // so far
   std::int64_t next_id_ = 1;
 };
 

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <iostream>
 
 #include "base/interrupt.h"
@@ -45,10 +44,7 @@ namespace {
 
 constexpr int kMostSamples = 400;  // of a motion that is drawn
 
-struct HybridRequest {
-  std::string name;
-  HybridProblem problem;
-  HybridExtras extras;
+struct HybridRequest : HybridTask {
   std::vector<std::string> solvers = {};
   std::vector<std::shared_ptr<HybridScheme>> schemes = {};
   SolverOptions options = {};
@@ -138,14 +134,16 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   return names;
 }
 
-// False if there is nothing more to do.
-bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
-  if (FLAGS_solver == "list") {
-    for (const HybridSolverEntry& entry : HybridSolvers()) {
-      std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
-    }
-    return false;
+// Prints them if --solver=list asks for that.
+bool ListedSolvers() {
+  if (FLAGS_solver != "list") return false;
+  for (const HybridSolverEntry& entry : HybridSolvers()) {
+    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
   }
+  return true;
+}
+
+void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
   HybridProblem& problem = request->problem;
   ReadSet(&problem);
   if (FLAGS_steps < 0) throw InputError("--steps must be positive");
@@ -184,11 +182,11 @@ bool ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
     };
     request->schemes.push_back(std::make_shared<CommandScheme>(
         problem.system,
-        CommandOptions{command.name, command.command, /*copies=*/1, FLAGS_simulate_seconds, on_error_line}));
+        CommandOptions{command.name, command.command, /*copies=*/1, FLAGS_simulate_seconds, on_error_line},
+        request->extras.scene));
   }
   if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; the page has states anyway");
   if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());
-  return true;
 }
 
 // What is drawn of a motion at each of its samples.
@@ -260,7 +258,13 @@ HybridResults Compute(const HybridRequest& request) {
   if (FLAGS_steps > 0) options.steps = FLAGS_steps;
   for (const std::shared_ptr<HybridScheme>& scheme : request.schemes) {
     progress.Advance(0, "audit of " + scheme->name());
-    results.audits.push_back(AuditScheme(problem, scheme.get(), options));
+    HybridAuditOptions limited = options;
+    if (scheme != request.extras.scheme) {
+      // A command is asked for two steps per variable for the Jacobian of each step, which take some 50 us each.
+      limited.refinement.samples = 3;
+      limited.refinement.budget = 5000;
+    }
+    results.audits.push_back(AuditScheme(problem, scheme.get(), limited));
     progress.Advance();
     document["audits"].push_back(HybridAuditToJson(problem, results.audits.back()));
   }
@@ -446,15 +450,13 @@ int ExitCode(const HybridResults& results) {
 
 }  // namespace
 
-int RunHybridProgram(int argc, char** argv, const HybridProblem& problem, const HybridExtras& extras) {
+int RunHybridProgram(int argc, char** argv, const Program& program, const std::function<HybridTask()>& read) {
   const std::vector<std::string> arguments(argv, argv + argc);
-  HybridRequest request{
-      .name = std::filesystem::path(argv[0]).filename().string(), .problem = problem, .extras = extras};
-  Program program = FindProgram("the programs of hybrid systems");
-  program.name = request.name;
   return RunMain(argc, argv, program, [&] {
     const InterruptGuard guard;
-    if (!ReadHybridRequest(arguments, &request)) return kDone;
+    if (ListedSolvers()) return kDone;
+    HybridRequest request{read()};
+    ReadHybridRequest(arguments, &request);
     const HybridResults results = Compute(request);
     DoAll({[&] { WritePage(request, results); },
            [&] {

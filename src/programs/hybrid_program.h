@@ -15,8 +15,11 @@
 #include <array>
 #include <functional>
 #include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
 #include <vector>
 
+#include "programs/program_flags.h"
 #include "saltus/audit/hybrid_audit.h"
 #include "saltus/hybrid/hybrid_problem.h"
 
@@ -40,13 +43,11 @@ class HybridDrawing {
 struct HybridExtras {
   std::function<void(int mode, double t, const double* x, const double* p, HybridDrawing* drawing)> draw;
   std::shared_ptr<HybridScheme> scheme;
+  nlohmann::ordered_json scene = {};  // what commands of --simulate are told beside the names of the system
 };
 
-int RunHybridProgram(int argc, char** argv, const HybridProblem& problem, const HybridExtras& extras);
-
-// Precondition: problem.system is that of `system`.
 template <typename S>
-int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem& problem) {
+HybridExtras ExtrasOf(const S& system) {
   HybridExtras extras;
   if constexpr (requires(const double* x, HybridDrawing* drawing) { system.Draw(0, 0.0, x, x, drawing); }) {
     extras.draw = [system](int mode, double t, const double* x, const double* p, HybridDrawing* drawing) {
@@ -56,7 +57,24 @@ int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem
   if constexpr (requires(const double& t, const double* x, double* next) { system.Step(0, t, x, x, x, t, next); }) {
     extras.scheme = std::make_shared<HybridSchemeOf<S>>(system);
   }
-  return RunHybridProgram(argc, argv, problem, extras);
+  return extras;
+}
+
+// What a program works on.
+struct HybridTask {
+  HybridProblem problem;
+  HybridExtras extras = {};
+  std::string name = {};  // in results
+};
+
+// `read` is called once flags are read; it may throw InputError.
+int RunHybridProgram(int argc, char** argv, const Program& program, const std::function<HybridTask()>& read);
+
+// Of one problem. Precondition: problem.system is that of `system`.
+template <typename S>
+int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem& problem) {
+  const Program program = HybridProblemProgram(argv[0]);
+  return RunHybridProgram(argc, argv, program, [&] { return HybridTask{problem, ExtrasOf(system), program.name}; });
 }
 
 }  // namespace saltus

@@ -4,6 +4,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <optional>
 
 #include "base/suggestion.h"
@@ -55,6 +56,30 @@ const FlagGroup kHybridFeedback = {"Feedback and uncertainty",
                                     "feedback_seed=N"}};
 const FlagGroup kOutput = {"Output", {"json", "output_dir=DIR", "progress=NAME", "threads=N"}};
 
+const std::vector<FlagGroup> kHybridGroups = {
+    {"Problem (in place of the program's own)", {"set=LIST", "steps=N"}},
+    {"Solvers",
+     {"solver=LIST",
+      "iterations=N",
+      "learning_rate=X",
+      "rate_per_time",
+      "search_work=N",
+      "search_seconds=S",
+      "search_memory=MIB",
+      "search_starts=N",
+      "search_seed=N"}},
+    kHybridFeedback,
+    {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
+    {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}};
+constexpr char kHybridNotes[] =
+    "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
+    "ceres_lm, or where it does not apply ceres_lbfgs or gd.";
+
+std::vector<FlagGroup> WithScene(std::vector<FlagGroup> groups) {
+  groups.front() = {"Problem (these flags override the file)", {"scene=FILE", "set=LIST", "steps=N"}};
+  return groups;
+}
+
 // "scene" of "scene=FILE", "all_formulations" of "[no]all_formulations".
 std::string NameOf(std::string_view flag) {
   if (flag.starts_with("[no]")) flag.remove_prefix(4);
@@ -105,22 +130,13 @@ std::vector<Program> MakePrograms() {
       {kHybridProblems,
        "Motion, loss with gradient, optimisation and audit of a problem of a hybrid system",
        {"[--set=NAME=VALUE,...] [--solver=LIST|none] [--audit] [--json]"},
-       {{"Problem (in place of the program's own)", {"set=LIST", "steps=N"}},
-        {"Solvers",
-         {"solver=LIST",
-          "iterations=N",
-          "learning_rate=X",
-          "rate_per_time",
-          "search_work=N",
-          "search_seconds=S",
-          "search_memory=MIB",
-          "search_starts=N",
-          "search_seed=N"}},
-        kHybridFeedback,
-        {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
-        {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}},
-       "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
-       "ceres_lm, or where it does not apply ceres_lbfgs or gd."},
+       kHybridGroups,
+       kHybridNotes},
+      {"saltus_bodies",
+       "Motion, loss with gradient, optimisation and audit of a problem of planar bodies in a file",
+       {"--scene=FILE [--set=NAME=VALUE,...] [--solver=LIST|none] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
+       WithScene(kHybridGroups),
+       kHybridNotes},
       {"saltus_audit",
        "Audits the gradients of contact models: which are right, which are wrong, where and why",
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
@@ -208,6 +224,12 @@ const Program& FindProgram(std::string_view name) {
 Program ProblemProgram(const std::string& name) {
   Program program = FindProgram(kProblems);
   program.name = name;
+  return program;
+}
+
+Program HybridProblemProgram(const std::string& path) {
+  Program program = FindProgram(kHybridProblems);
+  program.name = std::filesystem::path(path).filename().string();
   return program;
 }
 

@@ -28,6 +28,8 @@ const std::vector<Program>& AllPrograms();
 const Program& FindProgram(std::string_view name);
 // The program of the problem of that name.
 Program ProblemProgram(const std::string& name);
+// That of a hybrid system, of whose main this is the first argument.
+Program HybridProblemProgram(const std::string& path);
 
 // Without values: "scene", "json".
 std::vector<std::string> FlagNames(const Program& program);

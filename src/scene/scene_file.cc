@@ -11,32 +11,28 @@
 namespace saltus {
 namespace {
 
-using internal::SceneFileFailure;
-
-Scene ReadScene(std::string_view text) {
-  internal::SceneReader reader;
-  Scene scene = reader.Read(internal::LoadYaml(text));
-  if (const auto error = Validate(scene)) throw SceneFileFailure{reader.LineOf(error->key), error->key, error->message};
-  return scene;
-}
-
 SceneFileError CannotRead(const std::string& path, const std::string& why) {
   return {path, 0, "", "cannot read: " + why + "; expected a scene file"};
 }
 
-}  // namespace
-
-std::string SceneFileError::ToString() const {
-  std::string text = file;
-  if (line > 0) text += ':' + std::to_string(line);
-  if (!key.empty()) text += ": " + key;
-  return text + ": " + message;
+// `text` becomes that of the file, or of its beginning if it is longer than allowed.
+std::optional<SceneFileError> ReadText(const std::string& path, std::string* text) {
+  std::error_code status;
+  if (std::filesystem::is_directory(path, status)) return CannotRead(path, "it is a directory");
+  std::ifstream file(path, std::ios::binary);
+  if (!file) return CannotRead(path, std::strerror(errno));
+  text->assign(kMaxSceneBytes + 1, '\0');  // one more than allowed, to see that there is more
+  file.read(text->data(), static_cast<std::streamsize>(text->size()));
+  if (file.bad()) return CannotRead(path, std::strerror(errno));
+  text->resize(static_cast<std::size_t>(file.gcount()));
+  return std::nullopt;
 }
 
-std::variant<Scene, SceneFileError> ParseScene(std::string_view text, const std::string& name) {
+std::optional<SceneFileError> ReadYaml(std::string_view text, const std::string& name, const internal::UseTree& use) {
   try {
-    return ReadScene(text);
-  } catch (const SceneFileFailure& failure) {
+    use(internal::LoadYaml(text));
+    return std::nullopt;
+  } catch (const internal::SceneFileFailure& failure) {
     return SceneFileError{name, failure.line, failure.key, failure.message};
   } catch (const YAML::Exception& error) {
     return SceneFileError{name,
@@ -46,15 +42,37 @@ std::variant<Scene, SceneFileError> ParseScene(std::string_view text, const std:
   }
 }
 
+}  // namespace
+
+std::optional<SceneFileError> internal::ReadYamlFile(const std::string& path, const UseTree& use) {
+  std::string text;
+  if (std::optional<SceneFileError> error = ReadText(path, &text)) return error;
+  return ReadYaml(text, path, use);
+}
+
+std::string SceneFileError::ToString() const {
+  std::string text = file;
+  if (line > 0) text += ':' + std::to_string(line);
+  if (!key.empty()) text += ": " + key;
+  return text + ": " + message;
+}
+
+std::variant<Scene, SceneFileError> ParseScene(std::string_view text, const std::string& name) {
+  Scene scene;
+  const std::optional<SceneFileError> error = ReadYaml(text, name, [&](const YAML::Node& root) {
+    internal::SceneReader reader;
+    scene = reader.Read(root);
+    if (const auto wrong = Validate(scene)) {
+      throw internal::SceneFileFailure{reader.LineOf(wrong->key), wrong->key, wrong->message};
+    }
+  });
+  if (error) return *error;
+  return scene;
+}
+
 std::variant<Scene, SceneFileError> LoadSceneFile(const std::string& path) {
-  std::error_code status;
-  if (std::filesystem::is_directory(path, status)) return CannotRead(path, "it is a directory");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) return CannotRead(path, std::strerror(errno));
-  std::string text(kMaxSceneBytes + 1, '\0');  // one more than allowed, to see that there is more
-  file.read(text.data(), static_cast<std::streamsize>(text.size()));
-  if (file.bad()) return CannotRead(path, std::strerror(errno));
-  text.resize(static_cast<std::size_t>(file.gcount()));
+  std::string text;
+  if (const std::optional<SceneFileError> error = ReadText(path, &text)) return *error;
   return ParseScene(text, path);
 }
 

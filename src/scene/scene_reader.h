@@ -14,7 +14,8 @@ namespace saltus::internal {
 // Of quantities in scene files, in the order of TerminalTerm::Quantity.
 inline constexpr std::array kQuantities = {"position", "velocity", "angle", "angular_velocity"};
 
-// Builds a Scene out of a YAML tree, and remembers the line of every path that it passes.
+// Builds a Scene out of a YAML tree, and remembers the line of every path that it passes. Files of other problems that
+// have parts of scene files in them are read by classes that inherit these parts.
 class SceneReader {
  public:
   Scene Read(const YAML::Node& root);
@@ -22,7 +23,7 @@ class SceneReader {
   // Line of a path, or of the innermost part of it that stands in the text.
   int LineOf(std::string path) const;
 
- private:
+ protected:
   // A map all of whose keys are known.
   struct Fields {
     Value map;

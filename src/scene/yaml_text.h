@@ -3,9 +3,13 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <functional>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "saltus/scene/scene_file.h"
 
 namespace saltus::internal {
 
@@ -24,5 +28,9 @@ std::string Join(const std::vector<std::string>& words);
 
 // The tree of one document, without anchors, aliases and tags, and not deeper than kMaxSceneDepth.
 YAML::Node LoadYaml(std::string_view text);
+
+// Calls `use` with the tree of a file. Returns why there is none, or what `use` throws: a SceneFileFailure.
+using UseTree = std::function<void(const YAML::Node& root)>;
+std::optional<SceneFileError> ReadYamlFile(const std::string& path, const UseTree& use);
 
 }  // namespace saltus::internal

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cctype>
 #include <charconv>
+#include <cmath>
 
 #include "base/suggestion.h"
 #include "scene/yaml_text.h"
@@ -19,7 +20,7 @@ bool ParseAll(std::string_view text, T* value) {
     if (text.starts_with('-')) return false;
   }
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), *value);
-  return status == std::errc() && end == text.data() + text.size();
+  return status == std::errc() && end == text.data() + text.size() && std::isfinite(*value);
 }
 
 template <typename T>

@@ -18,8 +18,8 @@ import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
-PROGRAMS = ["saltus_audit", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene", "saltus_simulate",
-            "saltus_replay", "saltus_reproduce"]
+PROGRAMS = ["saltus_audit", "saltus_bodies", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene",
+            "saltus_simulate", "saltus_replay", "saltus_reproduce"]
 LITERAL = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 NOTEBOOK_AS_MARKDOWN = runpy.run_path(str(SOURCE / "docs" / "conf.py"))["notebook_as_markdown"]
 

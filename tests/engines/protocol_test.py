@@ -3,6 +3,7 @@
 import argparse
 import copy
 import json
+import math
 import pathlib
 import subprocess
 import sys
@@ -86,6 +87,32 @@ class Protocol(unittest.TestCase):
                 self.assertIn("angular_velocity", self.ask(command, spinning)[0]["not_applicable"])
                 rough = scene_with(contact={**SCENE["contact"], "rolling_friction": 0.1})
                 self.assertIn("rolling_friction", self.ask(command, rough)[0]["not_applicable"])
+
+    # A box flies, and strikes the ground with a corner: Newton's law without friction.
+    def test_steps_of_a_box(self):
+        mass, inertia, (a, b), angle, e, h = 2, 0.05, (0.3, 0.2), 0.7, 0.5, 1e-4
+        box = {"name": "box", "position": [0, 0], "angle": 0, "fixed": False, "mass": mass, "inertia": inertia, "box": [a, b]}
+        post = {"name": "post", "position": [9, 9], "angle": 1, "fixed": True, "mass": 1, "inertia": 1, "radius": 0.1}
+        hello = {"saltus": 1, "hybrid": {}, "scene": {"bodies": [post, box], "planes": [{"point": [0, 0], "normal": [0, 1]}]}}
+        corner = [-a * math.cos(angle) + b * math.sin(angle), -a * math.sin(angle) - b * math.cos(angle)]
+        depth, vy, spin = 1e-4, -4, 1.5
+        flies, strikes = [0, 5, 3, 1, 2, -2], [0.5, -corner[1] - depth, angle, 1, vy, spin]
+        steps = [{"id": i, "step": {"mode": "ooo", "t": 0, "h": h, "state": state, "control": [],
+                                    "parameters": [e, 0, 0, gravity]}}
+                 for i, (state, gravity) in enumerate([(flies, -10), (strikes, 0)])]
+        for name, command in self.commands.items():
+            with self.subTest(name):
+                greeting, *answers = self.ask(command, hello, *steps)
+                if name == "python":
+                    self.assertIn("do not turn", greeting["not_applicable"])
+                    continue
+                self.assertEqual([answer["mode"] for answer in answers], ["ooo", "ooo"])
+                flown, struck = (answer["state"] for answer in answers)
+                for found, expected in zip(flown, [h, 5 + 2 * h, 3 - 2 * h, 1, 2 - 10 * h, -2]):
+                    self.assertAlmostEqual(found, expected, delta=2e-5)
+                impulse = -(1 + e) * (vy + corner[0] * spin) / (1 / mass + corner[0] ** 2 / inertia)
+                for found, expected in zip(struck[3:], [1, vy + impulse / mass, spin + corner[0] * impulse / inertia]):
+                    self.assertAlmostEqual(found, expected, delta=0.02)
 
     def test_errors_come_with_the_id_and_do_not_end_the_driver(self):
         bad = [simulate(control=FORCES[:3]), simulate(control=[[[0, 0], [0, 0]]]), simulate(initial=INITIAL[:1]),

@@ -215,7 +215,7 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
   } cases[] = {
       {"saltus_audit --iterations=5" + SceneFlag("two_balls"),
        "--iterations is not a flag of saltus_audit, but of the problems' programs, the programs of hybrid systems, "
-       "saltus_solve and saltus_sweep"},
+       "saltus_bodies, saltus_solve and saltus_sweep"},
       {"saltus_audit --flagfile=" + file + SceneFlag("two_balls"), "--iterations is not a flag of saltus_audit"},
       {"saltus_solve --given=x.json" + SceneFlag("two_balls"),
        "--given is not a flag of saltus_solve, but of saltus_audit"},

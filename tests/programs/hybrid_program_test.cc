@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <regex>
 #include <string>
 
 #include "programs/run_command.h"
@@ -187,6 +188,200 @@ TEST(HybridProgram, HelpListsItsOwnFlags) {
   EXPECT_EQ(help.exit_code, 0);
   EXPECT_THAT(help.output, HasSubstr("--set=LIST"));
   EXPECT_THAT(help.output, testing::Not(HasSubstr("--contact")));
+}
+
+class BodiesProgram : public testing::Test {
+ protected:
+  ~BodiesProgram() override { std::filesystem::remove(path_); }
+
+  // saltus_bodies on a file with this text.
+  Outcome Run(const std::string& text, const std::string& flags) const {
+    std::ofstream(path_) << text;
+    return RunProgram("saltus_bodies --scene=" + path_ + " " + flags);
+  }
+  json Document(const std::string& text, const std::string& flags, int exit_code = 0) const {
+    const Outcome outcome = Run(text, flags + " --json");
+    EXPECT_EQ(outcome.exit_code, exit_code) << outcome.errors;
+    return json::parse(outcome.output, nullptr, /*allow_exceptions=*/false);
+  }
+
+  const std::string path_ = testing::TempDir() + "/bodies_" + std::to_string(getpid()) + ".yaml";
+};
+
+TEST_F(BodiesProgram, AFileIsTheProgramOfTheSameProblem) {
+  for (const std::string flags :
+       {"--solver=none --states --json", "--iterations=3 --json", "--solver=none", "--solver=list"}) {
+    const Outcome file = RunProgram("saltus_bodies --scene=" + SourceFolder() + "/problems/tossed_box.yaml " + flags);
+    const Outcome program = RunProgram("tossed_box " + flags);
+    EXPECT_EQ(file.exit_code, program.exit_code) << file.errors;
+    // The time that solvers take is not a result.
+    const std::regex seconds("\"seconds\": ?[-+.e0-9]+");
+    EXPECT_EQ(std::regex_replace(file.output, seconds, ""), std::regex_replace(program.output, seconds, "")) << flags;
+  }
+}
+
+// A force on a disc for T, to a place: with a = T^2 / 2m the loss is w (a u - x)^2 + c T u^2.
+TEST_F(BodiesProgram, SolvesForAControl) {
+  const json document = Document(R"(
+name: pushed
+duration: 2
+steps: 1
+bodies: [{name: disc, radius: 0.1, mass: 4, position: [0, 0], joint: translation}]
+control: {bodies: [disc], initial: [[0, 0.5, 0]], max: 100}
+objective: {terminal: [{body: disc, quantity: position, target: [3, 0], weight: 5}], effort: 0.25}
+optimize: control
+)",
+                                 "--solver=ceres_phases");
+  const double a = 0.5, u = 5 * a * 3 / (5 * a * a + 0.25 * 2);
+  ASSERT_EQ(document["runs"].size(), 1u);
+  EXPECT_NEAR(document["runs"][0]["solution"]["control"][0][0], u, 1e-8);  // the loss is flat there
+  EXPECT_NEAR(document["runs"][0]["solution"]["control"][0][1], 0, 1e-8);
+  EXPECT_NEAR(document["runs"][0]["final_loss"], 5 * (a * u - 3) * (a * u - 3) + 0.5 * u * u, 1e-9);
+}
+
+// A rod on a hinge swings from the horizontal onto a stop. Its energy at the stop is that which it has lost in height.
+TEST_F(BodiesProgram, HasJointsPolygonsAndDiscs) {
+  const json document = Document(R"(
+name: hinge
+duration: 0.6
+gravity: [0, -10]
+bodies:
+  - {name: rod, polygon: [[-0.5, -0.01], [0.5, -0.01], [0.5, 0.01], [-0.5, 0.01]], mass: 3, inertia: 0.25,
+     position: [0.5, 0], joint: {revolute: [0, 0]}}
+  - {name: stop, radius: 0.05, position: [0.15, -0.75], joint: weld}
+  - {name: slider, box: [0.1, 0.1], mass: 2, position: [5, 5], velocity: [3, 4], joint: {prismatic: [6, 8]}}
+contact: {restitution: 1, friction: 0}
+objective: {terminal: [{body: rod, quantity: angular_velocity, target: 0}]}
+optimize: none
+)",
+                                 "--solver=none --states");
+  const json& motion = document["motion"];
+  EXPECT_EQ(document["system"]["modes"][0]["states"],
+            json({"rod.angle", "slider.distance", "drod.angle", "dslider.distance"}));
+  ASSERT_EQ(motion["events"].size(), 1u);
+  EXPECT_THAT(motion["events"][0]["guard"].get<std::string>(), HasSubstr("stop-rod"));
+  const double time = motion["events"][0]["time"];
+  const auto at = std::find(motion["times"].begin(), motion["times"].end(), time) - motion["times"].begin();
+  const double angle = motion["states"][at][0], rate = motion["states"][at][2];
+  EXPECT_NEAR(0.5 * (0.25 + 3 * 0.25) * rate * rate, 3 * 10 * 0.5 * -std::sin(angle), 1e-9);
+  EXPECT_NEAR(motion["states"][at + 1][2], -rate, 1e-12);
+  // Along an axis that has been made one of length 1, against gravity.
+  EXPECT_NEAR(motion["final"][1], 5 * 0.6 - 0.5 * 10 * 0.8 * 0.36, 1e-12);
+}
+
+TEST_F(BodiesProgram, RestsOnThePlaneFromTheStart) {
+  const json document = Document(R"(
+name: rest
+duration: 1
+gravity: [0, -9.81]
+bodies: [{name: box, box: [0.5, 0.25], mass: 1, position: [0, 0.25]}]
+planes: [{point: [0, 0], normal: [0, 2]}]
+objective: {terminal: [{body: box, quantity: velocity, target: [0, 0]}]}
+optimize: none
+)",
+                                 "--solver=none");
+  EXPECT_NEAR(document["motion"]["final"][1], 0.25, 1e-12);
+  EXPECT_EQ(document["motion"]["events"], json::array());
+}
+
+// A simulator that is told of the bodies, whose steps end with the impulse of a disc that has struck the ground.
+constexpr const char* kDiscBox = R"(
+import json, sys
+scene = json.loads(sys.stdin.readline())["scene"]
+disc, = scene["bodies"]
+assert (disc["name"], disc["radius"], disc["mass"], round(disc["inertia"], 15)) == ("disc", 0.1, 2, 0.01), disc
+assert scene["planes"] == [{"point": [0, 0], "normal": [0, 1]}] and scene["frictionless"], scene
+print(json.dumps({"name": "mine"}), flush=True)
+for line in sys.stdin:
+    q = json.loads(line)
+    s = q["step"]
+    (x, y, angle, vx, vy, spin), (e, _, gx, gy), h = s["state"], s["parameters"], s["h"]
+    vx, vy = vx + h * gx, vy + h * gy
+    if y < disc["radius"] and vy < 0:
+        vy *= -e
+    state = [x + h * vx, y + h * vy, angle + h * spin, vx, vy, spin]
+    print(json.dumps({"id": q["id"], "mode": s["mode"], "state": state}), flush=True)
+)";
+
+TEST_F(BodiesProgram, AuditsASimulator) {
+  const std::string script = testing::TempDir() + "/disc_box_" + std::to_string(getpid()) + ".py";
+  std::ofstream(script) << kDiscBox;
+  const json document = Document(R"(
+name: bounce
+duration: 0.5
+gravity: [0, -10]
+bodies: [{name: disc, radius: 0.1, mass: 2, position: [0, 1.1], velocity: [1, -3]}]
+planes: [{point: [0, 0], normal: [0, 1]}]
+contact: {restitution: 0.5}
+objective: {terminal: [{body: disc, quantity: position, target: [1, 1]}]}
+optimize: velocity
+)",
+                                 "--solver=none --steps=5 --simulate=\"box=python3 " + script + "\"",
+                                 1);
+  const json& audit = document["audits"][0];
+  EXPECT_EQ(audit["verdict"], "wrong sign");
+  const double time = (-3 + std::sqrt(9 + 20.0)) / 10;  // of a fall through 1 m
+  EXPECT_NEAR(audit["first_wrong"]["time"], time, 1e-12);
+  EXPECT_EQ(audit["first_wrong"]["step"], static_cast<int>(time / (0.5 / 5)));
+  const double left = 0.5 - time, height = 0.1 + 0.5 * (3 + 10 * time) * left - 5 * left * left;
+  EXPECT_NEAR(audit["exact_loss"], (0.5 - 1) * (0.5 - 1) + (height - 1) * (height - 1), 1e-12);
+  std::filesystem::remove(script);
+}
+
+TEST_F(BodiesProgram, AWrongFileIsNamedWithItsPlace) {
+  const std::string good = R"(name: box
+duration: 1
+gravity: [0, -9.81]
+bodies:
+  - {name: box, box: [0.2, 0.1], mass: 1, position: [0, 1]}
+  - {name: post, radius: 0.1, position: [2, 0], joint: weld}
+planes:
+  - {point: [0, 0], normal: [0, 1]}
+contact: {restitution: 0.5, friction: 0.3}
+objective: {terminal: [{body: box, quantity: position, target: [1, 0]}]}
+optimize: velocity
+)";
+  EXPECT_EQ(Run(good, "--solver=none").exit_code, 0);
+  const struct {
+    const char *from, *to, *message;
+  } kWrong[] = {
+      {"duration: 1", "duration: -1", ":2: duration: found -1, expected a duration above zero in s"},
+      {"duration: 1", "durations: 1", ":2: durations: found an unknown key, expected one of name, duration"},
+      {"box: [0.2, 0.1]", "box: [0.2, 0]", ":5: bodies[0].box: found a list of 2, expected half the width"},
+      {"box: [0.2, 0.1]", "box: [0.2, 0.1], radius: 1", ":5: bodies[0]: expected one of the keys box, polygon"},
+      {"box: [0.2, 0.1]", "polygon: [[0, 0], [0, 1], [1, 0]]", ":5: bodies[0]: the polygon is not convex"},
+      {"mass: 1", "mass: inf", ":5: bodies[0].mass: found inf, expected a mass above zero in kg"},
+      {"mass: 1, ", "", ":5: bodies[0].mass: found no such key, expected the mass in kg"},
+      {"joint: weld", "joint: glue", ":6: bodies[1].joint: found glue, expected one of free, translation, weld"},
+      {"joint: weld", "joint: {revolute: 1}", ":6: bodies[1].joint.revolute: found 1, expected a vector [x, y]"},
+      {"joint: weld", "joint: weld, velocity: [1, 0]", ":6: bodies[1].velocity: expected no such key: the joint"},
+      {"name: post", "name: box", ":6: bodies[1]: found the name box again"},
+      {"name: post", "name: a=b", ":6: bodies[1]: expected a name without commas"},
+      {"normal: [0, 1]", "normal: [0, 0]", ":8: planes[0].normal: found a list of 2, expected a vector of another"},
+      {"restitution: 0.5", "restitution: 1.5", ":9: contact.restitution: found 1.5, expected a number from 0 to 1"},
+      {"body: box", "body: bix", ":10: objective.terminal[0].body: found bix, expected the name of a body; did you"},
+      {"body: box", "body: post", ":10: objective.terminal[0]: the joint of post leaves no such coordinate"},
+      {"target: [1, 0]}]", "target: [1, 0]}], effort: 1", ":10: objective.effort: expected no such key: no body"},
+      {"optimize: velocity",
+       "optimize: [velocity, mass]",
+       ":11: optimize[1]: found mass, expected one of none, contro"},
+      {"optimize: velocity", "optimize: control", ":11: optimize: found control, but no body is controlled"},
+      {"name: box\n", "name: [box\n", "found text that is not YAML"},
+  };
+  for (const auto& wrong : kWrong) {
+    std::string text = good;
+    text.replace(text.find(wrong.from), std::string(wrong.from).size(), wrong.to);
+    const Outcome outcome = Run(text, "--solver=none");
+    EXPECT_EQ(outcome.exit_code, 2) << wrong.to;
+    EXPECT_THAT(outcome.errors, HasSubstr(path_));
+    EXPECT_THAT(outcome.errors, HasSubstr(wrong.message));
+  }
+  EXPECT_EQ(RunProgram("saltus_bodies --solver=none").exit_code, 2);
+  EXPECT_THAT(RunProgram("saltus_bodies --scene=/no/file").errors, HasSubstr("/no/file: cannot read: No such file"));
+  const Outcome overlap =
+      Run(std::regex_replace(good, std::regex("position: \\[2, 0\\]"), "position: [0, 1]"), "--solver=none");
+  EXPECT_EQ(overlap.exit_code, 2) << overlap.output;
+  EXPECT_THAT(overlap.errors, HasSubstr(":4: bodies: contact 'post-box' penetrates, its gap is -0."));
 }
 
 TEST(HybridSweep, SweepsParametersStatesAndSteps) {

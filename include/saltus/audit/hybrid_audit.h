@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <array>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <utility>
@@ -40,10 +41,10 @@ class HybridScheme {
 };
 
 // A step of `function`, and its Jacobian by central differences if that is not null, or by one-sided ones beside a jump
-// of the state. Returns what HybridScheme::Step returns.
+// of the state. `precision`: relative, of the new state. Returns what HybridScheme::Step returns.
 using StepFunction = std::function<int(const SchemeStep&, double* next, std::string* error)>;
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
-                   double* jacobian, std::string* error);
+                   double* jacobian, std::string* error, double precision = std::numeric_limits<double>::epsilon());
 
 // Of a struct that describes a hybrid system (hybrid_system.h) and has
 //

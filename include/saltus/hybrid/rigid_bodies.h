@@ -60,6 +60,7 @@ struct RigidScene2D {
 std::vector<Point2D> BoxPolygon(double half_width, double half_height);
 
 // As "found x, expected y"; empty if nothing is.
+std::string WhatIsWrongWith(const RigidBody2D& body);
 std::string WhatIsWrongWith(const RigidScene2D& scene);
 
 // Coordinates: x, y and the angle of a free body; x and y of one that does not turn; the angle of one that turns about
@@ -82,6 +83,8 @@ class RigidBodies2D {
     return {pose.x, pose.y, pose.angle};
   }
   double EnergyOf(const double* x, const double* p) const;
+  // About the centre of mass, kg m^2.
+  double InertiaOf(int body) const { return inertia_[body]; }
 
   // Outlines of bodies, a radius of each disc, and planes, for the replay of a program (programs/hybrid_program.h).
   template <typename Drawing>

@@ -26,43 +26,6 @@ constexpr int kMostVariables = 8;      // of each part, in a width sweep
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-// A system whose time is counted from another moment.
-class Later final : public HybridFunctions {
- public:
-  Later(const HybridFunctions& functions, double by) : HybridFunctions(functions.layout()), f_(functions), by_(by) {}
-
-  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override {
-    f_.Flow(mode, t + by_, x, u, p, xdot);
-  }
-  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                    double* jacobian) const override {
-    f_.FlowJacobian(mode, t + by_, x, u, p, xdot, jacobian);
-  }
-  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override {
-    return f_.Guard(mode, guard, t + by_, x, u, p);
-  }
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
-                   double* rate) const override {
-    return f_.GuardRate(mode, guard, t + by_, x, xdot, u, p, rate);
-  }
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                       double* gradient) const override {
-    return f_.GuardGradient(mode, guard, t + by_, x, u, p, gradient);
-  }
-  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
-            double* x_plus) const override {
-    return f_.Reset(mode, guard, t + by_, x, u, p, x_plus);
-  }
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
-                    double* jacobian) const override {
-    return f_.ResetJacobian(mode, guard, t + by_, x, u, p, x_plus, jacobian);
-  }
-
- private:
-  const HybridFunctions& f_;
-  const double by_;
-};
-
 HybridProblem WithAllFree(HybridProblem problem) {
   HybridInput& guess = problem.guess;
   guess.control.resize(static_cast<std::size_t>(guess.num_intervals) * problem.system.num_controls());
@@ -332,14 +295,15 @@ class SegmentStudy {
     const int m = problem_.system.num_controls();
     HybridOptions options = problem_.integration;
     options.wait_behind_guards = true;  // the state after an event may be below zero by rounding
-    HybridSimulator part(HybridSystem(std::make_shared<Later>(problem_.system.functions(), first * h)), options);
+    HybridSimulator part(problem_.system, options);
     const bool ok = part.Rollout({.mode = mode,
                                   .initial = x,
                                   .parameters = input_.parameters,
                                   .duration = (last - first) * h,
                                   .num_intervals = last - first,
                                   .control = {input_.control.begin() + static_cast<std::ptrdiff_t>(first) * m,
-                                              input_.control.begin() + static_cast<std::ptrdiff_t>(last) * m}});
+                                              input_.control.begin() + static_cast<std::ptrdiff_t>(last) * m},
+                                  .begin = first * h});
     if (!ok || part.final_state().size() != cotangent.size()) return {};
     return part.Adjoint(cotangent).initial;
   }
@@ -478,7 +442,7 @@ Verdict Overall(const std::vector<HybridAudit::Part>& parts) {
 }  // namespace
 
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
-                   double* jacobian, std::string* error) {
+                   double* jacobian, std::string* error, double precision) {
   const int mode = function(step, next, error);
   if (jacobian == nullptr || mode < 0 || mode >= system.num_modes()) return mode;
   const int sizes[] = {system.state_size(step.mode), system.num_controls(), system.num_parameters()};
@@ -496,7 +460,7 @@ int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const Ste
     (part == 0 ? other.x : part == 1 ? other.u : other.p) = at.data();
     for (int i = 0; i < sizes[part]; ++i, ++column) {
       const double middle = at[i];
-      double width = std::cbrt(std::numeric_limits<double>::epsilon()) * scale;
+      double width = std::cbrt(precision) * scale;
       // Where an event moves from this step to another the state jumps: narrower differences, and at last one side.
       for (int attempt = 0;; ++attempt, width /= kNarrower) {
         std::vector<double> ends[2] = {std::vector<double>(most), std::vector<double>(most)};

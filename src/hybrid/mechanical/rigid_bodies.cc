@@ -10,7 +10,7 @@ Point2D Minus(const Point2D& a, const Point2D& b) { return {a[0] - b[0], a[1] - 
 bool IsUnit(const Point2D& vector) { return std::abs(std::hypot(vector[0], vector[1]) - 1) < 1e-9; }
 
 // About the origin, of a polygon of uniform density and mass 1.
-double InertiaOf(const std::vector<Point2D>& polygon) {
+double UniformInertia(const std::vector<Point2D>& polygon) {
   double area = 0, moment = 0;
   for (std::size_t i = 0; i < polygon.size(); ++i) {
     const Point2D &a = polygon[i], &b = polygon[(i + 1) % polygon.size()];
@@ -28,22 +28,27 @@ std::vector<Point2D> BoxPolygon(double half_width, double half_height) {
       {-half_width, -half_height}, {half_width, -half_height}, {half_width, half_height}, {-half_width, half_height}};
 }
 
+std::string WhatIsWrongWith(const RigidBody2D& body) {
+  if ((body.radius > 0) == !body.polygon.empty()) return "expected either a polygon or a radius above zero";
+  if (!(body.mass > 0)) return "found mass " + std::to_string(body.mass) + ", expected more than zero";
+  if (!(body.inertia >= 0)) return "found a negative inertia";
+  if (!body.polygon.empty() && body.polygon.size() < 3) return "found a polygon of less than three vertices";
+  for (std::size_t i = 0; i < body.polygon.size(); ++i) {
+    const std::size_t count = body.polygon.size();
+    const Point2D &a = body.polygon[i], &b = body.polygon[(i + 1) % count], &c = body.polygon[(i + 2) % count];
+    if (!(Cross(Minus(b, a), Minus(c, b)) > 0)) return "the polygon is not convex and counterclockwise";
+  }
+  if (body.joint.kind == RigidJoint2D::Kind::kPrismatic && !IsUnit(body.joint.axis)) {
+    return "the axis of its joint has another length than 1";
+  }
+  return "";
+}
+
 std::string WhatIsWrongWith(const RigidScene2D& scene) {
   bool moves = false;
   for (const RigidBody2D& body : scene.bodies) {
-    const auto wrong = [&](const std::string& what) { return "body '" + body.name + "': " + what; };
-    if ((body.radius > 0) == !body.polygon.empty()) return wrong("expected either a polygon or a radius above zero");
-    if (!(body.mass > 0)) return wrong("found mass " + std::to_string(body.mass) + ", expected more than zero");
-    if (!(body.inertia >= 0)) return wrong("found a negative inertia");
-    if (!body.polygon.empty() && body.polygon.size() < 3) return wrong("found a polygon of less than three vertices");
-    for (std::size_t i = 0; i < body.polygon.size(); ++i) {
-      const std::size_t count = body.polygon.size();
-      const Point2D &a = body.polygon[i], &b = body.polygon[(i + 1) % count], &c = body.polygon[(i + 2) % count];
-      if (!(Cross(Minus(b, a), Minus(c, b)) > 0)) return wrong("the polygon is not convex and counterclockwise");
-    }
-    if (body.joint.kind == RigidJoint2D::Kind::kPrismatic && !IsUnit(body.joint.axis)) {
-      return wrong("the axis of its joint has another length than 1");
-    }
+    const std::string wrong = WhatIsWrongWith(body);
+    if (!wrong.empty()) return "body '" + body.name + "': " + wrong;
     moves = moves || body.joint.kind != RigidJoint2D::Kind::kWeld;
   }
   if (!moves) return "no body can move";
@@ -63,7 +68,7 @@ RigidBodies2D::RigidBodies2D(RigidScene2D scene) : scene_(std::move(scene)) {
     const RigidBody2D& body = scene_.bodies[b];
     first_.push_back(size_);
     size_ += Count(b);
-    const double uniform = body.polygon.empty() ? 0.5 * body.radius * body.radius : InertiaOf(body.polygon);
+    const double uniform = body.polygon.empty() ? 0.5 * body.radius * body.radius : UniformInertia(body.polygon);
     inertia_.push_back(body.inertia > 0 ? body.inertia : body.mass * uniform);
     for (std::size_t i = 0; i < body.polygon.size(); ++i) {
       const Point2D edge = Minus(body.polygon[(i + 1) % body.polygon.size()], body.polygon[i]);
