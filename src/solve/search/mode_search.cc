@@ -138,12 +138,13 @@ class ModeSearch {
 
   // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
   // mended. False if there are none.
-  bool AddMoreStarts() {
+  bool AddMoreStarts(bool coarse) {
     const int more = kMoreStarts * options_.search_options.starts;
     if (rounds_ == kMostRounds || more == 0) return false;
     if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.iterations) return false;
     ++rounds_;
-    AddStarts(drawn_starts_, more, /*coarse=*/true);
+    AddStarts(drawn_starts_, more, coarse);
+    coarse_around_ = coarse;
     around_best_ = more;
     searched_.starts += more;
     int mended = 0;
@@ -166,7 +167,7 @@ class ModeSearch {
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
         if (auto mend = MendBest(1 - kSameLoss)) return mend;
-        if ((!IsLong() || rounds_ == 0) && AddMoreStarts()) return TakeStart();
+        if ((!IsLong() || rounds_ == 0) && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
@@ -175,7 +176,7 @@ class ModeSearch {
     if (auto mend = MendBest(1 - kSameLoss)) return mend;
     // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
     const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !IsProved();
-    if (drawn_ == solves_ && may_find_more && AddMoreStarts()) return TakeStart();
+    if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
     return std::nullopt;
   }
 
@@ -195,7 +196,7 @@ class ModeSearch {
       const ControlGuess guess{best_trial_.control, best_trial_.durations};
       start->control = ControlAround(scene_, guess, options_.search_options.seed, number_of_around_++);
       start->durations = guess.durations;
-      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start), .coarse = true};
+      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start), .coarse = coarse_around_};
     }
     SearchTask task = std::move(starts_left_.front());
     starts_left_.pop_front();
@@ -478,7 +479,8 @@ class ModeSearch {
   double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
   double better_work_ = 0;                                        // done when the search was last better
   int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
-  bool mends_ = false;  // a motion is being mended
+  bool coarse_around_ = false;  // the starts around the best motion are coarse
+  bool mends_ = false;          // a motion is being mended
   bool best_is_mended_ = false;
   std::optional<End> end_;
 };

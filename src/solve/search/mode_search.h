@@ -9,8 +9,8 @@
 // saddle is left, both ways, and what is found beside it solved next. Where a motion that is no optimum is the best,
 // its sequence is mended (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the
 // final time. Where nothing better is found any more, up to kMostRounds times, or where nothing is left to be tried and
-// some pair does not meet in the best motion, up to kRoundsAtEnd times: others near the best are mended, and ceres_lm
-// goes down from more motions, at random and around the best, with fewer control intervals. At last intervals of the
+// some pair does not meet in the best motion, up to kRoundsAtEnd times (with fewer control intervals): others near the
+// best are mended, and ceres_lm goes down from more motions, at random and around the best. At last intervals of the
 // best move to other phases.
 //
 // Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
