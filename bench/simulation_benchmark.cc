@@ -202,9 +202,8 @@ void Bodies(benchmark::State& state, const std::string& contact) {
 }
 
 // Points around the initial guess, in which most strikers meet the target, each at a time of its own.
-std::vector<double> RandomPoints(const Scene& scene, int count) {
+std::vector<double> RandomPoints(const std::vector<double>& guess, int count) {
   std::vector<double> points;
-  const std::vector<double> guess = InitialControl(scene, scene.steps);
   NormalStream normals(1);
   for (int i = 0; i < count; ++i) {
     const double push = 0.3 * normals.Next(), turn = 0.03 * normals.Next();
@@ -222,7 +221,7 @@ void BatchOfMotions(benchmark::State& state, const std::string& contact) {
   Batch batch(contact, scene, Precision::kDouble, 1);
   constexpr int kMotions = 4096;
   const size_t size = shooting.num_variables();
-  const std::vector<double> points = RandomPoints(scene, kMotions);
+  const std::vector<double> points = RandomPoints(batch.initial_guess(), kMotions);
   std::vector<double> losses(kMotions), gradients(points.size());
   const auto one_by_one = [&](bool with_gradient) {
     for (int i = 0; i < kMotions; ++i) {
@@ -248,8 +247,8 @@ void Throughput(benchmark::State& state, const std::string& contact) {
   Batch batch(contact, scene, Precision::kDouble, static_cast<int>(state.range(0)));
   constexpr int kPoints = 2000;
   std::vector<double> points, losses(kPoints);
-  const std::vector<double> guess = InitialControl(scene, scene.steps);
-  for (int i = 0; i < kPoints; ++i) points.insert(points.end(), guess.begin(), guess.end());
+  for (int i = 0; i < kPoints; ++i)
+    points.insert(points.end(), batch.initial_guess().begin(), batch.initial_guess().end());
   std::vector<double> gradients(points.size());
   for (auto _ : state) batch.Evaluate(points, losses, gradients);
   state.counters["gradients_per_second"] =

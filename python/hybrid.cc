@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <tuple>
 
 #include "arrays.h"
@@ -33,7 +34,8 @@ RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
 }
 
 using TransitionTuple = std::tuple<std::string, Outputs, Outputs, int, int>;
-using ModeTuple = std::tuple<std::string, std::vector<std::string>, Outputs, std::vector<TransitionTuple>>;
+using ModeTuple =
+    std::tuple<std::string, std::vector<std::string>, Outputs, std::vector<TransitionTuple>, std::optional<Outputs>>;
 
 HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<std::string>& controls,
                         const std::vector<std::string>& parameters) {
@@ -42,7 +44,7 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
                       .control_names = controls,
                       .parameter_names = parameters};
   std::vector<RecordedSystem::Mode> recorded;
-  for (const auto& [name, states, flow, transitions] : modes) {
+  for (const auto& [name, states, flow, transitions, fly] : modes) {
     const int of_guards = static_cast<int>(states.size()) + 1 + layout.num_parameters;
     layout.mode_names.push_back(name);
     layout.state_sizes.push_back(static_cast<int>(states.size()));
@@ -50,6 +52,7 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
     layout.state_names.insert(layout.state_names.end(), states.begin(), states.end());
     RecordedSystem::Mode& mode =
         recorded.emplace_back(RecordedSystem::Mode{ReadFunction(of_guards + layout.num_controls, flow), {}});
+    if (fly) mode.fly.emplace(ReadFunction(of_guards + layout.num_controls + 1, *fly));
     for (const auto& [guard_name, guard, reset, next_mode, accumulation_mode] : transitions) {
       layout.guard_names.push_back(guard_name);
       mode.transitions.push_back(

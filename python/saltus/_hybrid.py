@@ -62,6 +62,8 @@ class HybridSystem:
     through zero.
     resets: of each guard a function (t, x, p) that returns the next mode and its state.
     on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour).
+    fly: of any mode a closed form of its flow, a function (t, s, x, u, p) that returns the state at t + s of the state x
+    at t; it takes the place of the integration. Steps must be so short that no guard crosses zero twice in one.
 
         >>> ball = saltus.HybridSystem(
         ...     states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
@@ -86,6 +88,7 @@ class HybridSystem:
         controls: Sequence[str] = (),
         parameters: Sequence[str] = (),
         on_accumulation: Mapping[str, Mapping[str, str]] | None = None,
+        fly: Mapping[str, Callable[..., Any]] | None = None,
     ):
         self.modes = _names("states", _named("states", states))
         self.states = {mode: _names(f"states of mode '{mode}'", states[mode]) for mode in self.modes}
@@ -98,6 +101,7 @@ class HybridSystem:
             ("guards", _named("guards", guards or {})),
             ("resets", _named("resets", resets or {})),
             ("on_accumulation", _named("on_accumulation", on_accumulation or {})),
+            ("fly", _named("fly", fly or {})),
         ]
         for kind, by_mode in given:
             for mode in by_mode:
@@ -121,7 +125,9 @@ class HybridSystem:
                 (name, *self._record_guard(mode, name, guard, of_resets[name]), goes_on.get(name, -1))
                 for name, guard in of_guards.items()
             ]
-            recorded.append((mode, self.states[mode], self._record_flow(mode, given[0][1][mode]), transitions))
+            closed_form = self._record_fly(mode, given[4][1][mode]) if mode in given[4][1] else None
+            of_flow = self._record_flow(mode, given[0][1][mode])
+            recorded.append((mode, self.states[mode], of_flow, transitions, closed_form))
         self._system = _saltus.HybridSystem(recorded, self.controls, self.parameters)
 
     def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
@@ -143,6 +149,12 @@ class HybridSystem:
         tape, arguments = self._arguments(mode, control=True)
         what = f"flow of mode '{mode}'"
         return _outputs(what, tape, _call(what, function, *arguments), len(self.states[mode]))
+
+    def _record_fly(self, mode: str, function: Any) -> Any:
+        tape, (t, *rest) = self._arguments(mode, control=True)
+        s = tape.inputs(len(self.states[mode]) + 1 + len(self.parameters) + len(self.controls), 1)[0]
+        what = f"fly of mode '{mode}'"
+        return _outputs(what, tape, _call(what, function, t, s, *rest), len(self.states[mode]))
 
     def _record_guard(self, mode: str, name: str, guard: Any, reset: Any) -> tuple[Any, Any, int]:
         tape, arguments = self._arguments(mode, control=False)

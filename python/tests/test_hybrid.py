@@ -23,8 +23,8 @@ def ball(**changes):
 
 
 def ball_problem(**changes):
-    return saltus.HybridProblem(ball(), **{"mode": "flight", "initial": [1.3, 0.4], "parameters": [9.81, 0.8], "duration": 2.0,
-                                           **changes})
+    return saltus.HybridProblem(**{"system": ball(), "mode": "flight", "initial": [1.3, 0.4], "parameters": [9.81, 0.8],
+                                   "duration": 2.0, **changes})
 
 
 def hopper(m=1.0, l0=1.0, g=10.0):
@@ -76,8 +76,23 @@ def test_events_that_accumulate_may_lead_on():
         ball(**changes, on_accumulation={"flight": {"wall": "rest"}})
 
 
-def test_ball():
-    problem = ball_problem()
+def fly(t, s, x, u, p):
+    return [x[0] + s * (x[1] + s * (u[0] - p[0]) / 2), x[1] + s * (u[0] - p[0])]
+
+
+def test_a_closed_form_of_another_flow():
+    with pytest.raises(ValueError, match="fly: found mode 'rest', expected some of flight"):
+        ball(fly={"rest": fly})
+    with pytest.raises(ValueError, match="fly of mode 'flight'"):
+        ball(fly={"flight": lambda t, s, x, u, p: [x[0]]})
+    problem = ball_problem(system=ball(fly={"flight": lambda t, s, x, u, p: [x[0] + s, x[1]]}))
+    with pytest.raises(RuntimeError, match="Fly is no closed form of the flow of mode 'flight'"):
+        saltus.rollout(problem)
+
+
+@pytest.mark.parametrize("changes", [{}, {"fly": {"flight": fly}}], ids=["integrated", "closed form"])
+def test_ball(changes):
+    problem = ball_problem(system=ball(**changes))
     motion = saltus.rollout(problem)
     assert motion.mode == "flight"
     assert_allclose(motion.final, [0.13461823752513323273, -2.8056342918771302282], rtol=1e-12)

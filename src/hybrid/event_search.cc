@@ -40,8 +40,6 @@ double MinimumOf(const GapPolynomial& g, double h) {
 
 EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {
   const int most = functions.most_states();
-  state_.resize(most);
-  slope_.resize(most);
   gradient_.resize(most + 1 + functions.layout().num_parameters + functions.layout().num_controls);
 }
 
@@ -51,13 +49,35 @@ GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard)
   return at;
 }
 
+const double* EventSearch::StateAfter(const FlowStep& step, const double* slope, double s) {
+  const int n = functions_.state_size(step.mode);
+  const auto size = static_cast<std::size_t>(n);
+  const bool same = !kept_.empty() && step.mode == kept_step_.mode && step.t == kept_step_.t &&
+                    step.u == kept_step_.u && std::equal(step.x, step.x + n, numbers_.data()) &&
+                    std::equal(slope, slope + n, numbers_.data() + n);
+  if (!same) {
+    kept_.clear();
+    kept_step_ = step;
+    numbers_.assign(step.x, step.x + n);
+    numbers_.insert(numbers_.end(), slope, slope + n);
+  }
+  const auto known = std::find_if(kept_.begin(), kept_.end(), [&](const Kept& kept) { return kept.s == s; });
+  if (known != kept_.end()) return &numbers_[known->state];
+  const std::size_t state = numbers_.size();
+  numbers_.resize(state + 2 * size);
+  kept_.push_back({s, state});
+  FlowStep part = step;
+  part.h = s;
+  integrator_.Step(part, slope, &numbers_[state], &numbers_[state + size]);
+  return &numbers_[state];
+}
+
 GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
   FlowStep part = step;
   part.h = s;
-  integrator_.Step(part, slope, state_.data(), slope_.data());
   part.t += s;
-  part.x = state_.data();
-  return At(part, slope_.data(), guard);
+  part.x = StateAfter(step, slope, s);
+  return At(part, part.x + functions_.state_size(step.mode), guard);
 }
 
 double EventSearch::Scale(const FlowStep& step, int guard) {
@@ -89,10 +109,11 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   // The first derivative that is not zero has the sign of the guard a little later: from where it exceeds rounding.
   int last = 0;
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
-    const double value = After(step, slope, guard, s).value;
     FlowStep then = step;
+    then.h = s;
     then.t += s;
-    then.x = state_.data();
+    then.x = StateAfter(step, slope, s);
+    const double value = At(then, then.x + n, guard).value;
     const double noise = kNoise * Scale(then, guard) + std::abs(now.value);
     const int sign = value > noise ? 1 : value < -noise ? -1 : 0;
     if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kFalling;

@@ -6,6 +6,7 @@
 // safeguarded by bisection.
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 #include "contact/event/event_roots.h"
@@ -45,15 +46,28 @@ class EventSearch {
 
   GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
 
+  // Before a motion with other controls or parameters.
+  void Forget() { kept_.clear(); }
+
  private:
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
 
+  // The state and slope after a part s of a step. Several guards ask for the same: those of one step are kept.
+  struct Kept {
+    double s = 0;
+    std::size_t state = 0;  // in numbers_; the slope follows
+  };
+  const double* StateAfter(const FlowStep& step, const double* slope, double s);
+
   const HybridFunctions& functions_;
   RungeKutta integrator_;
-  std::vector<double> state_, slope_, gradient_;
+  FlowStep kept_step_;
+  std::vector<Kept> kept_;
+  std::vector<double> numbers_;  // state and slope at the beginning of the step, then those that are kept
+  std::vector<double> gradient_;
 };
 
 }  // namespace saltus

@@ -7,6 +7,7 @@
 #include <limits>
 #include <numeric>
 
+#include "base/number_text.h"
 #include "hybrid/motion_derivatives.h"
 #include "hybrid/rollout.h"
 
@@ -16,6 +17,8 @@ namespace {
 constexpr int kFewestSteps = 16;            // of a motion
 constexpr int kMostSteps = 1 << 20;         // of a motion
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
+constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
+constexpr double kRoundingOfFlow = 1e-12;   // likewise, of the largest state
 constexpr double kRoundingOfMotion = 1e-7;  // below this, an error that more steps do not lower is rounding
 
 }  // namespace
@@ -70,6 +73,8 @@ class HybridSimulator::Impl {
       if (end == RolloutEnd::kRefused) break;
       const bool most = 2.0 * n * input.num_intervals > kMostSteps;
       if (end == RolloutEnd::kDone) {
+        why = WrongFlight();
+        if (!why.empty()) return false;
         const double error = ErrorOf(n);
         if (error <= options.tolerance || (error < kRoundingOfMotion && error > 0.1 * last)) {
           steps = n;
@@ -89,6 +94,36 @@ class HybridSimulator::Impl {
     }
     why = run.why();
     return false;
+  }
+
+  // Compares each mode's closed form of the flow, at its first step, with the integration over a short part of it.
+  std::string WrongFlight() const {
+    const HybridFunctions& f = system.functions();
+    std::vector<char> seen(system.num_modes());
+    const std::size_t most = f.most_states();
+    std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most),
+        zeros(system.num_controls());
+    for (const TapeEntry& entry : run.tape().entries) {
+      if (entry.kind == TapeEntry::Kind::kReset || entry.h <= 0 || seen[entry.mode]++) continue;
+      const double* u =
+          input.control.empty() ? zeros.data() : input.control.data() + entry.interval * system.num_controls();
+      const double* x = &run.tape().numbers[entry.x];
+      const FlowStep step{entry.mode, entry.t, entry.h / 64, x, u, input.parameters.data()};
+      if (!f.Fly(step, after.data(), nullptr)) continue;
+      const int n = system.state_size(entry.mode);
+      f.Flow(step.mode, step.t, step.x, step.u, step.p, slope.data());
+      f.HybridFunctions::Step(step, slope.data(), scratch.data(), integrated.data(), slope.data());
+      double largest = 0;
+      for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(x[i]));
+      for (int i = 0; i < n; ++i) {
+        const double known = kSameFlow * std::abs(integrated[i] - x[i]) + kRoundingOfFlow * largest;
+        if (std::abs(after[i] - integrated[i]) <= known) continue;
+        return "Fly is no closed form of the flow of mode '" + system.ModeName(entry.mode) + "': " + ToText(step.h) +
+               " after t = " + ToText(step.t) + " " + system.StateName(entry.mode, i) + " is " + ToText(after[i]) +
+               " by Fly, and " + ToText(integrated[i]) + " by integration";
+      }
+    }
+    return "";
   }
 
   const HybridSystem system;

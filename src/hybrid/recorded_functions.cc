@@ -133,7 +133,7 @@ class Memory {
   }
 
  private:
-  static constexpr std::size_t kSmall = 1024;
+  static constexpr std::size_t kSmall = 4096;
   double small_[kSmall];  // not initialized
   std::vector<double> large_;
 };
@@ -500,6 +500,40 @@ void RecordedFunction::Evaluation::Run(double* outputs) {
   for (const int slot : tape_.outputs) *outputs++ = at[slot];
 }
 
+// Evaluates instructions at kCount inputs together; every slot has kCount numbers.
+template <int kCount, typename Instruction>
+void RunTogether(const std::vector<Instruction>& instructions, const double* slots, double* results) {
+  for (const Instruction& instruction : instructions) {
+    const double *a = slots + instruction.a * kCount, *b = slots + instruction.b * kCount;
+    const auto evaluate = [&](const auto& operation) {
+#pragma GCC ivdep
+      for (int i = 0; i < kCount; ++i) results[i] = operation(a[i], b[i]);
+    };
+    switch (instruction.operation) {
+      case Operation::kAdd:
+        evaluate([](double x, double y) { return x + y; });
+        break;
+      case Operation::kSubtract:
+        evaluate([](double x, double y) { return x - y; });
+        break;
+      case Operation::kMultiply:
+        evaluate([](double x, double y) { return x * y; });
+        break;
+      case Operation::kDivide:
+        evaluate([](double x, double y) { return x / y; });
+        break;
+      case Operation::kNegate:
+        evaluate([](double x, double) { return -x; });
+        break;
+      default:
+        for (int i = 0; i < kCount; ++i) {
+          results[i] = Apply(instruction.operation, a[i], b[i], slots[instruction.c * kCount + i]);
+        }
+    }
+    results += kCount;
+  }
+}
+
 void RecordedFunction::Evaluate(std::initializer_list<Part> inputs, double* outputs) const {
   Evaluation(*this, false, inputs).Run(outputs);
 }
@@ -509,7 +543,9 @@ void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   std::fill_n(jacobian, num_outputs_ * columns, 0.0);
-  for (const Tape::Entry& entry : at.entries()) jacobian[entry.row * columns + entry.column] = at[entry];
+  for (const Tape::Entry& entry : at.entries()) {
+    if (entry.column < columns) jacobian[entry.row * columns + entry.column] = at[entry];
+  }
 }
 
 void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
@@ -533,6 +569,10 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
     const int of_guards = size(static_cast<int>(mode)) + 1 + num_parameters();
     CHECK_EQ(modes_[mode].flow.num_inputs(), of_guards + this->layout().num_controls);
     CHECK_EQ(modes_[mode].flow.num_outputs(), size(static_cast<int>(mode)));
+    if (const auto& fly = modes_[mode].fly) {
+      CHECK_EQ(fly->num_inputs(), modes_[mode].flow.num_inputs() + 1);
+      CHECK_EQ(fly->num_outputs(), size(static_cast<int>(mode)));
+    }
     CHECK_EQ(static_cast<int>(modes_[mode].transitions.size()), this->layout().num_guards[mode]);
     for (const Transition& transition : modes_[mode].transitions) {
       CHECK_EQ(transition.guard.num_inputs(), of_guards);
@@ -565,34 +605,63 @@ RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, 
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
+  if (Fly(step, after, nullptr)) return Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
   RecordedFunction::Evaluation at = EvaluationOf(step, false);
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
 }
 
-// By the derivatives that are not always zero.
+// By the derivatives that are not always zero. The stages follow each other in the evaluation of the flow alone; its
+// derivatives are then evaluated at all of them together, each operation in a loop over the stages.
 bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const {
+  if (modes_[step.mode].fly) return false;
   constexpr int kStages = cooper_verner::kStages;
   const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
-  RecordedFunction::Evaluation at = EvaluationOf(step, true);
-  const std::size_t count = at.entries().size();
+  RecordedFunction::Evaluation at = EvaluationOf(step, false);
+  const RecordedFunction::Tape& tape = modes_[step.mode].flow.derivatives_;
   Memory memory;
-  double* slopes = memory.Of(kStages * (n + count) + (kStages + 1) * n + columns);
-  double *entries = slopes + kStages * n, *scratch = entries + kStages * count;
-  const auto flow = [&](double t, const auto& x, double* slope, double* derivatives) {
+  double* slopes = memory.Of(kStages * (n + tape.size) + (kStages + 1) * n + columns);
+  double *slots = slopes + kStages * n, *scratch = slots + kStages * tape.size;
+  const auto flow = [&](double t, const auto& x, double* slope, double* of_stage) {
     at.Run(x, n, t, slope);
-    for (const auto& entry : at.entries()) *derivatives++ = at[entry];
+    for (int i = 0; i < n; ++i) of_stage[i * kStages] = x[i];
+    of_stage[n * kStages] = t;
   };
-  saltus::LinearizeStep(n, step, count, flow, scratch, slopes, entries);
+  saltus::LinearizeStep(n, step, /*stride=*/1, flow, scratch, slopes, slots);
+  double* next = slots + (n + 1) * kStages;
+  const auto fill = [&](const double* numbers, std::size_t size) {
+    for (std::size_t i = 0; i < size; ++i) next = std::fill_n(next, kStages, numbers[i]);
+  };
+  fill(step.p, num_parameters());
+  fill(step.u, layout().num_controls);
+  fill(tape.constants.data(), tape.constants.size());
+  RunTogether<kStages>(tape.instructions, slots, next);
   const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
     std::fill_n(of_stage, columns, 0.0);
-    const double* derivative = entries + stage * count;
-    for (const auto& entry : at.entries()) of_stage[entry.column] += of_slope[entry.row] * *derivative++;
+    for (const auto& entry : tape.entries) {
+      of_stage[entry.column] += of_slope[entry.row] * slots[entry.slot * kStages + stage];
+    }
   };
   WithSize(n, [&](auto known) {
     PullBackThroughStages<known>(
         n, num_parameters(), layout().num_controls, step.h, slopes, multiply, scratch, after, out);
   });
+  return true;
+}
+
+bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
+  const std::optional<RecordedFunction>& fly = modes_[step.mode].fly;
+  if (!fly) return false;
+  const std::initializer_list<RecordedFunction::Part> inputs = {{step.x, size(step.mode)},
+                                                                {&step.t, 1},
+                                                                {step.p, num_parameters()},
+                                                                {step.u, layout().num_controls},
+                                                                {&step.h, 1}};
+  if (jacobian == nullptr) {
+    fly->Evaluate(inputs, after);
+  } else {
+    fly->Linearize(inputs, fly->num_inputs() - 1, after, jacobian);
+  }
   return true;
 }
 

@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -98,6 +99,7 @@ class RecordedFunction {
   class Evaluation;
 
  private:
+  friend class RecordedSystem;
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
     struct Instruction {
@@ -120,7 +122,7 @@ class RecordedFunction {
   Tape values_, derivatives_;
 };
 
-// Inputs: of a flow [x t p u], of a guard and of a reset [x t p].
+// Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard and of a reset [x t p].
 class RecordedSystem final : public HybridFunctions {
  public:
   struct Transition {
@@ -131,6 +133,7 @@ class RecordedSystem final : public HybridFunctions {
   struct Mode {
     RecordedFunction flow;
     std::vector<Transition> transitions;  // of each guard
+    std::optional<RecordedFunction> fly = {};
   };
   // Preconditions: sizes are those of the layout.
   RecordedSystem(HybridLayout layout, std::vector<Mode> modes);
@@ -141,6 +144,7 @@ class RecordedSystem final : public HybridFunctions {
   void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
             double* slope_after) const override;
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override;
+  bool Fly(const FlowStep& step, double* after, double* jacobian) const override;
   double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
   double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
                    double* rate) const override;

@@ -126,6 +126,7 @@ bool RolloutRun::SwitchControl() {
 
 RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   input_ = &input;
+  search_.Forget();
   steps_ = steps_per_interval;
   zeros_.assign(system_.num_controls(), 0.0);
   tape_.Clear();

@@ -52,16 +52,25 @@ void RungeKutta::Step(const FlowStep& step, double* after) {
 void RungeKutta::Linearize(const FlowStep& step) {
   size_ = functions_.state_size(step.mode);
   length_ = step.h;
-  functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
   projects_ = step.projects;
-  if (!projects_) return;
   double *after = scratch_.data(), *on = after + size_;
-  Combine(kStages, size_, length_, step.x, slopes_.data(), after);
+  flies_ = functions_.Fly(step, after, jacobians_.data());
+  if (flies_) {
+    functions_.Flow(step.mode, step.t + step.h, after, step.u, step.p, slopes_.data());
+  } else {
+    functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
+  }
+  if (!projects_) return;
+  if (!flies_) Combine(kStages, size_, length_, step.x, slopes_.data(), after);
   projection_.resize(size_ * (size_ + 1 + num_parameters_));
   functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
+  if (flies_) {
+    std::copy_n(slopes_.data(), size_, derivative);
+    return;
+  }
   // dX_i/dh = sum a_ij (k_j + h dk_j/dh): scratch_ holds k_j + h dk_j/dh.
   double* total = scratch_.data();
   Eigen::VectorXd by_length(size_);
@@ -90,6 +99,16 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
     std::copy_n(by.data(), size_, out->x);
     after = out->x;
   }
+  if (flies_) {
+    const Eigen::Map<const Eigen::RowVectorXd> of_after(after, size_);
+    out->h = of_after * Eigen::Map<const Eigen::VectorXd>(slopes_.data(), size_);
+    const Eigen::RowVectorXd by = of_after * JacobianOfStage(0);
+    std::copy_n(by.data(), size_, out->x);
+    out->t = by[size_];
+    for (int j = 0; j < num_parameters_; ++j) out->p[j] += by[size_ + 1 + j];
+    for (int j = 0; j < num_controls_; ++j) out->u[j] += by[size_ + 1 + num_parameters_ + j];
+    return;
+  }
   WithSize(size_, [&](auto size) {
     const int n = size > 0 ? size : size_, columns = size_ + 1 + num_parameters_ + num_controls_;
     const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
@@ -113,20 +132,27 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
 RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
   const int n = size_;
   std::array<Matrix, kStages> total;  // (k_i dh + h dk_i)
+  // The derivative by what a stage, or the closed form, depends on.
+  const auto multiply = [&](int stage, const Matrix& x, const Eigen::RowVectorXd& t) -> Matrix {
+    const ConstMatrixMap jacobian = JacobianOfStage(stage);
+    return jacobian.leftCols(n) * x + jacobian.col(n) * t + jacobian.middleCols(n + 1, num_parameters_) * in.p +
+           jacobian.rightCols(num_controls_) * in.u;
+  };
   const auto combine = [&](const Row& row) {
     Matrix out = in.x;
     for (int k = 0; k < row.count; ++k) out += row.terms[k].factor * total[row.terms[k].stage];
     return out;
   };
-  for (int i = 0; i < kStages; ++i) {
-    const ConstMatrixMap jacobian = JacobianOfStage(i);
-    total[i] = jacobian.leftCols(n) * combine(kRows[i]) + jacobian.col(n) * (in.t + kC[i] * in.h) +
-               jacobian.middleCols(n + 1, num_parameters_) * in.p + jacobian.rightCols(num_controls_) * in.u;
-    total[i] = Eigen::Map<const Eigen::VectorXd>(&slopes_[i * n], n) * in.h + length_ * total[i];
+  for (int i = 0; i < kStages && !flies_; ++i) {
+    total[i] = Eigen::Map<const Eigen::VectorXd>(&slopes_[i * n], n) * in.h +
+               length_ * multiply(i, combine(kRows[i]), in.t + kC[i] * in.h);
   }
-  if (!projects_) return combine(kRows[kStages]);
+  const Matrix after =
+      flies_ ? Matrix(multiply(0, in.x, in.t) + Eigen::Map<const Eigen::VectorXd>(slopes_.data(), n) * in.h)
+             : combine(kRows[kStages]);
+  if (!projects_) return after;
   const ConstMatrixMap projection(projection_.data(), n, n + 1 + num_parameters_);
-  return projection.leftCols(n) * combine(kRows[kStages]) + projection.rightCols(num_parameters_) * in.p;
+  return projection.leftCols(n) * after + projection.rightCols(num_parameters_) * in.p;
 }
 
 RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step) {

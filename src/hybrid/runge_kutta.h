@@ -1,4 +1,5 @@
-// One step of the Runge-Kutta method of saltus/internal/runge_kutta_step.h for the flow of a mode, and its derivatives.
+// One step of the Runge-Kutta method of saltus/internal/runge_kutta_step.h for the flow of a mode, or of the closed
+// form that the system has of it (HybridFunctions::Fly), and its derivatives.
 //
 // Derivatives are those of the step itself, not of the flow that it approximates: with the Jacobians of f at the
 // stages, dk_i = f_x dX_i + f_t dt_i + f_p dp + f_u du. The two differ by the error of the step.
@@ -152,6 +153,7 @@ class RungeKutta {
   int size_ = 0;  // of the state, in the last Linearize
   double length_ = 0;
   bool projects_ = false;
+  bool flies_ = false;                   // by a closed form: slopes_ is the flow after the step, jacobians_ that of x'
   mutable std::vector<double> scratch_;  // of a step
   std::vector<double> slopes_;           // k_i, one after the other
   std::vector<double> jacobians_;        // of f at the stages

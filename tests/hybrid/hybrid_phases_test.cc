@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -571,6 +572,20 @@ TEST(HybridPhases, FindTheRestitutionOfTheTutorial) {
   const SolveReport searched = Solve("mode_search", problem, options);
   EXPECT_NEAR(searched.parameters[1], 0.988008392024876511903389, 1e-9) << searched.reason;
   EXPECT_LT(searched.final_loss, 1e-12);
+}
+
+TEST(HybridSolvers, BringTheTwoMassHopperFromAllStartsToOneOptimum) {
+  HybridProblem problem = TwoMassHopperProblem();
+  std::mt19937_64 random(1);
+  std::uniform_real_distribution<double> rate(-0.5, 0.5);
+  SolverOptions options;
+  options.iterations = 200;
+  for (int start = 0; start < 14; ++start) {
+    problem.guess.control.clear();
+    for (int k = 0; k < problem.guess.num_intervals; ++k) problem.guess.control.push_back(rate(random));
+    const SolveReport report = Solve("ceres_lm", problem, options);
+    EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << start << ": " << report.reason;
+  }
 }
 
 // int x^2 dt over an interval in which x is linear in time with a known slope; of state and length.

@@ -192,6 +192,84 @@ TEST(HybridSimulator, AMotionGoesOnWhereEventsAccumulateIfTheSystemSaysHow) {
   EXPECT_THAT(other.WhyFailed(), HasSubstr("names mode 2, expected one with states of the same size"));
 }
 
+// A mass between a spring and its free flight, with drag and a force that depends on time: [y v]; p = [spring, drag,
+// frequency]. With a closed form of the flight, if it says so; its motion on the spring has none.
+template <bool kClosed>
+struct SprungMass {
+  static constexpr int kNumControls = 1, kNumParameters = 3;
+  static constexpr std::array kStateSizes = {2, 2};
+  static constexpr std::array kNumGuards = {1, 1};
+  double error = 0;  // of the closed form
+
+  template <typename T>
+  void Flow(int mode, const T& t, const T* x, const T* u, const T* p, T* xdot) const {
+    using std::cos;
+    xdot[0] = x[1];
+    xdot[1] = mode == 0 ? T(u[0] + cos(p[2] * t) - p[1] * x[1]) : T(u[0] - p[0] * x[0] - 0.1 * x[0] * x[0] * x[0]);
+  }
+  // v' = u + cos(w t) - c v: the particular solution (u / c) + (c cos(w t) + w sin(w t)) / (c^2 + w^2), and a decay.
+  template <typename T>
+  bool Fly(int mode, const T& t, const T& s, const T* x, const T* u, const T* p, T* after) const requires kClosed {
+    using std::cos, std::exp, std::sin;
+    if (mode != 0) return false;
+    const T &c = p[1], &w = p[2], size = c * c + w * w, then = t + s;
+    const auto driven = [&](const T& at) { return T(u[0] / c + (c * cos(w * at) + w * sin(w * at)) / size); };
+    const auto path = [&](const T& at) { return T(u[0] / c * at + (c * sin(w * at) / w - cos(w * at)) / size); };
+    const T decays = x[1] - driven(t);
+    after[0] = x[0] + path(then) - path(t) + decays * (1.0 - exp(-c * s)) / c;
+    after[1] = driven(then) + decays * exp(-c * s) + error;
+    return true;
+  }
+  template <typename T>
+  T Guard(int mode, int, const T&, const T* x, const T*) const {
+    return mode == 0 ? x[0] : T(-x[0]);
+  }
+  template <typename T>
+  int Reset(int mode, int, const T&, const T* x, const T*, T* x_plus) const {
+    std::copy_n(x, 2, x_plus);
+    return 1 - mode;
+  }
+};
+
+TEST(HybridSimulator, AClosedFormOfTheFlowTakesThePlaceOfTheIntegration) {
+  HybridInput input{.initial = {0.4, 0.3},
+                    .parameters = {9, 0.2, 1.7},
+                    .duration = 5,
+                    .num_intervals = 4,
+                    .control = {-0.8, -1.1, -0.9, -1.3}};
+  input.begin = 0.3;
+  HybridSimulator closed{HybridSystem(SprungMass<true>())}, integrated{HybridSystem(SprungMass<false>())};
+  ASSERT_TRUE(closed.Rollout(input)) << closed.WhyFailed();
+  ASSERT_TRUE(integrated.Rollout(input));
+  ASSERT_EQ(closed.events().size(), 2u);
+  ASSERT_EQ(closed.events().size(), integrated.events().size());
+  for (std::size_t i = 0; i < closed.events().size(); ++i) {
+    EXPECT_NEAR(closed.events()[i].time, integrated.events()[i].time, 1e-12);
+  }
+  for (int i = 0; i < 2; ++i) EXPECT_NEAR(closed.final_state()[i], integrated.final_state()[i], 1e-12);
+  const HybridSensitivity a = closed.Sensitivity(), b = integrated.Sensitivity();
+  for (std::size_t i = 0; i < b.final_state.size(); ++i) EXPECT_NEAR(a.final_state[i], b.final_state[i], 1e-9);
+  const HybridGradient c = closed.Adjoint(std::vector<double>{0.3, -0.7});
+  for (int i = 0; i < 2; ++i)
+    EXPECT_NEAR(c.initial[i], 0.3 * a.final_state[i] - 0.7 * a.final_state[a.columns + i], 1e-12);
+  for (int j = 0; j < 4; ++j) {
+    EXPECT_NEAR(c.control[j], 0.3 * a.final_state[2 + j] - 0.7 * a.final_state[a.columns + 2 + j], 1e-12);
+  }
+  EXPECT_NEAR(c.duration, 0.3 * a.final_state[9] - 0.7 * a.final_state[a.columns + 9], 1e-12);
+
+  // A flight is exact whatever the length of its steps.
+  HybridSimulator coarse(HybridSystem(SprungMass<true>()), {.steps_per_interval = 1});
+  input.initial = {20, 0.3};
+  ASSERT_TRUE(coarse.Rollout(input));
+  EXPECT_LT(coarse.IntegrationError(), 1e-14);
+}
+
+TEST(HybridSimulator, AClosedFormOfAnotherFlowIsRefused) {
+  HybridSimulator simulator(HybridSystem(SprungMass<true>{.error = 1e-3}));
+  EXPECT_FALSE(simulator.Rollout({.initial = {2, 0.3}, .parameters = {9, 0.2, 1.7}, .duration = 1}));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Fly is no closed form of the flow of mode 'mode 0'"));
+}
+
 TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
   HybridSimulator simulator = Ball();
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.355261854}));

@@ -30,6 +30,13 @@
 // accumulate (Zeno behaviour), or -1. Its states have the size of those of the last event's mode, and are those after
 // that event, within 1e-9 of the duration of the accumulation; so far are states and derivatives from their limits.
 //
+// Optional: a closed form of the flow of some modes, used in place of the integration and as accurate as it is itself:
+//
+//     template <typename T>   // sets the state at t + s, of the state x at t; false in a mode that has none
+//     bool Fly(int mode, const T& t, const T& s, const T* x, const T* u, const T* p, T* after) const;
+//
+// Flow is still asked for slopes. Steps must be short enough that no guard crosses zero twice in one.
+//
 // Names are optional and appear in messages and outputs: static constexpr std::array<const char*, n> kModeNames,
 // kControlNames and kParameterNames; kGuardNames, those of all modes one after the other; kStateNames, those of all
 // modes one after the other, or those of one mode if all modes have states of the same size.

@@ -72,6 +72,10 @@ class HybridFunctions {
     return false;
   }
 
+  // A step by a closed form of the flow; false if the mode has none. Unless `jacobian` is null, also by [x t p u]: n x
+  // (n + 1 + P + m). By h its derivative is the flow after it.
+  virtual bool Fly(const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const { return false; }
+
   virtual double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const = 0;
   // And its derivative by time along xdot, under a control that is held.
   virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
@@ -173,6 +177,9 @@ class HybridFunctionsOf final : public HybridFunctions {
 
   void Step(const FlowStep& step, const double* slope, double* /*scratch*/, double* after,
             double* slope_after) const override {
+    if (kFlies && Fly(step, after, nullptr)) {
+      return system_.Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
+    }
     InMode(step.mode, [&](auto mode) {
       const auto flow = [&](double t, const double* x, double* xdot) {
         system_.Flow(mode, t, x, step.u, step.p, xdot);
@@ -196,6 +203,7 @@ class HybridFunctionsOf final : public HybridFunctions {
     });
   }
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override {
+    if (kFlies) return false;
     bool in_one_pass = false;
     InMode(step.mode, [&](auto mode) {
       constexpr int kSize = S::kStateSizes[mode], kStages = cooper_verner::kStages;
@@ -208,6 +216,24 @@ class HybridFunctionsOf final : public HybridFunctions {
       }
     });
     return in_one_pass;
+  }
+  bool Fly(const FlowStep& step, double* after, double* jacobian) const override {
+    bool flies = false;
+    if constexpr (kFlies) {
+      if (jacobian == nullptr) return system_.Fly(step.mode, step.t, step.h, step.x, step.u, step.p, after);
+      InPasses(step.mode,
+               S::kNumControls,
+               step.t,
+               step.x,
+               step.p,
+               step.u,
+               [&](const Variables& v, int first, int width, int columns) {
+                 std::array<Jet, kMostStates> out;
+                 flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
+                 if (flies) Unpack(out, S::kStateSizes[step.mode], first, width, columns, after, jacobian);
+               });
+    }
+    return flies;
   }
 
   double Guard(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p) const override {
@@ -264,6 +290,9 @@ class HybridFunctionsOf final : public HybridFunctions {
   }
 
  private:
+  static constexpr bool kFlies = requires(const S& system, double t, const double* x, double* after) {
+    system.Fly(0, t, t, x, x, x, after);
+  };
   static constexpr int kMostStates = *std::max_element(S::kStateSizes.begin(), S::kStateSizes.end());
   static constexpr int kMostVariables = kMostStates + 1 + S::kNumParameters + S::kNumControls;
   // Derivatives in one pass: all, unless they are many.

@@ -21,7 +21,9 @@ std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
 }
 template <typename S>
 std::vector<TimeJet<S>> Constant(int n, const S* p) {
-  return Path<S>(n, p, std::vector<S>(n, S(0.0)).data(), nullptr);
+  std::vector<TimeJet<S>> path(n);
+  for (int i = 0; i < n; ++i) path[i] = {p[i], S(0.0), S(0.0)};
+  return path;
 }
 
 // The solution for each column, in place.
@@ -35,6 +37,15 @@ void SolveColumns(const LeastNormSolver& solver, Block* right) {
 }
 
 }  // namespace
+
+void MassMatrix::Factorize(const Eigen::MatrixXd& mass) {
+  is_diagonal_ = mass.isDiagonal(0);
+  if (is_diagonal_) {
+    roots_ = mass.diagonal().cwiseSqrt();
+  } else {
+    cholesky_.compute(mass);
+  }
+}
 
 MechanicalEquations::MechanicalEquations(const MechanicalFunctions& functions)
     : f_(functions),
@@ -59,35 +70,76 @@ std::vector<MechanicalEquations::Row> MechanicalEquations::RowsOf(const std::vec
   return rows;
 }
 
-void MechanicalEquations::RowOf(const Row& row, const Jet* q, const Jet* p, Jet* out) const {
-  if (row.tangential && f_.has_rows()) return f_.SlideRow(row.contact, q, p, out);
-  std::vector<TimeJet<Jet>> path = Constant(n_, q), constant = Constant(num_p_, p);
+MechanicalEquations::TimePath<Jet> MechanicalEquations::Still(const Seeds& seeds) const {
+  return {Constant(n_, seeds.q.data()), Constant(num_p_, seeds.p.data())};
+}
+
+void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, TimePath<Jet>* still, Jet* out) const {
+  if (row.tangential && f_.has_rows()) return f_.SlideRow(row.contact, seeds.q.data(), seeds.p.data(), out);
   for (int j = 0; j < n_; ++j) {
-    path[j].rate = Jet(1.0);
-    out[j] = row.tangential ? f_.Slide(row.contact, path.data(), constant.data()).rate
-                            : f_.Gap(row.contact, path.data(), constant.data()).rate;
-    path[j].rate = Jet(0.0);
+    still->q[j].rate = Jet(1.0);
+    out[j] = row.tangential ? f_.Slide(row.contact, still->q.data(), still->p.data()).rate
+                            : f_.Gap(row.contact, still->q.data(), still->p.data()).rate;
+    still->q[j].rate = Jet(0.0);
   }
 }
 
-Eigen::RowVectorXd MechanicalEquations::RowAt(const Row& row, const Point& at) const {
-  Eigen::RowVectorXd out(n_);
-  if (row.tangential && f_.has_rows()) {
-    f_.SlideRow(row.contact, at.q, at.p, out.data());
-    return out;
-  }
-  Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_);
+template <typename Use>
+void MechanicalEquations::ForEachPass(const Point& at, const Use& use) const {
+  Jets q(at.q, at.q + n_);
+  const Jets p(at.p, at.p + num_p_);
   for (int first = 0; first < n_; first += kWidth) {
     const int width = std::min(kWidth, n_ - first);
     for (int j = 0; j < width; ++j) q[first + j].v[j] = 1;
-    const Jet value =
-        row.tangential ? f_.Slide(row.contact, q.data(), p.data()) : f_.Gap(row.contact, q.data(), p.data());
-    for (int j = 0; j < width; ++j) {
-      out[first + j] = value.v[j];
-      q[first + j].v[j] = 0;
-    }
+    use(first, width, q.data(), p.data());
+    for (int j = 0; j < width; ++j) q[first + j].v[j] = 0;
   }
+}
+
+Eigen::MatrixXd MechanicalEquations::RowsAt(const std::vector<Row>& rows, const Point& at) const {
+  const auto r = static_cast<Eigen::Index>(rows.size());
+  Eigen::MatrixXd out(r, n_);
+  const auto given = [&](const Row& row) { return row.tangential && f_.has_rows(); };
+  Eigen::RowVectorXd entries(n_);
+  bool others = false;
+  for (Eigen::Index i = 0; i < r; ++i) {
+    others = others || !given(rows[i]);
+    if (!given(rows[i])) continue;
+    f_.SlideRow(rows[i].contact, at.q, at.p, entries.data());
+    out.row(i) = entries;
+  }
+  if (!others) return out;
+  ForEachPass(at, [&](int first, int width, const Jet* q, const Jet* p) {
+    for (Eigen::Index i = 0; i < r; ++i) {
+      const Row& row = rows[i];
+      if (given(row)) continue;
+      const Jet value = row.tangential ? f_.Slide(row.contact, q, p) : f_.Gap(row.contact, q, p);
+      out.row(i).segment(first, width) = value.v.head(width).transpose();
+    }
+  });
   return out;
+}
+
+double MechanicalEquations::GapGradient(int contact, const Point& at, double* by_q, double* by_p) const {
+  double gap = 0;
+  ForEachPass(at, [&](int first, int width, const Jet* q, const Jet* p) {
+    const Jet value = f_.Gap(contact, q, p);
+    gap = value.a;
+    std::copy_n(value.v.data(), width, by_q + first);
+  });
+  const Jets q(at.q, at.q + n_);
+  for (int first = 0; first < num_p_; first += kWidth) {
+    Jets p(at.p, at.p + num_p_);
+    const int width = std::min(kWidth, num_p_ - first);
+    for (int j = 0; j < width; ++j) p[first + j].v[j] = 1;
+    std::copy_n(f_.Gap(contact, q.data(), p.data()).v.data(), width, by_p + first);
+  }
+  return gap;
+}
+
+MechanicalEquations::TimePath<double> MechanicalEquations::PathAlong(const double* q, const double* v,
+                                                                     const double* p) const {
+  return {Path<double>(n_, q, v, nullptr), Constant(num_p_, p)};
 }
 
 double MechanicalEquations::GapScale(int contact, const Point& at) const {
@@ -96,12 +148,12 @@ double MechanicalEquations::GapScale(int contact, const Point& at) const {
 
 // value: nothing; rate: the velocity along the row; second: the acceleration.
 template <typename S>
-TimeJet<S> MechanicalEquations::Along(const Row& row, const std::vector<TimeJet<S>>& q, const S* v, const S* a,
-                                      const std::vector<TimeJet<S>>& p) const {
-  if (!row.tangential) return f_.Gap(row.contact, q.data(), p.data());
-  if (!f_.has_rows()) return f_.Slide(row.contact, q.data(), p.data());
+TimeJet<S> MechanicalEquations::Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const {
+  const TimeJet<S>*q = path.q.data(), *p = path.p.data();
+  if (!row.tangential) return f_.Gap(row.contact, q, p);
+  if (!f_.has_rows()) return f_.Slide(row.contact, q, p);
   std::vector<TimeJet<S>> entries(n_);
-  f_.SlideRow(row.contact, q.data(), p.data(), entries.data());
+  f_.SlideRow(row.contact, q, p, entries.data());
   TimeJet<S> along(0.0);
   for (int j = 0; j < n_; ++j) {
     along.rate += entries[j].value * v[j];
@@ -112,18 +164,14 @@ TimeJet<S> MechanicalEquations::Along(const Row& row, const std::vector<TimeJet<
 }
 
 double MechanicalEquations::RateAlong(const Row& row, const double* q, const double* v, const double* p) const {
-  return Along<double>(row, Path<double>(n_, q, v, nullptr), v, nullptr, Constant(num_p_, p)).rate;
+  return Along<double>(row, PathAlong(q, v, p), v, nullptr).rate;
 }
 double MechanicalEquations::SecondAlong(const Row& row, const double* q, const double* v, const double* a,
                                         const double* p) const {
-  return Along<double>(row, Path(n_, q, v, a), v, a, Constant(num_p_, p)).second;
+  return Along<double>(row, {Path(n_, q, v, a), Constant(num_p_, p)}, v, a).second;
 }
 Jet MechanicalEquations::RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const {
-  return Along<Jet>(row, Path<Jet>(n_, q, v, nullptr), v, nullptr, Constant(num_p_, p)).rate;
-}
-Jet MechanicalEquations::SecondAlong(const Row& row, const Jet* q, const Jet* v, const double* a, const Jet* p) const {
-  const Jets fixed(a, a + n_);
-  return Along<Jet>(row, Path(n_, q, v, fixed.data()), v, fixed.data(), Constant(num_p_, p)).second;
+  return Along<Jet>(row, {Path<Jet>(n_, q, v, nullptr), Constant(num_p_, p)}, v, nullptr).rate;
 }
 
 MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed,
@@ -131,12 +179,11 @@ MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<Clos
   System system;
   Eigen::MatrixXd mass(n_, n_);
   f_.Mass(at.q, at.p, mass.data());  // symmetric: the order of rows and columns does not matter
-  system.mass.compute(mass);
+  system.mass.Factorize(mass);
   system.rows = RowsOf(closed);
   const auto r = static_cast<Eigen::Index>(system.rows.size());
   if (r == 0) return system;
-  system.G.resize(r, n_);
-  for (Eigen::Index i = 0; i < r; ++i) system.G.row(i) = RowAt(system.rows[i], at);
+  system.G = RowsAt(system.rows, at);
   system.F = system.G.transpose();
   Eigen::Index column = 0;  // of the normals, which come first
   for (const ClosedContact& contact : closed) {
@@ -146,7 +193,7 @@ MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<Clos
     }
     if (contact.status != 'S') ++column;
   }
-  system.mobile_F = system.mass.solve(system.F);
+  system.mobile_F = system.mass.Solve(system.F);
   system.contact.emplace(Multiply(system.G, system.mobile_F), kDependentRow);
   return system;
 }
@@ -159,12 +206,13 @@ Eigen::VectorXd MechanicalEquations::Force(const Point& at) const {
 
 void MechanicalEquations::Accelerate(const System& system, const Point& at, Eigen::VectorXd* a,
                                      Eigen::VectorXd* force) const {
-  *a = system.mass.solve(Force(at));
+  *a = system.mass.Solve(Force(at));
   const auto r = static_cast<Eigen::Index>(system.rows.size());
   force->resize(r);
   if (r == 0) return;
   Eigen::VectorXd right(r);
-  for (Eigen::Index i = 0; i < r; ++i) right[i] = -SecondAlong(system.rows[i], at.q, at.v, a->data(), at.p);
+  const TimePath<double> path{Path(n_, at.q, at.v, static_cast<const double*>(a->data())), Constant(num_p_, at.p)};
+  for (Eigen::Index i = 0; i < r; ++i) right[i] = -Along<double>(system.rows[i], path, at.v, a->data()).second;
   system.contact->Solve(right, *force);
   *a += system.mobile_F * *force;
 }
@@ -198,20 +246,22 @@ MechanicalEquations::Seeds MechanicalEquations::SeedDirection(const Point& at, c
 }
 
 void MechanicalEquations::SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential,
-                                          const Seeds& seeds, Jet* residual) const {
+                                          const Seeds& seeds, TimePath<Jet>* still, Jet* residual) const {
   Jets row(n_);
-  RowOf({contact, false}, seeds.q.data(), seeds.p.data(), row.data());
+  RowOf({contact, false}, seeds, still, row.data());
   for (int j = 0; j < n_; ++j) residual[j] -= normal * row[j];
   if (sliding == 0 && tangential == nullptr) return;
   const Jet along = tangential != nullptr
                         ? *tangential
                         : static_cast<double>(-sliding) * normal * f_.Friction(contact, seeds.p.data());
-  RowOf({contact, true}, seeds.q.data(), seeds.p.data(), row.data());
+  RowOf({contact, true}, seeds, still, row.data());
   for (int j = 0; j < n_; ++j) residual[j] -= along * row[j];
 }
 
 void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds,
                                          const Eigen::VectorXd& force, Jet* residual) const {
+  if (closed.empty()) return;
+  TimePath<Jet> still = Still(seeds);
   Eigen::Index normals = 0;
   for (const ClosedContact& contact : closed) normals += contact.status != 'S' ? 1 : 0;
   Eigen::Index normal = 0, sticking = normals;
@@ -219,7 +269,8 @@ void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& close
     const Jet f_n(contact.status != 'S' ? force[normal++] : 0.0);
     const bool sticks = contact.status == 's' || contact.status == 'S';
     const Jet f_t(sticks ? force[sticking++] : 0.0);
-    SubtractContact(contact.contact, f_n, SlidingSign(contact.status), sticks ? &f_t : nullptr, seeds, residual);
+    SubtractContact(
+        contact.contact, f_n, SlidingSign(contact.status), sticks ? &f_t : nullptr, seeds, &still, residual);
   }
 }
 
@@ -227,7 +278,7 @@ void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& close
 MechanicalEquations::Derivative MechanicalEquations::Solve(const System& system, const Jets& momentum,
                                                            const Jets& rows) const {
   Derivative out;
-  out.motion = system.mass.solve(-Directions(momentum));
+  out.motion = system.mass.Solve(-Directions(momentum));
   out.force.resize(static_cast<Eigen::Index>(rows.size()), kWidth);
   if (rows.empty()) return out;
   out.force = -Directions(rows) - system.G * out.motion;
@@ -250,7 +301,11 @@ MechanicalEquations::Derivative MechanicalEquations::AccelerationDerivative(cons
     for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * a[j];
   }
   SubtractForces(closed, seeds, force, momentum.data());
-  for (const Row& row : system.rows) rows.push_back(SecondAlong(row, at.q, at.v, a.data(), at.p));
+  if (!system.rows.empty()) {
+    const Jets fixed(a.data(), a.data() + n_);
+    const TimePath<Jet> path{Path(n_, at.q, at.v, fixed.data()), Constant(num_p_, at.p)};
+    for (const Row& row : system.rows) rows.push_back(Along<Jet>(row, path, at.v, fixed.data()).second);
+  }
   return Solve(system, momentum, rows);
 }
 
@@ -268,8 +323,11 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
     for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * (v_plus[j] - at.v[j]);
   }
   SubtractForces(closed, seeds, force, momentum.data());
-  for (const KnownImpulse& impulse : known) {
-    SubtractContact(impulse.contact, impulse.normal, impulse.sliding, nullptr, seeds, momentum.data());
+  if (!known.empty()) {
+    TimePath<Jet> still = Still(seeds);
+    for (const KnownImpulse& impulse : known) {
+      SubtractContact(impulse.contact, impulse.normal, impulse.sliding, nullptr, seeds, &still, momentum.data());
+    }
   }
   const Jets after(v_plus.data(), v_plus.data() + n_);
   for (std::size_t i = 0; i < system.rows.size(); ++i) {
@@ -341,10 +399,11 @@ void MechanicalEquations::ProjectDerivative(const std::vector<ClosedContact>& cl
 // With x = M^-1 N^T and y = M^-1 F held, N y + x^T F - x^T M y has the value and the derivative of N M^-1 F.
 Jet MechanicalEquations::Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const {
   const System system = Assemble({contact}, at);
-  const Eigen::VectorXd x = system.mass.solve(system.G.transpose()), y = system.mobile_F;
+  const Eigen::VectorXd x = system.mass.Solve(system.G.transpose()), y = system.mobile_F;
   Jets normal(n_), tangent(n_), mass(static_cast<std::size_t>(n_) * n_);
-  RowOf({contact.contact, false}, seeds.q.data(), seeds.p.data(), normal.data());
-  RowOf({contact.contact, true}, seeds.q.data(), seeds.p.data(), tangent.data());
+  TimePath<Jet> still = Still(seeds);
+  RowOf({contact.contact, false}, seeds, &still, normal.data());
+  RowOf({contact.contact, true}, seeds, &still, tangent.data());
   f_.Mass(seeds.q.data(), seeds.p.data(), mass.data());
   const Jet slip = f_.Friction(contact.contact, seeds.p.data()) * static_cast<double>(SlidingSign(contact.status));
   Jet sum(0.0);

@@ -34,6 +34,34 @@ struct ClosedContact {
 // The sign of v_t of a sliding contact, else 0.
 inline int SlidingSign(char status) { return status == '+' ? 1 : status == '-' ? -1 : 0; }
 
+// A mass matrix, factorized. That of free bodies is diagonal.
+class MassMatrix {
+ public:
+  void Factorize(const Eigen::MatrixXd& mass);
+
+  // M^-1 right.
+  template <typename Right>
+  Eigen::Matrix<double, Eigen::Dynamic, Right::ColsAtCompileTime> Solve(const Eigen::MatrixBase<Right>& right) const {
+    if (!is_diagonal_) return cholesky_.solve(right);
+    Eigen::Matrix<double, Eigen::Dynamic, Right::ColsAtCompileTime> solution = right;
+    // As the factorization does it, to the last bit.
+    if constexpr (Right::ColsAtCompileTime == 1) {
+      solution.array() = solution.array() / roots_.array() / roots_.array();
+    } else {
+      for (Eigen::Index i = 0; i < solution.rows(); ++i) {
+        const double inverse = 1 / roots_[i];
+        solution.row(i) = (solution.row(i) * inverse).eval() * inverse;
+      }
+    }
+    return solution;
+  }
+
+ private:
+  bool is_diagonal_ = false;
+  Eigen::VectorXd roots_;  // of the diagonal, if there is nothing else
+  Eigen::LLT<Eigen::MatrixXd> cholesky_;
+};
+
 class MechanicalEquations {
  public:
   using Jet = MechanicalFunctions::Jet;
@@ -55,21 +83,31 @@ class MechanicalEquations {
 
   // M, factorized, and the matrices of closed contacts at (q, p).
   struct System {
-    Eigen::LLT<Eigen::MatrixXd> mass;
+    MassMatrix mass;
     std::vector<Row> rows;
     Eigen::MatrixXd G, F, mobile_F;          // r x n, n x r, M^-1 F
     std::optional<LeastNormSolver> contact;  // of G M^-1 F; none without rows
   };
   System Assemble(const std::vector<ClosedContact>& closed, const Point& at) const;
-  // Whether the mass matrix is positive definite.
-  static bool IsRegular(const System& system) { return system.mass.info() == Eigen::Success; }
 
-  Eigen::RowVectorXd RowAt(const Row& row, const Point& at) const;
+  Eigen::RowVectorXd RowAt(const Row& row, const Point& at) const { return RowsAt({row}, at); }
+  Eigen::MatrixXd RowsAt(const std::vector<Row>& rows, const Point& at) const;
   // The first or second time derivative of a gap, or the velocity or acceleration along a tangent, on a path with this
   // velocity and acceleration.
   double RateAlong(const Row& row, const double* q, const double* v, const double* p) const;
   double SecondAlong(const Row& row, const double* q, const double* v, const double* a, const double* p) const;
   double Gap(int contact, const Point& at) const { return f_.Gap(contact, at.q, at.p); }
+  // The gap and its derivatives by q and p.
+  double GapGradient(int contact, const Point& at, double* by_q, double* by_p) const;
+  // All coordinates and parameters on a path through q with this velocity, and the rate of a gap on it.
+  template <typename S>
+  struct TimePath {
+    std::vector<TimeJet<S>> q, p;
+  };
+  TimePath<double> PathAlong(const double* q, const double* v, const double* p) const;
+  double GapRate(int contact, const TimePath<double>& path) const {
+    return f_.Gap(contact, path.q.data(), path.p.data()).rate;
+  }
   // sum |N_j q_j|: the size of the terms of a gap, of which rounding errors are a part.
   double GapScale(int contact, const Point& at) const;
 
@@ -119,14 +157,19 @@ class MechanicalEquations {
   Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
 
  private:
-  Jet SecondAlong(const Row& row, const Jet* q, const Jet* v, const double* a, const Jet* p) const;
-  void RowOf(const Row& row, const Jet* q, const Jet* p, Jet* out) const;
+  // The path that stays where it is.
+  TimePath<Jet> Still(const Seeds& seeds) const;
+  // `still` is that path, and so again afterwards.
+  void RowOf(const Row& row, const Seeds& seeds, TimePath<Jet>* still, Jet* out) const;
+  // v and a are those of the path.
   template <typename S>
-  TimeJet<S> Along(const Row& row, const std::vector<TimeJet<S>>& q, const S* v, const S* a,
-                   const std::vector<TimeJet<S>>& p) const;
+  TimeJet<S> Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const;
+  // Calls use(first, width, q, p) for each pass over the coordinates, of which those from `first` on have the seeds.
+  template <typename Use>
+  void ForEachPass(const Point& at, const Use& use) const;
   // Subtracts what a contact with this normal force, which sticks under a tangential force or slides, does.
   void SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential, const Seeds& seeds,
-                       Jet* residual) const;
+                       TimePath<Jet>* still, Jet* residual) const;
   // Subtracts F f from `residual`.
   void SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Eigen::VectorXd& force,
                       Jet* residual) const;

@@ -205,7 +205,7 @@ ContactProblem MechanicalHybrid::ProblemOf(const std::vector<int>& contacts, con
     problem.sliding.push_back(0);
   }
   const MechanicalEquations::System system = equations_.Assemble({}, at);
-  problem.W = Multiply(rows, system.mass.solve(rows.transpose()));
+  problem.W = Multiply(rows, system.mass.Solve(rows.transpose()));
   problem.given = rows * Eigen::Map<const Eigen::VectorXd>(at.v, n);
   return problem;
 }
@@ -215,7 +215,7 @@ std::vector<ContactSolution> MechanicalHybrid::SolveAccelerations(const Closing&
   ContactProblem problem = ProblemOf(closing.contacts, at);
   problem.sliding = closing.sliding;
   const MechanicalEquations::System system = equations_.Assemble({}, at);
-  const Eigen::VectorXd a = system.mass.solve(equations_.Force(at));
+  const Eigen::VectorXd a = system.mass.Solve(equations_.Force(at));
   for (Eigen::Index i = 0; i < k; ++i) {
     problem.given[2 * i] = equations_.SecondAlong({closing.contacts[i], false}, at.q, at.v, a.data(), at.p);
     if (!problem.has_friction[i]) continue;
@@ -255,7 +255,7 @@ std::string MechanicalHybrid::Close(const std::string& before, const Closing& cl
   if (closing.contacts.size() == 1 && closing.sliding[0] != 0) {
     const ClosedContact contact{closing.contacts[0], closing.sliding[0] > 0 ? '+' : '-'};
     const MechanicalEquations::System system = equations_.Assemble({contact}, at);
-    const Eigen::VectorXd a = equations_.Assemble({}, at).mass.solve(equations_.Force(at));
+    const Eigen::VectorXd a = equations_.Assemble({}, at).mass.Solve(equations_.Force(at));
     *why += "; A = " + Text((system.G * system.mobile_F)(0, 0)) +
             ", b = " + Text(equations_.SecondAlong({contact.contact, false}, at.q, at.v, a.data(), at.p));
   }
@@ -345,7 +345,7 @@ Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const 
       momentum += impulse[row + 1] * equations_.RowAt({contacts[i], true}, at).transpose();
     }
   }
-  return Eigen::Map<const Eigen::VectorXd>(at.v, n) + equations_.Assemble({}, at).mass.solve(momentum);
+  return Eigen::Map<const Eigen::VectorXd>(at.v, n) + equations_.Assemble({}, at).mass.Solve(momentum);
 }
 
 MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
@@ -563,10 +563,11 @@ double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, c
   return GuardRate(mode, guard, t, x, still.data(), u, p, &rate);
 }
 
-GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at, const double* xdot,
+GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
+                                        const MechanicalEquations::TimePath<double>& path,
                                         const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion) const {
   if (guarded.what == Guarded::What::kHit) {
-    return {equations_.Gap(guarded.contact, at), equations_.RateAlong({guarded.contact, false}, at.q, xdot, at.p)};
+    return {equations_.Gap(guarded.contact, at), equations_.GapRate(guarded.contact, path)};
   }
   const Jet value = GuardJet(mode, guarded, at, seeds, &motion);
   return {value.a, value.v[0]};
@@ -581,7 +582,7 @@ double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* 
   ClosedMotion motion;
   if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
   if (NeedsForces(guarded)) motion = MotionOf(of, on.at, &seeds);
-  const GuardValue found = GuardAlong(of, guarded, on.at, xdot, seeds, motion);
+  const GuardValue found = GuardAlong(of, guarded, on.at, equations_.PathAlong(on.at.q, xdot, on.at.p), seeds, motion);
   *rate = found.rate;
   return found.value;
 }
@@ -596,7 +597,8 @@ void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const dou
     seeds = equations_.SeedDirection(on.at, xdot);
     motion = MotionOf(of, on.at, &seeds);
   }
-  for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, xdot, seeds, motion);
+  const MechanicalEquations::TimePath<double> path = equations_.PathAlong(on.at.q, xdot, on.at.p);
+  for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
 }
 
 double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
@@ -605,6 +607,10 @@ double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const doub
   const OnMode on = Projected(of, PointAt(t, x, u, p));
   const Guarded& guarded = of.guards[guard];
   const int columns = equations_.num_columns(true);
+  if (guarded.what == Guarded::What::kHit) {
+    std::fill_n(gradient, columns, 0.0);
+    return equations_.GapGradient(guarded.contact, on.at, gradient, gradient + 2 * equations_.n() + 1);
+  }
   double value = 0;
   for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
     const MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, first);

@@ -159,9 +159,11 @@ class MechanicalHybrid final : public HybridFunctions {
   ClosedMotion MotionOf(const Mode& mode, const Point& at, const MechanicalEquations::Seeds* seeds) const;
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion* motion) const;
-  // A guard and its rate along xdot. Seeds and motion are not read where a gap is the guard.
-  GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at, const double* xdot,
-                        const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion) const;
+  // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,
+  // the path where none is.
+  GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
+                        const MechanicalEquations::TimePath<double>& path, const MechanicalEquations::Seeds& seeds,
+                        const ClosedMotion& motion) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
   // Whether what a mode says of closed contacts holds at a jump of the control.

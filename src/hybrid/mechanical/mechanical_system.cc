@@ -148,7 +148,7 @@ MechanicalImpact MechanicalSystem::ImpactAt(int mode, int contact, std::span<con
       MechanicalHybrid::Point then = at;
       then.v = hit.v_plus.data();
       const MechanicalEquations& equations = modes_->equations();
-      const Eigen::VectorXd a = equations.Assemble({}, then).mass.solve(equations.Force(then));
+      const Eigen::VectorXd a = equations.Assemble({}, then).mass.Solve(equations.Force(then));
       const double falls = -equations.SecondAlong({hit.contacts[i], false}, then.q, then.v, a.data(), then.p);
       const double e = functions().Restitution(hit.contacts[i], p.data());
       if (falls > 0) {
