@@ -90,15 +90,13 @@ inline HybridProblem PushedBoxProblem() {
                         .guess = {.initial = {-0.25, -0.03, 0, 0, 0, 0, 0, 0, 0, 0},
                                   .parameters = {0.4, 1.5},
                                   .duration = 1,
-                                  .num_intervals = 20},
-                        .terms = {MakeTerminalCost(2, 0.25, 100.0, 10),
-                                  MakeTerminalCost(3, 0.05, 100.0, 10),
-                                  MakeTerminalCost(4, 0.4, 10.0, 10),
+                                  .num_intervals = 10},
+                        .terms = {MakeTerminalCost(2, 0.25, 20.0, 10),
+                                  MakeTerminalCost(3, 0.05, 20.0, 10),
+                                  MakeTerminalCost(4, 0.4, 2.0, 10),
                                   MakeEffortCost(0.01, 2)},
-                        .integration = {.steps_per_interval = 2}};
-  for (int k = 0; k < 20; ++k) {
-    problem.guess.control.insert(problem.guess.control.end(), {k < 14 ? 1.0 : -0.5, 0.0});
-  }
+                        .integration = {.steps_per_interval = 1}};
+  for (int k = 0; k < 10; ++k) problem.guess.control.insert(problem.guess.control.end(), {0.87 - 0.06 * k, 0.0});
   problem.free.control = true;
   return problem;
 }

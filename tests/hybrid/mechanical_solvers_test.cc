@@ -154,12 +154,15 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, doub
   }
 }
 
-// The disc strikes the box, sticks to it, and pushes it until the end. The last digits of the loss decide whether the
-// solve counts as converged.
-TEST(ClosedContacts, APushedBoxReachesItsTarget) {
-  HybridProblem problem = PushedBoxProblem();
-  problem.integration.steps_per_interval = 1;
-  const SolveReport report = Solve("ceres_phases", problem, {});
+// The disc strikes the box, sticks to it, and pushes it until the end.
+TEST(ClosedContacts, APushedBoxReachesItsTargetWithACertificate) {
+  const HybridProblem problem = PushedBoxProblem();
+  const SolveReport report = Solve("mode_search", problem, {.search_options = {.work = 1e6, .starts = 1}});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  ASSERT_TRUE(report.certificate->curvature);
+  EXPECT_GT(report.certificate->curvature->smallest, 0);
   HybridSimulator simulator(problem.system, problem.integration);
   HybridInput best = problem.guess;
   best.control = report.control;

@@ -368,6 +368,72 @@ TEST(ControlJumps, ContactsOpenSlideAndStickAgain) {
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0, 0, 0}).control[2], 0.5 + 3.0 / 5, 1e-12);
 }
 
+// The derivative of a function of [x p] by component i, by differences of fourth order.
+template <typename Function>
+std::vector<double> Difference(const Function& function, const std::vector<double>& at, std::size_t i) {
+  const double h = 1e-3;
+  const auto moved = [&](double step) {
+    std::vector<double> y = at;
+    y[i] += step;
+    return function(y);
+  };
+  const std::vector<double> far_on = moved(2 * h), on = moved(h), back = moved(-h), far_back = moved(-2 * h);
+  std::vector<double> out(on.size());
+  for (std::size_t k = 0; k < out.size(); ++k) out[k] = (8 * (on[k] - back[k]) - (far_on[k] - far_back[k])) / (12 * h);
+  return out;
+}
+
+// Solvers in phases meet states whose contacts are a little open or closed too far, and which move apart.
+TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContacts) {
+  constexpr int kStates = 8, kColumns = kStates + 1 + Hopper::kNumParameters;  // [x t p]
+  const MechanicalSystem system{Hopper()};
+  const HybridFunctions& f = system.hybrid().functions();
+  const std::vector<double> p = {2, 0.4, 0.3, 0.4, 0.45, 9.81, 0.4, 0.3, 0, 0.9, 0.7, -0.6}, u = {8, -0.2};
+  std::vector<double> at = {-0.01, 0.72, 0.7, -0.6, 0.1, 0.3, -0.4, 0.2};  // the foot is 0.04 m above the ground
+  at.insert(at.end(), p.begin(), p.end());
+  const auto expect = [&](const auto& function, const std::vector<double>& jacobian, int columns) {
+    for (std::size_t i = 0; i < at.size(); ++i) {
+      const std::size_t column = i < kStates ? i : i + 1;
+      const std::vector<double> by = Difference(function, at, i);
+      for (std::size_t k = 0; k < by.size(); ++k) {
+        EXPECT_NEAR(jacobian[k * columns + column], by[k], 1e-7 * std::max(1.0, std::abs(by[k]))) << k << " by " << i;
+      }
+    }
+  };
+  for (const std::string status : {"s", "+"}) {
+    SCOPED_TRACE(status);
+    const int mode = system.Mode(status);
+    std::vector<double> after(kStates), jacobian(kStates * kColumns);
+    f.ProjectJacobian(mode, at.data(), &at[kStates], after.data(), jacobian.data());
+    const auto project = [&](const std::vector<double>& y) {
+      std::vector<double> out(kStates);
+      f.Project(mode, y.data(), &y[kStates], out.data());
+      return out;
+    };
+    EXPECT_EQ(project(at), after);
+    expect(project, jacobian, kColumns);
+    for (int guard = 0; guard < f.num_guards(mode); ++guard) {
+      SCOPED_TRACE(f.GuardName(mode, guard));
+      std::vector<double> gradient(kColumns + Hopper::kNumControls);
+      const double value = f.GuardGradient(mode, guard, 0, at.data(), u.data(), &at[kStates], gradient.data());
+      const auto evaluate = [&](const std::vector<double>& y) {
+        return std::vector{f.Guard(mode, guard, 0, y.data(), u.data(), &y[kStates])};
+      };
+      EXPECT_NEAR(evaluate(at)[0], value, 1e-12 * std::abs(value));
+      expect(evaluate, gradient, static_cast<int>(gradient.size()));
+      const auto reset = [&](const std::vector<double>& y) {
+        std::vector<double> out(kStates);
+        f.Reset(mode, guard, 0, y.data(), u.data(), &y[kStates], out.data());
+        return out;
+      };
+      if (f.ResetJacobian(mode, guard, 0, at.data(), u.data(), &at[kStates], after.data(), jacobian.data()) < 0) {
+        continue;
+      }
+      expect(reset, jacobian, kColumns);
+    }
+  }
+}
+
 TEST(MechanicalModes, HaveALetterForEachContact) {
   const MechanicalSystem system{Box<4>()};
   EXPECT_EQ(system.hybrid().ModeName(0), "oooo");

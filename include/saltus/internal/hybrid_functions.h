@@ -90,6 +90,14 @@ class HybridFunctions {
   // And its derivative by [x t p u]: n + 1 + P + m numbers.
   virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                double* gradient) const = 0;
+  // The same of all guards of a mode, a row each.
+  virtual void GuardGradients(int mode, double t, const double* x, const double* u, const double* p, double* values,
+                              double* gradients) const {
+    const int columns = state_size(mode) + 1 + layout().num_parameters + layout().num_controls;
+    for (int guard = 0; guard < num_guards(mode); ++guard) {
+      values[guard] = GuardGradient(mode, guard, t, x, u, p, gradients + guard * columns);
+    }
+  }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. A negative number:
   // there is none, and WhyNoMode says why. x_plus has room for the largest state of any mode; what a reset into a mode

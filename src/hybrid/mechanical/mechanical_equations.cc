@@ -12,6 +12,7 @@ using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>
 
 constexpr double kDependentRow = 1e-10;  // pivots of rows that depend on others, of the largest
 constexpr int kMostCorrections = 10;     // of a projection
+constexpr double kRounding = 1e-13;      // of the terms of a gap: corrections below it do not change derivatives
 
 template <typename S>
 std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
@@ -341,22 +342,53 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
   return Solve(system, momentum, rows);
 }
 
-void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, double* q, double* v,
-                                  const double* p) const {
+void MechanicalEquations::CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed,
+                                       const Eigen::VectorXd& force, const Jets& rows, Jets* moved,
+                                       const Seeds& seeds) const {
+  const Eigen::VectorXd change = system.mobile_F * force;
+  const MechanicalPoint<Jet> at = seeds.point();
+  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), closing = rows;
+  f_.Mass(at.q, at.p, mass.data());
+  for (int i = 0; i < n_; ++i) {
+    momentum[i] = Jet(0.0);
+    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * change[j];
+  }
+  SubtractForces(closed, seeds, force, momentum.data());
+  const Jets along(change.data(), change.data() + n_);
+  for (std::size_t i = 0; i < closing.size(); ++i) {
+    closing[i] += RateAlong(system.rows[i], at.q, along.data(), at.p);
+  }
+  const Derivative by = Solve(system, momentum, closing);
+  for (int i = 0; i < n_; ++i) (*moved)[i].v += by.motion.row(i).transpose();
+}
+
+void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p,
+                                  Seeds* seeds) const {
   std::vector<ClosedContact> normals = closed;
   for (ClosedContact& contact : normals) contact.status = 'n';
   const auto k = static_cast<Eigen::Index>(closed.size());
   const Point at{0, q, v, nullptr, p};
   Eigen::VectorXd gaps(k);
   double last = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < kMostCorrections; ++i) {
+  for (int i = 0; i <= kMostCorrections; ++i) {
     for (Eigen::Index c = 0; c < k; ++c) gaps[c] = -Gap(closed[c].contact, at);
     const double size = gaps.cwiseAbs().maxCoeff();
-    if (size == 0 || !(size < 0.5 * last)) break;
+    const bool ends = size == 0 || !(size < 0.5 * last) || i == kMostCorrections;
+    if (ends && seeds == nullptr) break;
     last = size;
     const System system = Assemble(normals, at);
-    system.contact->Solve(gaps, gaps);
+    if (ends) gaps.setZero();  // what is left of them is rounding
+    if (!ends) system.contact->Solve(gaps, gaps);
+    if (seeds != nullptr && (ends || size > kRounding * GapScale(closed[0].contact, at))) {
+      Jets rows;
+      for (const ClosedContact& contact : closed) {
+        rows.push_back(f_.Gap(contact.contact, seeds->q.data(), seeds->p.data()));
+      }
+      CorrectSeeds(system, normals, gaps, rows, &seeds->q, *seeds);
+    }
+    if (ends) break;
     Eigen::Map<Eigen::VectorXd>(q, n_) += system.mobile_F * gaps;
+    for (int j = 0; seeds != nullptr && j < n_; ++j) seeds->q[j].a = q[j];
   }
   std::vector<ClosedContact> held = closed;
   for (ClosedContact& contact : held) {
@@ -367,33 +399,13 @@ void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, doub
   Eigen::VectorXd rates = -(system.G * velocity);
   system.contact->Solve(rates, rates);
   velocity += system.mobile_F * rates;
-}
-
-void MechanicalEquations::ProjectDerivative(const std::vector<ClosedContact>& closed, const Seeds& seeds,
-                                            const Point& at, Block* q, Block* v) const {
-  const auto k = static_cast<Eigen::Index>(closed.size());
-  std::vector<ClosedContact> normals = closed, held = closed;
-  for (ClosedContact& contact : normals) contact.status = 'n';
-  for (ClosedContact& contact : held) {
-    if (contact.status != 's') contact.status = 'n';
+  if (seeds == nullptr) return;
+  Jets rows;
+  for (const Row& row : system.rows) {
+    rows.push_back(RateAlong(row, seeds->q.data(), seeds->v.data(), seeds->p.data()));
   }
-  *q = Directions(seeds.q);
-  const System system = Assemble(normals, at);
-  Block gaps(k, kWidth);
-  for (Eigen::Index i = 0; i < k; ++i) {
-    gaps.row(i) = -f_.Gap(closed[i].contact, seeds.q.data(), seeds.p.data()).v.transpose();
-  }
-  SolveColumns(*system.contact, &gaps);
-  *q += system.mobile_F * gaps;
-  Seeds moved = seeds;
-  for (int i = 0; i < n_; ++i) moved.q[i].v = q->row(i).transpose();
-  const System rates = Assemble(held, at);
-  Block speeds(static_cast<Eigen::Index>(rates.rows.size()), kWidth);
-  for (Eigen::Index i = 0; i < speeds.rows(); ++i) {
-    speeds.row(i) = -RateAlong(rates.rows[i], moved.q.data(), moved.v.data(), moved.p.data()).v.transpose();
-  }
-  SolveColumns(*rates.contact, &speeds);
-  *v = Directions(seeds.v) + rates.mobile_F * speeds;
+  CorrectSeeds(system, held, rates, rows, &seeds->v, *seeds);
+  for (int j = 0; j < n_; ++j) seeds->v[j].a = v[j];
 }
 
 // With x = M^-1 N^T and y = M^-1 F held, N y + x^T F - x^T M y has the value and the derivative of N M^-1 F.

@@ -144,12 +144,9 @@ class MechanicalEquations {
                               const std::vector<char>& has_restitution,
                               const std::vector<KnownImpulse>& known = {}) const;
 
-  // Moves q and v onto phi = 0 and G v = 0.
-  void Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p) const;
-  // The derivative of a projection that moves them by no more than rounding errors.
-  void ProjectDerivative(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Point& at,
-                         Eigen::Matrix<double, Eigen::Dynamic, kWidth>* q,
-                         Eigen::Matrix<double, Eigen::Dynamic, kWidth>* v) const;
+  // Moves q and v onto phi = 0 and G v = 0, and seeds at [q v] with them, from wherever they are.
+  void Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p,
+               Seeds* seeds = nullptr) const;
 
   // N M^-1 (N^T - mu sigma T^T) of a sliding contact: where it is not positive, no force or several keep it closed.
   Jet Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const;
@@ -174,6 +171,9 @@ class MechanicalEquations {
   void SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Eigen::VectorXd& force,
                       Jet* residual) const;
   Derivative Solve(const System& system, const Jets& momentum, const Jets& rows) const;
+  // Adds to `moved`, the seeds of q or v, the derivative of a change d = M^-1 F force of these with rows + G d = 0.
+  void CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed, const Eigen::VectorXd& force,
+                    const Jets& rows, Jets* moved, const Seeds& seeds) const;
 
   const MechanicalFunctions& f_;
   const int n_, num_u_, num_p_;

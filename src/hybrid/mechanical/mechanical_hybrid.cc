@@ -557,6 +557,17 @@ MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Poi
   return on;
 }
 
+// The seeds of some columns of [x t p u] at a point, moved onto the equations of the mode as Projected moves the point.
+MechanicalEquations::Seeds MechanicalHybrid::ProjectedSeeds(const Mode& mode, const Point& at, int first) const {
+  MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, first);
+  if (mode.closed.empty()) return seeds;
+  const int n = equations_.n();
+  std::vector<double> x(at.q, at.q + n);
+  x.insert(x.end(), at.v, at.v + n);
+  equations_.Project(mode.closed, x.data(), x.data() + n, at.p, &seeds);
+  return seeds;
+}
+
 double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const {
   double rate = 0;
   const std::vector<double> still(2 * equations_.n(), 0.0);
@@ -604,23 +615,38 @@ void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const dou
 double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                        double* gradient) const {
   const Mode& of = ModeAt(mode);
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
   const Guarded& guarded = of.guards[guard];
-  const int columns = equations_.num_columns(true);
-  if (guarded.what == Guarded::What::kHit) {
-    std::fill_n(gradient, columns, 0.0);
-    return equations_.GapGradient(guarded.contact, on.at, gradient, gradient + 2 * equations_.n() + 1);
+  if (guarded.what == Guarded::What::kHit && of.closed.empty()) {
+    std::fill_n(gradient, equations_.num_columns(true), 0.0);
+    return equations_.GapGradient(guarded.contact, PointAt(t, x, u, p), gradient, gradient + 2 * equations_.n() + 1);
   }
   double value = 0;
-  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    const MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, first);
-    ClosedMotion motion;
-    if (NeedsForces(guarded)) motion = MotionOf(of, on.at, &seeds);
-    const Jet jet = GuardJet(of, guarded, on.at, seeds, &motion);
-    value = jet.a;
-    for (int j = 0; j < std::min(MechanicalEquations::kWidth, columns - first); ++j) gradient[first + j] = jet.v[j];
-  }
+  GuardGradients(of, {&guarded, 1}, PointAt(t, x, u, p), &value, gradient);
   return value;
+}
+
+void MechanicalHybrid::GuardGradients(int mode, double t, const double* x, const double* u, const double* p,
+                                      double* values, double* gradients) const {
+  const Mode& of = ModeAt(mode);
+  GuardGradients(of, of.guards, PointAt(t, x, u, p), values, gradients);
+}
+
+void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+                                      double* values, double* gradients) const {
+  const OnMode on = Projected(mode, from);
+  const bool forces = std::any_of(guards.begin(), guards.end(), NeedsForces);
+  const int columns = equations_.num_columns(true);
+  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
+    const MechanicalEquations::Seeds seeds = ProjectedSeeds(mode, from, first);
+    ClosedMotion motion;
+    if (forces) motion = MotionOf(mode, on.at, &seeds);
+    for (std::size_t guard = 0; guard < guards.size(); ++guard) {
+      const Jet jet = GuardJet(mode, guards[guard], on.at, seeds, &motion);
+      values[guard] = jet.a;
+      double* gradient = gradients + guard * columns + first;
+      std::copy_n(jet.v.data(), std::min(MechanicalEquations::kWidth, columns - first), gradient);
+    }
+  }
 }
 
 // The status of all contacts after an event; empty if there is none, and then `why` says why.
@@ -679,7 +705,8 @@ int MechanicalHybrid::Reset(int mode, int guard, double t, const double* x, cons
 int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                     double* x_plus, double* jacobian) const {
   const Mode& of = ModeAt(mode);
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const Point from = PointAt(t, x, u, p);
+  const OnMode on = Projected(of, from);
   const int n = equations_.n(), columns = equations_.num_columns(false);
   Impact impact;
   std::string why;
@@ -688,18 +715,9 @@ int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double*
   std::copy_n(on.at.q, n, x_plus);
   std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
   for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, first);
-    Block q, v;
-    if (of.closed.empty()) {
-      q = equations_.Directions(seeds.q);
-      v = equations_.Directions(seeds.v);
-    } else {
-      equations_.ProjectDerivative(of.closed, seeds, on.at, &q, &v);
-      for (int i = 0; i < n; ++i) {
-        seeds.q[i].v = q.row(i).transpose();
-        seeds.v[i].v = v.row(i).transpose();
-      }
-    }
+    const MechanicalEquations::Seeds seeds = ProjectedSeeds(of, from, first);
+    const Block q = equations_.Directions(seeds.q);
+    Block v = equations_.Directions(seeds.v);
     if (impact.v_plus.size() > 0) v = ImpactDerivative(impact, seeds, on.at);
     CopyColumns(q, v, first, columns, jacobian);
   }
@@ -895,11 +913,9 @@ void MechanicalHybrid::ProjectJacobian(int mode, const double* x, const double* 
                                        double* jacobian) const {
   const int columns = equations_.num_columns(false);
   Project(mode, x, p, x_plus);
-  const Point at = PointAt(0, x_plus, nullptr, p);
   for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    Block q, v;
-    equations_.ProjectDerivative(ModeAt(mode).closed, equations_.SeedColumns(at, first), at, &q, &v);
-    CopyColumns(q, v, first, columns, jacobian);
+    const MechanicalEquations::Seeds seeds = ProjectedSeeds(ModeAt(mode), PointAt(0, x, nullptr, p), first);
+    CopyColumns(equations_.Directions(seeds.q), equations_.Directions(seeds.v), first, columns, jacobian);
   }
 }
 

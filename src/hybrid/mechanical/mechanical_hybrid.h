@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <shared_mutex>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -75,6 +76,7 @@ class MechanicalHybrid final : public HybridFunctions {
     std::vector<double> x;  // that `at` refers to, if it has been moved
   };
   OnMode Projected(const Mode& mode, const Point& at) const;
+  MechanicalEquations::Seeds ProjectedSeeds(const Mode& mode, const Point& at, int first) const;
 
   // The velocities after impulses of contacts, normal and tangential in turn.
   Eigen::VectorXd Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse, const Point& at) const;
@@ -114,6 +116,8 @@ class MechanicalHybrid final : public HybridFunctions {
                   GuardValue* all) const override;
   double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                        double* gradient) const override;
+  void GuardGradients(int mode, double t, const double* x, const double* u, const double* p, double* values,
+                      double* gradients) const override;
   int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
             double* x_plus) const override;
   int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
@@ -159,6 +163,8 @@ class MechanicalHybrid final : public HybridFunctions {
   ClosedMotion MotionOf(const Mode& mode, const Point& at, const MechanicalEquations::Seeds* seeds) const;
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion* motion) const;
+  void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from, double* values,
+                      double* gradients) const;
   // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,
   // the path where none is.
   GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,

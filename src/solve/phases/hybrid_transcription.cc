@@ -116,38 +116,64 @@ class StepRows final : public Rows {
   Eigen::VectorXd scale_;
 };
 
-// offset + factor g. Blocks: state, control if the guard depends on it, parameters if there are any, and the time.
-class GuardRow final : public Rows {
+// offset + factor g of some guards of a mode, all or none of which depend on the control. Blocks: state, control if
+// they depend on it, parameters if there are any, and the time.
+class GuardRows final : public Rows {
  public:
-  GuardRow(const HybridFunctions& functions, int mode, int guard, const TimeOf& time, double offset, double factor)
-      : Rows(1, Joined({functions.state_size(mode),
-                        functions.ReadsControl(mode, guard) ? functions.layout().num_controls : 0,
-                        functions.layout().num_parameters,
-                        1,
-                        time.one_block ? 0 : 1})),
+  struct Row {
+    int guard;
+    double offset, factor;
+  };
+  GuardRows(const HybridFunctions& functions, int mode, std::vector<Row> rows, const TimeOf& time)
+      : Rows(static_cast<int>(rows.size()),
+             Joined({functions.state_size(mode),
+                     functions.ReadsControl(mode, rows[0].guard) ? functions.layout().num_controls : 0,
+                     functions.layout().num_parameters,
+                     1,
+                     time.one_block ? 0 : 1})),
         functions_(functions),
-        reads_control_(functions.ReadsControl(mode, guard)),
+        reads_control_(functions.ReadsControl(mode, rows[0].guard)),
         mode_(mode),
-        guard_(guard),
-        time_(time),
-        offset_(offset),
-        factor_(factor) {}
+        guards_(std::move(rows)),
+        time_(time) {}
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
     const int n = functions_.state_size(mode_), P = functions_.layout().num_parameters,
               m = functions_.layout().num_controls;
     const int of_parameters = 1 + reads_control_, times = of_parameters + (P > 0);
-    Eigen::RowVectorXd gradient(n + 1 + P + m);
     const double *u = reads_control_ ? blocks[1] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
-    rows[0] = offset_ + factor_ * functions_.GuardGradient(
-                                      mode_, guard_, time_.At(blocks + times), blocks[0], u, p, gradient.data());
+    const double t = time_.At(blocks + times);
+    const bool one = guards_.size() == 1;
+    const int all = one ? 1 : functions_.num_guards(mode_);
+    Eigen::VectorXd values(all);
+    Matrix gradients(all, n + 1 + P + m);
+    if (one) {
+      values[0] = functions_.GuardGradient(mode_, guards_[0].guard, t, blocks[0], u, p, gradients.data());
+    } else if (jacobians != nullptr) {
+      functions_.GuardGradients(mode_, t, blocks[0], u, p, values.data(), gradients.data());
+    } else {
+      const std::vector<double> still(n, 0.0);
+      std::vector<GuardValue> found(all);
+      functions_.GuardRates(mode_, t, blocks[0], still.data(), u, p, found.data());
+      for (int guard = 0; guard < all; ++guard) values[guard] = found[guard].value;
+    }
+    const auto place = [&](const Row& row) { return one ? 0 : row.guard; };
+    for (size_t i = 0; i < guards_.size(); ++i) {
+      rows[i] = guards_[i].offset + guards_[i].factor * values[place(guards_[i])];
+    }
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    Put(jacobians, 0, factor_ * gradient.head(n));
-    if (reads_control_) Put(jacobians, 1, factor_ * gradient.tail(m));
-    if (P > 0) Put(jacobians, of_parameters, factor_ * gradient.segment(n + 1, P));
-    for (int i = 0; i < time_.num_blocks(); ++i) {
-      Put(jacobians, times + i, factor_ * time_.By(i) * gradient.segment(n, 1));
+    for (size_t i = 0; i < guards_.size(); ++i) {
+      const auto gradient = gradients.row(place(guards_[i]));
+      const double factor = guards_[i].factor;
+      const auto put = [&](int block, const auto& derivative) {
+        if (jacobians[block] == nullptr) return;
+        Eigen::Map<Eigen::RowVectorXd>(jacobians[block] + i * derivative.size(), derivative.size()) = derivative;
+      };
+      put(0, factor * gradient.head(n));
+      if (reads_control_) put(1, factor * gradient.tail(m));
+      if (P > 0) put(of_parameters, factor * gradient.segment(n + 1, P));
+      for (int k = 0; k < time_.num_blocks(); ++k) put(times + k, factor * time_.By(k) * gradient.segment(n, 1));
     }
     return true;
   }
@@ -155,9 +181,9 @@ class GuardRow final : public Rows {
  private:
   const HybridFunctions& functions_;
   bool reads_control_;
-  int mode_, guard_;
+  int mode_;
+  std::vector<Row> guards_;
   TimeOf time_;
-  double offset_, factor_;
 };
 
 // The defect of a reset. Blocks: state before, parameters if there are any, time, state after. `control` acts before
@@ -536,8 +562,11 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
     if (!parameters_.empty()) blocks.push_back(parameters_.data());
     blocks.push_back(End(j));
     lagrangian_.Add(
-        std::make_unique<GuardRow>(
-            functions_, event.mode, event.guard, TimeOf{}, overlaps[j], 1 / scales_.guard[event.mode][event.guard]),
+        std::make_unique<GuardRows>(
+            functions_,
+            event.mode,
+            std::vector<GuardRows::Row>{{event.guard, overlaps[j], 1 / scales_.guard[event.mode][event.guard]}},
+            TimeOf{}),
         {.equalities = 1},
         blocks);
     if (functions_.ReadsControl(event.mode, event.guard)) blocks.erase(blocks.begin() + 1);
@@ -549,32 +578,44 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
   }
 }
 
-// At the ends of steps; where the phase ends with an event, not of its guard.
+// At the ends of steps; where the phase ends with an event, not of its guard. Those that depend on the control are
+// evaluated together, as they depend on the same forces.
 void HybridTranscription::AddGuards(double margin) {
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
     const int count = phase.intervals * substeps_;
+    std::vector<std::vector<int>> groups;
+    std::vector<int> of_control;
     for (int guard = 0; guard < functions_.num_guards(phase.mode); ++guard) {
-      const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
-        return event.mode == phase.mode && event.guard == guard;
-      });
-      const bool ends = j + 1 < num_phases() && plan_.cuts[j]->guard == guard;
-      const bool reads_control = functions_.ReadsControl(phase.mode, guard);
+      if (functions_.ReadsControl(phase.mode, guard)) {
+        of_control.push_back(guard);
+      } else {
+        groups.push_back({guard});
+      }
+    }
+    if (!of_control.empty()) groups.push_back(of_control);
+    for (const std::vector<int>& guards : groups) {
+      const bool reads_control = functions_.ReadsControl(phase.mode, guards[0]);
       const auto add = [&](int k, double* control) {
+        std::vector<GuardRows::Row> rows;
+        for (const int guard : guards) {
+          if (k == count && j + 1 < num_phases() && plan_.cuts[j]->guard == guard) continue;
+          const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
+            return event.mode == phase.mode && event.guard == guard;
+          });
+          rows.push_back({guard, apart ? margin : 0.0, -1 / scales_.guard[phase.mode][guard]});
+        }
+        if (rows.empty()) return;
+        const int size = static_cast<int>(rows.size());
         std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
         if (reads_control) blocks.push_back(control);
         if (!parameters_.empty()) blocks.push_back(parameters_.data());
         blocks.insert(blocks.end(), {Begin(j), End(j)});
-        lagrangian_.Add(std::make_unique<GuardRow>(functions_,
-                                                   phase.mode,
-                                                   guard,
-                                                   TimeOf{static_cast<double>(k) / count, false},
-                                                   apart ? margin : 0.0,
-                                                   -1 / scales_.guard[phase.mode][guard]),
-                        {.inequalities = 1},
-                        blocks);
+        const TimeOf time{static_cast<double>(k) / count, false};
+        lagrangian_.Add(
+            std::make_unique<GuardRows>(functions_, phase.mode, std::move(rows), time), {.inequalities = size}, blocks);
       };
-      for (int k = 1; k <= count - ends; ++k) add(k, ControlBefore(k, phase));
+      for (int k = 1; k <= count; ++k) add(k, ControlBefore(k, phase));
       // At the beginnings of intervals, under the new control.
       for (int k = 0; reads_control && k < phase.intervals; ++k) {
         add(k * substeps_, controls_[phase.first_control + k].data());

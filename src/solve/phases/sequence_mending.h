@@ -39,6 +39,7 @@ inline constexpr int kMostStarts = 5;         // of one plan
 inline constexpr double kBetterStart = 0.99;  // of the merit of an earlier one
 inline constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants to be none
 inline constexpr double kActive = 1e-6;       // ... or is none, at an optimum
+inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one sequence
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
 inline constexpr double kGrazes = 1e-4;       // of the scale of speeds, at which an event wants to be none
 
@@ -355,8 +356,12 @@ class SequenceUpdate {
     Add(TaskAlong(lowest_.exact.contacts, lowest_));
   }
 
+  // Beside its optimum, a motion along the same sequence may have nodes that are not at the events.
   bool EndsWithBest() const {
-    return HasOptimum() && !(Merit(lowest_) < best_->loss() - kHardlyBetter * std::abs(best_->loss()));
+    if (!HasOptimum()) return false;
+    const bool same_sequence = lowest_.exact.contacts == best_->trial.exact.contacts;
+    const double same = (same_sequence ? mending::kSameOptimum : kHardlyBetter) * std::abs(best_->loss());
+    return !(Merit(lowest_) < best_->loss() - same);
   }
 
   // The best motion that was met may be an optimum along its own sequence, if events that appeared change nothing.

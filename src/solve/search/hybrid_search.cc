@@ -133,8 +133,8 @@ class HybridSearch {
     return report.evaluations;
   }
 
-  double WorkByRollout() const { return 10 + 1.0 * run_.num_steps() * problem_.guess.initial.size(); }
-  double WorkBySteps() const { return 20 + 4.0 * run_.num_steps() * problem_.guess.initial.size(); }
+  double WorkByRollout() const { return 10 + 1.0 * StatesOfSteps(); }
+  double WorkBySteps() const { return 20 + 4.0 * StatesOfSteps(); }
   double LossForUser(double loss) const { return loss; }
 
   LocalOptimum OptimumOf(const HybridMotion& motion) const {
@@ -226,6 +226,14 @@ class HybridSearch {
       }
     }
     return sizes;
+  }
+
+  // Each counted as often as it takes the time of one of a small system: mechanical systems solve for the forces of
+  // closed contacts in each stage.
+  double StatesOfSteps() const {
+    constexpr double kMechanical = 10;
+    const double times = problem_.system.functions().CreatesModes() ? kMechanical : 1;
+    return times * run_.num_steps() * static_cast<double>(problem_.guess.initial.size());
   }
 
   const HybridPhaseRun& run_;

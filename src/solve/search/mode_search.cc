@@ -34,10 +34,12 @@ constexpr double kProved = 1e-8;       // relative, between the best loss and a 
 constexpr int kPatience = 150;         // solves after which nothing better is expected
 constexpr int kMoreStarts = 3;         // times the starts, that are tried then
 constexpr int kMostRounds = 4;         // of more starts
+constexpr int kRoundsAtEnd = 2;        // of them, where no neighbours are left
 constexpr int kMorePatience = 100;     // solves after those
 constexpr double kLongWork = 1e6;      // of a search (SearchOptions::work), from which on it may be a long one
 constexpr double kLongPatience = 1e7;  // work of as many solves, from which on the work is compared with
 constexpr double kPatienceWork = 5;    // times the work at which the search was last better
+constexpr size_t kMoreImpacts = 8;     // than the best motion has: neighbours of motions with more are left out
 constexpr int kMostMended = 12;        // motions, each the best at its time, whose sequence is mended
 constexpr int kMoreMended = 2;         // others near the best, where the search has come to a stop
 constexpr double kNearBest = 1.05;     // of its loss
@@ -86,6 +88,16 @@ class ModeSearch {
 
   double BestLoss() const { return best_trial_.exact.loss; }
   double Bound() const { return kBound * BestLoss(); }
+  // Whether no motion is better than the best optimum.
+  bool IsProved() const {
+    const double loss = best_optimum_.exact.loss;
+    return HasBestOptimum() && loss - bound_.lowest() <= kProved * loss;
+  }
+  // Whether discs or planes that could meet do not in the best motion.
+  bool LacksPairs() const {
+    const ContactSequence& met = best_trial_.exact.contacts;
+    return std::ranges::any_of(AllPairs(scene_), [&](const Candidate& c) { return std::ranges::count(met, c) == 0; });
+  }
   bool Stopped() const { return options_.stop && options_.stop(); }
 
   // Something is not tried.
@@ -114,10 +126,11 @@ class ModeSearch {
   }
 
   // Starts from `first` on.
-  void AddStarts(int first, int number) {
+  void AddStarts(int first, int number, bool coarse = false) {
     for (int i = first; i < first + number; ++i) {
-      starts_left_.push_back(
-          {.kind = SearchTask::Kind::kShoot, .forces = SearchStart(scene_, options_.search_options.seed, i)});
+      starts_left_.push_back({.kind = SearchTask::Kind::kShoot,
+                              .forces = SearchStart(scene_, options_.search_options.seed, i),
+                              .coarse = coarse});
     }
     drawn_starts_ += number;
     searched_.starts += number;
@@ -125,12 +138,13 @@ class ModeSearch {
 
   // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
   // mended. False if there are none.
-  bool AddMoreStarts() {
+  bool AddMoreStarts(bool coarse) {
     const int more = kMoreStarts * options_.search_options.starts;
     if (rounds_ == kMostRounds || more == 0) return false;
     if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.iterations) return false;
     ++rounds_;
-    AddStarts(drawn_starts_, more);
+    AddStarts(drawn_starts_, more, coarse);
+    coarse_around_ = coarse;
     around_best_ = more;
     searched_.starts += more;
     int mended = 0;
@@ -153,13 +167,17 @@ class ModeSearch {
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
         if (auto mend = MendBest(1 - kSameLoss)) return mend;
-        if (!IsLong() && AddMoreStarts()) return TakeStart();
+        if ((!IsLong() || rounds_ == 0) && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
       if (bound_.Along(task.sequence) <= Bound()) return task;
     }
-    return MendBest(1 - kSameLoss);
+    if (auto mend = MendBest(1 - kSameLoss)) return mend;
+    // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
+    const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !IsProved();
+    if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
+    return std::nullopt;
   }
 
   // Solves along many impacts take so much that the patience in solves would outlast any limit.
@@ -178,7 +196,7 @@ class ModeSearch {
       const ControlGuess guess{best_trial_.control, best_trial_.durations};
       start->control = ControlAround(scene_, guess, options_.search_options.seed, number_of_around_++);
       start->durations = guess.durations;
-      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start)};
+      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start), .coarse = coarse_around_};
     }
     SearchTask task = std::move(starts_left_.front());
     starts_left_.pop_front();
@@ -310,6 +328,10 @@ class ModeSearch {
       queue_.AddSequence(std::make_shared<const Trial>(trial), trial.exact.contacts);
     }
     if (!IsNew(trial)) return;
+    // Where discs meet again and again, each optimum has a neighbour with one impact more.
+    if (trial.exact.contacts.size() > best_trial_.exact.contacts.size() + kMoreImpacts) {
+      return Leave("neighbours of motions with many more impacts than the best");
+    }
     expanded_.insert(ExpansionOf(trial));
     AddNeighboursOf(trial);
   }
@@ -427,8 +449,7 @@ class ModeSearch {
     if (options_.search && end_ != End::kInterrupt && !certificate_->IsSaddle()) {
       certificate_->scope = Certificate::Scope::kBestOfSearched;
     }
-    const double loss = best_optimum_.exact.loss;
-    if (certificate_->verdict == Certificate::Verdict::kStationary && loss - bound_.lowest() <= kProved * loss) {
+    if (certificate_->verdict == Certificate::Verdict::kStationary && IsProved()) {
       certificate_->verdict = Certificate::Verdict::kGlobal;
     }
     run_.report().certificate = std::move(certificate_);
@@ -458,7 +479,8 @@ class ModeSearch {
   double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
   double better_work_ = 0;                                        // done when the search was last better
   int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
-  bool mends_ = false;  // a motion is being mended
+  bool coarse_around_ = false;  // the starts around the best motion are coarse
+  bool mends_ = false;          // a motion is being mended
   bool best_is_mended_ = false;
   std::optional<End> end_;
 };

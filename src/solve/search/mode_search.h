@@ -8,16 +8,17 @@
 // queue (search_queue.h) is worked off best first, by the exact loss of the motion that a neighbour comes from. A
 // saddle is left, both ways, and what is found beside it solved next. Where a motion that is no optimum is the best,
 // its sequence is mended (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the
-// final time. Where nothing better is found any more, up to kMostRounds times: others near the best are mended, and
-// ceres_lm goes down from more motions, at random and around the best. At last intervals of the best move to other
-// phases.
+// final time. Where nothing better is found any more, up to kMostRounds times, or where nothing is left to be tried and
+// some pair does not meet in the best motion, up to kRoundsAtEnd times (with fewer control intervals): others near the
+// best are mended, and ceres_lm goes down from more motions, at random and around the best. At last intervals of the
+// best move to other phases.
 //
 // Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
 // kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
 // loss along it (loss_bound.h) is above that.
 // Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (after the
-// rounds above), SearchOptions, an interrupt, neighbours left out of very many
-// (search_solve.h). Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
+// rounds above), SearchOptions, an interrupt, neighbours left out of very many (search_solve.h) and those of motions
+// with kMoreImpacts more impacts than the best one. Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
 //
 // Solves are drawn and looked at in one order, whatever the threads that work them off (task_line.h), so that the
 // answer is the same for any number of these, and on a busy machine too. SearchOptions::work counts what solves have

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "scene/units.h"
+#include "solve/control_guess.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/sequence_mending.h"
@@ -16,6 +17,7 @@ namespace {
 constexpr int kIterationsAlong = 80;  // of Ceres, along one sequence
 constexpr int kIterationsMending = 1000;
 constexpr double kLossChange = 0.02;  // relative, in the last steps of a solve
+constexpr int kFewIntervals = 48;     // of a coarse control, at least
 constexpr double kShareGain = 1e-7;   // relative: of the loss, for which intervals change their phase
 
 void Certify(const Scene& scene, SearchFinding* finding) {
@@ -85,6 +87,13 @@ SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, co
   return last.trial.exact.ok ? last : finding;
 }
 
+// How many of the scene's intervals one of a coarse control is.
+int IntervalsInOne(int steps) {
+  int number = std::max(1, steps / kFewIntervals);
+  while (steps % number != 0) --number;
+  return number;
+}
+
 // Solvers that know nothing of sequences: where they end, others go on.
 SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const SearchTask& task) {
   Scene& scene = request.scene;
@@ -98,6 +107,8 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   own.stop = options.stop;
   own.memory_limit = options.memory_limit;
   own.most_impacts = kMostImpactsOfMotion;
+  const int steps = scene.steps;
+  if (task.coarse) scene.steps /= IntervalsInOne(steps);
   SolveReport report;
   if (task.kind == SearchTask::Kind::kShoot) {
     own.iterations = IterationsWithin(
@@ -117,8 +128,9 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   finding.work = finding.jacobians * WorkByRollout(scene);
   finding.remark = "no sequence tried has its optimum there";
   if (report.control.empty()) return finding;
-  finding.trial.control = std::move(report.control);
-  finding.trial.durations.assign(scene.steps, scene.dt());
+  scene.steps = steps;
+  finding.trial.control = MeanOverSteps({std::move(report.control), {}}, scene.control_width(), steps);
+  finding.trial.durations.assign(steps, scene.dt());
   Simulate(scene, {}, &finding.trial);
   return finding;
 }

@@ -25,6 +25,7 @@ struct SearchTask {
   ContactSequence sequence = {};
   std::shared_ptr<const Trial> from = nullptr;  // shared by the neighbours of a motion
   std::vector<Vec2d> forces = {};
+  bool coarse = false;  // kShoot: on fewer intervals, each of which is several of the scene's
   double most_work = std::numeric_limits<double>::infinity();  // as SearchOptions::work; cuts its iterations
 };
 

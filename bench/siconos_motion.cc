@@ -1,0 +1,117 @@
+#include "siconos_motion.h"
+
+#include <SiconosKernel.hpp>
+#include <array>
+#include <utility>
+
+namespace saltus {
+namespace {
+
+// A gap of one body, whose row and its rate the functions of a derived class give.
+class Contact : public LagrangianScleronomousR {
+ public:
+  explicit Contact(int size) {
+    _jachq = std::make_shared<SimpleMatrix>(1, size);
+    _dotjachq = std::make_shared<SimpleMatrix>(1, size);
+    _dotjacqhXqdot = std::make_shared<SiconosVector>(1);
+  }
+};
+
+class Corner final : public Contact {
+ public:
+  explicit Corner(int corner) : Contact(3), along_(BouncingBox::Along(corner)), across_(BouncingBox::Across(corner)) {}
+  void computeh(const BlockVector& q, BlockVector&, SiconosVector& y) override {
+    y(0) = q(1) + along_ * std::sin(q(2)) + across_ * std::cos(q(2));
+  }
+  void computeJachq(const BlockVector& q, BlockVector&) override {
+    _jachq->setValue(0, 1, 1);
+    _jachq->setValue(0, 2, along_ * std::cos(q(2)) - across_ * std::sin(q(2)));
+  }
+  void computeDotJachq(const BlockVector& q, BlockVector&, const BlockVector& v) override {
+    _dotjachq->setValue(0, 2, -(along_ * std::sin(q(2)) + across_ * std::cos(q(2))) * v(2));
+  }
+
+ private:
+  const double along_, across_;
+};
+
+SP::SiconosVector Vector(const double* begin, int size) {
+  return std::make_shared<SiconosVector>(std::vector<double>(begin, begin + size));
+}
+
+class EventDrivenMotion final : public SiconosMotion {
+ public:
+  explicit EventDrivenMotion(double duration)
+      : duration_(duration), model_(std::make_shared<NonSmoothDynamicalSystem>(0, duration)) {}
+
+  void AddBody(std::shared_ptr<LagrangianDS> body) {
+    model_->insertDynamicalSystem(body);
+    bodies_.push_back(std::move(body));
+  }
+  // Of the body that has been added last.
+  void AddContact(const std::shared_ptr<Contact>& contact, double restitution) {
+    model_->link(std::make_shared<Interaction>(std::make_shared<NewtonImpactNSL>(restitution), contact),
+                 bodies_.back());
+  }
+  // After all bodies and contacts.
+  void Start(double tolerance) {
+    simulation_ = std::make_shared<EventDriven>(model_, std::make_shared<TimeDiscretisation>(0, duration_));
+    const auto integrator = std::make_shared<LsodarOSI>();
+    simulation_->insertIntegrator(integrator);
+    simulation_->insertNonSmoothProblem(std::make_shared<LCP>(), SICONOS_OSNSP_ED_IMPACT);
+    simulation_->insertNonSmoothProblem(std::make_shared<LCP>(), SICONOS_OSNSP_ED_SMOOTH_ACC);
+    simulation_->initialize();
+    integrator->setTol(1, tolerance, tolerance);
+    integrator->setMaxNstep(1000000);
+  }
+  int Run() override {
+    constexpr int kNonsmooth = 2;
+    int impacts = 0;
+    while (simulation_->startingTime() < duration_) {
+      simulation_->advanceToEvent();
+      impacts += simulation_->eventsManager()->nextEvent()->getType() == kNonsmooth ? 1 : 0;
+      simulation_->processEvents();
+    }
+    return impacts;
+  }
+  std::vector<double> State() const override {
+    std::vector<double> state;
+    const auto append = [&](const SiconosVector& numbers) {
+      for (unsigned i = 0; i < numbers.size(); ++i) state.push_back(numbers.getValue(i));
+    };
+    for (const auto& body : bodies_) append(*body->q());
+    for (const auto& body : bodies_) append(*body->velocity());
+    return state;
+  }
+
+ private:
+  const double duration_;
+  SP::NonSmoothDynamicalSystem model_;
+  std::vector<std::shared_ptr<LagrangianDS>> bodies_;
+  std::shared_ptr<EventDriven> simulation_;
+};
+
+}  // namespace
+
+std::unique_ptr<SiconosMotion> BoxesBySiconos(const std::vector<double>& initial, double duration, double tolerance) {
+  const int count = static_cast<int>(initial.size()) / 6;
+  auto motion = std::make_unique<EventDrivenMotion>(duration);
+  for (int i = 0; i < count; ++i) {
+    const double* q = &initial[3 * i];
+    const auto mass = std::make_shared<SimpleMatrix>(3, 3);
+    mass->setValue(0, 0, BouncingBox::kMass);
+    mass->setValue(1, 1, BouncingBox::kMass);
+    mass->setValue(2, 2, BouncingBox::kInertia);
+    const auto body = std::make_shared<LagrangianLinearTIDS>(Vector(q, 3), Vector(q + 3 * count, 3), mass);
+    const std::array<double, 3> weight = {0, -BouncingBox::kMass * BouncingBox::kGravity, 0};
+    body->setFExtPtr(Vector(weight.data(), 3));
+    motion->AddBody(body);
+    for (int corner = 0; corner < 4; ++corner) {
+      motion->AddContact(std::make_shared<Corner>(corner), BouncingBox::kRestitution);
+    }
+  }
+  motion->Start(tolerance);
+  return motion;
+}
+
+}  // namespace saltus
