@@ -18,7 +18,8 @@
 // loss along it (loss_bound.h) is above that.
 // Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (after the
 // rounds above), SearchOptions, an interrupt, neighbours left out of very many (search_solve.h) and those of motions
-// with kMoreImpacts more impacts than the best one. Motions with more than kMostImpactsOfMotion impacts are cut, and not gone on from.
+// with kMoreImpacts more impacts than the best one. Motions with more than kMostImpactsOfMotion impacts are cut, and
+// not gone on from.
 //
 // Solves are drawn and looked at in one order, whatever the threads that work them off (task_line.h), so that the
 // answer is the same for any number of these, and on a busy machine too. SearchOptions::work counts what solves have
