@@ -225,7 +225,8 @@ TEST(RigidBodies, WrongScenesAreReported) {
 
 TEST(RigidBodies, RandomTosses) {
   int simulated = 0, with_gradient = 0;
-  for (int seed = 1; seed <= 12; ++seed) {
+  // 302: a gap that begins below zero by rounding. 887: a corner that falls back while the other one leaves its edge.
+  for (const int seed : {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 302, 887}) {
     const TossedBoxes::Result result = TossedBoxes(seed).Run(/*with_gradient=*/seed <= 6);
     EXPECT_EQ(result.wrong, "") << "seed " << seed;
     simulated += result.refused.empty() ? 1 : 0;
