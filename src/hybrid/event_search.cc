@@ -247,12 +247,12 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
   }
   // It rises by less than rounding.
-  if (closes && begin.rate > 0 && step.t + closing > step.t) {
-    return After(step, slope, guard, closing).rate < 0 ? Found{Found::What::kEvent, closing} : Found{};
+  if (closes && begin.rate > 0 && step.t + closing > step.t && After(step, slope, guard, closing).rate < 0) {
+    return {Found::What::kEvent, closing};
   }
   // It does not reach zero, as it began below by rounding.
   const double noise = 2 * std::abs(begin.value) + kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
-  if (closes || !(begin.rate > 0) || !(end.value < -noise) || !functions_.WaitsBehind(step.mode, guard)) return {};
+  if (!(begin.rate > 0) || !(end.value < -noise) || !functions_.WaitsBehind(step.mode, guard)) return {};
   return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 

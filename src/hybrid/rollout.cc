@@ -348,16 +348,18 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
       if (!known) grazings_.push_back({time, step.mode, guard});
     }
   }
-  // A guard with a kink may fall below zero and return: where it is below at the event of another, its own comes first.
+  // A guard with a kink, or behind a change of mode, may fall below zero and return: where it is below at the event of
+  // another, its own comes first.
   for (bool found = earliest.guard >= 0; found;) {
     found = false;
     FlowStep part = step;
     part.h = earliest.s;
     for (int guard = 0; guard < system_.num_guards(step.mode) && !found; ++guard) {
-      if (guard == earliest.guard || !at_.armed[guard] || !(at_.guards[guard].value > 0)) continue;
+      if (guard == earliest.guard || (at_.armed[guard] && !(at_.guards[guard].value > 0))) continue;
       const GuardValue then = search_.After(step, at_.slope.data(), guard, part.h);
       if (then.value >= -std::abs(then.rate) * kAtOnce * input_->duration) continue;
-      const EventSearch::Found before = search_.Find(part, at_.slope.data(), guard, true, at_.guards[guard], then);
+      const EventSearch::Found before =
+          search_.Find(part, at_.slope.data(), guard, at_.armed[guard], at_.guards[guard], then);
       found = before.what == EventSearch::Found::What::kEvent && before.s < earliest.s;
       if (found) earliest = {guard, before.s};
     }

@@ -435,7 +435,8 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     impact.rebounds.push_back(restitution[i] > 0 &&
                               (poisson ? impact.status[i] != 'o' && after[2 * i] > 0 : impact.status[i] != 'o'));
     impact.next[number] = 'o';
-    const double speed = impact.W.row(2 * i).cwiseAbs().dot(impact.impulse.cwiseAbs());
+    const double speed = impact.W.row(2 * i).cwiseAbs().dot(impact.impulse.cwiseAbs()) +
+                         equations_.RowAt({number, false}, at).cwiseAbs().dot(impact.v_plus.cwiseAbs().transpose());
     const bool parts = impact.status[i] == 'o' ? after[2 * i] > kRests * speed : impact.rebounds[i] != 0;
     if (parts) continue;
     closing.contacts.push_back(number);
@@ -669,13 +670,25 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
       next[guarded.contact] = '+';
       return next;
     case What::kStop: {
-      // Others may stop with it, as the corners of one body.
+      // Others may stop with it: by chance, or as the corners of one body must, of which no speed is left to compare.
       Closing closing = ClosedOf(mode);
+      std::vector<ClosedContact> stopped = mode.closed;
+      for (ClosedContact& other : stopped) {
+        if (other.contact == guarded.contact) {
+          other.status = 's';
+        } else if (SlidingSign(other.status) != 0) {
+          other.status = 'n';
+        }
+      }
+      const MechanicalEquations::System system = equations_.Assemble(stopped, at);
       const Eigen::Map<const Eigen::RowVectorXd> v(at.v, equations_.n());
       for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
         if (closing.sliding[i] == 0) continue;
         const Eigen::RowVectorXd tangent = equations_.RowAt({closing.contacts[i], true}, at);
-        const bool stops = closing.contacts[i] == guarded.contact ||
+        Eigen::VectorXd parts = tangent * system.mobile_F;
+        system.contact->Solve(parts, parts);
+        const double left = (tangent - parts.transpose() * system.G).cwiseAbs().maxCoeff();
+        const bool stops = left <= kRests * tangent.cwiseAbs().maxCoeff() ||
                            std::abs(tangent.dot(v)) <= kRests * tangent.cwiseAbs().dot(v.cwiseAbs());
         if (stops) closing.sliding[i] = 0;
       }
