@@ -167,7 +167,7 @@ class ModeSearch {
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
         if (auto mend = MendBest(1 - kSameLoss)) return mend;
-        if ((!IsLong() || rounds_ == 0) && AddMoreStarts(/*coarse=*/false)) return TakeStart();
+        if (!IsLong() && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
