@@ -15,6 +15,7 @@
 
 #include "folders.h"
 #include "hybrid/mechanical_problems.h"
+#include "problems/hybrid/leg_hopper.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/hybrid/mechanical_system.h"
 
@@ -351,7 +352,7 @@ TEST(MechanicalReference, BallOnIncline) { Problem("P9b", BallOnIncline()).Expec
 TEST(MechanicalReference, Bowl) { Problem("P9c", Bowl()).ExpectReference({.state = 1e-8}); }
 
 TEST(MechanicalReference, Hopper) {
-  Problem("P11", Hopper(), [](const auto* p) {
+  Problem("P11", LegHopper(), [](const auto* p) {
     using T = std::remove_cvref_t<decltype(*p)>;
     using std::cos, std::sin;
     return std::array<T, 8>{-p[3] * sin(p[10]) - p[4] * sin(p[11]),

@@ -5,16 +5,20 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <numeric>
 #include <random>
 #include <vector>
 
 #include "control/hybrid_shooting.h"
 #include "folders.h"
+#include "problems/hybrid/leg_hopper.h"
 #include "problems/hybrid/pushed_box.h"
 #include "problems/hybrid/wall_swing_up.h"
 #include "saltus/hybrid/hybrid_problem.h"
@@ -135,22 +139,63 @@ TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   EXPECT_NEAR(report.certificate->curvature->smallest, 1, 1e-6) << "of directions that do not change x(T)";
 }
 
-// Random changes of the control and of the lengths of its intervals, of the exact motion, raise the loss.
-void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, double size) {
-  std::mt19937 random(1);
-  std::normal_distribution<double> normal;
-  HybridShooting shooting(problem);
+// Scales lengths in each phase, so that the interval before nodes[i] ends at times[i].
+void MoveEnds(const std::vector<int>& nodes, const std::vector<double>& times, std::vector<double>* lengths) {
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    const auto first = lengths->begin() + (i > 0 ? nodes[i - 1] : 0), last = lengths->begin() + nodes[i];
+    const double factor = (times[i] - (i > 0 ? times[i - 1] : 0.0)) / std::accumulate(first, last, 0.0);
+    std::for_each(first, last, [&](double& length) { length *= factor; });
+  }
+}
+
+// The best motion that a solver found has a certificate of a minimum, and random changes of the control and of the
+// times at which it makes the mode change raise the loss of the exact motion. Intervals move with the events of guards.
+void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, HybridSimulator* simulator) {
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  ASSERT_TRUE(report.certificate->curvature);
+  EXPECT_GT(report.certificate->curvature->smallest, 0);
   HybridInput best = problem.guess;
   best.control = report.control;
   best.lengths = report.durations;
   best.num_intervals = static_cast<int>(report.durations.size());
+  ASSERT_TRUE(simulator->Rollout(best)) << simulator->WhyFailed();
+  std::map<double, bool> changes = {{best.duration, false}};  // of the mode, and the end; whether a guard makes them
+  for (const HybridEvent& event : simulator->events()) changes[event.time] = true;
+  for (const HybridEvent& jump : simulator->switches()) changes[jump.time] = false;
+  std::vector<int> nodes;
+  for (const auto& [time, guard] : changes) {
+    double end = 0;
+    nodes.push_back(0);
+    while (end < time - 0.5 * best.lengths[std::min(nodes.back(), best.num_intervals - 1)]) {
+      end += best.lengths[nodes.back()++];
+    }
+  }
+  constexpr double kSize = 1e-3;
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  HybridShooting shooting(problem);
   for (int trial = 0; trial < 40; ++trial) {
     HybridInput moved = best;
-    for (double& u : moved.control) u += size * normal(random);
-    for (double& length : moved.lengths) length *= 1 + 0.1 * size * normal(random);
+    for (double& u : moved.control) u += kSize * normal(random);
+    std::vector<double> times;
+    for (const auto& [time, guard] : changes) {
+      times.push_back(guard || time == best.duration ? time : time * (1 + 0.1 * kSize * normal(random)));
+    }
     HybridShooting::Outcome outcome;
-    ASSERT_TRUE(shooting.Simulate(moved, &outcome)) << shooting.WhyFailed();
-    EXPECT_GE(outcome.loss, report.final_loss) << trial;
+    for (int round = 0; round < 20; ++round) {
+      MoveEnds(nodes, times, &moved.lengths);
+      ASSERT_TRUE(shooting.Simulate(moved, &outcome)) << shooting.WhyFailed();
+      auto event = shooting.simulator().events().begin();
+      ASSERT_EQ(shooting.simulator().events().size(), simulator->events().size());
+      size_t i = 0;
+      for (const auto& [time, guard] : changes) {
+        if (guard) times[i] = (event++)->time;
+        ++i;
+      }
+    }
+    EXPECT_GT(outcome.loss, report.final_loss) << trial;
   }
 }
 
@@ -158,20 +203,27 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, doub
 TEST(ClosedContacts, APushedBoxReachesItsTargetWithACertificate) {
   const HybridProblem problem = PushedBoxProblem();
   const SolveReport report = Solve("mode_search", problem, {.search_options = {.work = 1e6, .starts = 1}});
-  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  ASSERT_TRUE(report.certificate);
-  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
-  ASSERT_TRUE(report.certificate->curvature);
-  EXPECT_GT(report.certificate->curvature->smallest, 0);
   HybridSimulator simulator(problem.system, problem.integration);
-  HybridInput best = problem.guess;
-  best.control = report.control;
-  best.lengths = report.durations;
-  best.num_intervals = static_cast<int>(report.durations.size());
-  ASSERT_TRUE(simulator.Rollout(best)) << simulator.WhyFailed();
+  ASSERT_NO_FATAL_FAILURE(ExpectMinimum(problem, report, &simulator));
   EXPECT_EQ(problem.system.ModeName(simulator.final_mode()), "s");
   EXPECT_LT(report.final_loss, 0.1 * report.losses.front());
-  ExpectMinimum(problem, report, 1e-3);
+}
+
+// The foot sticks, takes off where the torques jump, lands and sticks again.
+TEST(ClosedContacts, ALegHopsWithLeastEffortWithACertificate) {
+  const HybridProblem problem = LegHopperProblem();
+  const SolveReport report = Solve("ceres_phases", problem, {});
+  HybridSimulator simulator(problem.system, problem.integration);
+  ASSERT_NO_FATAL_FAILURE(ExpectMinimum(problem, report, &simulator));
+  ASSERT_EQ(simulator.switches().size(), 1u);
+  ASSERT_EQ(simulator.events().size(), 1u);
+  const HybridEvent &off = simulator.switches()[0], &landing = simulator.events()[0];
+  EXPECT_EQ(problem.system.ModeName(off.mode) + problem.system.ModeName(off.next_mode), "so");
+  EXPECT_EQ(problem.system.ModeName(landing.mode) + problem.system.ModeName(landing.next_mode), "os");
+  EXPECT_LT(off.time, landing.time);
+  double missed = 0;  // of the apex
+  ASSERT_TRUE(MissOfApex(0.75, 1)(landing.before.data(), problem.guess.parameters.data(), &missed));
+  EXPECT_NEAR(missed, 0, 0.02);
 }
 
 // The same pendulum under a torque that is a polynomial of t / T, whose coefficients are the parameters.

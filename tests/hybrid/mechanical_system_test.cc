@@ -13,6 +13,7 @@
 
 #include "folders.h"
 #include "hybrid/mechanical_problems.h"
+#include "problems/hybrid/leg_hopper.h"
 
 namespace saltus {
 namespace {
@@ -385,8 +386,8 @@ std::vector<double> Difference(const Function& function, const std::vector<doubl
 
 // Solvers in phases meet states whose contacts are a little open or closed too far, and which move apart.
 TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContacts) {
-  constexpr int kStates = 8, kColumns = kStates + 1 + Hopper::kNumParameters;  // [x t p]
-  const MechanicalSystem system{Hopper()};
+  constexpr int kStates = 8, kColumns = kStates + 1 + LegHopper::kNumParameters;  // [x t p]
+  const MechanicalSystem system{LegHopper()};
   const HybridFunctions& f = system.hybrid().functions();
   const std::vector<double> p = {2, 0.4, 0.3, 0.4, 0.45, 9.81, 0.4, 0.3, 0, 0.9, 0.7, -0.6}, u = {8, -0.2};
   std::vector<double> at = {-0.01, 0.72, 0.7, -0.6, 0.1, 0.3, -0.4, 0.2};  // the foot is 0.04 m above the ground
@@ -414,7 +415,7 @@ TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContact
     expect(project, jacobian, kColumns);
     for (int guard = 0; guard < f.num_guards(mode); ++guard) {
       SCOPED_TRACE(f.GuardName(mode, guard));
-      std::vector<double> gradient(kColumns + Hopper::kNumControls);
+      std::vector<double> gradient(kColumns + LegHopper::kNumControls);
       const double value = f.GuardGradient(mode, guard, 0, at.data(), u.data(), &at[kStates], gradient.data());
       const auto evaluate = [&](const std::vector<double>& y) {
         return std::vector{f.Guard(mode, guard, 0, y.data(), u.data(), &y[kStates])};

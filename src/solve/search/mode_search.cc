@@ -88,10 +88,10 @@ class ModeSearch {
 
   double BestLoss() const { return best_trial_.exact.loss; }
   double Bound() const { return kBound * BestLoss(); }
-  // Whether no motion is better than the best optimum.
+  // Whether no motion is better than the best optimum. Precondition: there is one.
   bool IsProved() const {
     const double loss = best_optimum_.exact.loss;
-    return HasBestOptimum() && loss - bound_.lowest() <= kProved * loss;
+    return loss - bound_.lowest() <= kProved * loss;
   }
   // Whether discs or planes that could meet do not in the best motion.
   bool LacksPairs() const {
@@ -167,7 +167,7 @@ class ModeSearch {
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
         if (auto mend = MendBest(1 - kSameLoss)) return mend;
-        if ((!IsLong() || rounds_ == 0) && AddMoreStarts(/*coarse=*/false)) return TakeStart();
+        if (!IsLong() && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
@@ -175,7 +175,7 @@ class ModeSearch {
     }
     if (auto mend = MendBest(1 - kSameLoss)) return mend;
     // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
-    const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !IsProved();
+    const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !(HasBestOptimum() && IsProved());
     if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
     return std::nullopt;
   }
