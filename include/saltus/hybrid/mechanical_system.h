@@ -28,10 +28,11 @@
 // Where the tangential velocity is not the rate of a coordinate (as of bodies that roll on each other),
 // `SlideRow(contact, q, p, T* row)` gives the row T itself in the place of Slide. Gap and gamma must have the same
 // metric: if the gap is a distance times c(q), so is gamma. `T Reach(contact, q, p)`, if there is one, is above zero
-// while a closed contact stays on what its gap is measured from, such as an edge. Optional names: std::array<const
-// char*, n> kContactNames, kCoordinateNames, kControlNames, kParameterNames. Beside `double` and ceres::Jet, T is a
-// type with the arithmetic, comparisons and elementary functions of a Jet that takes numbers of type double as
-// constants.
+// while a closed contact stays on what its gap is measured from, such as an edge. If the gap has a kink at the end of
+// it, `T Distance(contact, q, p)` is the gap before the end, continued smoothly: what a closed contact keeps at zero.
+// Optional names: std::array<const char*, n> kContactNames, kCoordinateNames, kControlNames, kParameterNames. Beside
+// `double` and ceres::Jet, T is a type with the arithmetic, comparisons and elementary functions of a Jet that takes
+// numbers of type double as constants.
 //
 // The hybrid system has the state [q v]. Its modes are created as a motion meets them; the name of a mode has a letter
 // for each contact: 'o' open, 'n' closed without friction, '+' or '-' closed and sliding with v_t > 0 or < 0, 's'

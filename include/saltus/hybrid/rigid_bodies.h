@@ -160,6 +160,12 @@ class RigidBodies2D {
     RowOf(of.b, PoseAt(of.b, q), at.x, at.y, at.normal_y, -at.normal_x, entries);
     for (int i = 0; i < Count(of.b); ++i) row[first_[of.b] + i] -= entries[i];
   }
+  // Of a vertex on an edge: from the line through the edge, where the gap has a kink at the ends of the edge.
+  template <typename T>
+  T Distance(int contact, const T* q, const T*) const {
+    const Closest<T> at = At(contact, q);
+    return contacts_[contact].kind == Contact::kVertexEdge ? at.from_line : at.gap;
+  }
   // Of a vertex on an edge: how far it is from the lines through the edges beside it.
   template <typename T>
   T Reach(int contact, const T* q, const T*) const {
@@ -179,10 +185,11 @@ class RigidBodies2D {
   struct Pose {
     T x, y, angle;
   };
-  // The point of contact, the normal from b or the plane towards a, and the gap.
+  // The point of contact, the normal from b or the plane towards a, the gap, and of a vertex on
+  // an edge the distance from the line through the edge.
   template <typename T>
   struct Closest {
-    T x, y, normal_x, normal_y, gap, reach;
+    T x, y, normal_x, normal_y, gap, reach, from_line;
   };
   struct Contact {
     enum Kind { kVertexPlane, kDiscPlane, kVertexEdge, kDiscPolygon, kDiscDisc } kind;
@@ -262,7 +269,7 @@ class RigidBodies2D {
     const Contact& of = contacts_[contact];
     const RigidBody2D& body = scene_.bodies[of.a];
     const Pose<T> a = PoseAt(of.a, q);
-    Closest<T> at{a.x, a.y, T(0.0), T(0.0), T(0.0), T(1.0)};
+    Closest<T> at{a.x, a.y, T(0.0), T(0.0), T(0.0), T(1.0), T(0.0)};
     if (of.kind == Contact::kVertexPlane || of.kind == Contact::kVertexEdge) {
       const Point2D& vertex = body.polygon[of.vertex];
       const T c = cos(a.angle), s = sin(a.angle);
@@ -312,6 +319,7 @@ class RigidBodies2D {
     if (of.kind == Contact::kVertexEdge) {
       // Zero where the vertex is on this edge, and above zero where it is outside or on another.
       const T distance = beyond(of.edge);
+      at.from_line = distance;
       at.gap = outermost == of.edge ? distance : 2.0 * most - distance;
       T nearest = beyond((of.edge + 1) % edges);
       for (int edge = 0; edge < edges; ++edge) {

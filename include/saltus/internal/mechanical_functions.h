@@ -171,6 +171,12 @@ class MechanicalFunctions {
   virtual TimeJet<double> Gap(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
   virtual TimeJet<Jet> Gap(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const = 0;
 
+  // What a closed contact keeps at zero: the gap, continued smoothly past the end of what it is measured from.
+  virtual double Distance(int contact, const double* q, const double* p) const = 0;
+  virtual Jet Distance(int contact, const Jet* q, const Jet* p) const = 0;
+  virtual TimeJet<double> Distance(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
+  virtual TimeJet<Jet> Distance(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const = 0;
+
   // Of a contact with friction: the tangential coordinate, whose derivative is the row T; or else the row itself.
   virtual bool has_rows() const = 0;
   virtual Jet Slide(int contact, const Jet* q, const Jet* p) const = 0;
@@ -221,6 +227,15 @@ class MechanicalFunctionsOf final : public MechanicalFunctions {
     return system_.Gap(contact, q, p);
   }
 
+  double Distance(int contact, const double* q, const double* p) const override { return DistanceOf(contact, q, p); }
+  Jet Distance(int contact, const Jet* q, const Jet* p) const override { return DistanceOf(contact, q, p); }
+  TimeJet<double> Distance(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const override {
+    return DistanceOf(contact, q, p);
+  }
+  TimeJet<Jet> Distance(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const override {
+    return DistanceOf(contact, q, p);
+  }
+
   bool has_rows() const override { return kHasRows; }
   Jet Slide(int contact, const Jet* q, const Jet* p) const override { return SlideOf(contact, q, p); }
   TimeJet<double> Slide(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const override {
@@ -259,6 +274,14 @@ class MechanicalFunctionsOf final : public MechanicalFunctions {
   };
   static constexpr bool kHasRows = requires(const S& s, const double* q, double* row) { s.SlideRow(0, q, q, row); };
 
+  template <typename T>
+  T DistanceOf(int contact, const T* q, const T* p) const {
+    if constexpr (requires(const S& s) { s.Distance(0, q, p); }) {
+      return system_.Distance(contact, q, p);
+    } else {
+      return system_.Gap(contact, q, p);
+    }
+  }
   template <typename T>
   T SlideOf(int contact, const T* q, const T* p) const {
     if constexpr (kHasSlide) {

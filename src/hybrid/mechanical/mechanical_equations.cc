@@ -80,7 +80,7 @@ void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, TimePath<Jet
   for (int j = 0; j < n_; ++j) {
     still->q[j].rate = Jet(1.0);
     out[j] = row.tangential ? f_.Slide(row.contact, still->q.data(), still->p.data()).rate
-                            : f_.Gap(row.contact, still->q.data(), still->p.data()).rate;
+                            : f_.Distance(row.contact, still->q.data(), still->p.data()).rate;
     still->q[j].rate = Jet(0.0);
   }
 }
@@ -114,7 +114,7 @@ Eigen::MatrixXd MechanicalEquations::RowsAt(const std::vector<Row>& rows, const 
     for (Eigen::Index i = 0; i < r; ++i) {
       const Row& row = rows[i];
       if (given(row)) continue;
-      const Jet value = row.tangential ? f_.Slide(row.contact, q, p) : f_.Gap(row.contact, q, p);
+      const Jet value = row.tangential ? f_.Slide(row.contact, q, p) : f_.Distance(row.contact, q, p);
       out.row(i).segment(first, width) = value.v.head(width).transpose();
     }
   });
@@ -151,7 +151,7 @@ double MechanicalEquations::GapScale(int contact, const Point& at) const {
 template <typename S>
 TimeJet<S> MechanicalEquations::Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const {
   const TimeJet<S>*q = path.q.data(), *p = path.p.data();
-  if (!row.tangential) return f_.Gap(row.contact, q, p);
+  if (!row.tangential) return f_.Distance(row.contact, q, p);
   if (!f_.has_rows()) return f_.Slide(row.contact, q, p);
   std::vector<TimeJet<S>> entries(n_);
   f_.SlideRow(row.contact, q, p, entries.data());
@@ -371,7 +371,7 @@ void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, doub
   Eigen::VectorXd gaps(k);
   double last = std::numeric_limits<double>::infinity();
   for (int i = 0; i <= kMostCorrections; ++i) {
-    for (Eigen::Index c = 0; c < k; ++c) gaps[c] = -Gap(closed[c].contact, at);
+    for (Eigen::Index c = 0; c < k; ++c) gaps[c] = -f_.Distance(closed[c].contact, q, p);
     const double size = gaps.cwiseAbs().maxCoeff();
     const bool ends = size == 0 || !(size < 0.5 * last) || i == kMostCorrections;
     if (ends && seeds == nullptr) break;
@@ -382,7 +382,7 @@ void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, doub
     if (seeds != nullptr && (ends || size > kRounding * GapScale(closed[0].contact, at))) {
       Jets rows;
       for (const ClosedContact& contact : closed) {
-        rows.push_back(f_.Gap(contact.contact, seeds->q.data(), seeds->p.data()));
+        rows.push_back(f_.Distance(contact.contact, seeds->q.data(), seeds->p.data()));
       }
       CorrectSeeds(system, normals, gaps, rows, &seeds->q, *seeds);
     }
