@@ -223,25 +223,33 @@ TEST(RigidBodies, WrongScenesAreReported) {
               HasSubstr("normal of a plane"));
 }
 
-// A box that slides on two corners and stops, where no speed is left to tell that both do: one event, after which the
-// motion is at rest. x = x0 + v^2 / (2 mu g).
+// A box that slides on two corners and stops, where no speed is left to tell that both do: one event, and then rest.
+// The whole scene is turned by an angle, so that rounding leaves some speed. x = v^2 / (2 mu g).
 TEST(RigidBodies, CornersOfABoxStopTogether) {
-  const RigidBodies2D scene(
-      {.bodies = {{.name = "box", .polygon = BoxPolygon(0.13, 0.07), .position = {0.1, 0.07}, .velocity = {0.31, 0}}},
-       .planes = {{}},
-       .friction = 0.24});
-  const MechanicalSystem system(scene);
-  const std::vector<double> initial = scene.InitialState(), p = scene.Parameters();
-  const MechanicalSystem::Start start = system.FindMode(initial, {}, p);
-  ASSERT_EQ(start.why, "");
-  HybridSimulator simulator(system.hybrid(), {});
-  ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = initial, .parameters = p, .duration = 0.9}));
-  ASSERT_EQ(simulator.events().size(), 1u);
-  EXPECT_NEAR(simulator.events()[0].time, 0.31 / (0.24 * 9.81), 1e-12);
-  EXPECT_NEAR(simulator.final_state()[0], 0.1 + 0.31 * 0.31 / (2 * 0.24 * 9.81), 1e-12);
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
-  const HybridGradient gradient = simulator.Adjoint(std::vector<double>{1, 0, 0, 0, 0, 0});
-  EXPECT_NEAR(gradient.initial[3], 0.31 / (0.24 * 9.81), 1e-10);
+  for (const double angle : {0.0, 0.1, 0.7, 2.5}) {
+    const double c = std::cos(angle), s = std::sin(angle);
+    const RigidBodies2D scene({.bodies = {{.name = "box",
+                                           .polygon = BoxPolygon(0.13, 0.07),
+                                           .position = {-0.07 * s, 0.07 * c},
+                                           .velocity = {0.31 * c, 0.31 * s},
+                                           .angle = angle}},
+                               .planes = {{.normal = {-s, c}}},
+                               .gravity = {9.81 * s, -9.81 * c},
+                               .friction = 0.24});
+    const MechanicalSystem system(scene);
+    const std::vector<double> initial = scene.InitialState(), p = scene.Parameters();
+    const MechanicalSystem::Start start = system.FindMode(initial, {}, p);
+    ASSERT_EQ(start.why, "") << angle;
+    HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 100, .most_events = 100});
+    ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = initial, .parameters = p, .duration = 0.9})) << angle;
+    ASSERT_EQ(simulator.events().size(), 1u) << angle;
+    EXPECT_NEAR(simulator.events()[0].time, 0.31 / (0.24 * 9.81), 1e-12);
+    const std::span<const double> last = simulator.final_state();
+    EXPECT_NEAR(c * last[0] + s * last[1], 0.31 * 0.31 / (2 * 0.24 * 9.81), 1e-12);
+    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    const HybridGradient gradient = simulator.Adjoint(std::vector<double>{c, s, 0, 0, 0, 0});
+    EXPECT_NEAR(c * gradient.initial[3] + s * gradient.initial[4], 0.31 / (0.24 * 9.81), 1e-10);
+  }
 }
 
 // A disc that is in the ground by rounding and rises by less than that comes back without having been above it.
