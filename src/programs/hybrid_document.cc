@@ -29,7 +29,9 @@ Json NamesToJson(int count, const Name& name) {
 class Samples {
  public:
   Samples(const HybridSystem& system, const HybridInput& input)
-      : system_(system), input_(input), no_control_(system.num_controls()) {}
+      : system_(system), input_(input), begins_(input.Times()), no_control_(system.num_controls()) {
+    begins_.pop_back();
+  }
 
   void Add(double time, int mode, std::span<const double> state) {
     times_.push_back(NumberToJson(time));
@@ -53,12 +55,13 @@ class Samples {
   // Of the interval that begins at or before `time`; the last one at the end.
   const double* ControlAt(double time) const {
     if (input_.control.empty()) return no_control_.data();
-    const int k = static_cast<int>(time / input_.duration * input_.num_intervals);
-    return &input_.control[static_cast<std::size_t>(std::min(k, input_.num_intervals - 1)) * system_.num_controls()];
+    const std::ptrdiff_t begun = std::upper_bound(begins_.begin(), begins_.end(), time) - begins_.begin();
+    return &input_.control[std::max<std::ptrdiff_t>(begun - 1, 0) * system_.num_controls()];
   }
 
   const HybridSystem& system_;
   const HybridInput& input_;
+  std::vector<double> begins_;  // of the control intervals
   const std::vector<double> no_control_;
   Json times_ = Json::array(), modes_ = Json::array(), states_ = Json::array(), guards_ = Json::array();
 };

@@ -8,8 +8,12 @@
 #include <nlohmann/json.hpp>
 #include <regex>
 #include <string>
+#include <vector>
 
+#include "problems/hybrid/leg_hopper.h"
+#include "programs/hybrid_document.h"
 #include "programs/run_command.h"
+#include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {
 namespace {
@@ -404,6 +408,30 @@ TEST(HybridSweep, SweepsParametersStatesAndSteps) {
   EXPECT_THAT(wrong.errors, HasSubstr("stiffness"));
   const Outcome other = RunCommand(BuildFolder() + "/bin/saltus_sweep --program=/bin/true --sweep=e=1");
   EXPECT_EQ(other.exit_code, 2);
+}
+
+TEST(HybridDocument, GuardsAreThoseUnderTheControlOfTheirInterval) {
+  const HybridProblem problem = LegHopperProblem();
+  HybridInput input = problem.guess;
+  for (int k = 0; k < input.num_intervals; ++k) input.lengths.push_back(k % 2 == 0 ? 1 : 3);
+  HybridSimulator simulator(problem.system, problem.integration);
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  const json motion = HybridMotionToJson(simulator, input, true, /*states=*/true);
+  const std::vector<double> times = input.Times();
+  int compared = 0;
+  for (std::size_t i = 0; i < motion["times"].size(); ++i) {
+    if (motion["modes"][i] != "s") continue;
+    const double time = motion["times"][i];
+    const std::vector<double> x = motion["states"][i];
+    for (int k = 0; k < input.num_intervals; ++k) {
+      if (!(time > times[k] + 1e-9 && time < times[k + 1] - 1e-9)) continue;
+      const double off = problem.system.functions().Guard(
+          input.mode, 0, time, x.data(), &input.control[2 * k], input.parameters.data());
+      EXPECT_DOUBLE_EQ(motion["guards"][i][0].get<double>(), off) << time;
+      ++compared;
+    }
+  }
+  EXPECT_GT(compared, 10);
 }
 
 }  // namespace

@@ -84,7 +84,7 @@ function hybridParts(data) {
   const {system, runs, motion, guess, gradient, audits} = data, parts = [];
   const heading = (text) => parts.push({kind: 'heading', text});
   const table = (caption, heads, rows) => parts.push({kind: 'table', caption, table: hybridTable(heads, rows)});
-  parts.push({kind: 'text', text: `${system.modes.length} modes; loss of the initial guess: ${shown(data.loss) || data.failed}`});
+  parts.push({kind: 'text', text: `${system.modes.length} mode${system.modes.length === 1 ? "" : "s"}; loss of the initial guess: ${shown(data.loss) || data.failed}`});
   if (runs.length > 0) {
     heading('Solvers');
     table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'iterations', 'termination', 'certificate', 'remark'],
