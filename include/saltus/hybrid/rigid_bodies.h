@@ -185,8 +185,8 @@ class RigidBodies2D {
   struct Pose {
     T x, y, angle;
   };
-  // The point of contact, the normal from b or the plane towards a, the gap, and of a vertex on
-  // an edge the distance from the line through the edge.
+  // The point of contact, the normal from b or the plane towards a, the gap, how far the point is from the ends of what
+  // the gap is measured from, and of a vertex on an edge the distance from the line through the edge.
   template <typename T>
   struct Closest {
     T x, y, normal_x, normal_y, gap, reach, from_line;
