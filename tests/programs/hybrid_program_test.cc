@@ -413,7 +413,7 @@ TEST(HybridSweep, SweepsParametersStatesAndSteps) {
 TEST(HybridDocument, GuardsAreThoseUnderTheControlOfTheirInterval) {
   const HybridProblem problem = LegHopperProblem();
   HybridInput input = problem.guess;
-  for (int k = 0; k < input.num_intervals; ++k) input.lengths.push_back(k % 2 == 0 ? 1 : 3);
+  for (int k = 0; k < input.num_intervals; ++k) input.lengths.push_back(1 + k);
   HybridSimulator simulator(problem.system, problem.integration);
   ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
   const json motion = HybridMotionToJson(simulator, input, true, /*states=*/true);
