@@ -34,6 +34,7 @@ void SolveColumns(const LeastNormSolver& solver, Block* right) {
   Eigen::VectorXd column(right->rows());
   for (int j = 0; j < right->cols(); ++j) {
     column = right->col(j);
+    if ((column.array() == 0).all()) continue;
     solver.Solve(column, column);
     right->col(j) = column;
   }
@@ -81,6 +82,14 @@ MechanicalEquations::TimePath<Jet> MechanicalEquations::Still(const Seeds& seeds
 }
 
 // Derivatives that are not numbers reach all that depends on them, whatever the values are.
+bool MechanicalEquations::MassVaries(const Point& at) const {
+  Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), mass(static_cast<std::size_t>(n_) * n_);
+  for (Jet& jet : q) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
+  for (Jet& jet : p) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
+  f_.Mass(q.data(), p.data(), mass.data());
+  return std::any_of(mass.begin(), mass.end(), [](const Jet& entry) { return std::isnan(entry.v[0]); });
+}
+
 std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) const {
   Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), row(n_);
   const auto jet = [&](int i) -> Jet& { return i < n_ ? q[i] : p[i - n_]; };
@@ -218,6 +227,7 @@ MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<Clos
   Eigen::MatrixXd mass(n_, n_);
   f_.Mass(at.q, at.p, mass.data());  // symmetric: the order of rows and columns does not matter
   system.mass.Factorize(mass);
+  if (for_derivatives) system.mass_varies = MassVaries(at);
   system.rows = RowsOf(closed);
   const auto r = static_cast<Eigen::Index>(system.rows.size());
   if (r == 0) return system;
@@ -290,8 +300,8 @@ MechanicalEquations::Seeds MechanicalEquations::SeedDirection(const Point& at, c
 }
 
 template <typename S>
-void MechanicalEquations::AddMomentum(const Seeds& seeds, const S* a, Jet* momentum) const {
-  if (std::is_same_v<S, double> && !Vary(all_, seeds)) return;
+void MechanicalEquations::AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const {
+  if (std::is_same_v<S, double> && !(system.mass_varies && Vary(all_, seeds))) return;
   Jets mass(static_cast<std::size_t>(n_) * n_);
   f_.Mass(seeds.q.data(), seeds.p.data(), mass.data());
   for (int i = 0; i < n_; ++i) {
@@ -361,7 +371,7 @@ MechanicalEquations::Derivative MechanicalEquations::AccelerationDerivative(cons
   Jets momentum(n_), rows;
   f_.Force(at.t, at.q, at.v, at.u, at.p, momentum.data());
   for (Jet& entry : momentum) entry = -entry;
-  AddMomentum(seeds, a.data(), momentum.data());
+  AddMomentum(system, seeds, a.data(), momentum.data());
   SubtractForces(system, closed, seeds, force, momentum.data());
   if (!system.rows.empty()) {
     const Jets fixed(a.data(), a.data() + n_);
@@ -380,7 +390,7 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
   const MechanicalPoint<Jet> at = seeds.point();
   Jets momentum(n_), change(n_), rows;
   for (int i = 0; i < n_; ++i) change[i] = v_plus[i] - at.v[i];
-  AddMomentum(seeds, change.data(), momentum.data());
+  AddMomentum(system, seeds, change.data(), momentum.data());
   SubtractForces(system, closed, seeds, force, momentum.data());
   if (!known.empty()) {
     TimePath<Jet> still = Still(seeds);
@@ -403,9 +413,12 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
 void MechanicalEquations::CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed,
                                        const Eigen::VectorXd& force, const Jets& rows, Jets* moved,
                                        const Seeds& seeds) const {
+  const bool constant =
+      std::all_of(rows.begin(), rows.end(), [](const Jet& row) { return (row.v.array() == 0).all(); });
+  if (constant && !Vary(all_, seeds)) return;
   const Eigen::VectorXd change = system.mobile_F * force;
   Jets momentum(n_), closing = rows;
-  AddMomentum(seeds, change.data(), momentum.data());
+  AddMomentum(system, seeds, change.data(), momentum.data());
   SubtractForces(system, closed, seeds, force, momentum.data());
   const Jets along(change.data(), change.data() + n_);
   for (std::size_t i = 0; i < closing.size(); ++i) {

@@ -88,7 +88,9 @@ class MechanicalEquations {
     std::vector<Row> rows;
     Eigen::MatrixXd G, F, mobile_F;          // r x n, n x r, M^-1 F
     std::optional<LeastNormSolver> contact;  // of G M^-1 F; none without rows
-    // By contact, of those that are closed: what its rows depend on, as indices in [q p]. For derivatives only.
+    // For derivatives only: whether M depends on anything, and by contact, of those that are closed, what its rows
+    // depend on, as indices in [q p].
+    bool mass_varies = true;
     std::vector<std::vector<int>> reads;
   };
   System Assemble(const std::vector<ClosedContact>& closed, const Point& at, bool for_derivatives = false) const;
@@ -158,6 +160,8 @@ class MechanicalEquations {
   Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
 
  private:
+  // Whether M depends on q or p.
+  bool MassVaries(const Point& at) const;
   // What the rows of a contact depend on, as indices in [q p].
   std::vector<int> ReadsOf(int contact, const Point& at) const;
   // Whether the seeds of any of these, of the coordinates and parameters, are not zero.
@@ -175,7 +179,7 @@ class MechanicalEquations {
   // Of the functions from here on that return or change Jets, the derivatives alone count.
   // Adds M a.
   template <typename S>
-  void AddMomentum(const Seeds& seeds, const S* a, Jet* momentum) const;
+  void AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const;
   // Subtracts what a contact with this normal force, which sticks under a tangential force or slides, does.
   void SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential, const Seeds& seeds,
                        std::span<const int> reads, TimePath<Jet>* still, Jet* residual) const;

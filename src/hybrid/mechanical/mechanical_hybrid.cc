@@ -511,7 +511,8 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
   const int contact = guarded.contact;
   const auto force = [&](std::size_t row) {
     Jet jet(motion.force[static_cast<Eigen::Index>(row)]);
-    jet.v = motion.derivatives[pass].force.row(static_cast<Eigen::Index>(row)).transpose();
+    if (!motion.derivatives.empty())
+      jet.v = motion.derivatives[pass].force.row(static_cast<Eigen::Index>(row)).transpose();
     return jet;
   };
   // Of the rows of the contact.
@@ -556,9 +557,13 @@ MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Poi
 }
 
 double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const {
-  double rate = 0;
-  const std::vector<double> still(2 * equations_.n(), 0.0);
-  return GuardRate(mode, guard, t, x, still.data(), u, p, &rate);
+  const Mode& of = ModeAt(mode);
+  const Guarded& guarded = of.guards[guard];
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
+  ClosedMotion motion;
+  if (NeedsForces(guarded)) motion = MotionOf(of, on.at);
+  return GuardJet(of, guarded, on.at, equations_.SeedColumns(on.at, 1)[0], motion, 0).a;
 }
 
 GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
