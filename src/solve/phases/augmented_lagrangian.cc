@@ -17,9 +17,8 @@ constexpr int kShortPhase = 332;  // steps
 constexpr double kLargestWeight = 1e7;
 // Damping would only slow down what is nearly linear.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
-// Relative change of the cost that ends a solve: the first ones only prepare the next. The last one leaves conditions
-// of first order open by its root.
-constexpr double kTolerances[] = {1e-3, 1e-6, 3e-14};
+// Relative change of the cost that ends the first solves, which only prepare the next.
+constexpr double kFirstGains[] = {1e-3, 1e-6};
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;
@@ -228,7 +227,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   Summary result;
   bool estimated = false;
   for (int round = 0; round < options.rounds; ++round) {
-    ceres_options.function_tolerance = kTolerances[std::min<size_t>(round, std::size(kTolerances) - 1)];
+    ceres_options.function_tolerance =
+        static_cast<size_t>(round) < std::size(kFirstGains) ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
     ceres_options.max_num_iterations = options.iterations - watch.iterations();
     ceres::Solver::Summary summary;

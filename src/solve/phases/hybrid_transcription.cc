@@ -14,6 +14,7 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
+constexpr double kGain = 1e-14;        // of the last solve: certificates ask for conditions of first order to 1e-6
 constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
 // Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
 // near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
@@ -720,6 +721,7 @@ AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
   options.equality_weight = kFirstWeight;
   options.most_open = kMostOpen;
+  options.gain = kGain;
   options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
