@@ -38,9 +38,9 @@ class AugmentedLagrangian {
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
     double tolerance = 1e-9;                                 // largest violation of a row
     double radius = 1e8;                                     // of the trust region at first, after the first solve
-    // If the first solve leaves a row open by more than this, it is repeated from the start, with those multipliers of
-    // equalities in the place of zero that leave least of the gradient there: costates, if the start meets the
-    // equalities.
+    // If the first solve leaves a row open by more than this, or gains nothing, it is repeated from the start, with
+    // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
+    // start meets the equalities.
     double most_open = INFINITY;
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
