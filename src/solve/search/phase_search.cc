@@ -23,7 +23,8 @@ namespace {
 using Finding = FindingOf<Trial>;
 
 // Of ceres_phases.
-constexpr int kStarts = 8;          // at random
+constexpr int kStarts = 8;  // at random
+constexpr int kIntervalsOfStarts = 60;
 constexpr double kPromising = 1.3;  // times the loss of an optimum, that of a start which may lead to a better one
 constexpr size_t kMostSolves = 3;   // from such starts
 
@@ -99,10 +100,13 @@ class DiscSearch {
     return finding;
   }
 
-  // Whatever the constraints, unless the bounds of components are kept.
-  int Shoot(SolverOptions options, Trial* trial, bool within_bounds = false) const {
+  // Whatever the constraints; but a start of ceres_phases keeps the bounds of components, on few intervals.
+  int Shoot(SolverOptions options, Trial* trial, bool is_start = false) const {
     SolveRequest relaxed{Relaxed(BeginningAs(*trial, scene_)), request_.contact};
-    if (within_bounds) relaxed.scene.control.max = scene_.control.max;
+    if (is_start) {
+      relaxed.scene.control.max = scene_.control.max;
+      relaxed.scene.steps = std::min(scene_.steps, kIntervalsOfStarts);
+    }
     options.memory_limit = run_.options().memory_limit;
     options.most_impacts = kMostImpactsOfMotion;
     if (scene_.optimize == Optimize::kControl) options.guess = ControlGuess{trial->control, trial->durations};
@@ -110,7 +114,7 @@ class DiscSearch {
     if (report.losses.empty()) return report.evaluations;
     if (scene_.optimize == Optimize::kControl) {
       trial->control = report.control;
-      trial->durations.assign(scene_.steps, scene_.dt());
+      trial->durations.assign(relaxed.scene.steps, relaxed.scene.dt());
     } else {
       trial->initial = report.initial_state;
     }
@@ -142,7 +146,7 @@ std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run
   for (int i = 0; i < kStarts && !(own.stop && own.stop()); ++i) {
     std::optional<Trial> start = search.BeginAtRandom(SearchOptions{}.seed, i);
     if (!start) break;
-    search.Shoot(own, &*start, /*within_bounds=*/true);
+    search.Shoot(own, &*start, /*is_start=*/true);
     if (run.MeritOf(*start) < most) starts.push_back(std::move(*start));
   }
   std::ranges::stable_sort(starts, {}, [&](const Trial& start) { return run.MeritOf(start); });
