@@ -90,9 +90,7 @@ class StartsUnderBounds : public testing::TestWithParam<BoundedProblem> {
 
 TEST_P(StartsUnderBounds, LeadToTheBetterImpacts) {
   const Scene scene = Bounded();
-  SolverOptions options;
-  options.guess = ControlGuess{InitialControl(scene, scene.steps), {}};
-  const SolveReport once = Solve("ceres_phases", {scene, "event"}, options);
+  const SolveReport once = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   EXPECT_GT(once.final_loss, 1.02 * GetParam().penalised);
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_LT(report.final_loss, GetParam().penalised);
@@ -112,10 +110,8 @@ TEST_P(StartsUnderBounds, LeadToTheBetterImpacts) {
 
 TEST_P(StartsUnderBounds, CountTheirIterationsAndStopWhenAsked) {
   const Scene scene = Bounded();
+  const int first = Solve("ceres_phases", {scene, "event"}, FromGuess(scene)).iterations;
   SolverOptions options;
-  options.guess = ControlGuess{InitialControl(scene, scene.steps), {}};
-  const int first = Solve("ceres_phases", {scene, "event"}, options).iterations;
-  options.guess.reset();
   options.iterations = first;
   EXPECT_EQ(Solve("ceres_phases", {scene, "event"}, options).iterations, first);
   options.iterations = 1000;
@@ -138,9 +134,7 @@ INSTANTIATE_TEST_SUITE_P(Problems, StartsUnderBounds,
 TEST(StartsWithoutGain, LeaveTheFirstSolveAsItIs) {
   const Scene scene = SceneOf(Reference("max_3.5"), 120);
   ASSERT_TRUE(scene.control.IsBounded());
-  SolverOptions options;
-  options.guess = ControlGuess{InitialControl(scene, scene.steps), {}};
-  const SolveReport once = Solve("ceres_phases", {scene, "event"}, options);
+  const SolveReport once = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.control, once.control);
   EXPECT_EQ(report.durations, once.durations);
