@@ -241,7 +241,7 @@ class ModelAdjoint {
         const Pack lasts = {last[0], last[1], last[0], last[1]}, changes = {change[0], change[1], change[0], change[1]};
         Pack left = {n - 1.0, n - 1.0, n - 2.0, n - 2.0};  // steps after each
         std::ptrdiff_t at = 0;
-        for (int pairs = n / 2; pairs > 0; --pairs, at += 2 * to.stride, left -= 2) {
+        for (int pairs = n / 2; pairs > 0; --pairs, at += 2 * to.stride, left -= 2.0) {
           Pack sum = lasts + left * changes;
           if (to.addend != nullptr) {
             Pack more;
