@@ -2,6 +2,7 @@
 // same problems, in turns. There is no friction, which that integrator does not support.
 //
 //   TumblingBoxes/n, RestingBoxes/n   n boxes that bounce on the ground, or rest on two corners each
+//   SlidingDoublePendulum             its tip slides on the ground
 //
 //   us_per_s, siconos_us_per_s   thread time of the motion, without set-up, by its duration
 //   siconos_ratio                the second by the first
@@ -49,6 +50,15 @@ struct Boxes : BouncingBox {
   template <typename T>
   T Restitution(int, const T*) const {
     return T(kRestitution);
+  }
+};
+
+struct Pendulum : SlidingPendulum {
+  static constexpr int kNumCoordinates = 2, kNumControls = 0, kNumParameters = 0, kNumContacts = 1;
+
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
   }
 };
 
@@ -125,8 +135,15 @@ void CompareBoxes(benchmark::State& state, bool tumble) {
 
 void TumblingBoxes(benchmark::State& state) { CompareBoxes(state, true); }
 void RestingBoxes(benchmark::State& state) { CompareBoxes(state, false); }
+void SlidingDoublePendulum(benchmark::State& state) {
+  constexpr double kFirst = -0.45;  // rad
+  const double second = std::acos((Pendulum::kDepth - Pendulum::kLength[0] * std::cos(kFirst)) / Pendulum::kLength[1]);
+  const HybridInput input{.initial = {kFirst, second, 0, 0}, .duration = 1};
+  Compare(state, MechanicalSystem(Pendulum()), input, ToleranceOf(state, 0), PendulumBySiconos);
+}
 BENCHMARK(TumblingBoxes)->ArgsProduct({{1, 2, 4, 8}, {12}})->UseManualTime()->Iterations(1);
 BENCHMARK(RestingBoxes)->ArgsProduct({{1, 2, 4, 8}, {12}})->UseManualTime()->Iterations(1);
+BENCHMARK(SlidingDoublePendulum)->Arg(12)->UseManualTime()->Iterations(1);
 
 }  // namespace
 }  // namespace saltus

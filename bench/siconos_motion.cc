@@ -2,6 +2,7 @@
 
 #include <SiconosKernel.hpp>
 #include <array>
+#include <functional>
 #include <utility>
 
 namespace saltus {
@@ -10,6 +11,11 @@ namespace {
 // A gap of one body, whose row and its rate the functions of a derived class give.
 class Contact : public LagrangianScleronomousR {
  public:
+  // For an evaluation of the motion Siconos computes the rows of contacts, the forces of contacts, and then the
+  // accelerations without contact and the mass matrix, in this order: forces are those of the state of the evaluation
+  // before. The derived class that has rows to compute calls this first, which computes the latter two.
+  std::function<void()> refresh;
+
   explicit Contact(int size) {
     _jachq = std::make_shared<SimpleMatrix>(1, size);
     _dotjachq = std::make_shared<SimpleMatrix>(1, size);
@@ -35,6 +41,49 @@ class Corner final : public Contact {
   const double along_, across_;
 };
 
+class Pendulum final : public LagrangianDS {
+ public:
+  Pendulum(const SP::SiconosVector& q, const SP::SiconosVector& v) : LagrangianDS(q, v) {
+    _mass = std::make_shared<SimpleMatrix>(2, 2);
+    _hasConstantMass = false;
+    _fGyr = std::make_shared<SiconosVector>(2);
+  }
+  void computeMass() override { computeMass(q()); }
+  void computeMass(SP::SiconosVector position) override {
+    double M[4];
+    equations_.Mass<double>(position->getArray(), nullptr, M);
+    for (int i = 0; i < 4; ++i) _mass->setValue(i / 2, i % 2, M[i]);
+  }
+  void computeFGyr() override { computeFGyr(q(), velocity()); }
+  void computeFGyr(SP::SiconosVector position, SP::SiconosVector velocity) override {
+    double h[2];
+    equations_.Force<double>(0, position->getArray(), velocity->getArray(), nullptr, nullptr, h);
+    for (int i = 0; i < 2; ++i) _fGyr->setValue(i, -h[i]);
+  }
+
+ private:
+  const SlidingPendulum equations_{};
+};
+
+class Tip final : public Contact {
+ public:
+  Tip() : Contact(2) {}
+  void computeh(const BlockVector& q, BlockVector&, SiconosVector& y) override {
+    const double angles[] = {q(0), q(1)};
+    y(0) = equations_.Gap<double>(0, angles, nullptr);
+  }
+  void computeJachq(const BlockVector& q, BlockVector&) override {
+    if (refresh) refresh();
+    for (int i = 0; i < 2; ++i) _jachq->setValue(0, i, SlidingPendulum::kLength[i] * std::sin(q(i)));
+  }
+  void computeDotJachq(const BlockVector& q, BlockVector&, const BlockVector& v) override {
+    for (int i = 0; i < 2; ++i) _dotjachq->setValue(0, i, SlidingPendulum::kLength[i] * std::cos(q(i)) * v(i));
+  }
+
+ private:
+  const SlidingPendulum equations_{};
+};
+
 SP::SiconosVector Vector(const double* begin, int size) {
   return std::make_shared<SiconosVector>(std::vector<double>(begin, begin + size));
 }
@@ -52,6 +101,7 @@ class EventDrivenMotion final : public SiconosMotion {
   void AddContact(const std::shared_ptr<Contact>& contact, double restitution) {
     model_->link(std::make_shared<Interaction>(std::make_shared<NewtonImpactNSL>(restitution), contact),
                  bodies_.back());
+    contacts_.push_back(contact);
   }
   // After all bodies and contacts.
   void Start(double tolerance) {
@@ -63,6 +113,7 @@ class EventDrivenMotion final : public SiconosMotion {
     simulation_->initialize();
     integrator->setTol(1, tolerance, tolerance);
     integrator->setMaxNstep(1000000);
+    for (const auto& contact : contacts_) contact->refresh = [integrator] { integrator->computeRhs(0); };
   }
   int Run() override {
     constexpr int kNonsmooth = 2;
@@ -88,6 +139,7 @@ class EventDrivenMotion final : public SiconosMotion {
   const double duration_;
   SP::NonSmoothDynamicalSystem model_;
   std::vector<std::shared_ptr<LagrangianDS>> bodies_;
+  std::vector<std::shared_ptr<Contact>> contacts_;
   std::shared_ptr<EventDriven> simulation_;
 };
 
@@ -110,6 +162,15 @@ std::unique_ptr<SiconosMotion> BoxesBySiconos(const std::vector<double>& initial
       motion->AddContact(std::make_shared<Corner>(corner), BouncingBox::kRestitution);
     }
   }
+  motion->Start(tolerance);
+  return motion;
+}
+
+std::unique_ptr<SiconosMotion> PendulumBySiconos(const std::vector<double>& initial, double duration,
+                                                 double tolerance) {
+  auto motion = std::make_unique<EventDrivenMotion>(duration);
+  motion->AddBody(std::make_shared<Pendulum>(Vector(initial.data(), 2), Vector(initial.data() + 2, 2)));
+  motion->AddContact(std::make_shared<Tip>(), 0);
   motion->Start(tolerance);
   return motion;
 }

@@ -82,22 +82,35 @@ GuardValue EventSearch::After(const FlowStep& step, const double* slope, int gua
 
 double EventSearch::Scale(const FlowStep& step, int guard) {
   functions_.GuardGradient(step.mode, guard, step.t, step.x, step.u, step.p, gradient_.data());
+  return ScaleBy(step, gradient_.data());
+}
+
+double EventSearch::ScaleBy(const FlowStep& step, const double* gradient) const {
   const int n = functions_.state_size(step.mode), num_parameters = functions_.layout().num_parameters;
-  double scale = std::abs(gradient_[n] * step.t);
-  for (int i = 0; i < n; ++i) scale += std::abs(gradient_[i] * step.x[i]);
-  for (int i = 0; i < num_parameters; ++i) scale += std::abs(gradient_[n + 1 + i] * step.p[i]);
+  double scale = std::abs(gradient[n] * step.t);
+  for (int i = 0; i < n; ++i) scale += std::abs(gradient[i] * step.x[i]);
+  for (int i = 0; i < num_parameters; ++i) scale += std::abs(gradient[n + 1 + i] * step.p[i]);
   for (int i = 0; i < functions_.layout().num_controls; ++i) {
-    scale += std::abs(gradient_[n + 1 + num_parameters + i] * step.u[i]);
+    scale += std::abs(gradient[n + 1 + num_parameters + i] * step.u[i]);
   }
   return scale;
 }
 
-EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard) {
-  const GuardValue now = At(step, slope, guard);
-  const double scale = Scale(step, guard);
+void EventSearch::Enter(const FlowStep& step) {
+  const auto guards = static_cast<std::size_t>(functions_.num_guards(step.mode));
+  values_.resize(guards);
+  gradients_.resize(guards * gradient_.size());
+  functions_.GuardGradients(step.mode, step.t, step.x, step.u, step.p, values_.data(), gradients_.data());
+}
+
+EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard,
+                                            const GuardValue& now) {
   const int n = functions_.state_size(step.mode);
-  double rate_scale = std::abs(gradient_[n]);
-  for (int i = 0; i < n; ++i) rate_scale += std::abs(gradient_[i] * slope[i]);
+  const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
+  const double* gradient = &gradients_[static_cast<std::size_t>(guard) * columns];
+  const double scale = ScaleBy(step, gradient);
+  double rate_scale = std::abs(gradient[n]);
+  for (int i = 0; i < n; ++i) rate_scale += std::abs(gradient[i] * slope[i]);
   double at_zero = kAtZero * (scale + std::abs(now.rate) * step.h);
   if (now.value > at_zero) return Standing::kArmed;
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);

@@ -21,10 +21,11 @@ class EventSearch {
   // At the beginning of a step, whose slope is given.
   GuardValue At(const FlowStep& step, const double* slope, int guard) const;
 
-  // How a guard stands on entry into a mode at step.t, step.x. The length of the step is one over which guards of
-  // interest change.
+  // How a guard, which is `now`, stands on entry into a mode at step.t, step.x. The length of the step is one over
+  // which guards of interest change. Enter, before, finds the derivatives of all guards there.
   enum class Standing { kArmed, kRising, kFalling, kBehind };
-  Standing Classify(const FlowStep& step, const double* slope, int guard);
+  void Enter(const FlowStep& step);
+  Standing Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now);
 
   struct Found {
     enum class What { kNothing, kEvent, kGrazing } what = What::kNothing;
@@ -50,6 +51,7 @@ class EventSearch {
   void Forget() { kept_.clear(); }
 
  private:
+  double ScaleBy(const FlowStep& step, const double* gradient) const;
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
@@ -68,6 +70,7 @@ class EventSearch {
   std::vector<Kept> kept_;
   std::vector<double> numbers_;  // state and slope at the beginning of the step, then those that are kept
   std::vector<double> gradient_;
+  std::vector<double> values_, gradients_;  // of all guards on entry into a mode
 };
 
 }  // namespace saltus

@@ -195,6 +195,7 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
     int due = -1;
     bool located = false;
     UpdateGuards();
+    search_.Enter(ahead);
     const auto num_guards = static_cast<std::size_t>(system_.num_guards(at_.mode));
     for (std::size_t place = 0; place < num_guards; ++place) {
       const int guard = order.size() == num_guards ? order[place] : static_cast<int>(place);
@@ -202,7 +203,7 @@ bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) 
       if (!std::isfinite(value.value)) {
         return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
       }
-      const EventSearch::Standing standing = search_.Classify(ahead, at_.slope.data(), guard);
+      const EventSearch::Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value);
       at_.armed[guard] = standing == EventSearch::Standing::kArmed;
       if (standing == EventSearch::Standing::kBehind && entry == Entry::kStart) {
         if (options_.wait_behind_guards) continue;

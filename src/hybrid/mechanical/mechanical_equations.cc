@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <type_traits>
 
 namespace saltus {
 namespace {
@@ -32,6 +34,7 @@ void SolveColumns(const LeastNormSolver& solver, Block* right) {
   Eigen::VectorXd column(right->rows());
   for (int j = 0; j < right->cols(); ++j) {
     column = right->col(j);
+    if ((column.array() == 0).all()) continue;
     solver.Solve(column, column);
     right->col(j) = column;
   }
@@ -52,7 +55,10 @@ MechanicalEquations::MechanicalEquations(const MechanicalFunctions& functions)
     : f_(functions),
       n_(functions.layout().num_coordinates),
       num_u_(functions.layout().num_controls),
-      num_p_(functions.layout().num_parameters) {}
+      num_p_(functions.layout().num_parameters),
+      all_(n_ + num_p_) {
+  std::iota(all_.begin(), all_.end(), 0);
+}
 
 Block MechanicalEquations::Directions(const Jets& jets) {
   Block block(static_cast<Eigen::Index>(jets.size()), kWidth);
@@ -75,9 +81,49 @@ MechanicalEquations::TimePath<Jet> MechanicalEquations::Still(const Seeds& seeds
   return {Constant(n_, seeds.q.data()), Constant(num_p_, seeds.p.data())};
 }
 
-void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, TimePath<Jet>* still, Jet* out) const {
+// Derivatives that are not numbers reach all that depends on them, whatever the values are.
+bool MechanicalEquations::MassVaries(const Point& at) const {
+  Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), mass(static_cast<std::size_t>(n_) * n_);
+  for (Jet& jet : q) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
+  for (Jet& jet : p) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
+  f_.Mass(q.data(), p.data(), mass.data());
+  return std::any_of(mass.begin(), mass.end(), [](const Jet& entry) { return std::isnan(entry.v[0]); });
+}
+
+std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) const {
+  Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), row(n_);
+  const auto jet = [&](int i) -> Jet& { return i < n_ ? q[i] : p[i - n_]; };
+  std::vector<int> reads;
+  for (int first = 0; first < n_ + num_p_; first += kWidth) {
+    const int width = std::min(kWidth, n_ + num_p_ - first);
+    for (int j = 0; j < width; ++j) jet(first + j).v[j] = std::numeric_limits<double>::quiet_NaN();
+    Jet sum = f_.Distance(contact, q.data(), p.data());
+    if (f_.layout().has_friction[contact] != 0 && f_.has_rows()) {
+      f_.SlideRow(contact, q.data(), p.data(), row.data());
+      sum = std::accumulate(row.begin(), row.end(), sum);
+    } else if (f_.layout().has_friction[contact] != 0) {
+      sum += f_.Slide(contact, q.data(), p.data());
+    }
+    for (int j = 0; j < width; ++j) {
+      if (std::isnan(sum.v[j])) reads.push_back(first + j);
+      jet(first + j).v[j] = 0;
+    }
+  }
+  return reads;
+}
+
+bool MechanicalEquations::Vary(std::span<const int> reads, const Seeds& seeds) const {
+  return std::any_of(reads.begin(), reads.end(), [&](int i) {
+    return ((i < n_ ? seeds.q[i] : seeds.p[i - n_]).v.array() != 0).any();
+  });
+}
+
+void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still,
+                                Jet* out) const {
   if (row.tangential && f_.has_rows()) return f_.SlideRow(row.contact, seeds.q.data(), seeds.p.data(), out);
-  for (int j = 0; j < n_; ++j) {
+  std::fill_n(out, n_, Jet(0.0));
+  for (const int j : reads) {
+    if (j >= n_) break;
     still->q[j].rate = Jet(1.0);
     out[j] = row.tangential ? f_.Slide(row.contact, still->q.data(), still->p.data()).rate
                             : f_.Distance(row.contact, still->q.data(), still->p.data()).rate;
@@ -175,12 +221,13 @@ Jet MechanicalEquations::RateAlong(const Row& row, const Jet* q, const Jet* v, c
   return Along<Jet>(row, {Path<Jet>(n_, q, v, nullptr), Constant(num_p_, p)}, v, nullptr).rate;
 }
 
-MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed,
-                                                          const Point& at) const {
+MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed, const Point& at,
+                                                          bool for_derivatives) const {
   System system;
   Eigen::MatrixXd mass(n_, n_);
   f_.Mass(at.q, at.p, mass.data());  // symmetric: the order of rows and columns does not matter
   system.mass.Factorize(mass);
+  if (for_derivatives) system.mass_varies = MassVaries(at);
   system.rows = RowsOf(closed);
   const auto r = static_cast<Eigen::Index>(system.rows.size());
   if (r == 0) return system;
@@ -196,6 +243,9 @@ MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<Clos
   }
   system.mobile_F = system.mass.Solve(system.F);
   system.contact.emplace(Multiply(system.G, system.mobile_F), kDependentRow);
+  if (!for_derivatives) return system;
+  system.reads.resize(f_.layout().num_contacts);
+  for (const ClosedContact& contact : closed) system.reads[contact.contact] = ReadsOf(contact.contact, at);
   return system;
 }
 
@@ -218,21 +268,24 @@ void MechanicalEquations::Accelerate(const System& system, const Point& at, Eige
   *a += system.mobile_F * *force;
 }
 
-MechanicalEquations::Seeds MechanicalEquations::SeedColumns(const Point& at, int first) const {
-  Seeds seeds;
-  int column = -first;
-  const auto seed = [&](double value) {
-    Jet jet(value);
-    if (column >= 0 && column < kWidth) jet.v[column] = 1;
-    ++column;
-    return jet;
-  };
-  for (int i = 0; i < n_; ++i) seeds.q.push_back(seed(at.q[i]));
-  for (int i = 0; i < n_; ++i) seeds.v.push_back(seed(at.v[i]));
-  seeds.t = seed(at.t);
-  for (int i = 0; i < num_p_; ++i) seeds.p.push_back(seed(at.p[i]));
-  for (int i = 0; i < num_u_; ++i) seeds.u.push_back(seed(at.u[i]));
-  return seeds;
+std::vector<MechanicalEquations::Seeds> MechanicalEquations::SeedColumns(const Point& at, int columns) const {
+  std::vector<Seeds> passes;
+  for (int first = 0; first < columns; first += kWidth) {
+    Seeds& seeds = passes.emplace_back();
+    int column = -first;
+    const auto seed = [&](double value) {
+      Jet jet(value);
+      if (column >= 0 && column < kWidth) jet.v[column] = 1;
+      ++column;
+      return jet;
+    };
+    for (int i = 0; i < n_; ++i) seeds.q.push_back(seed(at.q[i]));
+    for (int i = 0; i < n_; ++i) seeds.v.push_back(seed(at.v[i]));
+    seeds.t = seed(at.t);
+    for (int i = 0; i < num_p_; ++i) seeds.p.push_back(seed(at.p[i]));
+    for (int i = 0; i < num_u_; ++i) seeds.u.push_back(seed(at.u[i]));
+  }
+  return passes;
 }
 
 MechanicalEquations::Seeds MechanicalEquations::SeedDirection(const Point& at, const double* xdot) const {
@@ -246,21 +299,36 @@ MechanicalEquations::Seeds MechanicalEquations::SeedDirection(const Point& at, c
   return seeds;
 }
 
-void MechanicalEquations::SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential,
-                                          const Seeds& seeds, TimePath<Jet>* still, Jet* residual) const {
-  Jets row(n_);
-  RowOf({contact, false}, seeds, still, row.data());
-  for (int j = 0; j < n_; ++j) residual[j] -= normal * row[j];
-  if (sliding == 0 && tangential == nullptr) return;
-  const Jet along = tangential != nullptr
-                        ? *tangential
-                        : static_cast<double>(-sliding) * normal * f_.Friction(contact, seeds.p.data());
-  RowOf({contact, true}, seeds, still, row.data());
-  for (int j = 0; j < n_; ++j) residual[j] -= along * row[j];
+template <typename S>
+void MechanicalEquations::AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const {
+  if (std::is_same_v<S, double> && !(system.mass_varies && Vary(all_, seeds))) return;
+  Jets mass(static_cast<std::size_t>(n_) * n_);
+  f_.Mass(seeds.q.data(), seeds.p.data(), mass.data());
+  for (int i = 0; i < n_; ++i) {
+    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * a[j];
+  }
 }
 
-void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds,
-                                         const Eigen::VectorXd& force, Jet* residual) const {
+void MechanicalEquations::SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential,
+                                          const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still,
+                                          Jet* residual) const {
+  const bool vary = Vary(reads, seeds);
+  Jets row(n_);
+  const auto subtract = [&](const Jet& force, bool along_tangent) {
+    if (!vary && (force.v.array() == 0).all()) return;
+    RowOf({contact, along_tangent}, seeds, reads, still, row.data());
+    for (int j = 0; j < n_; ++j) residual[j] -= force * row[j];
+  };
+  subtract(normal, false);
+  if (tangential != nullptr) {
+    subtract(*tangential, true);
+  } else if (sliding != 0) {
+    subtract(static_cast<double>(-sliding) * normal * f_.Friction(contact, seeds.p.data()), true);
+  }
+}
+
+void MechanicalEquations::SubtractForces(const System& system, const std::vector<ClosedContact>& closed,
+                                         const Seeds& seeds, const Eigen::VectorXd& force, Jet* residual) const {
   if (closed.empty()) return;
   TimePath<Jet> still = Still(seeds);
   Eigen::Index normals = 0;
@@ -270,8 +338,14 @@ void MechanicalEquations::SubtractForces(const std::vector<ClosedContact>& close
     const Jet f_n(contact.status != 'S' ? force[normal++] : 0.0);
     const bool sticks = contact.status == 's' || contact.status == 'S';
     const Jet f_t(sticks ? force[sticking++] : 0.0);
-    SubtractContact(
-        contact.contact, f_n, SlidingSign(contact.status), sticks ? &f_t : nullptr, seeds, &still, residual);
+    SubtractContact(contact.contact,
+                    f_n,
+                    SlidingSign(contact.status),
+                    sticks ? &f_t : nullptr,
+                    seeds,
+                    system.reads[contact.contact],
+                    &still,
+                    residual);
   }
 }
 
@@ -294,14 +368,11 @@ MechanicalEquations::Derivative MechanicalEquations::AccelerationDerivative(cons
                                                                             const Eigen::VectorXd& a,
                                                                             const Eigen::VectorXd& force) const {
   const MechanicalPoint<Jet> at = seeds.point();
-  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), h(n_), rows;
-  f_.Mass(at.q, at.p, mass.data());
-  f_.Force(at.t, at.q, at.v, at.u, at.p, h.data());
-  for (int i = 0; i < n_; ++i) {
-    momentum[i] = -h[i];
-    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * a[j];
-  }
-  SubtractForces(closed, seeds, force, momentum.data());
+  Jets momentum(n_), rows;
+  f_.Force(at.t, at.q, at.v, at.u, at.p, momentum.data());
+  for (Jet& entry : momentum) entry = -entry;
+  AddMomentum(system, seeds, a.data(), momentum.data());
+  SubtractForces(system, closed, seeds, force, momentum.data());
   if (!system.rows.empty()) {
     const Jets fixed(a.data(), a.data() + n_);
     const TimePath<Jet> path{Path(n_, at.q, at.v, fixed.data()), Constant(num_p_, at.p)};
@@ -317,17 +388,14 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
                                                                       const std::vector<char>& has_restitution,
                                                                       const std::vector<KnownImpulse>& known) const {
   const MechanicalPoint<Jet> at = seeds.point();
-  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), rows;
-  f_.Mass(at.q, at.p, mass.data());
-  for (int i = 0; i < n_; ++i) {
-    momentum[i] = Jet(0.0);
-    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * (v_plus[j] - at.v[j]);
-  }
-  SubtractForces(closed, seeds, force, momentum.data());
+  Jets momentum(n_), change(n_), rows;
+  for (int i = 0; i < n_; ++i) change[i] = v_plus[i] - at.v[i];
+  AddMomentum(system, seeds, change.data(), momentum.data());
+  SubtractForces(system, closed, seeds, force, momentum.data());
   if (!known.empty()) {
     TimePath<Jet> still = Still(seeds);
     for (const KnownImpulse& impulse : known) {
-      SubtractContact(impulse.contact, impulse.normal, impulse.sliding, nullptr, seeds, &still, momentum.data());
+      SubtractContact(impulse.contact, impulse.normal, impulse.sliding, nullptr, seeds, all_, &still, momentum.data());
     }
   }
   const Jets after(v_plus.data(), v_plus.data() + n_);
@@ -345,25 +413,25 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
 void MechanicalEquations::CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed,
                                        const Eigen::VectorXd& force, const Jets& rows, Jets* moved,
                                        const Seeds& seeds) const {
+  const bool constant =
+      std::all_of(rows.begin(), rows.end(), [](const Jet& row) { return (row.v.array() == 0).all(); });
+  if (constant && !Vary(all_, seeds)) return;
   const Eigen::VectorXd change = system.mobile_F * force;
-  const MechanicalPoint<Jet> at = seeds.point();
-  Jets mass(static_cast<std::size_t>(n_) * n_), momentum(n_), closing = rows;
-  f_.Mass(at.q, at.p, mass.data());
-  for (int i = 0; i < n_; ++i) {
-    momentum[i] = Jet(0.0);
-    for (int j = 0; j < n_; ++j) momentum[i] += mass[i * n_ + j] * change[j];
-  }
-  SubtractForces(closed, seeds, force, momentum.data());
+  Jets momentum(n_), closing = rows;
+  AddMomentum(system, seeds, change.data(), momentum.data());
+  SubtractForces(system, closed, seeds, force, momentum.data());
   const Jets along(change.data(), change.data() + n_);
   for (std::size_t i = 0; i < closing.size(); ++i) {
-    closing[i] += RateAlong(system.rows[i], at.q, along.data(), at.p);
+    const Row& row = system.rows[i];
+    if (!Vary(system.reads[row.contact], seeds)) continue;
+    closing[i] += RateAlong(row, seeds.q.data(), along.data(), seeds.p.data());
   }
   const Derivative by = Solve(system, momentum, closing);
   for (int i = 0; i < n_; ++i) (*moved)[i].v += by.motion.row(i).transpose();
 }
 
 void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p,
-                                  Seeds* seeds) const {
+                                  std::span<Seeds> passes) const {
   std::vector<ClosedContact> normals = closed;
   for (ClosedContact& contact : normals) contact.status = 'n';
   const auto k = static_cast<Eigen::Index>(closed.size());
@@ -374,38 +442,43 @@ void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, doub
     for (Eigen::Index c = 0; c < k; ++c) gaps[c] = -f_.Distance(closed[c].contact, q, p);
     const double size = gaps.cwiseAbs().maxCoeff();
     const bool ends = size == 0 || !(size < 0.5 * last) || i == kMostCorrections;
-    if (ends && seeds == nullptr) break;
+    if (ends && passes.empty()) break;
     last = size;
-    const System system = Assemble(normals, at);
+    const bool correct = !passes.empty() && (ends || size > kRounding * GapScale(closed[0].contact, at));
+    const System system = Assemble(normals, at, correct);
     if (ends) gaps.setZero();  // what is left of them is rounding
     if (!ends) system.contact->Solve(gaps, gaps);
-    if (seeds != nullptr && (ends || size > kRounding * GapScale(closed[0].contact, at))) {
+    for (Seeds& seeds : passes) {
+      if (!correct) break;
       Jets rows;
       for (const ClosedContact& contact : closed) {
-        rows.push_back(f_.Distance(contact.contact, seeds->q.data(), seeds->p.data()));
+        rows.push_back(f_.Distance(contact.contact, seeds.q.data(), seeds.p.data()));
       }
-      CorrectSeeds(system, normals, gaps, rows, &seeds->q, *seeds);
+      CorrectSeeds(system, normals, gaps, rows, &seeds.q, seeds);
     }
     if (ends) break;
     Eigen::Map<Eigen::VectorXd>(q, n_) += system.mobile_F * gaps;
-    for (int j = 0; seeds != nullptr && j < n_; ++j) seeds->q[j].a = q[j];
+    for (Seeds& seeds : passes) {
+      for (int j = 0; j < n_; ++j) seeds.q[j].a = q[j];
+    }
   }
   std::vector<ClosedContact> held = closed;
   for (ClosedContact& contact : held) {
     if (contact.status != 's') contact.status = 'n';
   }
-  const System system = Assemble(held, at);
+  const System system = Assemble(held, at, !passes.empty());
   Eigen::Map<Eigen::VectorXd> velocity(v, n_);
   Eigen::VectorXd rates = -(system.G * velocity);
   system.contact->Solve(rates, rates);
   velocity += system.mobile_F * rates;
-  if (seeds == nullptr) return;
-  Jets rows;
-  for (const Row& row : system.rows) {
-    rows.push_back(RateAlong(row, seeds->q.data(), seeds->v.data(), seeds->p.data()));
+  for (Seeds& seeds : passes) {
+    Jets rows;
+    for (const Row& row : system.rows) {
+      rows.push_back(RateAlong(row, seeds.q.data(), seeds.v.data(), seeds.p.data()));
+    }
+    CorrectSeeds(system, held, rates, rows, &seeds.v, seeds);
+    for (int j = 0; j < n_; ++j) seeds.v[j].a = v[j];
   }
-  CorrectSeeds(system, held, rates, rows, &seeds->v, *seeds);
-  for (int j = 0; j < n_; ++j) seeds->v[j].a = v[j];
 }
 
 // With x = M^-1 N^T and y = M^-1 F held, N y + x^T F - x^T M y has the value and the derivative of N M^-1 F.
@@ -414,8 +487,8 @@ Jet MechanicalEquations::Pressability(const ClosedContact& contact, const Seeds&
   const Eigen::VectorXd x = system.mass.Solve(system.G.transpose()), y = system.mobile_F;
   Jets normal(n_), tangent(n_), mass(static_cast<std::size_t>(n_) * n_);
   TimePath<Jet> still = Still(seeds);
-  RowOf({contact.contact, false}, seeds, &still, normal.data());
-  RowOf({contact.contact, true}, seeds, &still, tangent.data());
+  RowOf({contact.contact, false}, seeds, all_, &still, normal.data());
+  RowOf({contact.contact, true}, seeds, all_, &still, tangent.data());
   f_.Mass(seeds.q.data(), seeds.p.data(), mass.data());
   const Jet slip = f_.Friction(contact.contact, seeds.p.data()) * static_cast<double>(SlidingSign(contact.status));
   Jet sum(0.0);

@@ -10,6 +10,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "base/linear_algebra.h"
@@ -87,8 +88,12 @@ class MechanicalEquations {
     std::vector<Row> rows;
     Eigen::MatrixXd G, F, mobile_F;          // r x n, n x r, M^-1 F
     std::optional<LeastNormSolver> contact;  // of G M^-1 F; none without rows
+    // For derivatives only: whether M depends on anything, and by contact, of those that are closed, what its rows
+    // depend on, as indices in [q p].
+    bool mass_varies = true;
+    std::vector<std::vector<int>> reads;
   };
-  System Assemble(const std::vector<ClosedContact>& closed, const Point& at) const;
+  System Assemble(const std::vector<ClosedContact>& closed, const Point& at, bool for_derivatives = false) const;
 
   Eigen::RowVectorXd RowAt(const Row& row, const Point& at) const { return RowsAt({row}, at); }
   Eigen::MatrixXd RowsAt(const std::vector<Row>& rows, const Point& at) const;
@@ -121,7 +126,8 @@ class MechanicalEquations {
     Jet t;
     MechanicalPoint<Jet> point() const { return {t, q.data(), v.data(), u.data(), p.data()}; }
   };
-  Seeds SeedColumns(const Point& at, int first) const;
+  // In passes of kWidth columns.
+  std::vector<Seeds> SeedColumns(const Point& at, int columns) const;
   Seeds SeedDirection(const Point& at, const double* xdot) const;
   static Eigen::Matrix<double, Eigen::Dynamic, kWidth> Directions(const Jets& jets);
   int num_columns(bool with_control) const { return 2 * n_ + 1 + num_p_ + (with_control ? num_u_ : 0); }
@@ -146,7 +152,7 @@ class MechanicalEquations {
 
   // Moves q and v onto phi = 0 and G v = 0, and seeds at [q v] with them, from wherever they are.
   void Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p,
-               Seeds* seeds = nullptr) const;
+               std::span<Seeds> seeds = {}) const;
 
   // N M^-1 (N^T - mu sigma T^T) of a sliding contact: where it is not positive, no force or several keep it closed.
   Jet Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const;
@@ -154,22 +160,32 @@ class MechanicalEquations {
   Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
 
  private:
+  // Whether M depends on q or p.
+  bool MassVaries(const Point& at) const;
+  // What the rows of a contact depend on, as indices in [q p].
+  std::vector<int> ReadsOf(int contact, const Point& at) const;
+  // Whether the seeds of any of these, of the coordinates and parameters, are not zero.
+  bool Vary(std::span<const int> reads, const Seeds& seeds) const;
   // The path that stays where it is.
   TimePath<Jet> Still(const Seeds& seeds) const;
-  // `still` is that path, and so again afterwards.
-  void RowOf(const Row& row, const Seeds& seeds, TimePath<Jet>* still, Jet* out) const;
+  // `still` is that path, and so again afterwards. The row is zero but for the coordinates among `reads`.
+  void RowOf(const Row& row, const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still, Jet* out) const;
   // v and a are those of the path.
   template <typename S>
   TimeJet<S> Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const;
   // Calls use(first, width, q, p) for each pass over the coordinates, of which those from `first` on have the seeds.
   template <typename Use>
   void ForEachPass(const Point& at, const Use& use) const;
+  // Of the functions from here on that return or change Jets, the derivatives alone count.
+  // Adds M a.
+  template <typename S>
+  void AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const;
   // Subtracts what a contact with this normal force, which sticks under a tangential force or slides, does.
   void SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential, const Seeds& seeds,
-                       TimePath<Jet>* still, Jet* residual) const;
+                       std::span<const int> reads, TimePath<Jet>* still, Jet* residual) const;
   // Subtracts F f from `residual`.
-  void SubtractForces(const std::vector<ClosedContact>& closed, const Seeds& seeds, const Eigen::VectorXd& force,
-                      Jet* residual) const;
+  void SubtractForces(const System& system, const std::vector<ClosedContact>& closed, const Seeds& seeds,
+                      const Eigen::VectorXd& force, Jet* residual) const;
   Derivative Solve(const System& system, const Jets& momentum, const Jets& rows) const;
   // Adds to `moved`, the seeds of q or v, the derivative of a change d = M^-1 F force of these with rows + G d = 0.
   void CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed, const Eigen::VectorXd& force,
@@ -177,6 +193,7 @@ class MechanicalEquations {
 
   const MechanicalFunctions& f_;
   const int n_, num_u_, num_p_;
+  std::vector<int> all_;  // indices in [q p]
 };
 
 }  // namespace saltus

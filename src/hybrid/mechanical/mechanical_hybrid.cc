@@ -464,7 +464,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
 
 void MechanicalHybrid::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
   const Point at = PointAt(t, x, u, p);
-  const ClosedMotion motion = MotionOf(ModeAt(mode), at, nullptr);
+  const ClosedMotion motion = MotionOf(ModeAt(mode), at);
   const int n = equations_.n();
   std::copy_n(at.v, n, xdot);
   std::copy_n(motion.a.data(), n, xdot + n);
@@ -474,20 +474,19 @@ void MechanicalHybrid::FlowJacobian(int mode, double t, const double* x, const d
                                     double* jacobian) const {
   const Point at = PointAt(t, x, u, p);
   const Mode& of = ModeAt(mode);
-  ClosedMotion motion = MotionOf(of, at, nullptr);
   const int n = equations_.n(), columns = equations_.num_columns(true);
+  const ClosedMotion motion = MotionOf(of, at, equations_.SeedColumns(at, columns));
   std::copy_n(at.v, n, xdot);
   std::copy_n(motion.a.data(), n, xdot + n);
   std::fill_n(jacobian, n * columns, 0.0);
   for (int i = 0; i < n; ++i) jacobian[i * columns + n + i] = 1;
-  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    const MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, first);
-    const MechanicalEquations::Derivative derivative =
-        equations_.AccelerationDerivative(motion.system, of.closed, seeds, motion.a, motion.force);
+  int first = 0;
+  for (const MechanicalEquations::Derivative& derivative : motion.derivatives) {
     const int width = std::min(MechanicalEquations::kWidth, columns - first);
     for (int i = 0; i < n; ++i) {
       for (int j = 0; j < width; ++j) jacobian[(n + i) * columns + first + j] = derivative.motion(i, j);
     }
+    first += width;
   }
 }
 
@@ -496,22 +495,24 @@ bool MechanicalHybrid::NeedsForces(const Guarded& guarded) {
 }
 
 MechanicalHybrid::ClosedMotion MechanicalHybrid::MotionOf(const Mode& mode, const Point& at,
-                                                          const MechanicalEquations::Seeds* seeds) const {
-  ClosedMotion motion{.system = equations_.Assemble(mode.closed, at), .a = {}, .force = {}, .derivative = {}};
-  equations_.Accelerate(motion.system, at, &motion.a, &motion.force);
-  if (seeds != nullptr) {
-    motion.derivative = equations_.AccelerationDerivative(motion.system, mode.closed, *seeds, motion.a, motion.force);
+                                                          std::span<const MechanicalEquations::Seeds> passes) const {
+  const MechanicalEquations::System system = equations_.Assemble(mode.closed, at, !passes.empty());
+  ClosedMotion motion;
+  equations_.Accelerate(system, at, &motion.a, &motion.force);
+  for (const MechanicalEquations::Seeds& seeds : passes) {
+    motion.derivatives.push_back(equations_.AccelerationDerivative(system, mode.closed, seeds, motion.a, motion.force));
   }
   return motion;
 }
 
 MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded& guarded, const Point& at,
-                                                 const MechanicalEquations::Seeds& seeds,
-                                                 const ClosedMotion* motion) const {
+                                                 const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion,
+                                                 std::size_t pass) const {
   const int contact = guarded.contact;
   const auto force = [&](std::size_t row) {
-    Jet jet(motion->force[static_cast<Eigen::Index>(row)]);
-    jet.v = motion->derivative.force.row(static_cast<Eigen::Index>(row)).transpose();
+    Jet jet(motion.force[static_cast<Eigen::Index>(row)]);
+    if (!motion.derivatives.empty())
+      jet.v = motion.derivatives[pass].force.row(static_cast<Eigen::Index>(row)).transpose();
     return jet;
   };
   // Of the rows of the contact.
@@ -544,35 +545,25 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
 
 // Guards are evaluated, and resets begin, at the state that is on the equations of the mode: errors of the integration
 // lead away from these within a step.
-MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at) const {
-  OnMode on;
-  if (mode.closed.empty()) {
-    on.at = at;
-    return on;
-  }
+MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at, int columns) const {
+  OnMode on{.at = at, .x = {}, .passes = equations_.SeedColumns(at, columns)};
+  if (mode.closed.empty()) return on;
   const int n = equations_.n();
   on.x.assign(at.q, at.q + n);
   on.x.insert(on.x.end(), at.v, at.v + n);
-  equations_.Project(mode.closed, on.x.data(), on.x.data() + n, at.p);
+  equations_.Project(mode.closed, on.x.data(), on.x.data() + n, at.p, on.passes);
   on.at = PointAt(at.t, on.x.data(), at.u, at.p);
   return on;
 }
 
-// The seeds of some columns of [x t p u] at a point, moved onto the equations of the mode as Projected moves the point.
-MechanicalEquations::Seeds MechanicalHybrid::ProjectedSeeds(const Mode& mode, const Point& at, int first) const {
-  MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, first);
-  if (mode.closed.empty()) return seeds;
-  const int n = equations_.n();
-  std::vector<double> x(at.q, at.q + n);
-  x.insert(x.end(), at.v, at.v + n);
-  equations_.Project(mode.closed, x.data(), x.data() + n, at.p, &seeds);
-  return seeds;
-}
-
 double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const {
-  double rate = 0;
-  const std::vector<double> still(2 * equations_.n(), 0.0);
-  return GuardRate(mode, guard, t, x, still.data(), u, p, &rate);
+  const Mode& of = ModeAt(mode);
+  const Guarded& guarded = of.guards[guard];
+  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
+  ClosedMotion motion;
+  if (NeedsForces(guarded)) motion = MotionOf(of, on.at);
+  return GuardJet(of, guarded, on.at, equations_.SeedColumns(on.at, 1)[0], motion, 0).a;
 }
 
 GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
@@ -581,7 +572,7 @@ GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded
   if (guarded.what == Guarded::What::kHit) {
     return {equations_.Gap(guarded.contact, at), equations_.GapRate(guarded.contact, path)};
   }
-  const Jet value = GuardJet(mode, guarded, at, seeds, &motion);
+  const Jet value = GuardJet(mode, guarded, at, seeds, motion, 0);
   return {value.a, value.v[0]};
 }
 
@@ -593,7 +584,7 @@ double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* 
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
   if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
-  if (NeedsForces(guarded)) motion = MotionOf(of, on.at, &seeds);
+  if (NeedsForces(guarded)) motion = MotionOf(of, on.at, {&seeds, 1});
   const GuardValue found = GuardAlong(of, guarded, on.at, equations_.PathAlong(on.at.q, xdot, on.at.p), seeds, motion);
   *rate = found.rate;
   return found.value;
@@ -607,7 +598,7 @@ void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const dou
   ClosedMotion motion;
   if (!of.closed.empty()) {
     seeds = equations_.SeedDirection(on.at, xdot);
-    motion = MotionOf(of, on.at, &seeds);
+    motion = MotionOf(of, on.at, {&seeds, 1});
   }
   const MechanicalEquations::TimePath<double> path = equations_.PathAlong(on.at.q, xdot, on.at.p);
   for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
@@ -616,13 +607,8 @@ void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const dou
 double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                        double* gradient) const {
   const Mode& of = ModeAt(mode);
-  const Guarded& guarded = of.guards[guard];
-  if (guarded.what == Guarded::What::kHit && of.closed.empty()) {
-    std::fill_n(gradient, equations_.num_columns(true), 0.0);
-    return equations_.GapGradient(guarded.contact, PointAt(t, x, u, p), gradient, gradient + 2 * equations_.n() + 1);
-  }
   double value = 0;
-  GuardGradients(of, {&guarded, 1}, PointAt(t, x, u, p), &value, gradient);
+  GuardGradients(of, {&of.guards[guard], 1}, PointAt(t, x, u, p), &value, gradient);
   return value;
 }
 
@@ -634,15 +620,23 @@ void MechanicalHybrid::GuardGradients(int mode, double t, const double* x, const
 
 void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from,
                                       double* values, double* gradients) const {
-  const OnMode on = Projected(mode, from);
-  const bool forces = std::any_of(guards.begin(), guards.end(), NeedsForces);
   const int columns = equations_.num_columns(true);
-  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    const MechanicalEquations::Seeds seeds = ProjectedSeeds(mode, from, first);
-    ClosedMotion motion;
-    if (forces) motion = MotionOf(mode, on.at, &seeds);
+  if (mode.closed.empty()) {
+    // All guards are gaps, which depend on q and p only.
+    std::fill_n(gradients, guards.size() * columns, 0.0);
+    for (const Guarded& guarded : guards) {
+      *values++ = equations_.GapGradient(guarded.contact, from, gradients, gradients + 2 * equations_.n() + 1);
+      gradients += columns;
+    }
+    return;
+  }
+  const OnMode on = Projected(mode, from, columns);
+  ClosedMotion motion;
+  if (std::any_of(guards.begin(), guards.end(), NeedsForces)) motion = MotionOf(mode, on.at, on.passes);
+  for (std::size_t pass = 0; pass < on.passes.size(); ++pass) {
+    const int first = static_cast<int>(pass) * MechanicalEquations::kWidth;
     for (std::size_t guard = 0; guard < guards.size(); ++guard) {
-      const Jet jet = GuardJet(mode, guards[guard], on.at, seeds, &motion);
+      const Jet jet = GuardJet(mode, guards[guard], on.at, on.passes[pass], motion, pass);
       values[guard] = jet.a;
       double* gradient = gradients + guard * columns + first;
       std::copy_n(jet.v.data(), std::min(MechanicalEquations::kWidth, columns - first), gradient);
@@ -718,21 +712,21 @@ int MechanicalHybrid::Reset(int mode, int guard, double t, const double* x, cons
 int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
                                     double* x_plus, double* jacobian) const {
   const Mode& of = ModeAt(mode);
-  const Point from = PointAt(t, x, u, p);
-  const OnMode on = Projected(of, from);
   const int n = equations_.n(), columns = equations_.num_columns(false);
+  const OnMode on = Projected(of, PointAt(t, x, u, p), columns);
   Impact impact;
   std::string why;
   const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
   if (!why.empty() && impact.v_plus.size() == 0) return -1;
   std::copy_n(on.at.q, n, x_plus);
   std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
-  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    const MechanicalEquations::Seeds seeds = ProjectedSeeds(of, from, first);
+  int first = 0;
+  for (const MechanicalEquations::Seeds& seeds : on.passes) {
     const Block q = equations_.Directions(seeds.q);
     Block v = equations_.Directions(seeds.v);
     if (impact.v_plus.size() > 0) v = ImpactDerivative(impact, seeds, on.at);
     CopyColumns(q, v, first, columns, jacobian);
+    first += MechanicalEquations::kWidth;
   }
   return why.empty() ? ModeOf(next) : -1;
 }
@@ -786,7 +780,7 @@ MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
       };
   const auto derivative_of =
       [&](const Stage& stage, const MechanicalEquations::Seeds& before, const Eigen::VectorXd& v_plus) {
-        return equations_.ImpactDerivative(equations_.Assemble(stage.closed, at),
+        return equations_.ImpactDerivative(equations_.Assemble(stage.closed, at, /*for_derivatives=*/true),
                                            stage.closed,
                                            before,
                                            v_plus,
@@ -925,10 +919,13 @@ void MechanicalHybrid::Project(int mode, const double* x, const double* p, doubl
 void MechanicalHybrid::ProjectJacobian(int mode, const double* x, const double* p, double* x_plus,
                                        double* jacobian) const {
   const int columns = equations_.num_columns(false);
-  Project(mode, x, p, x_plus);
-  for (int first = 0; first < columns; first += MechanicalEquations::kWidth) {
-    const MechanicalEquations::Seeds seeds = ProjectedSeeds(ModeAt(mode), PointAt(0, x, nullptr, p), first);
+  const OnMode on = Projected(ModeAt(mode), PointAt(0, x, nullptr, p), columns);
+  std::copy_n(on.at.q, equations_.n(), x_plus);
+  std::copy_n(on.at.v, equations_.n(), x_plus + equations_.n());
+  int first = 0;
+  for (const MechanicalEquations::Seeds& seeds : on.passes) {
     CopyColumns(equations_.Directions(seeds.q), equations_.Directions(seeds.v), first, columns, jacobian);
+    first += MechanicalEquations::kWidth;
   }
 }
 

@@ -74,9 +74,10 @@ class MechanicalHybrid final : public HybridFunctions {
   struct OnMode {
     Point at;
     std::vector<double> x;  // that `at` refers to, if it has been moved
+    std::vector<MechanicalEquations::Seeds> passes;
   };
-  OnMode Projected(const Mode& mode, const Point& at) const;
-  MechanicalEquations::Seeds ProjectedSeeds(const Mode& mode, const Point& at, int first) const;
+  // `columns`: of [x t p u] at the point that are seeded; the seeds are moved as the point is.
+  OnMode Projected(const Mode& mode, const Point& at, int columns = 0) const;
 
   // The velocities after impulses of contacts, normal and tangential in turn.
   Eigen::VectorXd Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse, const Point& at) const;
@@ -151,18 +152,18 @@ class MechanicalHybrid final : public HybridFunctions {
   enum class Restitution { kOwn, kNone, kNoneAndHeld };
   Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
-  // The guard and its derivatives by the seeds; `closed_motion` is the derivative of the accelerations, if it is
-  // needed.
+  // Accelerations and forces, and their derivatives by the seeds of each pass.
   struct ClosedMotion {
-    MechanicalEquations::System system;
     Eigen::VectorXd a, force;
-    MechanicalEquations::Derivative derivative;
+    std::vector<MechanicalEquations::Derivative> derivatives;
   };
   void CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const;
   static bool NeedsForces(const Guarded& guarded);
-  ClosedMotion MotionOf(const Mode& mode, const Point& at, const MechanicalEquations::Seeds* seeds) const;
+  ClosedMotion MotionOf(const Mode& mode, const Point& at,
+                        std::span<const MechanicalEquations::Seeds> passes = {}) const;
+  // The guard and its derivatives by the seeds of a pass. `motion` is read where NeedsForces.
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
-               const ClosedMotion* motion) const;
+               const ClosedMotion& motion, std::size_t pass) const;
   void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from, double* values,
                       double* gradients) const;
   // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,

@@ -147,7 +147,9 @@ class GuardRows final : public Rows {
     const int all = one ? 1 : functions_.num_guards(mode_);
     Eigen::VectorXd values(all);
     Matrix gradients(all, n + 1 + P + m);
-    if (one) {
+    if (one && jacobians == nullptr) {
+      values[0] = functions_.Guard(mode_, guards_[0].guard, t, blocks[0], u, p);
+    } else if (one) {
       values[0] = functions_.GuardGradient(mode_, guards_[0].guard, t, blocks[0], u, p, gradients.data());
     } else if (jacobians != nullptr) {
       functions_.GuardGradients(mode_, t, blocks[0], u, p, values.data(), gradients.data());
