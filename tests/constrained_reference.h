@@ -11,6 +11,8 @@
 
 #include "folders.h"
 #include "saltus/scene/scene.h"
+#include "saltus/simulate/simulator.h"
+#include "saltus/solve/solver.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -63,6 +65,14 @@ inline std::string TestName(const Json& reference) {
   std::string name = reference["name"];
   std::replace(name.begin(), name.end(), '.', '_');
   return name;
+}
+
+// The initial control as one that is given: ceres_phases solves once from there, and tries no random motions, which
+// may be better than the reference.
+inline SolverOptions FromGuess(const Scene& scene) {
+  SolverOptions options;
+  options.guess = ControlGuess{InitialControl(scene, scene.steps), {}};
+  return options;
 }
 
 }  // namespace saltus

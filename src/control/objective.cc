@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "saltus/contact/step_input.h"
+#include "simulate/wide_loops.h"
 
 namespace saltus {
 namespace {
@@ -94,15 +95,7 @@ Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int
 }
 
 double EffortLoss(const Objective& objective, std::span<const double> control, double dt) {
-  // Several sums, so that they need not wait for each other.
-  constexpr size_t kLanes = 4;
-  double sum[kLanes] = {};
-  size_t i = 0;
-  for (; i + kLanes <= control.size(); i += kLanes) {
-    for (size_t lane = 0; lane < kLanes; ++lane) sum[lane] += control[i + lane] * control[i + lane];
-  }
-  for (; i < control.size(); ++i) sum[0] += control[i] * control[i];
-  return objective.effort * ((sum[0] + sum[1]) + (sum[2] + sum[3])) * dt;
+  return objective.effort * SumsOfSquares<1>({control.data()}, control.size())[0] * dt;
 }
 
 void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,

@@ -12,6 +12,7 @@
 #include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
 #include "simulate/lane_simulator.h"
+#include "simulate/wide_loops.h"
 
 namespace saltus {
 namespace {
@@ -254,13 +255,18 @@ void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShoo
     for (std::size_t i = 0; i < count; ++i) ok[i] = shootings[0]->Evaluate(point(i), &losses[i], gradient(i));
     return;
   }
+  // First, as a loss whose effort is not finite is not either.
+  std::array<const double*, kLanes> controls;
+  for (std::size_t i = 0; i < kLanes; ++i) controls[i] = shootings[0]->ControlIn(point(i < count ? i : 0)).data();
+  const std::array<double, kLanes> squares = SumsOfSquares(controls, shootings[0]->ControlIn(point(0)).size());
   std::array<double, kLanes> efforts;
   std::vector<LaneSimulator::Motion> motions;
   std::vector<std::size_t> moving;
+  motions.reserve(count);
+  moving.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
     SingleShooting& shooting = *shootings[i];
-    // First, as a loss whose effort is not finite is not either.
-    efforts[i] = shooting.Effort(point(i));
+    efforts[i] = shooting.scene().objective.effort * squares[i] * shooting.simulator_->step();
     ok[i] = std::isfinite(efforts[i]) && shooting.BeginRollout(point(i));
     if (!ok[i]) continue;
     moving.push_back(i);

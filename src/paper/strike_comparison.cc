@@ -110,6 +110,8 @@ void StrikeComparison::Plan(const Scene& scene, const std::string& solver, const
   entry.options.learning_rate = DefaultLearningRate(scene);
   entry.options.rate_per_time = rate_per_time;
   if (rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
+  // The references are optima along the impact of the guess; of one another motion is better.
+  if (reference >= 0 && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
   entry.options.stop = AskedToStop;
   entry.optimum = optimum;
   entry.reference = reference;

@@ -153,6 +153,7 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
       }
     }
     Collect(candidates);
+    if (before == 0 && NoneMeets(*candidates)) candidates->clear();
     if (candidates->empty()) return QuietSteps();
     if (!options_.chains || candidates->size() == before) return 1;
     BoundSpeedsByEnergy(*candidates);
@@ -404,6 +405,12 @@ double BroadPhase::TimeToMeetParts(int i, double enough) const {
     reached = reached_in(least);
   }
   return least;
+}
+
+bool BroadPhase::NoneMeets(std::span<const Candidate> pairs) const {
+  return std::ranges::all_of(pairs, [&](const Candidate& c) {
+    return !(c.plane && walls_[c.b].table) && TimeToMeet(c) * (1 - kMargin) >= options_.dt;
+  });
 }
 
 int BroadPhase::QuietSteps() const {

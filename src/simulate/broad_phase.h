@@ -116,6 +116,8 @@ class BroadPhase {
   // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
   void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
   int Root(int i);
+  // Whether none of these pairs can meet in this step: a disc may have the reach but move away.
+  bool NoneMeets(std::span<const Candidate> pairs) const;
   // For how many steps nothing meets, if nothing can in this one.
   int QuietSteps() const;
   double TimeToMeet(const Candidate& pair) const;

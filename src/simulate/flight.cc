@@ -100,7 +100,15 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
     const double h = durations[k], margin = kNodeMargin * h;
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
-      if (to - now > margin) pieces_.push_back({static_cast<int>(k), start + now, to - now, x, acceleration, turning});
+      if (to - now > margin) {
+        Piece& piece = pieces_.emplace_back();  // in place, as it is large
+        piece.interval = static_cast<int>(k);
+        piece.start = start + now;
+        piece.duration = to - now;
+        piece.at_start = x;
+        piece.acceleration = acceleration;
+        piece.turning = turning;
+      }
       Advance(to - now, acceleration, turning, &x);
       now = to;
     };

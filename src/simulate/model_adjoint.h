@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
 #include <span>
 #include <type_traits>
 #include <vector>
@@ -20,6 +21,7 @@
 #include "simulate/stepper.h"
 #include "simulate/trajectory.h"
 #include "simulate/typed_scene.h"
+#include "simulate/wide_loops.h"
 
 namespace saltus {
 
@@ -232,30 +234,29 @@ class ModelAdjoint {
     void PutAll(int n, S scale, const LinearCotangents<S>& cotangents) const {
       const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
       const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
-      if (addend == nullptr) {
-        PutEach(n, [&](double* to, double left, std::ptrdiff_t) { Pair{to} = unit * (last + left * change); });
-      } else {
-        PutEach(n, [&](double* to, double left, std::ptrdiff_t at) {
-          Pair{to} = unit * (last + left * change + factor * ConstPair{addend + at});
-        });
-      }
-    }
-
-   private:
-    using Pair = Eigen::Map<Eigen::Array2d>;
-    using ConstPair = Eigen::Map<const Eigen::Array2d>;
-
-    // Calls put(where, number of steps after it, offset) for each step; some at a time, which need not wait for each
-    // other.
-    template <typename PutStep>
-    void PutEach(int n, const PutStep& put) const {
-      constexpr int kAtATime = 4;
-      std::ptrdiff_t at = 0;
-      double left = n;
-      for (; n >= kAtATime; n -= kAtATime, left -= kAtATime) {
-        for (int j = 1; j <= kAtATime; ++j, at += stride) put(gradient + at, left - j, at);
-      }
-      for (; n > 0; --n, at += stride) put(gradient + at, --left, at);
+      internal::RunWide([&] {
+        using Pairs = internal::StepPairs<double>;
+        using Pack = Pairs::Pack;
+        const ForceSink to = *this;
+        const Pack lasts = {last[0], last[1], last[0], last[1]}, changes = {change[0], change[1], change[0], change[1]};
+        Pack left = {n - 1.0, n - 1.0, n - 2.0, n - 2.0};  // steps after each
+        std::ptrdiff_t at = 0;
+        for (int pairs = n / 2; pairs > 0; --pairs, at += 2 * to.stride, left -= 2.0) {
+          Pack sum = lasts + left * changes;
+          if (to.addend != nullptr) {
+            Pack more;
+            Pairs::Load(to.addend + at, to.stride, &more);
+            sum += to.factor * more;
+          }
+          sum *= to.unit;
+          Pairs::Store(sum, to.stride, to.gradient + at);
+        }
+        for (int j = 0; n % 2 == 1 && j < 2; ++j) {
+          double sum = last[j] + left[j] * change[j];
+          if (addend != nullptr) sum += factor * addend[at + j];
+          gradient[at + j] = unit * sum;
+        }
+      });
     }
   };
   ForceSink GradientOf(int body, int k) const {

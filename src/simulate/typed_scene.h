@@ -11,6 +11,7 @@
 #include "saltus/contact/step_input.h"
 #include "saltus/scene/scene.h"
 #include "saltus/scene/walls.h"
+#include "simulate/wide_loops.h"
 
 namespace saltus {
 
@@ -147,31 +148,35 @@ class HeldControl {
   void AddLargestAccelerations(int begin, int end, std::span<const BodyConstants<S>> bodies,
                                std::span<double> push) const {
     for (int body : bodies_) {
-      // Several maxima, so that they need not wait for each other, each of every other step.
+      // Several maxima, so that they need not wait for each other, each of every fourth step.
       constexpr int kAtATime = 4;
-      using Pair [[gnu::vector_size(2 * sizeof(S))]] = S;
-      Pair largest[kAtATime / 2] = {};
-      const S* u = On(body, begin);
-      const S unit = S(unit_);
-      const auto squares = [unit](const S* at) {
-        Pair force;
-        std::memcpy(&force, at, sizeof(force));
-        force *= unit;
-        return force * force;
-      };
-      int k = begin;
-      for (; k + kAtATime <= end; k += kAtATime, u += kAtATime * stride()) {
-        for (int j = 0; j < kAtATime; j += 2) {
-          const Pair even = squares(u + j * stride()), odd = squares(u + (j + 1) * stride());
-          const Pair sums = __builtin_shufflevector(even, odd, 0, 2) + __builtin_shufflevector(even, odd, 1, 3);
-          largest[j / 2] = sums > largest[j / 2] ? sums : largest[j / 2];
+      S most = 0;
+      internal::RunWide([&, this] {
+        using Pairs = internal::StepPairs<S>;
+        using Pack = typename Pairs::Pack;
+        const std::ptrdiff_t stride = stride_;
+        const S unit = S(unit_);
+        const S* u = On(body, begin);
+        Pack largest = {};
+        int left = end - begin;
+        for (; left >= kAtATime; left -= kAtATime, u += kAtATime * stride) {
+          Pack a, b;
+          Pairs::Load(u, stride, &a);
+          Pairs::Load(u + 2 * stride, stride, &b);
+          a *= unit;
+          b *= unit;
+          a *= a;
+          b *= b;
+          const Pack sums = __builtin_shufflevector(a, b, 0, 4, 2, 6) + __builtin_shufflevector(a, b, 1, 5, 3, 7);
+          largest = sums > largest ? sums : largest;
         }
-      }
-      S most = std::max({largest[0][0], largest[0][1], largest[1][0], largest[1][1]});
-      for (; k < end; ++k, u += stride()) {
-        const Pair square = squares(u);
-        most = std::max(most, square[0] + square[1]);
-      }
+        S rest = std::max({largest[0], largest[1], largest[2], largest[3]});
+        for (; left > 0; --left, u += stride) {
+          const S x = unit * u[0], y = unit * u[1];
+          rest = std::max(rest, x * x + y * y);
+        }
+        most = rest;
+      });
       push[body] += std::sqrt(double(most)) * double(bodies[body].inverse_mass);
     }
     for (int body : turned_) {

@@ -17,6 +17,7 @@
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_solution.h"
 #include "solve/search/mode_search.h"
+#include "solve/search/phase_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 #include "solve/shooting/step_shooting_solvers.h"
 #include "solve/solve_run.h"
@@ -255,7 +256,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"ceres_lagrangian", "step shooting of Ceres, augmented Lagrangian; not for collisions", WhyNotLeastSquares, SolveByCeresLagrangian},
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true, false, false, false, false, false, true},
-      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByCeresPhases, false, false, false, true, true, false, true},
+      {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByPhasesFromStarts, false, false, false, true, true, false, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true, false, false, true},
       {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true, false, true},
   };

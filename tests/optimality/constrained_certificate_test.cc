@@ -15,7 +15,7 @@ namespace {
 using Verdict = Certificate::Verdict;
 
 SolveReport OptimumByPhases(const Scene& scene) {
-  SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  SolveReport report = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   return report;
 }

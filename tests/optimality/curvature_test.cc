@@ -448,7 +448,7 @@ TEST_P(LeavesSaddle, AndTouchesThePost) {
   const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
   EXPECT_LT(exact.loss, 2.7120);
   EXPECT_GT(exact.loss, 2.711708787);
-  // There the loss has a kink, which mode_search knows and hmp does not.
+  // There the loss has a kink, of which only hmp has no conditions.
   if (GetParam() == "hmp") {
     EXPECT_NE(report.termination, Termination::kConverged);
     EXPECT_THAT(report.reason, HasSubstr("touches"));
@@ -460,7 +460,7 @@ TEST_P(LeavesSaddle, AndTouchesThePost) {
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid);
 }
 
-INSTANTIATE_TEST_SUITE_P(Solvers, LeavesSaddle, testing::Values("hmp", "mode_search"));
+INSTANTIATE_TEST_SUITE_P(Solvers, LeavesSaddle, testing::Values("ceres_event", "ceres_phases", "hmp", "mode_search"));
 
 // Whatever a solver thinks: what the certificate denies has not converged.
 TEST(Converged, ComesWithAStationaryVerdict) {

@@ -89,6 +89,29 @@ TEST(BroadPhase, QuietStepsEndShortOfTheContact) {
   EXPECT_GE(quiet * dt, 0.95 * contact);
 }
 
+// Two discs within reach of each other: candidates if they can meet in the step, and if one pushes the other across the
+// gap; otherwise quiet until the one that is accelerated can have turned back.
+TEST(BroadPhase, DiscsThatMoveApartAreQuiet) {
+  const double dt = 1e-3, v = 0.7, a = 0.3, gap = 0.9 * v * dt;
+  const auto find = [&](double speed, double push_gap, std::vector<Candidate>* candidates) {
+    BroadPhase phase(
+        {}, {{0.1, 1, false}, {0.1, 1, false}}, {.dt = dt, .chains = true, .push_gap = push_gap, .rounding = 1e-16});
+    phase.SetAccelerations(std::vector<double>{a, 0});
+    const std::vector<double> x = {0, 0, speed, 0, 0.2 + gap, 0, 0, 0};
+    return phase.Find(x.data(), 4, candidates);
+  };
+  std::vector<Candidate> candidates;
+  const double back = (v + std::sqrt(v * v + 2 * a * gap)) / a;
+  const int quiet = find(-v, 0, &candidates);
+  EXPECT_TRUE(candidates.empty());
+  EXPECT_LE(quiet * dt, back);
+  EXPECT_GE(quiet * dt, 0.95 * back);
+  EXPECT_EQ(find(v, 0, &candidates), 1);
+  EXPECT_EQ(candidates.size(), 1u);
+  EXPECT_EQ(find(-v, 2 * gap, &candidates), 1);
+  EXPECT_EQ(candidates.size(), 1u);
+}
+
 class ManyBodies : public testing::TestWithParam<std::string> {};
 
 // A rollout steps islands; Simulator::Step steps the whole scene.

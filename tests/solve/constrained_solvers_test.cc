@@ -72,7 +72,7 @@ TEST_P(ConstrainedHmp, HasTheAnalyticForces) {
   const Json& reference = GetParam();
   if (!reference.contains("force_unbounded")) return;
   Scene scene = SceneOf(reference, 120);
-  const SolveReport start = Solve("ceres_phases", {scene, "event"}, {});
+  const SolveReport start = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   const auto optimum = FindContinuousOptimum(scene, start, 100);
   ASSERT_TRUE(optimum);
   const double impact = reference["impact_time"];

@@ -19,6 +19,7 @@ constexpr double kLargestWeight = 1e7;
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 // Relative change of the cost that ends the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
+constexpr int kLast = static_cast<int>(std::size(kFirstGains));
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;
@@ -213,7 +214,7 @@ double AugmentedLagrangian::LargestWeight() const {
 }
 
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
-  const std::vector<double> start = std::isfinite(options.most_open) ? Values() : std::vector<double>();
+  const std::vector<double> start = Values();
   weights_ = {options.equality_weight, options.inequality_weight};
   Watch watch([&] { return !options.callback || options.callback(Cost()); });
   ceres::Solver::Options ceres_options;
@@ -225,10 +226,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   Summary result;
-  bool estimated = false;
+  bool estimated = false, near = false;
   for (int round = 0; round < options.rounds; ++round) {
-    ceres_options.function_tolerance =
-        static_cast<size_t>(round) < std::size(kFirstGains) ? kFirstGains[round] : options.gain;
+    ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
     ceres_options.max_num_iterations = options.iterations - watch.iterations();
     ceres::Solver::Summary summary;
@@ -238,7 +238,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     result.usable = true;
     const double before = result.cost;
     result.violation = UpdateMultipliers(&result.cost);
-    if (round == 0 && !estimated && result.violation > options.most_open) {
+    // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
+    near = near || (round == 0 && !estimated && watch.iterations() == 0);
+    if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
       estimated = true;
       SetValues(start);
       const Weights weights = weights_;
@@ -252,7 +254,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     if (options.after_round) options.after_round();
     result.interrupted = watch.interrupted();
     if (result.interrupted || watch.iterations() >= options.iterations) break;
-    const bool settled = round > 0 && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
+    const bool settled = round >= (near ? kLast : 1) && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
     const double most = LargestWeight();

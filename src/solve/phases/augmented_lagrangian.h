@@ -41,9 +41,9 @@ class AugmentedLagrangian {
     // Relative change of the cost that ends the third solve and later ones, which leave conditions of first order open
     // by its root.
     double gain = 3e-14;
-    // If the first solve leaves a row open by more than this, it is repeated from the start, with those multipliers of
-    // equalities in the place of zero that leave least of the gradient there: costates, if the start meets the
-    // equalities.
+    // If the first solve leaves a row open by more than this, or gains nothing, it is repeated from the start, with
+    // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
+    // start meets the equalities.
     double most_open = INFINITY;
     // Called after each iteration with the sum of squares of the cost rows; false interrupts.
     std::function<bool(double cost)> callback = nullptr;

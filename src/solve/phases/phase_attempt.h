@@ -18,7 +18,8 @@ namespace saltus {
 // least one to each other, and if possible two.
 std::vector<int> ShareSteps(int steps, const std::vector<double>& ends, const std::vector<bool>& empty);
 
-// `motions` simulates motions of the run, as Run::Transcriber does.
+// The exact roll-out of attempt->trial: fills trial.exact and realized. `motions` simulates motions of the run, as
+// Run::Transcriber does.
 template <typename Motions, typename Event, typename Motion>
 void SimulatePlan(const Motions& motions, const PlanOf<Event>& plan, PlanAttemptOf<Motion>* attempt) {
   motions.Simulate(&attempt->trial);
@@ -61,13 +62,12 @@ bool Snap(const Motions& motions, const PlanOf<Event>& plan, const std::vector<i
   return moved;
 }
 
-// The exact roll-out of attempt->trial, whose phases have so many steps: fills trial.exact, times and realized. What a
-// solve leaves of gaps moves events off their nodes, by far less than a step: these follow them.
+// Follows the events of attempt->trial, which has been simulated and whose phases have so many steps: what a solve
+// leaves of gaps moves events off their nodes, by far less than a step.
 template <typename Motions, typename Event, typename Motion>
-void RollOut(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
-             PlanAttemptOf<Motion>* attempt) {
+void FollowEvents(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
+                  PlanAttemptOf<Motion>* attempt) {
   constexpr int kSnaps = 60;  // of events to nodes, at most
-  SimulatePlan(motions, plan, attempt);
   for (int round = 0; round < kSnaps && attempt->realized && Snap(motions, plan, steps, attempt); ++round) {
     SimulatePlan(motions, plan, attempt);
   }
@@ -159,7 +159,8 @@ class TranscribedPlan {
     attempt->interrupted = summary.interrupted && !left;
     attempt->jacobians += summary.jacobians;
     transcriber_.TakeControl(*transcription, &attempt->trial);
-    RollOut(transcriber_, plan_, steps_, attempt);
+    SimulatePlan(transcriber_, plan_, attempt);
+    FollowEvents(transcriber_, plan_, steps_, attempt);
     attempt->violation = transcriber_.ViolationOf(attempt->trial);
     return true;
   }

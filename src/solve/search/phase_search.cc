@@ -1,6 +1,7 @@
 #include "solve/search/phase_search.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -20,6 +21,12 @@ namespace saltus {
 namespace {
 
 using Finding = FindingOf<Trial>;
+
+// Of ceres_phases.
+constexpr int kStarts = 8;  // at random
+constexpr int kIntervalsOfStarts = 60;
+constexpr double kPromising = 1.3;  // times the loss of an optimum, that of a start which may lead to a better one
+constexpr size_t kMostSolves = 3;   // from such starts
 
 // The problem without what closed arcs and shooting do not take; hard terms are costs.
 Scene Relaxed(Scene scene) {
@@ -93,9 +100,13 @@ class DiscSearch {
     return finding;
   }
 
-  // Whatever the constraints.
-  int Shoot(SolverOptions options, Trial* trial) const {
+  // Whatever the constraints; but a start of ceres_phases keeps the bounds of components, on few intervals.
+  int Shoot(SolverOptions options, Trial* trial, bool is_start = false) const {
     SolveRequest relaxed{Relaxed(BeginningAs(*trial, scene_)), request_.contact};
+    if (is_start) {
+      relaxed.scene.control.max = scene_.control.max;
+      relaxed.scene.steps = std::min(scene_.steps, kIntervalsOfStarts);
+    }
     options.memory_limit = run_.options().memory_limit;
     options.most_impacts = kMostImpactsOfMotion;
     if (scene_.optimize == Optimize::kControl) options.guess = ControlGuess{trial->control, trial->durations};
@@ -103,7 +114,7 @@ class DiscSearch {
     if (report.losses.empty()) return report.evaluations;
     if (scene_.optimize == Optimize::kControl) {
       trial->control = report.control;
-      trial->durations.assign(scene_.steps, scene_.dt());
+      trial->durations.assign(relaxed.scene.steps, relaxed.scene.dt());
     } else {
       trial->initial = report.initial_state;
     }
@@ -126,7 +137,70 @@ class DiscSearch {
   const Scene& scene_;
 };
 
+// Random motions, after shooting within the bounds, whose merit is below `most`; best first.
+std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run, double most) {
+  SolverOptions own;
+  own.stop = run.options().stop;
+  own.iterations = sequence_search::kIterationsShooting;
+  std::vector<Trial> starts;
+  for (int i = 0; i < kStarts && !(own.stop && own.stop()); ++i) {
+    std::optional<Trial> start = search.BeginAtRandom(SearchOptions{}.seed, i);
+    if (!start) break;
+    search.Shoot(own, &*start, /*is_start=*/true);
+    if (run.MeritOf(*start) < most) starts.push_back(std::move(*start));
+  }
+  std::ranges::stable_sort(starts, {}, [&](const Trial& start) { return run.MeritOf(start); });
+  return starts;
+}
+
+// Constraints come before losses.
+bool IsBetter(const SolveReport& report, const SolveReport& than) {
+  const bool mine = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
+  if (!mine || !other) return mine || (!other && report.final_violation < than.final_violation);
+  return report.final_loss < than.final_loss - sequence_search::kSameLoss * std::abs(than.final_loss);
+}
+
 }  // namespace
+
+SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options) {
+  const auto begin = std::chrono::steady_clock::now();
+  const SolveReport first = SolveByCeresPhases(request, options);
+  const bool given = !options.search || options.sequence || options.guess;
+  bool interrupted = first.termination == Termination::kInterrupted;
+  if (given || interrupted || first.control.empty() || first.iterations >= options.iterations) return first;
+  if (!request.scene.control.IsBounded() || AllPairs(request.scene).empty()) return first;
+
+  SolverOptions own = options;
+  own.callback = nullptr;
+  const PhaseRun run("ceres_phases", request, own);
+  Trial end{first.control, first.durations, {}, {}, first.initial_state};
+  run.Simulate(&end);
+  std::vector<ContactSequence> tried = {end.exact.contacts};
+  SolveReport best = first;
+  int iterations = first.iterations;
+  for (const Trial& start : PromisingStarts(DiscSearch(run, request), run, kPromising * run.MeritOf(end))) {
+    if (interrupted || iterations >= options.iterations || tried.size() > kMostSolves) break;
+    if (std::ranges::count(tried, start.exact.contacts) > 0) continue;
+    tried.push_back(start.exact.contacts);
+    SolverOptions from = own;
+    from.guess = ControlGuess{start.control, start.durations};
+    from.iterations = options.iterations - iterations;
+    if (options.callback) {
+      from.callback = [&](int iteration, double loss) { return options.callback(iterations + iteration, loss); };
+    }
+    SolveReport found = SolveByCeresPhases(request, from);
+    iterations += found.iterations;
+    interrupted = found.termination == Termination::kInterrupted;
+    if (found.losses.empty() || !IsBetter(found, best)) continue;
+    best = std::move(found);
+    best.reason = "from a random start" + (best.reason.empty() ? "" : "; " + best.reason);
+  }
+  if (interrupted || (options.stop && options.stop())) best.termination = Termination::kInterrupted;
+  best.initial_loss = best.losses.front() = first.initial_loss;
+  best.initial_violation = first.initial_violation;
+  best.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return best;
+}
 
 SolveReport SearchByPhases(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("mode_search", request, options);

@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <numeric>
 #include <string>
+#include <vector>
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/scene/scene_file.h"
@@ -250,6 +252,43 @@ TEST(DesignSolvers, DerivativesBesidePathCostsAreThoseOfTheLoss) {
   const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 200});
   ASSERT_EQ(report.parameters.size(), 3u) << report.reason;
   EXPECT_LT(report.final_loss, loss - 0.1);
+}
+
+// The lightest target is cheapest, and then a duration within its bounds: against a parabola through the least losses
+// with three durations that are given. The solves of the descent begin beside the optima that they find.
+TEST(DesignSolvers, FindAMassBesideAFreeDuration) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 48;
+  scene.bodies[0].position = {-1, -2};
+  scene.control.initial = {{0, 6}};
+  scene.objective.terminal.push_back(
+      {.body = 1, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0.6, 0.6}, .weight = 0.5});
+  scene.objective.duration = FreeDuration{.min = 0.5, .max = 3, .weight = 0.3};
+  Scene designed = scene;
+  designed.design = {Design("mass.target", scene)};
+  designed.design[0].min = 0.25;
+  designed.design[0].max = 4;
+  const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.parameters, std::vector<double>{0.25});
+  EXPECT_LT(report.iterations, 1000);
+  const double duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+  constexpr double kStep = 0.02;
+  const auto least_loss = [&](double change, double mass) {
+    Scene given = scene;
+    given.bodies[1].mass = mass;
+    given.duration = duration + change;
+    given.objective.duration = FreeDuration{given.duration, given.duration, 0.3};
+    const SolveReport solved = Solve("ceres_phases", {given, "event"}, {});
+    EXPECT_EQ(solved.termination, Termination::kConverged) << solved.reason;
+    return solved.final_loss;
+  };
+  const double before = least_loss(-kStep, 0.25), at = least_loss(0, 0.25), after = least_loss(kStep, 0.25);
+  EXPECT_NEAR(report.final_loss, at, 2e-5);  // the steps are shared out otherwise before and after the impact
+  EXPECT_GT(before, at);
+  EXPECT_GT(after, at);
+  EXPECT_NEAR((before - after) / (before - 2 * at + after) / 2, 0, 0.05);  // steps of it to the vertex
+  EXPECT_GT(least_loss(0, 0.26), at);
 }
 
 // hmp has the loss in continuous time, of which ceres_phases approaches the optimum with its steps.
