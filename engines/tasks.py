@@ -146,9 +146,10 @@ def measured_boxes(row, name, command, program):
     audit, document = audit_of(name, command, program)
     duration = document["guess"]["duration"]
     found = {"id": row["id"], "task": name}
-    if "gradient" not in audit:
-        refused = audit["reason"].startswith("this driver")
-        return {**found, "verdict": "not applicable" if refused else "failed", "reason": audit["reason"]}
+    refused = audit.get("reason", "").startswith("this driver")
+    if refused or "gradient" not in audit:
+        reason = audit["reason"].partition(" in step ")[0]
+        return {**found, "verdict": "not applicable" if refused else "failed", "reason": reason}
     # Of [x y angle and their rates], as of Task.comparable.
     gradient, exact = ([x / duration if i > 2 else x for i, x in enumerate(audit[key]["initial"])]
                        for key in ("gradient", "exact_gradient"))
@@ -177,9 +178,10 @@ def write(path, rows):
 # Where what saltus_audit says of an engine differs from its rows.
 def disagreements(row, expected, name, command, program):
     found, _ = audit_of(name, command, program)
-    if "loss" not in found:
-        refused = expected["verdict"] == found.get("termination", "").replace("_", " ") or expected["reason"] == found["reason"]
-        return [] if refused else [found["reason"]]
+    if "loss" not in found or not expected["loss"]:
+        refused = (expected["verdict"] == found.get("termination", "").replace("_", " ")
+                   or found.get("reason", "").startswith(expected["reason"] or "-"))
+        return [] if refused else [found.get("reason", "it is measured")]
     texts = []
     if (found["verdict"] in GOOD) != (expected["verdict"] in GOOD):
         texts.append(f"verdict: {found['verdict']}, expected {expected['verdict']}")
