@@ -18,7 +18,7 @@
 #include <span>
 #include <vector>
 
-#include "paper/thread_time.h"
+#include "paper/experiments.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/hybrid/mechanical_system.h"
 #include "siconos_motion.h"

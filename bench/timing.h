@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "paper/thread_time.h"
+#include "paper/experiments.h"
 #include "saltus/scene/scene_file.h"
 
 namespace saltus {

@@ -8,8 +8,7 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
-#include "programs/identify.h"
-#include "programs/identify_input.h"
+#include "programs/identify_output.h"
 
 namespace saltus::python {
 namespace {

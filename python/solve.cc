@@ -5,7 +5,7 @@
 
 #include "computation.h"
 #include "convert.h"
-#include "programs/solved_run.h"
+#include "programs/solve_output.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus::python {

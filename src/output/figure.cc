@@ -20,7 +20,6 @@
 #include "base/file.h"
 #include "base/interrupt.h"
 #include "output/table.h"
-#include "output/text_layout.h"
 
 extern char** environ;
 

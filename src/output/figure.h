@@ -10,24 +10,36 @@
 #include <vector>
 
 #include "base/status.h"
-#include "output/outline.h"
 #include "output/palette.h"
 
 namespace saltus {
 
+// A line from point to point. What is on one side of a closed one may be solid.
+struct Outline {
+  enum class Solid { kNeither, kInside, kOutside };
+  std::string name;
+  std::vector<std::array<double, 2>> points;  // m, at least two; of a closed line the last is the first
+  Solid solid = Solid::kNeither;
+};
+
+inline const char* SolidName(Outline::Solid solid) {
+  constexpr const char* kNames[] = {"neither", "inside", "outside"};
+  return kNames[static_cast<int>(solid)];
+}
+
 // One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
 struct Axis {
-  std::string label;  // with units, e.g. "time (s)"
-  bool log = false;   // values that are not positive are then left out
-  std::optional<double> min;
-  std::optional<double> max;
+  std::string label = {};  // with units, e.g. "time (s)"
+  bool log = false;        // values that are not positive are then left out
+  std::optional<double> min = {};
+  std::optional<double> max = {};
 };
 
 // Points (x[i], y[i]), joined by a line or not. Points that are not finite interrupt the line.
 struct Series {
-  std::string label;  // in the legend; equal labels appear once, empty ones not at all
-  std::vector<double> x;
-  std::vector<double> y;
+  std::string label = {};  // in the legend; equal labels appear once, empty ones not at all
+  std::vector<double> x = {};
+  std::vector<double> y = {};
   std::string colour = "#000000";
   Dash dash = Dash::kSolid;
   Marker marker = Marker::kNone;  // on a line of more than 40 points a few are marked, else all
@@ -41,7 +53,7 @@ struct Series {
 // A line across the whole panel, at y = value (or x = value).
 struct ReferenceLine {
   double value = 0;
-  std::string label;
+  std::string label = {};
   bool vertical = false;
   std::string colour = "#000000";
   Dash dash = Dash::kDashed;
@@ -69,24 +81,24 @@ struct SolidHalfPlane {
 };
 
 struct Panel {
-  std::string title;
-  Axis x;
-  Axis y;
+  std::string title = {};
+  Axis x = {};
+  Axis y = {};
   bool equal_aspect = false;  // one unit is as long in x as in y; widens a range
-  std::vector<Series> series;
-  std::vector<ReferenceLine> reference_lines;
-  std::vector<Rectangle> rectangles;
-  std::vector<Circle> circles;
-  std::vector<SolidHalfPlane> half_planes;
-  std::vector<Outline> outlines;
+  std::vector<Series> series = {};
+  std::vector<ReferenceLine> reference_lines = {};
+  std::vector<Rectangle> rectangles = {};
+  std::vector<Circle> circles = {};
+  std::vector<SolidHalfPlane> half_planes = {};
+  std::vector<Outline> outlines = {};
 };
 
 enum class Legend { kRight, kBelow, kNone };
 
 // Panels in rows, with one legend for all of them beside the plots.
 struct Figure {
-  std::string title;
-  std::vector<Panel> panels;
+  std::string title = {};
+  std::vector<Panel> panels = {};
   int columns = 1;
   int width = 800;         // of the figure, pixels
   int panel_height = 340;  // of a panel with its labels, pixels

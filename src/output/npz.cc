@@ -18,10 +18,84 @@
 
 #include "base/file.h"
 #include "base/interrupt.h"
-#include "output/npy_text.h"
 
 namespace saltus {
 namespace {
+
+// ---- Text: UTF-32, all entries of one length, padded with zeros (NumPy's type str_, '<U<length>')
+
+constexpr std::string_view kNpyTextType = "<U";
+
+struct NpyText {
+  int width = 1;      // characters of every entry
+  std::string bytes;  // 4 * width each, little-endian
+};
+
+constexpr char32_t kReplacement = 0xfffd;
+constexpr char32_t kLargestCharacter = 0x10ffff;
+
+// Reads one character at `at` and moves on.
+char32_t TakeCharacter(const std::string& text, size_t* at) {
+  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
+  const unsigned first = byte((*at)++);
+  if (first < 0x80) return first;
+  const int more = first >= 0xf0 ? 3 : first >= 0xe0 ? 2 : first >= 0xc0 ? 1 : 0;
+  if (more == 0 || first > 0xf4) return kReplacement;
+  char32_t character = first & (0x3fu >> more);
+  for (int i = 0; i < more; ++i) {
+    if (*at == text.size() || (byte(*at) & 0xc0) != 0x80) return kReplacement;
+    character = character << 6 | (byte((*at)++) & 0x3f);
+  }
+  return std::min(character, kLargestCharacter);
+}
+
+void AppendCharacter(char32_t c, std::string* text) {
+  if (c < 0x80) {
+    *text += static_cast<char>(c);
+    return;
+  }
+  const int more = c < 0x800 ? 1 : c < 0x10000 ? 2 : 3;
+  *text += static_cast<char>((0xff00u >> (more + 1) & 0xff) | c >> (6 * more));
+  for (int i = more - 1; i >= 0; --i) *text += static_cast<char>(0x80 | (c >> (6 * i) & 0x3f));
+}
+
+// Bytes that are not UTF-8 become U+FFFD.
+NpyText EncodeNpyText(const std::vector<std::string>& texts) {
+  std::vector<std::u32string> wide;
+  size_t width = 1;
+  for (const std::string& text : texts) {
+    wide.emplace_back();
+    for (size_t at = 0; at < text.size();) wide.back() += TakeCharacter(text, &at);
+    width = std::max(width, wide.back().size());
+  }
+  NpyText result{static_cast<int>(width), {}};
+  for (std::u32string& text : wide) {
+    text.resize(width, U'\0');
+    result.bytes.append(reinterpret_cast<const char*>(text.data()), text.size() * sizeof(char32_t));
+  }
+  return result;
+}
+
+// Nothing if the bytes are no such entries. Precondition: width > 0.
+std::optional<std::vector<std::string>> DecodeNpyText(const NpyText& text) {
+  const size_t width = static_cast<size_t>(text.width);
+  const size_t entry = width * sizeof(char32_t);
+  if (text.bytes.empty()) return std::vector<std::string>();  // whatever the width, for which there may be no memory
+  if (text.bytes.size() % entry != 0) return std::nullopt;
+  std::vector<std::string> texts(text.bytes.size() / entry);
+  std::u32string wide(width, U'\0');
+  for (size_t i = 0; i < texts.size(); ++i) {
+    std::memcpy(wide.data(), text.bytes.data() + i * entry, entry);
+    for (const char32_t c : wide) {
+      if (c > kLargestCharacter) return std::nullopt;
+      if (c == U'\0') break;
+      AppendCharacter(c, &texts[i]);
+    }
+  }
+  return texts;
+}
+
+// ---- Headers and data
 
 static_assert(std::endian::native == std::endian::little, "NPY data are written as they lie in memory");
 
@@ -132,13 +206,13 @@ StatusOr<NpyArray> DecodeData(std::vector<int64_t> shape, std::string_view bytes
 }
 
 StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& descriptor, std::string_view bytes) {
-  const std::string digits = descriptor.substr(std::string(internal::kNpyTextType).size());
+  const std::string digits = descriptor.substr(kNpyTextType.size());
   int width = 0;
   const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), width);
   if (error != std::errc() || end != digits.data() + digits.size() || width <= 0) {
     return Status::Error("NPY type '" + descriptor + "' not understood");
   }
-  std::optional<std::vector<std::string>> texts = internal::DecodeNpyText({width, std::string(bytes)});
+  std::optional<std::vector<std::string>> texts = DecodeNpyText({width, std::string(bytes)});
   const std::optional<int64_t> count = Count(shape);
   if (!texts || !count || texts->size() != static_cast<uint64_t>(*count)) {
     return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
@@ -209,6 +283,15 @@ std::optional<std::string> ReadMember(zip_t* archive, zip_uint64_t index) {
 
 }  // namespace
 
+std::optional<std::vector<double>> NumbersOf(const NpyArray& array) {
+  return std::visit(
+      [](const auto& data) -> std::optional<std::vector<double>> {
+        if constexpr (requires { double{} * data[0]; }) return std::vector<double>(data.begin(), data.end());
+        return std::nullopt;
+      },
+      array.data);
+}
+
 std::string EncodeNpy(const NpyArray& array) {
   return std::visit(
       [&]<typename T>(const std::vector<T>& data) {
@@ -217,8 +300,8 @@ std::string EncodeNpy(const NpyArray& array) {
         CHECK(count && static_cast<uint64_t>(*count) == data.size())
             << "shape " << ShapeTuple(array.shape) << " with " << data.size() << " entries";
         if constexpr (std::is_same_v<T, std::string>) {
-          const internal::NpyText text = internal::EncodeNpyText(data);
-          return Header(internal::kNpyTextType + std::to_string(text.width), array.shape) + text.bytes;
+          const NpyText text = EncodeNpyText(data);
+          return Header(std::string(kNpyTextType) + std::to_string(text.width), array.shape) + text.bytes;
         } else {
           std::string bytes = Header(Descriptor<T>(), array.shape);
           bytes.append(reinterpret_cast<const char*>(data.data()), data.size() * sizeof(T));
@@ -245,7 +328,7 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
   if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(*shape), data);
   if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(*shape), data);
   if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(*shape), data);
-  if (descriptor.starts_with(internal::kNpyTextType)) return DecodeText(std::move(*shape), descriptor, data);
+  if (descriptor.starts_with(kNpyTextType)) return DecodeText(std::move(*shape), descriptor, data);
   return Status::Error("NPY type '" + descriptor + "'; expected <f8, <f4, <i8 or <U");
 }
 

@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -24,6 +25,9 @@ struct NpyArray {
 
   bool operator==(const NpyArray&) const = default;
 };
+
+// The numbers of an array as doubles; nothing of text.
+std::optional<std::vector<double>> NumbersOf(const NpyArray& array);
 
 // By key, as in numpy.load(path)[key].
 using NpzArrays = std::map<std::string, NpyArray>;

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <utility>
 
-#include "output/text_layout.h"
+#include "output/table.h"
 
 namespace saltus {
 namespace {

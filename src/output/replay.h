@@ -11,8 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "output/outline.h"
-#include "output/palette.h"
+#include "output/figure.h"
 
 namespace saltus {
 

@@ -6,7 +6,6 @@
 #include <numbers>
 
 #include "output/table.h"
-#include "output/text_layout.h"
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
@@ -111,7 +110,7 @@ bool DescentAudit::Run(int threads, ProgressMode mode) {
 }
 
 PaperFigure DescentAudit::ToFigure() const {
-  Figure figure;
+  Figure figure{.columns = 3, .width = 1500, .legend = Legend::kBelow};
   for (size_t number = 0; number < tasks_.size(); ++number) {
     const Task& task = tasks_[number];
     Panel angle, loss, own;
@@ -135,9 +134,6 @@ PaperFigure DescentAudit::ToFigure() const {
     }
     figure.panels.insert(figure.panels.end(), {angle, loss, own});
   }
-  figure.columns = 3;
-  figure.width = 1500;
-  figure.legend = Legend::kBelow;
   return {
       "descent_audit",
       "Gradient descent as in the paper: the angle between each model's gradient and the exact gradient of the exact "

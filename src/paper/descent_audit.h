@@ -12,10 +12,7 @@ namespace saltus {
 
 class DescentAudit {
  public:
-  struct Task {
-    std::string title;
-    Scene scene;
-  };
+  using Task = TitledScene;
 
   // Iterations that are looked at: 0, 1, 2, 3, 5, 8, ... to the last.
   static std::vector<int> LookedAt();

@@ -4,6 +4,9 @@
 // gradient descent (1000 updates), and the same with other solvers. Task 1 is not optimised.
 #pragma once
 
+#include <glog/logging.h>
+
+#include <ctime>
 #include <map>
 #include <string>
 #include <vector>
@@ -15,6 +18,11 @@
 namespace saltus {
 
 inline constexpr int kPublishedIterations = 1000;  // of gradient descent
+
+struct TitledScene {
+  std::string title;
+  Scene scene;
+};
 
 struct Experiment {
   Scene scene;
@@ -58,5 +66,20 @@ class Experiments {
 
 // "1e2" for 100, as in the names of the stiffness experiment.
 std::string StiffnessSuffix(double stiffness);
+
+// Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
+// below `output_dir`. Throws InputError if a file cannot be written.
+void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);
+
+// The positions of the first disc under one iterate: before each step, and after the last but for the Brax models,
+// whose files have only those before. T x 2.
+std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z);
+
+// CPU time of this thread, s, which what else the machine does disturbs little.
+inline double ThreadTime() {
+  timespec time;
+  CHECK_EQ(clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time), 0);
+  return time.tv_sec + 1e-9 * time.tv_nsec;
+}
 
 }  // namespace saltus

@@ -8,8 +8,8 @@
 
 #include "audit/gradient/statistics.h"
 #include "base/interrupt.h"
-#include "output/text_layout.h"
-#include "paper/thread_time.h"
+#include "output/table.h"
+#include "paper/experiments.h"
 #include "programs/audit_output.h"
 #include "programs/parallel.h"
 #include "saltus/control/objective.h"
@@ -229,15 +229,11 @@ CaptionedTable FormulationAudit::ToTable() const {
 }
 
 PaperFigure FormulationAudit::ToFigure() const {
-  Figure figure;
+  Figure figure{.width = 1200, .panel_height = 420, .legend = Legend::kBelow};
   for (const Results& results : tasks_) {
-    Panel panel;
-    panel.title = results.task.title;
-    panel.x.label = "cost of a step and its gradient (direct = 1)";
-    panel.y.label = "relative error of the gradient";
-    panel.x.log = panel.y.log = true;
-    panel.x.min = 0.8;
-    panel.y.min = kLeastErrorShown / 2;
+    Panel panel{.title = results.task.title,
+                .x = {.label = "cost of a step and its gradient (direct = 1)", .log = true, .min = 0.8},
+                .y = {.label = "relative error of the gradient", .log = true, .min = kLeastErrorShown / 2}};
     for (size_t model = 0; model < contacts_.size(); ++model) {
       const double error = ErrorByInitialState(results, model);
       if (std::isnan(error) || results.costs[model] <= 0) continue;
@@ -249,9 +245,6 @@ PaperFigure FormulationAudit::ToFigure() const {
     figure.panels.push_back(std::move(panel));
   }
   figure.columns = static_cast<int>(figure.panels.size());
-  figure.width = 1200;
-  figure.panel_height = 420;
-  figure.legend = Legend::kBelow;
   return {"formulations",
           "What a gradient costs and how wrong it is, at the scenes' own steps. To the lower left are the good ones.",
           figure};

@@ -14,10 +14,7 @@ namespace saltus {
 
 class FormulationAudit {
  public:
-  struct Task {
-    std::string title;
-    Scene scene;
-  };
+  using Task = TitledScene;
 
   // Precondition: `contacts` has `direct`, whose step is the unit of cost. Simulators are audited beside them; what
   // their steps cost is not measured.

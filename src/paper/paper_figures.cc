@@ -1,5 +1,6 @@
 #include "paper/paper_figures.h"
 
+#include <algorithm>
 #include <numeric>
 
 #include "exact/two_disc_optimum.h"
@@ -86,13 +87,10 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
 }
 
 PaperFigure Trajectories(const Experiments& experiments) {
-  Figure figure;
+  Figure figure{.columns = 3, .width = 1200, .legend = Legend::kBelow};
   figure.panels = {TrajectoryPanel(experiments, "bounce_once", "Task 1: one bounce"),
                    TrajectoryPanel(experiments, "ground_wall", "Task 2: ground and wall"),
                    TrajectoryPanel(experiments, "two_balls", "Task 3: two balls")};
-  figure.columns = 3;
-  figure.width = 1200;
-  figure.legend = Legend::kBelow;
   return {"trajectories",
           "The three tasks: initial trajectory, and the trajectory after 1000 updates of gradient descent with and "
           "without the time of impact. Filled dots are targets.",
@@ -113,11 +111,7 @@ PaperFigure GroundWallLearning(const Experiments& experiments, double friction) 
     for (const std::vector<double>& z : report.iterates) x.push_back(z[0]);
     velocity.series.push_back(Series::ForModel(experiment.contact, Range(x.size()), x));
   });
-  Figure figure;
-  figure.panels = {loss, velocity};
-  figure.columns = 2;
-  figure.width = 1200;
-  figure.legend = Legend::kBelow;
+  Figure figure{.panels = {loss, velocity}, .columns = 2, .width = 1200, .legend = Legend::kBelow};
   const std::string with = friction > 0 ? "with friction 0.1" : "without friction";
   return {friction > 0 ? "ground_wall_learning_mu" : "ground_wall_learning",
           "Task 2 " + with +
@@ -148,11 +142,7 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
     for (double t : time) force.push_back(optimum->Control(t)[0]);
     control.series.push_back(Series::ForModel("analytic", time, force));
   }
-  Figure figure;
-  figure.panels = {loss, control};
-  figure.columns = 2;
-  figure.width = 1200;
-  figure.legend = Legend::kBelow;
+  Figure figure{.panels = {loss, control}, .columns = 2, .width = 1200, .legend = Legend::kBelow};
   return {
       "two_balls_learning",
       "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "
@@ -161,9 +151,7 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
 }
 
 PaperFigure StiffnessLearning(const Experiments& experiments) {
-  Panel panel;
-  panel.x.label = "gradient-descent iteration";
-  panel.y.label = "loss (m², effort included)";
+  Panel panel{.x = {.label = "gradient-descent iteration"}, .y = {.label = "loss (m², effort included)"}};
   const std::vector<std::string> stiffnesses = {"1e2", "1e3", "1e4", "1e5"};
   for (size_t i = 0; i < stiffnesses.size(); ++i) {
     const Experiment* experiment =
@@ -178,8 +166,7 @@ PaperFigure StiffnessLearning(const Experiments& experiments) {
   if (const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact)) {
     panel.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
   }
-  Figure figure;
-  figure.panels = {panel};
+  Figure figure{.panels = {panel}};
   return {"stiffness_learning",
           "Task 3 with the compliant model at four stiffnesses. The stiffest fails to learn.",
           figure};
@@ -188,16 +175,11 @@ PaperFigure StiffnessLearning(const Experiments& experiments) {
 PaperFigure SolverLearning(const Experiments& experiments) {
   const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact);
   const double best = optimum ? optimum->loss : 0;
-  Figure figure;
+  Figure figure{.columns = 3, .width = 1200, .legend = Legend::kBelow};
   for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
-    Panel panel;
-    panel.title = solver;
-    panel.x.label = "iteration";
-    panel.x.log = true;
-    panel.x.min = 1.0;
-    panel.y.label = "loss - optimum (m²)";
-    panel.y.log = true;
-    panel.y.min = 1e-4;
+    Panel panel{.title = solver,
+                .x = {.label = "iteration", .log = true, .min = 1.0},
+                .y = {.label = "loss - optimum (m²)", .log = true, .min = 1e-4}};
     for (const Experiment& experiment : experiments.all()) {
       if (experiment.scene.name != "two_balls" || experiment.precision != Precision::kDouble) continue;
       const SolvedRun* run = experiment.Find(solver);
@@ -210,9 +192,6 @@ PaperFigure SolverLearning(const Experiments& experiments) {
     }
     figure.panels.push_back(panel);
   }
-  figure.columns = 3;
-  figure.width = 1200;
-  figure.legend = Legend::kBelow;
   return {
       "solver_learning",
       "Task 3: the loss under each contact model, less the analytic optimum, for three solvers; the initial guess is "
@@ -229,6 +208,40 @@ std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
           TwoBallsLearning(experiments),
           StiffnessLearning(experiments),
           SolverLearning(experiments)};
+}
+
+namespace {
+
+// Of those, which disagree most tellingly, the others are a click away.
+constexpr const char* kShown[] = {"event", "direct_toi", "direct"};
+
+}  // namespace
+
+Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
+  const Scene& scene = experiments.scene(problem);
+  Replay replay = ReplayOf(scene);
+  const MotionOptions options = ReplayOptions(scene, experiments.all().size());
+  const auto add =
+      [&](const Motion& motion, const MotionInput& input, const std::string& label, const std::string& style) {
+        if (!motion.times.empty()) replay.motions.push_back(ToReplayMotion(scene, motion, input, label, style));
+      };
+  for (const Experiment& experiment : experiments.all()) {
+    const Scene& own = experiment.scene;
+    if (own.name != problem || own.contact != scene.contact || experiment.precision != Precision::kDouble) continue;
+    const SolvedRun* run = experiment.Find("gd");
+    MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
+    if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
+    const std::string& contact = experiment.contact;
+    // Once if a sweep over stiffnesses has the scene's too.
+    if (std::ranges::any_of(replay.motions, [&](const auto& motion) { return motion.label == contact; })) continue;
+    add(SimulateMotion(own, contact, input, options), input, contact, contact);
+    const bool shown = std::find(std::begin(kShown), std::end(kShown), contact) != std::end(kShown);
+    if (!replay.motions.empty()) replay.motions.back().shown = shown;
+    if (contact == "direct" && run != nullptr) {
+      add(SimulateExactMotion(own, input, options), input, contact + ", in exact dynamics", "analytic");
+    }
+  }
+  return replay;
 }
 
 }  // namespace saltus

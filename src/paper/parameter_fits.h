@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "paper/paper_figures.h"
 #include "paper/solver_comparison.h"
 #include "saltus/identify/identify.h"
 
@@ -44,5 +45,8 @@ class ParameterFits {
   std::vector<std::string> contacts_;
   std::vector<Fit> fits_;
 };
+
+// A ball is dropped from four heights on a floor whose restitution falls with the speed. Nothing if interrupted.
+std::optional<PaperFigure> LearnALaw();
 
 }  // namespace saltus

@@ -188,21 +188,19 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
 }
 
 std::vector<PaperFigure> StrikeComparison::Figures() const {
-  Figure figure;
+  Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
   for (size_t i = 0; i < references_.size(); ++i) {
     const BoundedReference& reference = references_[i];
     const bool symmetric = reference.target[1] == reference.target[0];
-    Panel panel;
-    panel.title = Describe(reference);
-    panel.x.label = "time (s)";
-    panel.y.label = symmetric ? "force, either component (N)" : "force (N), x below y";
-    panel.y.min = -0.3;
+    Panel panel{.title = Describe(reference),
+                .x = {.label = "time (s)"},
+                .y = {.label = symmetric ? "force, either component (N)" : "force (N), x below y", .min = -0.3}};
     for (int axis = 0; axis < (symmetric ? 1 : 2); ++axis) {
       const auto draw = [&](const std::string& label, const std::string& colour, Dash dash, double width) {
         const Entry* entry = Find(static_cast<int>(i), label, kSteps[0]);
         if (entry == nullptr || entry->run.exact.events.empty()) return;  // one that does not strike is another motion
         const SolveReport& report = entry->run.report;
-        Series series{.label = label, .x = {}, .y = {}, .colour = colour, .dash = dash, .width = width};
+        Series series{.label = label, .colour = colour, .dash = dash, .width = width};
         const size_t intervals = report.control.size() / 2;
         double start = 0;
         for (size_t k = 0; k < intervals; ++k) {
@@ -216,7 +214,7 @@ std::vector<PaperFigure> StrikeComparison::Figures() const {
       draw(kPerStep, "#999999", Dash::kSolid, 2);
       draw("ceres_lm", "#56B4E9", Dash::kSolid, 2);
       draw("ceres_phases", "#D55E00", Dash::kSolid, 4);
-      Series analytic{.label = "analytic", .x = {}, .y = {}, .dash = Dash::kDashed};
+      Series analytic{.label = "analytic", .dash = Dash::kDashed};
       for (int k = 0; k <= 1000; ++k) {
         const double t = 1e-3 * k;
         if (t > reference.impact_time && !analytic.x.empty() && analytic.x.back() < reference.impact_time) {
@@ -234,9 +232,6 @@ std::vector<PaperFigure> StrikeComparison::Figures() const {
       panel.reference_lines.push_back({.value = *reference.max, .label = "bound", .dash = Dash::kDotted});
     figure.panels.push_back(std::move(panel));
   }
-  figure.columns = 2;
-  figure.width = 1200;
-  figure.legend = Legend::kBelow;
   return {{"bounded_controls",
            "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
            "first, and the impact comes later than without; after it a force is wasted.",

@@ -14,7 +14,6 @@
 #include "programs/given_gradient.h"
 #include "programs/parallel.h"
 #include "programs/program.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/simulate/registry.h"
 
 DEFINE_double(attribution_seconds, 0,
@@ -128,11 +127,6 @@ void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>
   }
 }
 
-// What is said of black boxes below the tables.
-std::vector<std::string> RemarksOn(const ModelAudit& audit) {
-  return audit.black_box ? audit.black_box->remarks : std::vector<std::string>{};
-}
-
 }  // namespace
 
 AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
@@ -222,7 +216,9 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   }
   for (const ModelAudit& audit : report.models) {
     const std::string& contact = audit.gradient.contact;
-    for (const std::string& finding : RemarksOn(audit)) remark(contact, finding);
+    if (audit.black_box) {
+      for (const std::string& finding : audit.black_box->remarks) remark(contact, finding);
+    }
     if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
     if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; the rest of its audit is missing");
     if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);

@@ -22,7 +22,4 @@ bool IsNotApplicable(const ModelAudit& audit, const Scene& scene);
 // missing.
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators = 0);
 
-// `saltus_audit`.
-int AuditMain(int argc, char** argv);
-
 }  // namespace saltus

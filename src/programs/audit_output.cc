@@ -10,7 +10,6 @@
 #include "programs/audit.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 
@@ -522,11 +521,9 @@ constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantit
 constexpr double kLowestError = 1e-7;
 
 Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity quantity) {
-  Panel panel;
-  panel.title = std::string("by ") + QuantityToString(quantity);
-  panel.x.label = "time step (s)";
-  panel.y.label = "relative error of the gradient";
-  panel.x.log = panel.y.log = true;
+  Panel panel{.title = std::string("by ") + QuantityToString(quantity),
+              .x = {.label = "time step (s)", .log = true},
+              .y = {.label = "relative error of the gradient", .log = true}};
   double highest = 1;
   for (const ModelAudit& audit : report.models) {
     const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
@@ -587,11 +584,6 @@ std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, 
   return EntriesOf(scene, *report.reference, sweep.quantity, 1)[at - names.begin()];
 }
 
-void WriteFigureFiles(const Figure& figure, const std::string& path) {
-  const Status status = WriteFigure(figure, path + ".svg", path + ".png");
-  if (!status.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(status.message());
-}
-
 }  // namespace
 
 Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
@@ -612,9 +604,7 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
   for (const Quantity quantity : kShown) {
     const int entry = TellingEntry(report, quantity);
     if (entry < 0) continue;
-    Panel panel;
-    panel.x.label = "width / grid width";
-    panel.x.log = true;
+    Panel panel{.x = {.label = "width / grid width", .log = true}};
     for (const ModelAudit& audit : report.models) {
       if (!audit.widths || !audit.widths->ok()) continue;
       const WidthSweep& sweep = audit.widths->sweeps[entry];
@@ -779,10 +769,9 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
 
 Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error) {
   const PerturbedFlows flows = PerturbAtContact(scene, contact, error);
-  Panel panel;
-  panel.title = contact.name() + ": " + error.a + " displaced, at " + error.b;
-  panel.x.label = "time (s)";
-  panel.y.label = "displacement along the normal";
+  Panel panel{.title = contact.name() + ": " + error.a + " displaced, at " + error.b,
+              .x = {.label = "time (s)"},
+              .y = {.label = "displacement along the normal"}};
   const std::string colour = ColourOf(contact.name());
   for (const auto& [flow, ink, dash] : {std::tuple(&flows.exact, std::string("#000000"), Dash::kDashed),
                                         std::tuple(&flows.model, colour, Dash::kSolid)}) {

@@ -7,10 +7,8 @@
 #include <iostream>
 
 #include "base/interrupt.h"
-#include "base/suggestion.h"
 #include "blackbox/command_scheme.h"
 #include "output/table.h"
-#include "output/text_layout.h"
 #include "programs/feedback_study.h"
 #include "programs/hybrid_document.h"
 #include "programs/program.h"
@@ -28,13 +26,7 @@ DECLARE_int32(steps);
 DECLARE_int32(iterations);
 DECLARE_double(learning_rate);
 DECLARE_bool(rate_per_time);
-DECLARE_double(search_work);
-DECLARE_double(search_seconds);
-DECLARE_int32(search_memory);
-DECLARE_int32(search_starts);
-DECLARE_uint64(search_seed);
 DECLARE_bool(width_sweep);
-DECLARE_double(simulate_seconds);
 DECLARE_bool(states);
 DECLARE_bool(json);
 
@@ -111,7 +103,7 @@ std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
 }
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
-  std::vector<std::string> known, names;
+  std::vector<std::string> known;
   for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
   if (FLAGS_solver.empty()) {
     // Least squares where it applies; constraints and bounds are for phases.
@@ -123,15 +115,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
     return {};
   }
   if (FLAGS_solver == kNoSolver) return {};
-  if (FLAGS_solver == "all") return known;
-  for (const std::string& name : SplitAtCommas(FLAGS_solver)) {
-    if (std::find(known.begin(), known.end(), name) == known.end()) {
-      throw InputError("--solver=" + FLAGS_solver + ": '" + name + "' is unknown; expected 'all', 'none' or some of " +
-                       Joined(known) + Suggestion(name, known));
-    }
-    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  }
-  return names;
+  return ReadNames("solver", FLAGS_solver, known, "'all', 'none' or some of ");
 }
 
 // Prints them if --solver=list asks for that.
@@ -161,12 +145,7 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
     request->options.learning_rate = FLAGS_learning_rate;
   }
   request->options.rate_per_time = FLAGS_rate_per_time;
-  request->options.search_options = {.work = FLAGS_search_work,
-                                     .seconds = FLAGS_search_seconds,
-                                     .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
-                                     .starts = FLAGS_search_starts,
-                                     .seed = FLAGS_search_seed};
-  if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError("--" + why);
+  request->options.search_options = SearchFromFlags();
   request->options.stop = InterruptGuard::Interrupted;
   request->options.threads = ThreadsFromFlags();
   request->progress = ProgressFromFlags();
@@ -175,15 +154,9 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
     throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
   }
   if (FLAGS_audit && request->extras.scheme != nullptr) request->schemes.push_back(request->extras.scheme);
-  if (!(FLAGS_simulate_seconds > 0)) throw InputError("--simulate_seconds must be positive");
   for (const SimulatorCommand& command : commands) {
-    const auto on_error_line = [name = command.name](const std::string& line) {
-      std::cerr << name << ": " << line << std::endl;
-    };
-    request->schemes.push_back(std::make_shared<CommandScheme>(
-        problem.system,
-        CommandOptions{command.name, command.command, /*copies=*/1, FLAGS_simulate_seconds, on_error_line},
-        request->extras.scene));
+    request->schemes.push_back(
+        std::make_shared<CommandScheme>(problem.system, OptionsOf(command, /*copies=*/1), request->extras.scene));
   }
   if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; the page has states anyway");
   if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());

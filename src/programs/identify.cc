@@ -1,12 +1,9 @@
-#include "programs/identify.h"
-
 #include <gflags/gflags.h>
 
 #include <iostream>
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/identify_input.h"
 #include "programs/identify_output.h"
 #include "programs/program.h"
 
@@ -130,8 +127,7 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   if (law.rows().empty()) return;
   const std::string path = directory + "/" + scene.name + "_law";
   WriteTextFile(path + ".csv", law.ToCsv());
-  const Status drawn = WriteFigure(LawFigure(*LawOf(identified), identified.known_law), path + ".svg", path + ".png");
-  if (!drawn.ok() && !InterruptGuard::GraceIsOver()) throw OutputError(drawn.message());
+  WriteFigureFiles(LawFigure(*LawOf(identified), identified.known_law), path);
 }
 
 int ExitCodeOf(const Identified& identified) {

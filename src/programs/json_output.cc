@@ -7,14 +7,11 @@
 #include <iostream>
 
 #include "output/json_number.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
-
-namespace {
 
 Cell CellOf(const Json& value) {
   if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
@@ -23,6 +20,8 @@ Cell CellOf(const Json& value) {
   if (value.is_string()) return value.get<std::string>();
   return value.is_structured() ? Cell(value.size()) : Cell();
 }
+
+namespace {
 
 Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   if (p.mass.empty()) return nullptr;

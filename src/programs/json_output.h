@@ -7,6 +7,7 @@
 
 #include "output/table.h"
 #include "saltus/audit/gradients.h"
+#include "saltus/control/surrogate.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 
@@ -38,14 +39,30 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate);
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
 Json SearchedToJson(const Searched& searched);
 
+// "smoothed_zeroth, biased".
+std::string BiasedName(const Surrogate& surrogate);
+// "direct", "direct (smoothed_zeroth, biased)", or "ncp:kappa_grad=1e-4 (biased)", whose options bias the derivative.
+std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate);
+
+// What a file of a surrogate's results has in its name: "", or "_smoothed_zeroth_biased".
+std::string FileSuffix(const std::optional<Surrogate>& surrogate);
+
+// Adds the keys surrogate, biased and, of a smoothed one, smoothing; none without a surrogate.
+void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item);
+// The same, and the key biased of a model whose options bias the derivative.
+void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item);
+
 // A finite number, or null.
 Json NumberToJson(double value);
 Json NumbersToJson(const std::vector<double>& values);
 
+// A boolean as "yes" or "no", numbers and text as they are, of a list or an object its size; empty for null.
+Cell CellOf(const Json& value);
+
 // A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
 // separated by "; ". Each has a header and, after "=", a path from the object, or with ^ from the parent (default: the
 // header, its spaces as underscores); after ":" the digits shown. A path that ends in [] makes a row of each element.
-// Of a list or an object a cell has the size. At most `most_rows` rows. Such as "contact=^contact; wrong in=block;
+// At most `most_rows` rows. Such as "contact=^contact; wrong in=block;
 // x=position/0:5".
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
               size_t most_rows = static_cast<size_t>(-1));

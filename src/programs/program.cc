@@ -24,11 +24,10 @@
 #include "base/file.h"
 #include "base/interrupt.h"
 #include "base/suggestion.h"
-#include "output/text_layout.h"
+#include "output/table.h"
 #include "programs/feedback_study.h"
 #include "programs/program_flags.h"
 #include "programs/saved_solution.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"
@@ -61,6 +60,15 @@ DEFINE_double(search_seconds, 0, "time limit of mode_search, s; the result then 
 DEFINE_int32(search_memory, 200, "memory limit of mode_search, MiB");
 DEFINE_int32(search_starts, 8, "number of random starts of mode_search, in addition to the initial guess");
 DEFINE_uint64(search_seed, 1, "seed of the random starts of mode_search");
+DEFINE_string(surrogate, "",
+              "biased estimate that replaces the gradient, or 'list' to print the names (default: the model's own "
+              "gradient)");
+DEFINE_double(surrogate_sigma, 0.01, "standard deviation of the samples, m, m/s or N");
+DEFINE_int32(surrogate_samples, 2000, "number of samples of a smoothed gradient, even");
+DEFINE_uint64(surrogate_seed, 1, "seed of a smoothed gradient; iteration k uses the k-th seed after it");
+DEFINE_int32(surrogate_segments, 0,
+             "number of equal parts of the horizon over which a sample changes the control by a constant (default: "
+             "steps)");
 DEFINE_int32(threads, 0, "number of threads; 0 is one per core");
 DEFINE_int32(memory_limit, 1024, "memory for the states of a rollout, MiB; states that do not fit are computed again");
 DEFINE_string(output_dir, "", "directory in which to write result files");
@@ -211,6 +219,21 @@ std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& f
   return pairs;
 }
 
+std::vector<std::string> ReadNames(const std::string& flag, const std::string& list,
+                                   const std::vector<std::string>& known, const std::string& expected) {
+  if (list == "all") return known;
+  std::vector<std::string> names;
+  for (const std::string& name : SplitAtCommas(list)) {
+    if (std::find(known.begin(), known.end(), name) == known.end()) {
+      throw InputError("--" + flag + "=" + list + ": '" + name + "' is unknown; expected " + expected + Joined(known) +
+                       Suggestion(name, known));
+    }
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  if (names.empty()) throw InputError("--" + flag + " is empty; expected some of " + Joined(known));
+  return names;
+}
+
 void CheckCommandLine(int argc, char** argv, const Program& program) {
   CheckFlagFiles(argc, argv);
   CheckFlagNames(argc, argv, program);
@@ -279,41 +302,44 @@ std::vector<std::string> ReadContacts(const std::string& value) {
   return contacts;
 }
 
-// A comma-separated list of names of `entries`.
-template <typename Entries>
-std::vector<std::string> ReadNames(const char* flag, const std::string& value, const Entries& entries) {
-  std::vector<std::string> names;
-  if (value == "all") {
-    for (const auto& entry : entries) names.emplace_back(entry.name);
-    return names;
-  }
-  for (const std::string& name : SplitAtCommas(value)) {
-    const bool known =
-        std::any_of(entries.begin(), entries.end(), [&](const auto& entry) { return entry.name == name; });
-    if (!known) {
-      throw InputError("--" + std::string(flag) + "=" + value + ": '" + name +
-                       "' is unknown; expected 'all' or some of " + Names(entries) +
-                       Suggestion(name, NameList(entries)));
-    }
-    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  }
-  if (names.empty()) throw InputError("--" + std::string(flag) + " is empty; expected some of " + Names(entries));
-  return names;
-}
-
 double Finite(const char* flag, double value) {
   if (!std::isfinite(value)) throw InputError("--" + std::string(flag) + " must be a finite number");
   return value;
 }
 
-SearchOptions SearchFromFlags() {
-  const SearchOptions options{.work = FLAGS_search_work,
-                              .seconds = FLAGS_search_seconds,
-                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
-                              .starts = FLAGS_search_starts,
-                              .seed = FLAGS_search_seed};
-  if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
-  return options;
+constexpr const char* kSmoothingFlags[] = {
+    "surrogate_sigma", "surrogate_samples", "surrogate_seed", "surrogate_segments"};
+
+SurrogateKind KindFromFlag() {
+  for (const SurrogateEntry& entry : AllSurrogates()) {
+    if (entry.name == FLAGS_surrogate) return entry.kind;
+  }
+  throw InputError("--surrogate=" + FLAGS_surrogate + " is unknown; expected one of " + Names(AllSurrogates()));
+}
+
+void RefuseSmoothingFlags() {
+  for (const char* flag : kSmoothingFlags) {
+    if (IsGiven(flag))
+      throw InputError("--" + std::string(flag) + " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
+  }
+}
+
+std::optional<Surrogate> SurrogateFromFlags() {
+  if (FLAGS_surrogate.empty()) {
+    RefuseSmoothingFlags();
+    return std::nullopt;
+  }
+  Surrogate surrogate{.kind = KindFromFlag()};
+  if (!surrogate.smooths()) {
+    RefuseSmoothingFlags();
+    return surrogate;
+  }
+  surrogate.sigma = FLAGS_surrogate_sigma;
+  surrogate.samples = FLAGS_surrogate_samples;
+  surrogate.seed = FLAGS_surrogate_seed;
+  surrogate.segments = FLAGS_surrogate_segments;
+  if (const std::string why = WhyNotValid(surrogate); !why.empty()) throw InputError("--surrogate_" + why);
+  return surrogate;
 }
 
 void RefuseFlagsOfOneScene() {
@@ -459,6 +485,16 @@ Scene LoadScene(const std::string& path) {
   return std::get<Scene>(std::move(loaded));
 }
 
+SearchOptions SearchFromFlags() {
+  const SearchOptions options{.work = FLAGS_search_work,
+                              .seconds = FLAGS_search_seconds,
+                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                              .starts = FLAGS_search_starts,
+                              .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
+  return options;
+}
+
 int ThreadsFromFlags() {
   if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
   if (FLAGS_threads > 0) return FLAGS_threads;
@@ -499,7 +535,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
     PrintList(AllSolvers());
     return false;
   }
-  if (WantsListOfSurrogates()) {
+  if (FLAGS_surrogate == "list") {
     PrintList(AllSurrogates());
     return false;
   }
@@ -508,7 +544,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (!defaults.generated && path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
   const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
-  if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, AllSolvers());
+  if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, NameList(AllSolvers()));
   request->precision = PrecisionFromFlags();
   request->scene = defaults.generated ? *defaults.generated : LoadScene(path);
   ApplySceneFlags(&request->scene);
@@ -555,9 +591,17 @@ void MakeDirectory(const std::string& path) {
   if (error) throw InputError("cannot create directory '" + path + "': " + error.message());
 }
 
-void WriteTextFile(const std::string& path, const std::string& text) {
-  const Status status = WriteFile(path, text, InterruptGuard::Interrupted);
+void OrOutputError(const Status& status) {
   if (!status.ok()) throw OutputError(status.message());
+}
+
+void WriteTextFile(const std::string& path, const std::string& text) {
+  OrOutputError(WriteFile(path, text, InterruptGuard::Interrupted));
+}
+
+void WriteFigureFiles(const Figure& figure, const std::string& path) {
+  const Status status = WriteFigure(figure, path + ".svg", path + ".png");
+  if (!InterruptGuard::GraceIsOver()) OrOutputError(status);
 }
 
 namespace {
@@ -574,8 +618,7 @@ void FinishPage(const Request& request, const Json& results, Page* page) {
   page->AddHeading("Scene");
   page->AddPreformatted(WriteScene(request.scene));
   page->SetResults(results);
-  const Status status = page->Write(PathOfReport(request));
-  if (!status.ok()) throw OutputError(status.message());
+  OrOutputError(page->Write(PathOfReport(request)));
 }
 
 void PrintReportPath(const Request& request) {

@@ -39,6 +39,12 @@ std::vector<std::string> SplitAtCommas(const std::string& list);
 std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& flag, const std::string& list,
                                                             const std::vector<std::string>& names);
 
+// The items of a flag's comma-separated list, each once, or all `known` of "all". Throws InputError for one that is not
+// known, with `expected`, and for an empty list.
+std::vector<std::string> ReadNames(const std::string& flag, const std::string& list,
+                                   const std::vector<std::string>& known,
+                                   const std::string& expected = "'all' or some of ");
+
 // Throws InputError for a flag that the program does not have, and for flag files that cannot be read.
 void CheckCommandLine(int argc, char** argv, const Program& program);
 
@@ -127,6 +133,7 @@ int ThreadsFromFlags();
 ProgressMode ProgressFromFlags();
 std::string OutputDirFromFlags();
 Precision PrecisionFromFlags();
+SearchOptions SearchFromFlags();
 
 // Loads a scene file. Throws InputError.
 Scene LoadScene(const std::string& path);
@@ -142,8 +149,13 @@ inline constexpr int kPublishedSteps = 480;  // for which that of a control is
 // Creates the directory and its parents if need be. Throws InputError.
 void MakeDirectory(const std::string& path);
 
+void OrOutputError(const Status& status);
+
 // Writes a whole file. Throws OutputError if it cannot.
 void WriteTextFile(const std::string& path, const std::string& text);
+
+// Writes <path>.svg and <path>.png. Throws OutputError if it cannot, unless the grace of an interrupt is over.
+void WriteFigureFiles(const Figure& figure, const std::string& path);
 
 Page StartPage(const Scene& scene);
 

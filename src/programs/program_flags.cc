@@ -8,7 +8,7 @@
 #include <optional>
 
 #include "base/suggestion.h"
-#include "output/text_layout.h"
+#include "output/table.h"
 
 namespace saltus {
 namespace {

@@ -307,9 +307,7 @@ class Reader {
   }
 
   std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
-    if (const auto* doubles = std::get_if<std::vector<double>>(&array.data)) return *doubles;
-    if (const auto* floats = std::get_if<std::vector<float>>(&array.data)) return {floats->begin(), floats->end()};
-    if (const auto* whole = std::get_if<std::vector<int64_t>>(&array.data)) return {whole->begin(), whole->end()};
+    if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
     Fail(key, "numbers");
   }
 
@@ -502,8 +500,7 @@ int WriteReplay() {
   for (const std::string& path : paths) names += (names.empty() ? "" : ", ") + StemOf(path);
   Page page(names);
   page.AddReplay(replay, "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
-  const Status status = page.Write(FLAGS_output);
-  if (!status.ok()) throw OutputError(status.message());
+  OrOutputError(page.Write(FLAGS_output));
   std::cout << FLAGS_output << std::endl;
   return kDone;
 }

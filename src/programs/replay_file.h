@@ -37,7 +37,4 @@ ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& 
 // else what the first file says of them. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene);
 
-// `saltus_replay`.
-int ReplayMain(int argc, char** argv);
-
 }  // namespace saltus

@@ -140,9 +140,7 @@ class Reader {
   }
 
   std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
-    if (const auto* doubles = std::get_if<std::vector<double>>(&array.data)) return *doubles;
-    if (const auto* floats = std::get_if<std::vector<float>>(&array.data)) return {floats->begin(), floats->end()};
-    if (const auto* whole = std::get_if<std::vector<int64_t>>(&array.data)) return {whole->begin(), whole->end()};
+    if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
     Fail(key, "numbers");
   }
 

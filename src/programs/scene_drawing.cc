@@ -54,11 +54,7 @@ std::vector<Outline> OutlinesOf(const Scene& scene) {
 }
 
 Panel ScenePanel(const Scene& scene, const std::string& title) {
-  Panel panel;
-  panel.title = title;
-  panel.x.label = "x (m)";
-  panel.y.label = "y (m)";
-  panel.equal_aspect = true;
+  Panel panel{.title = title, .x = {.label = "x (m)"}, .y = {.label = "y (m)"}, .equal_aspect = true};
   for (const Body& body : scene.bodies) {
     panel.circles.push_back({{body.position[0], body.position[1]}, body.radius, "#555555", 0.25});
   }

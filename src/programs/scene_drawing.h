@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "output/figure.h"
-#include "output/outline.h"
 #include "output/replay.h"
 #include "programs/motion.h"
 #include "saltus/scene/scene.h"

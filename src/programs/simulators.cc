@@ -12,7 +12,6 @@
 #include <sstream>
 
 #include "base/file.h"
-#include "blackbox/command_box.h"
 
 DEFINE_string(simulate, "",
               "command of a simulator of your own: [NAME=]COMMAND, or @FILE with one such command per line");
@@ -150,13 +149,13 @@ bool HasFailed(const std::string& contact, const Scene& scene) {
   return FindSimulator(contact) != nullptr && !OpenedOnce(contact)->Describe(scene).error.empty();
 }
 
+CommandOptions OptionsOf(const SimulatorCommand& simulator, int copies) {
+  const auto print = [name = simulator.name](const std::string& line) { std::cerr << name + ": " + line + "\n"; };
+  return {simulator.name, simulator.command, copies, FLAGS_simulate_seconds, print};
+}
+
 std::shared_ptr<BlackBox> OpenSimulator(const SimulatorCommand& simulator, int copies) {
-  return std::make_shared<CommandBox>(
-      CommandOptions{simulator.name,
-                     simulator.command,
-                     copies,
-                     FLAGS_simulate_seconds,
-                     [name = simulator.name](const std::string& line) { std::cerr << name + ": " + line + "\n"; }});
+  return std::make_shared<CommandBox>(OptionsOf(simulator, copies));
 }
 
 }  // namespace saltus

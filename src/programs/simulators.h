@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "blackbox/command_box.h"
 #include "programs/program.h"
 #include "saltus/audit/black_box.h"
 
@@ -34,6 +35,8 @@ Contact ContactNamed(const std::string& contact, const Scene& scene);
 // Whether a kept simulator has failed.
 bool HasFailed(const std::string& contact, const Scene& scene);
 
+// With what prints each line of its standard error under its name.
+CommandOptions OptionsOf(const SimulatorCommand& simulator, int copies);
 // Asks it with so many copies, and passes on what it prints on standard error.
 std::shared_ptr<BlackBox> OpenSimulator(const SimulatorCommand& simulator, int copies);
 

@@ -12,8 +12,6 @@
 #include "programs/parallel.h"
 #include "programs/program.h"
 #include "programs/solve_output.h"
-#include "programs/solved_run.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 

@@ -5,7 +5,7 @@
 
 #include "output/table.h"
 #include "programs/program.h"
-#include "programs/solved_run.h"
+#include "programs/solve_output.h"
 
 namespace saltus {
 
@@ -26,8 +26,5 @@ Table RunTable(const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
-
-// `saltus_solve`.
-int SolveMain(int argc, char** argv);
 
 }  // namespace saltus

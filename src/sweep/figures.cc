@@ -8,6 +8,7 @@
 #include <optional>
 #include <set>
 
+#include "audit/gradient/statistics.h"
 #include "sweep/options.h"
 
 namespace saltus {
@@ -91,7 +92,7 @@ class Results {
   // NaN where there is none. Precondition: the column exists.
   double Number(size_t row, const std::string& column) const { return ToNumber((*rows_[row])[*Find(column)]); }
   std::string Text(size_t row, const std::string& column) const {
-    return Has(column) ? ToCell((*rows_[row])[*Find(column)]).Exact() : "";
+    return Has(column) ? CellOf((*rows_[row])[*Find(column)]).Exact() : "";
   }
 
   std::vector<double> Distinct(const std::string& column) const {
@@ -211,7 +212,7 @@ std::vector<LossColumn> LossColumns(const SweepStudy& study) {
 }
 
 SweepFigure LossFigure(const Results& results, const std::string& option) {
-  Figure figure;
+  Figure figure{.legend = Legend::kBelow};
   for (const LossColumn& loss : LossColumns(results.study())) {
     const auto curves = Curves(
         results, [&](size_t row) { return results.Number(row, option); }, loss.column, std::less<>());
@@ -220,7 +221,6 @@ SweepFigure LossFigure(const Results& results, const std::string& option) {
   figure.title = results.study().request().scene.name + ": loss against " + option + results.Over("smallest", {option});
   figure.columns = static_cast<int>(figure.panels.size());
   figure.width = figure.columns > 1 ? 1200 : 800;
-  figure.legend = Legend::kBelow;
   return {"loss_against_" + option, figure};
 }
 
@@ -251,11 +251,9 @@ SweepFigure GradientErrorFigure(const Results& results) {
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
   for (Series& series : panel.series) series.label += ": " + OrderLabel(series);
-  Figure figure;
+  Figure figure{.width = 900, .panel_height = 420};
   figure.title = scene.name + ": error of the gradient" + results.Over("largest", {"steps", "duration"});
   figure.panels = {panel};
-  figure.width = 900;
-  figure.panel_height = 420;
   return {"gradient_error_against_dt", figure};
 }
 
@@ -293,8 +291,6 @@ class ColourScale {
       const double at = At(extent_.least) + (At(extent_.most) - At(extent_.least)) * i / (kLevels - 1);
       const double value = log_ ? std::exp(at) : at;
       levels.push_back({.label = Format("%.4g", value),
-                        .x = {},
-                        .y = {},
                         .colour = Colour(std::clamp(value, extent_.least, extent_.most)),
                         .width = kLevelWidth});
     }
@@ -340,10 +336,7 @@ std::map<Method, Map> LossMaps(const Results& results, const MapAxis& x, const M
 }
 
 Panel MapPanel(const Method& method, const Map& map, const MapAxis& x, const MapAxis& y, const ColourScale& scale) {
-  Panel panel;
-  panel.title = Label(method);
-  panel.x = x.ToAxis();
-  panel.y = y.ToAxis();
+  Panel panel{.title = Label(method), .x = x.ToAxis(), .y = y.ToAxis()};
   for (const auto& [cell, loss] : map) {
     const auto& [i, j] = cell;
     panel.rectangles.push_back({{x.edges[i], y.edges[j]}, {x.edges[i + 1], y.edges[j + 1]}, scale.Colour(loss)});
@@ -364,7 +357,7 @@ std::optional<SweepFigure> MapFigure(const Results& results, const std::string& 
   }
   if (most == 0 || 2 * most < x.values.size() * y.values.size()) return std::nullopt;
   const ColourScale scale(extent);
-  Figure figure;
+  Figure figure{.panel_height = 380};
   for (const auto& [method, map] : maps) {
     if (figure.panels.size() < kMostPanels) figure.panels.push_back(MapPanel(method, map, x, y, scale));
   }
@@ -373,25 +366,19 @@ std::optional<SweepFigure> MapFigure(const Results& results, const std::string& 
       results.study().request().scene.name + ": " + loss.label + results.Over("smallest", {option_x, option_y});
   figure.columns = static_cast<int>(std::ceil(std::sqrt(static_cast<double>(figure.panels.size()))));
   figure.width = 200 + 450 * figure.columns;
-  figure.panel_height = 380;
   return SweepFigure{"loss_map_" + option_x + "_" + option_y, figure};
 }
 
 }  // namespace
 
 double Order(const std::vector<double>& x, const std::vector<double>& y) {
-  double n = 0, sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
+  std::vector<double> positive_x, positive_y;
   for (size_t i = 0; i < x.size(); ++i) {
     if (!(x[i] > 0) || !(y[i] > 0)) continue;
-    const double log_x = std::log(x[i]), log_y = std::log(y[i]);
-    n += 1;
-    sum_x += log_x;
-    sum_y += log_y;
-    sum_xx += log_x * log_x;
-    sum_xy += log_x * log_y;
+    positive_x.push_back(x[i]);
+    positive_y.push_back(y[i]);
   }
-  if (n < 3) return std::numeric_limits<double>::quiet_NaN();
-  return (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x);
+  return positive_x.size() < 3 ? std::nan("") : PowerOf(positive_x, positive_y);
 }
 
 std::vector<SweepFigure> MakeSweepFigures(const SweepStudy& study, const std::vector<StoredPoint>& points) {

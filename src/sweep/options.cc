@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <limits>
 
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/hybrid_solver.h"
@@ -132,21 +133,13 @@ std::optional<BodyField> FindBodyField(const std::string& name, const Scene& sce
   return found;
 }
 
-// Where the initial force on a body stands in the control; -1 if it is not controlled.
-int FindForce(int body, const Scene& scene) {
-  const std::vector<int>& bodies = scene.control.bodies;
+// Where a body stands in a list of controlled ones; -1 if it does not.
+int FindIn(const std::vector<int>& bodies, int body) {
   const auto found = std::find(bodies.begin(), bodies.end(), body);
   return found == bodies.end() ? -1 : static_cast<int>(found - bodies.begin());
 }
 
 bool IsForce(const std::string& field) { return field == "force_x" || field == "force_y"; }
-
-// Likewise the torque on a body that is turned.
-int FindTorque(int body, const Scene& scene) {
-  const std::vector<int>& turned = scene.control.turned;
-  const auto found = std::find(turned.begin(), turned.end(), body);
-  return found == turned.end() ? -1 : static_cast<int>(found - turned.begin());
-}
 
 bool IsWord(const std::string& name) { return name == "contact" || name == "solver" || name == "precision"; }
 
@@ -167,11 +160,11 @@ void SetBodyField(const BodyField& found, double value, Scene* scene) {
   if (const BodyOption* option = FindBodyNumber(found.field)) {
     option->set(value, &scene->bodies[found.body]);
   } else if (found.field == "torque") {
-    const int torque = FindTorque(found.body, *scene);
+    const int torque = FindIn(scene->control.turned, found.body);
     CHECK_GE(torque, 0);
     scene->control.initial_torque[torque] = value;
   } else {
-    const int force = FindForce(found.body, *scene);
+    const int force = FindIn(scene->control.bodies, found.body);
     CHECK_GE(force, 0);
     scene->control.initial[force][found.field == "force_x" ? 0 : 1] = value;
   }
@@ -190,6 +183,10 @@ std::optional<SweepOptionKind> FindProgramOption(const std::string& name) {
 }
 
 }  // namespace
+
+double ToNumber(const SweepValue& value) {
+  return value.is_number() ? value.get<double>() : std::numeric_limits<double>::quiet_NaN();
+}
 
 void KeepProgram(SweepProgram program) { kept_program = std::move(program); }
 
@@ -222,8 +219,8 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
   const std::optional<BodyField> found = FindBodyField(name, scene);
   if (!found) return std::nullopt;
   const bool known = FindBodyNumber(found->field) != nullptr ||
-                     (IsForce(found->field) && FindForce(found->body, scene) >= 0) ||
-                     (found->field == "torque" && FindTorque(found->body, scene) >= 0);
+                     (IsForce(found->field) && FindIn(scene.control.bodies, found->body) >= 0) ||
+                     (found->field == "torque" && FindIn(scene.control.turned, found->body) >= 0);
   return known ? std::optional(kReal) : std::nullopt;
 }
 
@@ -247,7 +244,7 @@ std::vector<std::string> SweepWords(const std::string& name) {
 
 void SetSweepOption(const std::string& name, const SweepValue& value, Request* request) {
   if (IsWord(name)) {
-    SetWord(name, std::get<std::string>(value), request);
+    SetWord(name, value.get<std::string>(), request);
   } else if (const NumberOption* option = FindNumber(name)) {
     option->set(ToNumber(value), request);
   } else {

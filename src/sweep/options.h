@@ -11,9 +11,15 @@
 #include <vector>
 
 #include "programs/program.h"
-#include "sweep/value.h"
 
 namespace saltus {
+
+// One entry of a sweep's table: null, a whole number, a finite number or text.
+using SweepValue = Json;
+using SweepRow = std::vector<SweepValue>;
+
+// The number, or NaN for null and for text.
+double ToNumber(const SweepValue& value);
 
 // A program of a hybrid system (programs/hybrid_program.h) that is swept in the place of a scene. Its options are
 // `names`, the values of its flag --set, "solver", "steps", "iterations" and "learning_rate", and with --feedback in

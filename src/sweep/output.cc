@@ -1,7 +1,14 @@
 #include "sweep/output.h"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
 #include <map>
+#include <string>
+
+#include "scene/control_problems.h"
+#include "sweep/options.h"
 
 namespace saltus {
 namespace {
@@ -15,16 +22,15 @@ int64_t CountStatus(const std::vector<StoredPoint>& points, PointStatus status) 
 
 // What is text in no row is a column of numbers.
 bool IsTextColumn(const std::vector<StoredPoint>& points, size_t column) {
-  return std::any_of(points.begin(), points.end(), [&](const StoredPoint& point) {
-    return std::holds_alternative<std::string>(point.result.row[column]);
-  });
+  return std::any_of(
+      points.begin(), points.end(), [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
 }
 
 NpyArray ColumnArray(const std::vector<StoredPoint>& points, size_t column) {
   NpyArray array{{static_cast<int64_t>(points.size())}, {}};
   if (IsTextColumn(points, column)) {
     std::vector<std::string> texts;
-    for (const StoredPoint& point : points) texts.push_back(ToCell(point.result.row[column]).Exact());
+    for (const StoredPoint& point : points) texts.push_back(CellOf(point.result.row[column]).Exact());
     array.data = std::move(texts);
   } else {
     std::vector<double> numbers;
@@ -45,7 +51,7 @@ std::vector<Reason> Reasons(const std::vector<StoredPoint>& points) {
   std::map<std::string, Reason> by_text;
   for (const StoredPoint& point : points) {
     if (point.result.status == PointStatus::kComputed) continue;
-    Reason& reason = by_text[ToCell(point.result.row.back()).Exact()];
+    Reason& reason = by_text[CellOf(point.result.row.back()).Exact()];
     if (reason.first == nullptr) reason.first = &point;
     ++reason.count;
   }
@@ -66,7 +72,7 @@ std::string PlaceOf(const SweepStudy& study, int64_t point) {
   const SweepRow row = study.Values(point);
   std::string values;
   for (size_t i = 0; i < row.size(); ++i) {
-    values += (i > 0 ? ", " : "") + study.options()[i] + "=" + ToCell(row[i]).Exact();
+    values += (i > 0 ? ", " : "") + study.options()[i] + "=" + CellOf(row[i]).Exact();
   }
   return "point " + std::to_string(point) + " (" + values + ")";
 }
@@ -83,7 +89,7 @@ Table SweepTable(const SweepStudy& study, const std::vector<StoredPoint>& points
   Table table(columns);
   for (const StoredPoint& point : points) {
     std::vector<Cell> row;
-    for (const SweepValue& value : point.result.row) row.push_back(ToCell(value));
+    for (const SweepValue& value : point.result.row) row.push_back(CellOf(value));
     table.AddRow(std::move(row));
   }
   return table;
@@ -102,7 +108,7 @@ Json SweepJson(const SweepStudy& study, const std::vector<StoredPoint>& points) 
   Json list = Json::array();
   for (const StoredPoint& point : points) {
     Json object = {{"point", point.point}};
-    for (size_t i = 0; i < study.columns().size(); ++i) object[study.columns()[i]] = ToJson(point.result.row[i]);
+    for (size_t i = 0; i < study.columns().size(); ++i) object[study.columns()[i]] = point.result.row[i];
     object["status"] = ToString(point.result.status);
     list.push_back(std::move(object));
   }
@@ -127,6 +133,114 @@ std::string Summary(const SweepStudy& study, const std::vector<StoredPoint>& poi
     text += "  and " + std::to_string(reasons.size() - kMostReasons) + " reasons more\n";
   }
   return text;
+}
+
+namespace {
+
+constexpr double kSame = 1e-6;   // relative, of losses
+constexpr double kZero = 1e-12;  // a loss so small is none
+
+// What the points of one solver and kind have in common.
+struct Tally {
+  int problems = 0, solved = 0, worse = 0, without = 0;
+  std::vector<double> seconds;
+  double memory = 0;
+};
+
+class Solved {
+ public:
+  Solved(const SweepStudy& study, const std::vector<StoredPoint>& points) : study_(study) {
+    for (const StoredPoint& point : points) {
+      double& best = best_.try_emplace(ProblemOf(point), std::numeric_limits<double>::infinity()).first->second;
+      const double loss = Number(point, "exact_loss");
+      if (loss < best) best = loss;
+    }
+    for (const StoredPoint& point : points) {
+      const int kind = static_cast<int>(std::fmod(Number(point, kSeedOption), kNumControlKinds));
+      for (const int row : {kind, kNumControlKinds}) {
+        Count(point, &tallies_[{row, Text(point, "contact"), Text(point, "solver")}]);
+      }
+    }
+  }
+
+  Table ToTable() const {
+    Table table({{"kind"},
+                 {"contact"},
+                 {"solver"},
+                 {"problems"},
+                 {"solved", 3},
+                 {"worse_than_start"},
+                 {"no_answer"},
+                 {"median_seconds", 3},
+                 {"most_seconds", 3},
+                 {"most_memory_mib", 4}});
+    for (const auto& [key, tally] : tallies_) {
+      const auto& [kind, contact, solver] = key;
+      std::vector<double> seconds = tally.seconds;
+      std::sort(seconds.begin(), seconds.end());
+      table.AddRow({kind < kNumControlKinds ? std::string(kControlKinds[kind]) : "all",
+                    contact,
+                    solver,
+                    tally.problems,
+                    double(tally.solved) / tally.problems,
+                    tally.worse,
+                    tally.without,
+                    seconds.empty() ? Cell() : Cell(seconds[seconds.size() / 2]),
+                    seconds.empty() ? Cell() : Cell(seconds.back()),
+                    tally.memory});
+    }
+    return table;
+  }
+
+ private:
+  size_t Column(const std::string& name) const {
+    return std::find(study_.columns().begin(), study_.columns().end(), name) - study_.columns().begin();
+  }
+  double Number(const StoredPoint& point, const std::string& name) const {
+    return ToNumber(point.result.row[Column(name)]);
+  }
+  std::string Text(const StoredPoint& point, const std::string& name) const {
+    return CellOf(point.result.row[Column(name)]).Exact();
+  }
+
+  // All options but those of solvers.
+  std::string ProblemOf(const StoredPoint& point) const {
+    std::string problem;
+    for (size_t i = 0; i < study_.options().size(); ++i) {
+      const std::string& option = study_.options()[i];
+      if (option == "contact" || option == "solver" || option == "precision" || option == "iterations" ||
+          option == "learning_rate" || option.starts_with("search_") || option.starts_with("surrogate_") ||
+          option.starts_with("feedback_")) {
+        continue;
+      }
+      problem += option + "=" + CellOf(point.result.row[i]).Exact() + " ";
+    }
+    return problem;
+  }
+
+  void Count(const StoredPoint& point, Tally* tally) const {
+    ++tally->problems;
+    const double loss = Number(point, "exact_loss"), best = best_.at(ProblemOf(point));
+    const double seconds = Number(point, "seconds"), memory = Number(point, "memory_mib");
+    if (std::isfinite(seconds)) tally->seconds.push_back(seconds);
+    if (memory > tally->memory) tally->memory = memory;
+    if (point.result.status != PointStatus::kComputed || !std::isfinite(loss)) {
+      ++tally->without;
+      return;
+    }
+    if (loss <= best + kSame * std::abs(best) + kZero) ++tally->solved;
+    if (loss > (1 + kSame) * Number(point, "initial_loss")) ++tally->worse;
+  }
+
+  const SweepStudy& study_;
+  std::map<std::string, double> best_;  // least exact loss, by problem
+  std::map<std::tuple<int, std::string, std::string>, Tally> tallies_;
+};
+
+}  // namespace
+
+Table SolvedTable(const SweepStudy& study, const std::vector<StoredPoint>& points) {
+  return Solved(study, points).ToTable();
 }
 
 }  // namespace saltus

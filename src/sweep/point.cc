@@ -2,8 +2,10 @@
 
 #include <chrono>
 #include <cmath>
+#include <fstream>
 #include <new>
 
+#include "audit/gradient/statistics.h"
 #include "output/table.h"
 #include "programs/audit.h"
 #include "programs/feedback_study.h"
@@ -13,12 +15,25 @@
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "sweep/options.h"
-#include "sweep/peak_memory.h"
 
 namespace saltus {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+
+// The most memory that this process has had at once from here on. Where the system does not allow it, the peak stays
+// that since the process began. Linux, proc(5): 5 in clear_refs resets the peak, VmHWM in status is it.
+void ForgetPeakMemory() { std::ofstream("/proc/self/clear_refs") << "5"; }
+
+// In MiB, resident; negative where the system does not tell.
+double PeakMemory() {
+  std::ifstream status("/proc/self/status");
+  for (std::string word; status >> word;) {
+    double kib = 0;
+    if (word == "VmHWM:" && status >> kib) return kib / 1024;
+  }
+  return -1;
+}
 
 void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
   row->insert(row->end(), values.begin(), values.end());
@@ -33,13 +48,10 @@ PointResult StartRow(const SweepStudy& study, int64_t point) {
   return result;
 }
 
-// The number under a key, or nothing.
+// The number or text under a key, or null.
 SweepValue ValueOf(const Json& json, const char* key) {
   const auto found = json.find(key);
-  if (found == json.end()) return {};
-  if (found->is_string()) return found->get<std::string>();
-  if (found->is_number_integer()) return found->get<int64_t>();
-  return found->is_number() ? FiniteOrNothing(found->get<double>()) : SweepValue();
+  return found != json.end() && (found->is_number() || found->is_string()) ? SweepValue(*found) : SweepValue();
 }
 
 // The columns of a loop with --feedback, and where its document has them.
@@ -112,17 +124,17 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
   } else {
     const Scene scene = WithDesign(request.scene, report.parameters);
     run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-    Append({FiniteOrNothing(report.initial_loss),
-            FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
-            FiniteOrNothing(report.final_loss),
-            run.exact.ok ? FiniteOrNothing(run.exact.loss) : SweepValue(),
+    Append({NumberToJson(report.initial_loss),
+            NumberToJson(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+            NumberToJson(report.final_loss),
+            run.exact.ok ? NumberToJson(run.exact.loss) : SweepValue(),
             int64_t{report.iterations},
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
     std::vector<double> parameters = report.parameters;
     parameters.resize(request.scene.design.size(), std::nan(""));
-    for (const double value : parameters) Append({FiniteOrNothing(value)}, &result.row);
+    for (const double value : parameters) Append({NumberToJson(value)}, &result.row);
     AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
@@ -131,12 +143,6 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
   const std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
   Append({std::string(TerminationToString(termination)), remark.empty() ? no_feedback : remark}, &result.row);
   return result;
-}
-
-double Norm(const std::vector<double>& values) {
-  double sum = 0;
-  for (const double value : values) sum += value * value;
-  return std::sqrt(sum);
 }
 
 // x and y of every body, from numbers in the shape of an initial state; offset 0 for positions, 2 for velocities.
@@ -168,13 +174,13 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
       remark = "ambiguous: " + ties;
     } else {
-      error = FiniteOrNothing(CompareGradients(gradient, *exact).relative);
+      error = NumberToJson(CompareGradients(gradient, *exact).relative);
     }
   }
-  Append({FiniteOrNothing(gradient.loss),
-          FiniteOrNothing(Norm(Pairs(request.scene, gradient.gradient.initial, 0))),
-          FiniteOrNothing(Norm(Pairs(request.scene, gradient.gradient.initial, 2))),
-          FiniteOrNothing(Norm(gradient.gradient.control)),
+  Append({NumberToJson(gradient.loss),
+          NumberToJson(Norm(Pairs(request.scene, gradient.gradient.initial, 0))),
+          NumberToJson(Norm(Pairs(request.scene, gradient.gradient.initial, 2))),
+          NumberToJson(Norm(gradient.gradient.control)),
           error},
          &result.row);
   AppendFeedback(request,
@@ -186,7 +192,7 @@ PointResult GradientPoint(const Request& request, PointResult result) {
                  &remark);
   if (HasStandardError(surrogate)) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
-    Append({FiniteOrNothing(norm)}, &result.row);
+    Append({NumberToJson(norm)}, &result.row);
   }
   Append({remark}, &result.row);
   return result;
@@ -209,7 +215,7 @@ SweepValue ErrorOfAudit(const Json& audit) {
   const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
   std::vector<double> difference = found;
   for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
-  return FiniteOrNothing(Norm(difference) / Norm(exact));
+  return NumberToJson(Norm(difference) / Norm(exact));
 }
 
 PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds, PointResult result) {
@@ -218,7 +224,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   const auto quoted = [](const std::string& text) { return "'" + text + "'"; };
   for (size_t i = 0; i < values.size(); ++i) {
     const std::string& option = study.options()[i];
-    const std::string value = ToCell(values[i]).Exact();
+    const std::string value = CellOf(values[i]).Exact();
     const bool flag = option == "solver" || option == "steps" || option == "iterations" || option == "learning_rate" ||
                       option.starts_with("feedback_");
     (flag ? arguments : set) += flag ? " --" + option + "=" + value : (set.empty() ? "" : ",") + option + "=" + value;
@@ -234,7 +240,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
     const Json& motion = document.at("motion");
     const Json gradient = document.value("gradient", Json::object());
     const auto norm = [&](const char* key) {
-      return gradient.contains(key) ? FiniteOrNothing(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
+      return gradient.contains(key) ? NumberToJson(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
     };
     if (!document.contains("loss")) result.status = PointStatus::kFailed;
     const SweepValue reason = document.contains("failed") ? ValueOf(document, "failed") : ValueOf(motion, "remark");
@@ -246,7 +252,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
             static_cast<int64_t>(motion.at("events").size())},
            &result.row);
     if (KeptProgram()->feedback) AppendFeedback(document.value("feedback", Json::object()), &result.row);
-    Append({std::holds_alternative<std::monostate>(reason) ? SweepValue(std::string()) : reason}, &result.row);
+    Append({reason.is_null() ? SweepValue("") : reason}, &result.row);
     return result;
   }
   const Json& run = document.at("runs").at(0);
@@ -255,7 +261,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   if (termination == TerminationToString(Termination::kNotApplicable)) result.status = PointStatus::kNotApplicable;
   if (termination == TerminationToString(Termination::kFailed)) result.status = PointStatus::kFailed;
   Append({ValueOf(run, "initial_loss"),
-          losses.empty() ? SweepValue() : FiniteOrNothing(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+          losses.empty() ? SweepValue() : NumberToJson(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
           ValueOf(run, "final_loss"),
           ValueOf(run, "final_loss"),
           ValueOf(run, "iterations"),

@@ -9,9 +9,8 @@
 #include <set>
 
 #include "base/csv.h"
-#include "output/text_layout.h"
+#include "output/table.h"
 #include "saltus/simulate/registry.h"
-#include "sweep/options.h"
 
 namespace saltus {
 namespace {

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "saltus/scene/scene.h"
-#include "sweep/value.h"
+#include "sweep/options.h"
 
 namespace saltus {
 

@@ -32,11 +32,9 @@ bool Bind(sqlite3_stmt* statement, int place, const std::string& text) {
 }
 
 bool Bind(sqlite3_stmt* statement, int place, const SweepValue& value) {
-  if (const auto* number = std::get_if<double>(&value))
-    return sqlite3_bind_double(statement, place, *number) == SQLITE_OK;
-  if (const auto* whole = std::get_if<int64_t>(&value))
-    return sqlite3_bind_int64(statement, place, *whole) == SQLITE_OK;
-  if (const auto* text = std::get_if<std::string>(&value)) return Bind(statement, place, *text);
+  if (value.is_number_float()) return sqlite3_bind_double(statement, place, value.get<double>()) == SQLITE_OK;
+  if (value.is_number()) return sqlite3_bind_int64(statement, place, value.get<int64_t>()) == SQLITE_OK;
+  if (value.is_string()) return Bind(statement, place, value.get_ref<const std::string&>());
   return sqlite3_bind_null(statement, place) == SQLITE_OK;
 }
 

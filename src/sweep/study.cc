@@ -7,7 +7,6 @@
 
 #include "programs/json_output.h"
 #include "programs/simulators.h"
-#include "programs/surrogate_flags.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
@@ -62,7 +61,7 @@ bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
     const auto contact = std::find(block.options.begin(), block.options.end(), "contact");
     if (contact == block.options.end()) return false;
     return std::any_of(block.rows.begin(), block.rows.end(), [&](const SweepRow& row) {
-      return IsBiasedContact(std::get<std::string>(row[contact - block.options.begin()]));
+      return IsBiasedContact(row[contact - block.options.begin()].get<std::string>());
     });
   });
 }
@@ -104,7 +103,7 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
 
 bool SweepStudy::IsBiased(int64_t point) const {
   const size_t contact = std::find(options_.begin(), options_.end(), "contact") - options_.begin();
-  return request_.options.surrogate || IsBiasedContact(std::get<std::string>(Values(point)[contact]));
+  return request_.options.surrogate || IsBiasedContact(Values(point)[contact].get<std::string>());
 }
 
 SweepRow SweepStudy::Values(int64_t point) const {
@@ -139,9 +138,7 @@ std::string SweepStudy::Description() const {
   for (const SweepBlock& block : blocks_) {
     Json rows = Json::array();
     for (const SweepRow& row : block.rows) {
-      Json values = Json::array();
-      for (const SweepValue& value : row) values.push_back(ToJson(value));
-      rows.push_back(std::move(values));
+      rows.push_back(row);
     }
     blocks.push_back({{"options", block.options}, {"rows", std::move(rows)}});
   }
@@ -190,6 +187,38 @@ std::string DescribeDifference(const std::string& before, const std::string& now
   if (patch.empty()) return "its description is written in another way";
   const std::string place = patch[0].at("path").get<std::string>();
   return place.substr(1) + ": " + ValueAt(old_study, place) + " is now " + ValueAt(new_study, place);
+}
+
+const char* ToString(PointStatus status) {
+  switch (status) {
+    case PointStatus::kComputed:
+      return "done";
+    case PointStatus::kFailed:
+      return "failed";
+    case PointStatus::kNotApplicable:
+      return "not_applicable";
+  }
+  LOG(FATAL) << "no such status";
+}
+
+std::optional<PointStatus> FindPointStatus(const std::string& text) {
+  for (const PointStatus status : {PointStatus::kComputed, PointStatus::kFailed, PointStatus::kNotApplicable}) {
+    if (text == ToString(status)) return status;
+  }
+  return std::nullopt;
+}
+
+std::string Encode(const PointResult& result) {
+  Json json = result.row;
+  json.insert(json.begin(), ToString(result.status));
+  std::string bytes;
+  Json::to_cbor(json, bytes);
+  return bytes;
+}
+
+PointResult DecodePointResult(const std::string& bytes) {
+  const Json json = Json::from_cbor(bytes);
+  return {FindPointStatus(json.at(0).get<std::string>()).value(), SweepRow(json.begin() + 1, json.end())};
 }
 
 }  // namespace saltus

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,25 @@
 #include "sweep/spec.h"
 
 namespace saltus {
+
+enum class PointStatus { kComputed, kFailed, kNotApplicable };
+
+// "done", "failed", "not_applicable"; and back.
+const char* ToString(PointStatus status);
+std::optional<PointStatus> FindPointStatus(const std::string& text);  // none if there is no such
+
+// One row of a sweep's table, with an entry per column.
+struct PointResult {
+  PointStatus status = PointStatus::kComputed;
+  SweepRow row;
+
+  bool operator==(const PointResult&) const = default;
+};
+
+// As bytes (CBOR, RFC 8949), to send between processes; every double keeps its bits. Precondition of the latter: bytes
+// that the former made.
+std::string Encode(const PointResult& result);
+PointResult DecodePointResult(const std::string& bytes);
 
 class SweepStudy {
  public:

@@ -1,5 +1,4 @@
-#include "sweep/sweep.h"
-
+// `saltus_sweep`: many points of some options, on all cores and many machines, with every finished point kept.
 #include <gflags/gflags.h>
 
 #include <charconv>
@@ -12,17 +11,15 @@
 #include <utility>
 
 #include "base/interrupt.h"
-#include "output/text_layout.h"
+#include "output/table.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
 #include "saltus/scene/scene_file.h"
 #include "scene/control_problems.h"
-#include "sweep/cluster.h"
+#include "sweep/executor.h"
 #include "sweep/figures.h"
 #include "sweep/options.h"
 #include "sweep/output.h"
-#include "sweep/run.h"
-#include "sweep/solved.h"
 
 DEFINE_string(
     sweep, "",
@@ -74,10 +71,6 @@ template <typename T>
 T OrInputError(StatusOr<T> result) {
   if (!result.ok()) throw InputError(result.status().message());
   return std::move(*result);
-}
-
-void OrOutputError(const Status& status) {
-  if (!status.ok()) throw OutputError(status.message());
 }
 
 std::string ShardName(Shard shard) {

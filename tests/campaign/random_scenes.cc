@@ -16,7 +16,7 @@
 #include "output/table.h"
 #include "programs/program.h"
 #include "saltus/scene/scene_file.h"
-#include "sweep/workers.h"
+#include "sweep/executor.h"
 
 DEFINE_int64(scenes, 1000, "how many");
 DEFINE_int64(seed, 1, "of the first scene; the next has the next");

@@ -20,7 +20,7 @@ void CheckRow(const SweepBlock& block, const SweepRow& row) {
   for (size_t j = 0; j < row.size(); ++j) {
     const SweepOptionKind kind = FindSweepOption(block.options[j], request.scene).value();
     if (kind == SweepOptionKind::kWord) {
-      CHECK(!std::get<std::string>(row[j]).empty());
+      CHECK(!row[j].get<std::string>().empty());
     } else {
       CHECK(std::isfinite(ToNumber(row[j])));
     }

@@ -1,6 +1,4 @@
 // The width of a terminal, and lines that fit it.
-#include "output/text_layout.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <pty.h>
@@ -8,6 +6,8 @@
 #include <unistd.h>
 
 #include <cstdlib>
+
+#include "output/table.h"
 
 namespace saltus {
 namespace {

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "paper/law_example.h"
 #include "paper_tables.h"
 
 namespace saltus {

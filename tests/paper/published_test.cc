@@ -13,7 +13,7 @@
 
 #include "folders.h"
 #include "output/npz.h"
-#include "paper/notebook_files.h"
+#include "paper/experiments.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -13,7 +13,7 @@
 #include "programs/replay_file.h"
 #include "programs/saved_solution.h"
 #include "programs/solve.h"
-#include "programs/solved_run.h"
+#include "programs/solve_output.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 

@@ -114,15 +114,14 @@ TEST(SweepFigures, OtherOptionsAreChosenForTheSmallestLoss) {
 TEST(SweepFigures, GradientErrorHasItsOrder) {
   const Request request = GradientRequest({"direct", "event"});
   const SweepStudy study(request, ParseSweep("steps=100,200,400; stiffness=1,2", request.scene));
-  const auto figures =
-      MakeSweepFigures(study,
-                       MakePoints(
-                           study,
-                           [](const SweepRow&) { return 1.0; },
-                           [](const SweepRow& row) {
-                             const double dt = 1 / ToNumber(row[0]);
-                             return std::get<std::string>(row[2]) == "event" ? 0.0 : ToNumber(row[1]) * dt * dt;
-                           }));
+  const auto figures = MakeSweepFigures(study,
+                                        MakePoints(
+                                            study,
+                                            [](const SweepRow&) { return 1.0; },
+                                            [](const SweepRow& row) {
+                                              const double dt = 1 / ToNumber(row[0]);
+                                              return row[2] == "event" ? 0.0 : ToNumber(row[1]) * dt * dt;
+                                            }));
   const auto figure = std::find_if(
       figures.begin(), figures.end(), [](const SweepFigure& f) { return f.name == "gradient_error_against_dt"; });
   ASSERT_NE(figure, figures.end());

@@ -13,9 +13,9 @@
 #include <stdexcept>
 
 #include "folders.h"
+#include "sweep/executor.h"
 #include "sweep/output.h"
 #include "sweep/point.h"
-#include "sweep/run.h"
 #include "sweep/store.h"
 
 namespace saltus {
@@ -122,7 +122,7 @@ TEST_F(SweepStoreTest, GivesBackWhatItWasGivenAfterReopening) {
   const std::map<int64_t, PointResult> rows = Contents(*store);
   ASSERT_EQ(rows.size(), 2u);
   EXPECT_EQ(rows.at(7), Row(study, 7));
-  EXPECT_TRUE(std::signbit(std::get<double>(rows.at(7).row[3])));
+  EXPECT_TRUE(std::signbit(rows.at(7).row[3].get<double>()));
   EXPECT_EQ(PendingPoints(study, {}, *store), (std::vector<int64_t>{0, 1, 3, 4, 5, 6, 8, 9}));
   EXPECT_EQ(PendingPoints(study, {2, 3}, *store), (std::vector<int64_t>{1, 4}));
 }
@@ -279,7 +279,7 @@ TEST(SweepPoint, TravelsAsBytesWithoutLosingBits) {
       PointStatus::kNotApplicable,
       {0.1, -0.0, 1e-320, 3.0, int64_t{1} << 60, {}, std::string("ü"), std::numeric_limits<double>::max()}};
   EXPECT_EQ(DecodePointResult(Encode(result)), result);
-  EXPECT_TRUE(std::signbit(std::get<double>(DecodePointResult(Encode(result)).row[1])));
+  EXPECT_TRUE(std::signbit(DecodePointResult(Encode(result)).row[1].get<double>()));
 }
 
 // A limit that is over at once stops a solver where it first looks at the clock: in its first rollout.
@@ -304,7 +304,7 @@ TEST(SweepPoint, AnImpossiblePointFailsWithKeyAndReason) {
   const SweepStudy study = Study("restitution=0.5,1.5");
   const PointResult result = ComputePoint(study, 1, 0);
   EXPECT_EQ(result.status, PointStatus::kFailed);
-  EXPECT_THAT(std::get<std::string>(result.row.back()), HasSubstr("restitution"));
+  EXPECT_THAT(result.row.back().get<std::string>(), HasSubstr("restitution"));
 }
 
 }  // namespace

@@ -10,7 +10,7 @@
 #include <set>
 #include <stdexcept>
 
-#include "sweep/workers.h"
+#include "sweep/executor.h"
 
 namespace saltus {
 namespace {
