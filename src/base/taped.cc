@@ -3,7 +3,7 @@
 namespace saltus {
 
 Tape& Tape::OfThread() {
-  static thread_local Tape tape;
+  static thread_local Tape tape;  // the operators of a scalar have no argument by which a tape could reach them
   return tape;
 }
 

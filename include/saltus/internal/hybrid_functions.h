@@ -218,9 +218,12 @@ class HybridFunctionsOf final : public HybridFunctions {
       if constexpr (kSize + 1 + S::kNumParameters + S::kNumControls <= kStride) {
         in_one_pass = true;
         std::array<double, kStages * kSize> slopes;
-        static thread_local std::array<Jet, kStages * kSize> stages;  // Jets take time to be constructed
-        LinearizeInOnePass<mode>(step, slopes.data(), stages.data());
-        PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.data(), after, out);
+        union Stages {  // not constructed, which takes time: all are written before they are read
+          Stages() {}
+          Jet jets[kStages * kSize];
+        } stages;
+        LinearizeInOnePass<mode>(step, slopes.data(), stages.jets);
+        PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.jets, after, out);
       }
     });
     return in_one_pass;
