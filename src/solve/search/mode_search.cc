@@ -1,10 +1,13 @@
 #include "solve/search/mode_search.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <deque>
 #include <functional>
+#include <iterator>
 #include <limits>
+#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -18,7 +21,6 @@
 #include "solve/phases/phase_run.h"
 #include "solve/search/loss_bound.h"
 #include "solve/search/phase_search.h"
-#include "solve/search/search_queue.h"
 #include "solve/search/search_solve.h"
 #include "solve/search/search_starts.h"
 #include "solve/search/sequence_search.h"
@@ -46,6 +48,98 @@ constexpr double kNearBest = 1.05;     // of its loss
 constexpr double kApart = 1.001;       // the losses of these
 constexpr double kMuchBetter = 0.99;   // of the loss of the last one: mended at once, else where the search would stop
 constexpr int kAheadOfLong = 100;      // solves that go on beside one that takes as long as many
+constexpr int kStarts = 3;             // motions from which a sequence is tried
+constexpr size_t kMostRunnersUp = 12;
+
+// A sequence as something to be compared.
+using SequenceKey = std::vector<std::array<int, 3>>;
+SequenceKey KeyOf(const ContactSequence& sequence) {
+  SequenceKey key;
+  for (const Candidate& c : sequence) key.push_back({c.a, c.b, c.plane});
+  return key;
+}
+
+using Motion = std::shared_ptr<const Trial>;
+
+// Sequences to be solved along, best first.
+class SearchQueue {
+ public:
+  // `memory`, bytes: of what does not fit the last is forgotten.
+  explicit SearchQueue(std::size_t memory) : memory_(memory) {}
+
+  // Along a sequence, from a motion that so many others of the queue share; by its loss, then in order. Not if the
+  // sequence has been tried from enough motions.
+  void AddSequence(const Motion& from, ContactSequence sequence, size_t sharing = 1) {
+    int& starts = starts_[KeyOf(sequence)];
+    if (starts >= kStarts) return;
+    ++starts;
+    Add(from, std::move(sequence), sharing);
+  }
+  // Along its own sequence, whatever that has been tried from. Not if it has more than impacts.
+  void AddMotion(const Trial& trial) {
+    if (!trial.exact.only_impacts) return;
+    NoteTried(trial.exact.contacts);
+    Add(std::make_shared<const Trial>(trial), trial.exact.contacts, 1);
+  }
+  // Counts a motion from which a sequence is tried without the queue.
+  void NoteTried(const ContactSequence& sequence) { ++starts_[KeyOf(sequence)]; }
+
+  bool empty() const { return queue_.empty(); }
+  double first_loss() const { return queue_.begin()->first.first; }
+  SearchTask TakeFirst() {
+    auto node = queue_.extract(queue_.begin());
+    bytes_ -= node.mapped().bytes;
+    return std::move(node.mapped().task);
+  }
+  bool has_forgotten() const { return forgotten_; }
+
+ private:
+  struct Queued {
+    SearchTask task;
+    std::size_t bytes = 0;
+  };
+
+  void Add(const Motion& from, ContactSequence sequence, size_t sharing) {
+    const double loss = from->exact.loss;
+    const std::size_t motion = sizeof(Trial) + (from->control.size() + from->durations.size()) * sizeof(double);
+    const std::size_t bytes = sizeof(Queued) + sequence.size() * sizeof(Candidate) + motion / sharing;
+    bytes_ += bytes;
+    SearchTask task{.sequence = std::move(sequence), .from = from};
+    queue_.emplace(std::pair(loss, number_++), Queued{std::move(task), bytes});
+    while (bytes_ > memory_ && queue_.size() > 1) {
+      const auto last = std::prev(queue_.end());
+      bytes_ -= last->second.bytes;
+      queue_.erase(last);
+      forgotten_ = true;
+    }
+  }
+
+  std::size_t memory_, bytes_ = 0;
+  bool forgotten_ = false;
+  int number_ = 0;
+  std::map<std::pair<double, int>, Queued> queue_;
+  std::map<SequenceKey, int> starts_;  // motions from which a sequence is, or is to be, tried
+};
+
+// The best motions that are no optima, one of each sequence.
+class RunnersUp {
+ public:
+  void Meet(const Trial& trial) {
+    const auto known = std::find_if(motions_.begin(), motions_.end(), [&](const auto& other) {
+      return other.second->exact.contacts == trial.exact.contacts;
+    });
+    if (known != motions_.end()) {
+      if (known->first <= trial.exact.loss) return;
+      motions_.erase(known);
+    }
+    motions_.emplace(trial.exact.loss, std::make_shared<const Trial>(trial));
+    if (motions_.size() > kMostRunnersUp) motions_.erase(std::prev(motions_.end()));
+  }
+  const std::multimap<double, Motion>& by_loss() const { return motions_; }
+
+ private:
+  std::multimap<double, Motion> motions_;
+};
 
 class ModeSearch {
  public:

@@ -5,13 +5,13 @@
 // sequence found there (as ceres_event) go on. Each solve is re-simulated exactly. If impacts have appeared or
 // vanished, what really happened is transcribed anew and solved next. Then the neighbours of what really happened are
 // queued: an impact inserted, removed or replaced by one of another pair, each started from the motion at hand. The
-// queue (search_queue.h) is worked off best first, by the exact loss of the motion that a neighbour comes from. A
-// saddle is left, both ways, and what is found beside it solved next. Where a motion that is no optimum is the best,
-// its sequence is mended (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the
-// final time. Where nothing better is found any more, up to kMostRounds times, or where nothing is left to be tried and
-// some pair does not meet in the best motion, up to kRoundsAtEnd times (with fewer control intervals): others near the
-// best are mended, and ceres_lm goes down from more motions, at random and around the best. At last intervals of the
-// best move to other phases.
+// queue is worked off best first, by the exact loss of the motion that a neighbour comes from. A saddle is left, both
+// ways, and what is found beside it solved next. Where a motion that is no optimum is the best, its sequence is mended
+// (sequence_mending.h): it may be an optimum with a kink, which just touches or strikes at the final time. Where
+// nothing better is found any more, up to kMostRounds times, or where nothing is left to be tried and some pair does
+// not meet in the best motion, up to kRoundsAtEnd times (with fewer control intervals): others near the best are
+// mended, and ceres_lm goes down from more motions, at random and around the best. At last intervals of the best move
+// to other phases.
 //
 // Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
 // kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
