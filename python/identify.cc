@@ -8,7 +8,7 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
-#include "programs/identify_output.h"
+#include "programs/identification.h"
 
 namespace saltus::python {
 namespace {

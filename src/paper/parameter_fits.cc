@@ -7,7 +7,7 @@
 #include "base/random.h"
 #include "identify/unknowns.h"
 #include "output/table.h"
-#include "programs/identify_output.h"
+#include "programs/identification.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"

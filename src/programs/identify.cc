@@ -4,7 +4,7 @@
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/identify_output.h"
+#include "programs/identification.h"
 #include "programs/program.h"
 
 DEFINE_string(recording, "",

@@ -1,4 +1,4 @@
-#include "programs/identify_output.h"
+#include "programs/identification.h"
 
 #include <algorithm>
 #include <charconv>
