@@ -12,6 +12,7 @@
 #include "output/npz.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
+#include "programs/solve.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"

@@ -11,7 +11,6 @@
 #include "programs/json_output.h"
 #include "programs/motion.h"
 #include "programs/program.h"
-#include "programs/solve.h"
 #include "saltus/optimality/certificate.h"
 
 namespace saltus {
@@ -33,6 +32,7 @@ struct SolvedRuns {
   std::vector<SolvedRun> runs;
   bool interrupted = false;  // some are missing, or were at work
 };
+
 // Solves, re-simulates and certifies. Calls `keep` with the run as it is before it is checked.
 SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,
                         const SolverOptions& options, const std::function<void(SolvedRun)>& keep);
