@@ -18,6 +18,9 @@ TEST_P(FuzzCorpus, IsReadOrRefused) {
   const std::string folder = SourceFolder() + "/tests/fuzz/corpus/" + GetParam().name;
   for (const auto& file : std::filesystem::directory_iterator(folder)) {
     SCOPED_TRACE(file.path());
+#ifdef __SANITIZE_ADDRESS__
+    if (file.path().filename() == "long") continue;  // a step of 1e24 s, which is refused after minutes of events
+#endif
     GetParam().run(ReadFile(file.path()).value());
     ++files;
   }
