@@ -3,7 +3,8 @@
 
 usage: words_test.py [--build=DIR]        Spelling by codespell, where it is installed.
 
-The pages are README.md, CONTRIBUTING.md, CHANGELOG.md and docs/. Messages are the string literals of C++ with a blank.
+The pages are README.md, CONTRIBUTING.md, CHANGELOG.md and docs/. Messages are the string literals with a blank of C++, of the
+scripts of pages, and of the Python module, whose docstrings are among them.
 """
 
 import argparse
@@ -20,7 +21,8 @@ HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 PROGRAMS = ["saltus_audit", "saltus_bodies", "saltus_solve", "saltus_sweep", "saltus_identify", "saltus_scene",
             "saltus_simulate", "saltus_replay", "saltus_reproduce"]
-LITERAL = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+LITERAL = {suffix: re.compile("|".join(rf"{quote}(?:[^{quote}\\\n]|\\.)*{quote}" for quote in quotes))
+           for suffix, quotes in {".cc": '"', ".h": '"', ".js": "\"'`", ".mjs": "\"'`"}.items()}
 NOTEBOOK_AS_MARKDOWN = runpy.run_path(str(SOURCE / "docs" / "conf.py"))["notebook_as_markdown"]
 
 
@@ -41,18 +43,21 @@ KEPT = ["projection forgets the position", "; it knows impacts", "arcs in closed
         "own term"]
 
 
-def messages(text):
-    """The string literals of a source in C++, in their lines; those without a blank are keys, not sentences."""
+def messages(text, suffix):
+    """The string literals of a source in C++ or JavaScript, in their lines; those without a blank are keys, not sentences."""
     text = re.sub(r"^[ \t]*(//|#include).*$", "", text, flags=re.M)
     for kept in KEPT:
         text = text.replace(kept, "")
-    return "\n".join(" ".join(literal for literal in LITERAL.findall(line) if " " in literal) for line in text.split("\n"))
+    return "\n".join(" ".join(literal for literal in LITERAL[suffix].findall(line) if " " in literal) for line in text.split("\n"))
 
 
-def docstrings(text):
-    """The docstrings of a Python module."""
-    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))]
-    return "\n".join(filter(None, map(ast.get_docstring, nodes)))
+def python_texts(text):
+    """The docstrings and messages of a Python module, each in the line in which it begins."""
+    lines = [""] * text.count("\n")
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            lines[node.lineno - 1] += " " + node.value.replace("\n", " ")
+    return "\n".join(lines)
 
 
 def slug(title):
@@ -82,9 +87,10 @@ def main():
         for flag in ("--contact=list", "--solver=list", "--surrogate=list"):
             done = subprocess.run([arguments.build.resolve() / "bin" / "saltus_solve", flag], capture_output=True, text=True, check=True)
             spoken[f"saltus_solve {flag}"] = done.stdout
-    sources = [file for folder in ("src", "include", "engines") for file in (SOURCE / folder).rglob("*") if file.suffix in (".cc", ".h")]
-    spoken |= {str(file.relative_to(SOURCE)): messages(file.read_text(encoding="utf-8")) for file in sorted(sources)}
-    spoken |= {str(file.relative_to(SOURCE)): docstrings(file.read_text(encoding="utf-8"))
+    sources = [file for folder in ("src", "include", "engines", "problems", "python")
+               for file in (SOURCE / folder).rglob("*") if file.suffix in LITERAL]
+    spoken |= {str(file.relative_to(SOURCE)): messages(file.read_text(encoding="utf-8"), file.suffix) for file in sorted(sources)}
+    spoken |= {str(file.relative_to(SOURCE)): python_texts(file.read_text(encoding="utf-8"))
                for file in sorted((SOURCE / "python" / "saltus").glob("*.py"))}
     for name, text in spoken.items():
         for k, line in enumerate(text.split("\n")):
