@@ -19,6 +19,7 @@ source_suffix = {".md": "markdown", ".ipynb": "markdown", ".rst": "restructuredt
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
+smartquotes = False  # flags keep their two hyphens
 html_theme = "furo"
 html_title = f"saltus {release}"
 html_static_path = ["site.css"]
@@ -81,7 +82,7 @@ def show_math(self, node, inline=False):
 def keep_lines(app, what, name, obj, options, lines):  # pylint: disable=too-many-arguments
     """Shows the module's docstring, which is laid out for help(saltus), as plain text."""
     if what == "module":
-        lines[:] = ["::", ""] + ["   " + line for line in inspect.getdoc(obj).split("\n")] + [""]
+        lines[:] = [".. code-block:: text", ""] + ["   " + line for line in inspect.getdoc(obj).split("\n")] + [""]
     else:  # a * or | outside of ``code`` is one
         lines[:] = ["``".join(part if k % 2 else re.sub(r"[*|]", r"\\\g<0>", part) for k, part in enumerate(line.split("``")))
                     for line in lines]
