@@ -107,6 +107,34 @@ TEST(BlackBox, ModelsHaveTheSameVerdictAndClassFromOutside) {
   }
 }
 
+// Has no forces in its code.
+class Unforced final : public BlackBox {
+ public:
+  const std::string& name() const override { return direct_.name(); }
+  BlackBoxTraits Describe(const Scene& scene) override { return direct_.Describe(scene); }
+  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& asked, const StopRequest& stop) override {
+    std::vector<Question> questions = asked;
+    for (Question& question : questions) std::fill(question.control.begin(), question.control.end(), 0.0);
+    return direct_.Ask(scene, questions, stop);
+  }
+
+ private:
+  Spoken direct_{"direct", Offer{false, false, false}};
+};
+
+TEST(BlackBox, AForceWithoutEffectInTheHeadOnImpactIsRemarked) {
+  Scene scene = Problem("ground_wall");
+  scene.steps = 60;
+  const auto remarks = [&](std::shared_ptr<BlackBox> box) {
+    AuditOptions options;
+    options.attribution = false;
+    return AuditBlackBox(std::move(box), scene, ExactGradientOf(scene), options).black_box->remarks;
+  };
+  EXPECT_THAT(remarks(std::make_shared<Unforced>()), testing::Contains(HasSubstr("force on the first disc")));
+  EXPECT_THAT(remarks(std::make_shared<Spoken>("direct", Offer{false, false, false})),
+              testing::Not(testing::Contains(HasSubstr("force on the first disc"))));
+}
+
 // The values of engines with an impulse at a step boundary: whatever the engine, (0, -0.72, -0.22, -0.50) of
 // (-0.40, -0.32, -0.50, -0.22), by differences of final states alone.
 TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
@@ -380,7 +408,7 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
 }
 
 // The simulator that the documentation shows: symplectic Euler, and the impulse of two equal discs when they overlap.
-std::string TenLines() {
+std::string SimulatorOfPage() {
   std::ifstream file(SourceFolder() + "/docs/how-to/audit-a-simulator.md");
   const std::string page((std::istreambuf_iterator<char>(file)), {});
   const std::string fence = "```", language = fence + "python\n";
@@ -388,8 +416,8 @@ std::string TenLines() {
   return page.substr(begin, page.find(fence, begin) - begin);
 }
 
-TEST(BlackBox, TenLinesOfPythonAreAudited) {
-  const std::string script = WrittenTo("ten_lines.py", TenLines());
+TEST(BlackBox, TheSimulatorOfThePageIsAudited) {
+  const std::string script = WrittenTo("mine.py", SimulatorOfPage());
   const Outcome outcome = RunProgram("saltus_audit" + OfProblem("two_balls") +
                                      "--steps=60 --progress=none --json --simulate='ten=" + "python3 " + script +
                                      "' --simulate=gone=no_such_command_here");

@@ -474,6 +474,9 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
         plan.Say("head-on impact", seconds);
         *found = impact.Measure(finer);
       }
+      if (impact.IgnoresForce()) {
+        findings.remarks.push_back("in the scene head_on, the force on the first disc does not change its velocity");
+      }
       recognition = RecogniseOnBench(impact, impact.step(), impact.FarBefore(), scene.contact.restitution);
     }
     if (interrupted()) return audit;

@@ -171,6 +171,14 @@ NormalMap HeadOnImpact::Linearize(double h, std::span<const double> before_large
   return {slopes[0].position - kLead * h * slopes[0].velocity, slopes[0].velocity};
 }
 
+bool HeadOnImpact::IgnoresForce() const {
+  if (acceleration_ == 0) return false;
+  const double gap = FarBefore()[0];
+  const std::vector<Motion> pushed = Motions({gap, speed_, acceleration_}, step(), 1, 1);
+  const std::vector<Motion> free = Motions({gap, speed_, /*acceleration=*/0}, step(), 1, 1);
+  return !pushed.empty() && !free.empty() && pushed[0].velocity == free[0].velocity;
+}
+
 std::optional<BlackBoxFindings::HeadOn> HeadOnImpact::Measure(int finer) const {
   const int steps = num_steps_ / traits_.grid_steps * finer;
   const double h = step() / finer, T = steps * h;

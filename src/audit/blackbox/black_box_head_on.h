@@ -42,6 +42,9 @@ class HeadOnImpact final : public ContactBench {
   ContactRun Run(double h, std::span<const double> from, bool onset_only) const override;
   NormalMap Linearize(double h, std::span<const double> before_largest) const override;
 
+  // Whether the force that gives the first disc its acceleration does not change its velocity in free flight.
+  bool IgnoresForce() const;
+
   // At the scene's steps, or so many times finer ones; nothing if an answer is missing. Medians over nine phases of the
   // impact within a step.
   std::optional<BlackBoxFindings::HeadOn> Measure(int finer) const;
