@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Mapping, Union
+from typing import TYPE_CHECKING, Any, Mapping, Union
 
 import numpy as np
 
@@ -94,6 +94,11 @@ class Scene(_saltus.Scene):
             both = isinstance(value, Mapping) and isinstance(data.get(key), Mapping)
             data[key] = {**data[key], **value} if both else value
         return Scene(data)
+
+    if not TYPE_CHECKING:  # type checkers report an unknown attribute themselves
+
+        def __getattr__(self, name: str) -> Any:
+            raise AttributeError(f"a scene has no attribute {name!r}; to_dict() has all keys of its scene file")
 
     def __reduce__(self) -> Any:
         return (Scene, (self.to_dict(),))

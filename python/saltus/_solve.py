@@ -137,8 +137,9 @@ def audit(
         simulate: called as simulate(scene, initial, control, dt). Returns the final states (B, 4), [p_x p_y v_x v_y] of
             each disc of ``scene``, from ``initial`` (B, 4) under ``control`` (K, C, 2), forces in N on the discs
             scene.controlled, one row for each step of dt seconds. Each call starts from its own initial state. The audit
-            also calls it with other initial states, steps and forces, and with a head-on impact of the first pair alone:
-            read parameters of the discs from ``scene`` (scene.to_dict()).
+            also calls it with other initial states, steps and forces, and with a head-on impact of the first pair alone,
+            without gravity, but with a force on the first disc: read parameters from ``scene`` (scene.to_dict()), and
+            take the forces from ``control``.
         gradient: called as gradient(scene, initial, control, dt). Returns the simulator's own gradient of the loss of
             ``scene``, the effort included, with respect to initial (B, 4) and control (K, C, 2).
         vjp: in place of gradient, called as vjp(scene, initial, control, dt, cotangent). Returns the same derivatives of

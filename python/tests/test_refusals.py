@@ -44,6 +44,11 @@ class TestScenes:
         with pytest.raises(saltus.SceneError):
             saltus.Scene({})
 
+    def test_an_attribute_that_a_scene_does_not_have(self, two_balls):
+        with refused(AttributeError, "no attribute 'gravity'", r"to_dict\(\)"):
+            two_balls.gravity  # pylint: disable=pointless-statement
+        assert two_balls.to_dict()["gravity"] == [0, 0]
+
     def test_copies_are_equal(self, two_balls):
         assert saltus.Scene(two_balls.to_dict()) == two_balls
         assert pickle.loads(pickle.dumps(two_balls)) == two_balls
