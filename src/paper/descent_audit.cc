@@ -137,7 +137,7 @@ PaperFigure DescentAudit::ToFigure() const {
   return {
       "descent_audit",
       "Gradient descent as in the paper: the angle between each model's gradient and the exact gradient of the exact "
-      "loss at the same iterate, the exact loss there, and the loss that the model sees.",
+      "loss at the same iterate, the exact loss there, and the loss under the model.",
       figure};
 }
 
@@ -157,11 +157,12 @@ std::vector<std::string> DescentAudit::Findings() const {
       const bool gained = first - last >= kMostOfIt * (first - least);
       (gained ? succeed : fail).push_back(descent.contact);
     }
-    findings.push_back(tasks_[number].title + ": at the start the gradient points to the right side, less than " +
-                       Cell(kAhead).Display(2) + " degrees from the exact one, under " + JoinedNames(right) +
-                       "; and to the wrong side under " + JoinedNames(wrong_side) + ".");
-    findings.push_back(tasks_[number].title + ": after the last iteration the exact loss has come down by at least " +
-                       Cell(100 * kMostOfIt).Display(3) + " % of what any descent gains under " + JoinedNames(succeed) +
+    findings.push_back(tasks_[number].title +
+                       ": at the start the angle between the gradient and the exact one is less than " +
+                       Cell(kAhead).Display(2) + " degrees under " + JoinedNames(right) + ", and larger under " +
+                       JoinedNames(wrong_side) + ".");
+    findings.push_back(tasks_[number].title + ": after the last iteration the exact loss has decreased by at least " +
+                       Cell(100 * kMostOfIt).Display(3) + " % of the largest decrease under " + JoinedNames(succeed) +
                        "; and by less under " + JoinedNames(fail) + ".");
   }
   if (!left_out_.empty()) findings.push_back("Left out, as their gradients take long: " + JoinedNames(left_out_) + ".");

@@ -246,7 +246,8 @@ PaperFigure FormulationAudit::ToFigure() const {
   }
   figure.columns = static_cast<int>(figure.panels.size());
   return {"formulations",
-          "What a gradient costs and how wrong it is, at the scenes' own steps. To the lower left are the good ones.",
+          "Time of a step with its gradient, and error of the gradient, at the steps of the scenes. The best models "
+          "are at the lower left.",
           figure};
 }
 

@@ -191,11 +191,10 @@ PaperFigure ParameterFits::ToFigure() const {
     panel.reference_lines.push_back({.value = kOff - 1, .label = "the start", .colour = "#999999"});
     figure.panels.push_back(std::move(panel));
   }
-  return {
-      "parameter_fits",
-      "What a fit costs and how wrong the parameters are that it ends with. Models are missing where a parameter is "
-      "not determined, as restitution is in those that do not read it.",
-      figure};
+  return {"parameter_fits",
+          "Time of a fit, and error of the parameters with which it ends. Models are missing where a parameter is not "
+          "determined, as the restitution is in models that do not depend on it.",
+          figure};
 }
 
 std::vector<std::string> ParameterFits::Findings() const {

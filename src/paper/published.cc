@@ -170,12 +170,12 @@ std::string VerdictInWords(const PublishedRow& row) {
   const std::string start = row.Matches() ? "as expected" : "NOT as expected";
   if (row.verdict == "match") return row.Matches() ? "reproduced" : "NOT reproduced";
   if (row.verdict.empty()) return start + "; none is printed";
-  if (row.verdict == "approximate") return start + "; the print is approximate";
-  if (row.verdict == "grid") return start + "; the print is the least of a grid of points";
-  if (row.verdict == "published_misprint") return start + "; the print is a misprint";
-  if (row.verdict == "published_error") return start + "; the print answers another question";
-  if (row.verdict == "published_unreproducible") return start + "; the print is not what the released code gives";
-  if (row.verdict == "solver_error") return start + "; the print carries its solver's error";
+  if (row.verdict == "approximate") return start + "; the published number is approximate";
+  if (row.verdict == "grid") return start + "; the published number is the lowest of a grid of points";
+  if (row.verdict == "published_misprint") return start + "; the published number is a misprint";
+  if (row.verdict == "published_error") return start + "; the published number is that of another quantity";
+  if (row.verdict == "published_unreproducible") return start + "; the released code gives another number";
+  if (row.verdict == "solver_error") return start + "; the published number has the error of its solver";
   return start + "; " + row.verdict;
 }
 

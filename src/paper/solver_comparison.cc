@@ -332,11 +332,11 @@ std::vector<std::string> SolverComparison::Findings() const {
       "Which contact model: `" + exact_ + "`. In task 3 the best of the four general solvers ends " +
       say(strike_.SmallestGap(exact_)) + " above the optimum with it, " + say(strike_.SmallestGap("toi_velocity")) +
       " with `toi_velocity`, and " + say(best_other) + " with the best of the others, `" + other +
-      "`: a better solver does not repair a wrong gradient. With some models least squares leave the collision "
-      "altogether; a loss of 2 is that of doing nothing.");
+      "`: a better solver does not repair a wrong gradient. Under some models least squares end without a "
+      "collision; a loss of 2 is that without a force.");
   const SolvedRun* launch = launch_.Find(exact_, "ceres_lm");
   if (launch != nullptr && launch->exact.ok) {
-    findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It hits the target in " +
+    findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It reaches the target in " +
                        std::to_string(launch->report.iterations) + " iterations, to a loss of " +
                        Format("%.1g", launch->exact.loss) + "; gradient descent is at " + say(gap(launch_, "gd")) +
                        " after 1000.");
@@ -362,7 +362,7 @@ std::vector<std::string> SolverComparison::Findings() const {
         "at an exact loss of " +
         Format("%.4f", lagrangian->exact.loss) + ", its largest defect " +
         Format("%.1g", OpenDefect(lagrangian->report)) +
-        ". A feasible path (`ceres_shooting`: every iterate is a rollout) has no such trouble.");
+        ". A feasible path (`ceres_shooting`: every iterate is a rollout) does not have this problem.");
   }
   if (!others_.runs.empty()) findings.push_back(FindingOnOthers());
   return findings;
@@ -455,7 +455,7 @@ PaperFigure SolverComparison::ControlProfiles() const {
   Figure figure{.panels = {panel}};
   return {"solver_controls",
           "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
-          "impact a force is wasted.",
+          "impact a force only adds effort.",
           figure};
 }
 

@@ -182,8 +182,8 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
            "the time of the impact is an unknown. `gap` is the exact loss less the optimum in continuous time.",
            std::move(free)},
           {"strike_bounded",
-           "Task 3 with bounds on the force, 480 steps. Where the target disc starts at (-1, -0.6), doing nothing is "
-           "better still, 1.36: the optima are those along the impact.",
+           "Task 3 with bounds on the force, 480 steps. Where the target disc starts at (-1, -0.6), the loss without "
+           "a force is lower, 1.36: the optima are those along the impact.",
            std::move(bounded)}};
 }
 
@@ -234,7 +234,7 @@ std::vector<PaperFigure> StrikeComparison::Figures() const {
   }
   return {{"bounded_controls",
            "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
-           "first, and the impact comes later than without; after it a force is wasted.",
+           "first, and the impact comes later than without; after it a force only adds effort.",
            std::move(figure)}};
 }
 
@@ -251,7 +251,7 @@ std::vector<std::string> StrikeComparison::Findings() const {
       "time it is " +
       gap(kPerTime, 1000) + ". `ceres_phases`, a cost for every step with the impact between two of them, is " +
       gap("ceres_phases", 480) + " and " + gap("ceres_phases", 1000) +
-      " above: what forces that are constant over a step cost, which falls with the square of it."};
+      " above: the cost of forces that are constant over a step, which decreases with the square of the step."};
 }
 
 }  // namespace saltus

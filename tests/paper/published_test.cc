@@ -84,22 +84,21 @@ TEST_F(Published, VerdictsAreWordsThatDoNotContradictEachOther) {
     row.ours = row.expected;
     words[row.verdict] = VerdictInWords(row);
   }
-  EXPECT_THAT(
-      words,
-      ElementsAre(Pair("", "as expected; none is printed"),
-                  Pair("approximate", "as expected; the print is approximate"),
-                  Pair("chaotic", "not judged: rounding decides it"),
-                  Pair("grid", "as expected; the print is the least of a grid of points"),
-                  Pair("match", "reproduced"),
-                  Pair("published_error", "as expected; the print answers another question"),
-                  Pair("published_misprint", "as expected; the print is a misprint"),
-                  Pair("published_unreproducible", "as expected; the print is not what the released code gives"),
-                  Pair("solver_error", "as expected; the print carries its solver's error")));
+  EXPECT_THAT(words,
+              ElementsAre(Pair("", "as expected; none is printed"),
+                          Pair("approximate", "as expected; the published number is approximate"),
+                          Pair("chaotic", "not judged: rounding decides it"),
+                          Pair("grid", "as expected; the published number is the lowest of a grid of points"),
+                          Pair("match", "reproduced"),
+                          Pair("published_error", "as expected; the published number is that of another quantity"),
+                          Pair("published_misprint", "as expected; the published number is a misprint"),
+                          Pair("published_unreproducible", "as expected; the released code gives another number"),
+                          Pair("solver_error", "as expected; the published number has the error of its solver")));
   PublishedRow row = rows_->front();
   row.ours = row.expected + 2 * row.tolerance;
   EXPECT_EQ(VerdictInWords(row), "NOT reproduced");
   row.verdict = "published_misprint";
-  EXPECT_EQ(VerdictInWords(row), "NOT as expected; the print is a misprint");
+  EXPECT_EQ(VerdictInWords(row), "NOT as expected; the published number is a misprint");
   row.verdict = "chaotic";
   EXPECT_EQ(VerdictInWords(row), "not judged: rounding decides it");
 }
