@@ -58,6 +58,17 @@ class Viewer(Pages):
                                              ["key", "contact", "lcp"], ["number bad", "loss", "1.5"]])
         self.assertEqual(self.js("return document.querySelector('.notes li').textContent"), "a note")
 
+    def test_long_remarks_are_notes(self):
+        long = "sequences passed: " + "a-b,b-c; " * 8
+        table = {"keys": 1, "columns": [{"header": "solver", "number": False}, {"header": "remark", "number": False}],
+                 "rows": [["gd", long], ["hmp", ""], ["ceres_lm", "short"], ["ceres_event", long]]}
+        self.show({"kind": "table", "table": table, "caption": "Runs", "folded": False},
+                  {"kind": "table", "table": {**table, "rows": table["rows"][1:3]}, "caption": "Short", "folded": False})
+        cells = self.js("return [...document.querySelectorAll('td:last-child')].map((cell) => cell.textContent)")
+        self.assertEqual(cells, ["[1]", "", "[2]", "[1]", "", "short"])
+        notes = self.js("return [...document.querySelectorAll('.notes li')].map((note) => note.textContent)")
+        self.assertEqual(notes, [long, "short"])
+
     # Where a line goes, in pixels, is where its axis says.
     def test_plots_are_drawn_to_their_axes(self):
         curve = series("lcp", [1, 100, None, 0.01, -1, 10])

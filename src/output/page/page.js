@@ -27,6 +27,15 @@ function drawTable({keys, columns, rows}) {
   return element('div', {class: rows.length > TALL_TABLE ? 'scroll tall' : 'scroll', tabindex: 0}, table);
 }
 
+// Long remarks, in the last column, stand as numbered notes below the table.
+function withRemarksAsNotes({columns, rows, ...table}) {
+  const remarks = columns[columns.length - 1].header === 'remark' ? rows.map((row) => row[row.length - 1]) : [];
+  if (!remarks.some((text) => text.length > LONG_TEXT)) return {table: {columns, rows, ...table}};
+  const notes = [...new Set(remarks.filter((text) => text !== ''))];
+  const numbered = rows.map((row, i) => [...row.slice(0, -1), remarks[i] && `[${notes.indexOf(remarks[i]) + 1}]`]);
+  return {table: {columns, rows: numbered, ...table}, notes};
+}
+
 class Page {
   constructor(data) {
     this.data = data;
@@ -80,7 +89,8 @@ class Page {
     this.main.append(element('p', {class: 'links'}, ...files.flatMap((file) => [element('a', {href: `./${encodeURI(file)}`}, file), ' '])));
   }
 
-  table({table, caption, notes, folded}) {
+  table({caption, folded, ...part}) {
+    const {table, notes} = part.notes ? part : withRemarksAsNotes(part.table);
     const after = notes ? [element('ol', {class: 'notes'}, ...notes.map((note) => element('li', {}, ...inline(note))))] : [];
     this.numbered('Table', caption, folded, drawTable(table), ...after);
   }
