@@ -65,7 +65,7 @@ class Viewer(Pages):
         self.show({"kind": "table", "table": table, "caption": "Runs", "folded": False},
                   {"kind": "table", "table": {**table, "rows": table["rows"][1:3]}, "caption": "Short", "folded": False})
         cells = self.js("return [...document.querySelectorAll('td:last-child')].map((cell) => cell.textContent)")
-        self.assertEqual(cells, ["[1]", "", "[2]", "[1]", "", "short"])
+        self.assertEqual(cells, ["gd [1]", "hmp", "ceres_lm [2]", "ceres_event [1]", "", "short"])
         notes = self.js("return [...document.querySelectorAll('.notes li')].map((note) => note.textContent)")
         self.assertEqual(notes, [long, "short"])
 

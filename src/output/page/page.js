@@ -27,13 +27,17 @@ function drawTable({keys, columns, rows}) {
   return element('div', {class: rows.length > TALL_TABLE ? 'scroll tall' : 'scroll', tabindex: 0}, table);
 }
 
-// Long remarks, in the last column, stand as numbered notes below the table.
+// Long remarks, in the last column, become notes below the table, whose numbers stand in the column before.
 function withRemarksAsNotes({columns, rows, ...table}) {
   const remarks = columns[columns.length - 1].header === 'remark' ? rows.map((row) => row[row.length - 1]) : [];
   if (!remarks.some((text) => text.length > LONG_TEXT)) return {table: {columns, rows, ...table}};
   const notes = [...new Set(remarks.filter((text) => text !== ''))];
-  const numbered = rows.map((row, i) => [...row.slice(0, -1), remarks[i] && `[${notes.indexOf(remarks[i]) + 1}]`]);
-  return {table: {columns, rows: numbered, ...table}, notes};
+  const numbered = rows.map((row, i) => {
+    const [text, ...tone] = [row[row.length - 2]].flat();
+    const number = remarks[i] && ` [${notes.indexOf(remarks[i]) + 1}]`;
+    return [...row.slice(0, -2), [text + number, ...tone]];
+  });
+  return {table: {columns: columns.slice(0, -1), rows: numbered, ...table}, notes};
 }
 
 class Page {
