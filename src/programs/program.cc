@@ -38,7 +38,8 @@ DEFINE_string(
     "comma-separated contact models, each with its options if there are any (ncp:kappa=1e-6:kappa_grad=1e-4), "
     "'all', or 'list' to print them");
 DEFINE_string(solver, "",
-              "comma-separated solvers, 'all', 'none' to simulate only, or 'list' to print them (default: gd)");
+              "comma-separated solvers, 'all', 'none' to simulate only, or 'list' to print them (default: gd; of "
+              "hybrid systems ceres_lm if it applies)");
 DEFINE_int32(steps, 0, "number of time steps");
 DEFINE_string(precision, "double", "arithmetic of the contact model: double or float");
 DEFINE_double(stiffness, 0, "contact stiffness, N/m; compliant models only");
