@@ -482,7 +482,11 @@ std::string ShippedFile(const std::string& path) {
 
 Scene LoadScene(const std::string& path) {
   std::variant<Scene, SceneFileError> loaded = LoadSceneFile(path);
-  if (const auto* error = std::get_if<SceneFileError>(&loaded)) throw InputError(error->ToString());
+  if (const auto* error = std::get_if<SceneFileError>(&loaded)) {
+    const std::string key = error->key.substr(error->key.rfind('.') + 1);
+    const bool boxes = key == "box" || key == "polygon" || key == "joint";
+    throw InputError(error->ToString() + (boxes ? "; saltus_bodies reads files of boxes" : ""));
+  }
   return std::get<Scene>(std::move(loaded));
 }
 

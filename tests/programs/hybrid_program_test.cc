@@ -346,6 +346,10 @@ objective: {terminal: [{body: box, quantity: position, target: [1, 0]}]}
 optimize: velocity
 )";
   EXPECT_EQ(Run(good, "--solver=none").exit_code, 0);
+  Run(std::regex_replace(good, std::regex("gravity"), "steps: 1\ngravity"), "--solver=none");
+  const std::string of_solve = RunProgram("saltus_solve --scene=" + path_).errors;
+  EXPECT_THAT(of_solve, HasSubstr(":6: bodies[0].box: found an unknown key, expected one of name, radius"));
+  EXPECT_THAT(of_solve, HasSubstr("; saltus_bodies reads files of boxes"));
   const struct {
     const char *from, *to, *message;
   } kWrong[] = {
