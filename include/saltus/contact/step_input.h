@@ -118,10 +118,16 @@ struct StepInput {
       return kept;
     };
     if (solved != nullptr && solved->Has(place)) return keep(solved->Next());
-    const auto& found = solve();
+    const auto& found = Find(solve);
     const std::span<const double> numbers(found.data(), static_cast<std::size_t>(found.size()));
     if (solved != nullptr) solved->Append(place, numbers);
     return keep(numbers);
+  }
+
+  // Iterations are no part of a derivative, so the compiler need not inline them into one.
+  template <typename Solve>
+  [[gnu::noinline]] static auto Find(const Solve& solve) {
+    return solve();
   }
 
   // Takes over from the same step in another scalar all that derivatives are not taken by: everything but the constants

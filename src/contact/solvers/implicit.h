@@ -29,8 +29,9 @@ struct Linearized {
   Eigen::MatrixXd jacobian;
 };
 
+// Not inlined, so that the iterations and the step in Jets share what is compiled of it.
 template <typename P>
-Linearized LinearizeByUnknowns(const P& problem, const Eigen::VectorXd& z) {
+[[gnu::noinline]] SALTUS_FLATTEN Linearized LinearizeByUnknowns(const P& problem, const Eigen::VectorXd& z) {
   using J = StepJet<double>;
   const auto lifted = problem.template Cast<J>();
   const int n = problem.size();
