@@ -226,14 +226,7 @@ class Problem {
     std::vector<double> gradient;
     double loss = 0;
     Compute([&] {
-      if (shooting_ == nullptr) {
-        HybridProblem free = problem_;
-        free.free.control = problem_.system.num_controls() > 0;
-        free.free.duration = true;
-        for (int i = 0; i < static_cast<int>(free.guess.initial.size()); ++i) free.free.initial.push_back(i);
-        for (int i = 0; i < problem_.system.num_parameters(); ++i) free.free.parameters.push_back(i);
-        shooting_ = std::make_unique<HybridShooting>(free);
-      }
+      if (shooting_ == nullptr) shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem_));
       const HybridInput& guess = problem_.guess;
       std::vector<double> z = guess.control;
       z.resize(static_cast<std::size_t>(guess.num_intervals) * problem_.system.num_controls());

@@ -66,16 +66,6 @@ class Samples {
   Json times_ = Json::array(), modes_ = Json::array(), states_ = Json::array(), guards_ = Json::array();
 };
 
-// The problem with all free that a motion depends on.
-HybridProblem WithAllFree(HybridProblem problem) {
-  problem.free = {.control = problem.system.num_controls() > 0, .duration = true};
-  problem.free.initial.resize(problem.guess.initial.size());
-  problem.free.parameters.resize(problem.guess.parameters.size());
-  std::iota(problem.free.initial.begin(), problem.free.initial.end(), 0);
-  std::iota(problem.free.parameters.begin(), problem.free.parameters.end(), 0);
-  return problem;
-}
-
 }  // namespace
 
 Json HybridSystemToJson(const HybridSystem& system) {
