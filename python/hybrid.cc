@@ -346,17 +346,10 @@ class Problem {
   // Without the GIL, one after the other.
   template <typename Function>
   void Compute(const Function& function) {
-    Computation computation;
-    std::exception_ptr error;
-    computation.RunOrThrow([&] {
+    Computation().RunOrThrow([&] {
       const std::lock_guard lock(mutex_);
-      try {
-        function();
-      } catch (...) {
-        error = std::current_exception();
-      }
+      function();
     });
-    if (error) std::rethrow_exception(error);
   }
 
   HybridProblem problem_;
@@ -423,13 +416,7 @@ void BindHybrid(py::module_* module) {
               py::arg("steps"),
               py::arg("width_sweep"),
               py::arg("budget"));
-  module->def("hybrid_solvers", [] {
-    py::dict summaries;
-    for (const HybridSolverEntry& entry : HybridSolvers()) {
-      summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
-    }
-    return summaries;
-  });
+  module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }
 
 }  // namespace saltus::python

@@ -24,6 +24,9 @@ std::span<const double> NearVariables(const Scene& scene, const Scene& near, std
 // The other way round, of a gradient of one point. Precondition: HasTorques(scene).
 void PutGradient(const Scene& scene, std::span<const double> gradient, std::span<double> to);
 
+// The first two of every `stride` numbers as a position, from one origin to another.
+void ConvertPositions(std::span<double> numbers, size_t stride, const Units& from, const Units& to);
+
 // Loss and gradient by the decision variables. Used by one thread at a time: others wait.
 class Simulation {
  public:
