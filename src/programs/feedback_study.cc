@@ -7,6 +7,7 @@
 
 #include "base/suggestion.h"
 #include "feedback/noisy_states.h"
+#include "programs/motion.h"
 #include "programs/program.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
@@ -181,15 +182,8 @@ std::optional<FeedbackOptions> SceneFeedbackFromFlags() {
 
 FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
-  Scene scene = given;
-  scene.free.clear();
-  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
   double price_of_time = 0;
-  if (scene.objective.duration) {
-    scene.duration = DurationOf({control, durations}, scene);
-    price_of_time = scene.objective.duration->weight * scene.duration;
-    scene.objective.duration.reset();
-  }
+  const Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
   FeedbackStudy none;
   // One step of the plant is one interval of the plan, whatever its model.
   Scene plant_scene = scene;

@@ -24,9 +24,13 @@
 
 namespace saltus {
 
-// ---- Certificates in words
-
 namespace {
+
+MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
+
+bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
+
+// ---- Certificates in words
 
 using enum Certificate::Verdict;
 
@@ -425,10 +429,6 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
   return tiles;
 }
 
-bool IsExact(const SolveReport& report) { return FindContactModel(report.contact)->event_driven; }
-
-MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
-
 // The covariances of the positions along a plan, at 400 nodes at most.
 std::vector<ReplaySpread> SpreadsOf(const Scene& scene, const FeedbackStudy& study) {
   std::vector<ReplaySpread> spreads;
@@ -464,7 +464,7 @@ RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>
   for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
   if (shown == 0) return motions;
   const SolveReport& best = runs[0]->report;
-  motions.exact = IsExact(best) ? motions.own[0] : MotionOf(request, best, true, options);
+  motions.exact = IsExact(best.contact) ? motions.own[0] : MotionOf(request, best, true, options);
   return motions;
 }
 
@@ -481,12 +481,13 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
-    if (runs[i]->feedback && (exact || IsExact(run))) drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
+    if (runs[i]->feedback && (exact || IsExact(run.contact)))
+      drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
     replay.motions.push_back(std::move(drawn));
   };
   for (size_t i = 0; i < motions.own.size(); ++i) {
     add(i, motions.own[i], false);
-    if (i == 0 && !IsExact(runs[0]->report)) add(0, motions.exact, true);
+    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, motions.exact, true);
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Replay");
@@ -678,15 +679,8 @@ struct RolloutOutcome {
 // By equal steps that last as long as the control.
 RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Precision precision,
                                  const SolveReport& report) {
-  Scene scene = given;
-  scene.free.clear();
-  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
   double price_of_time = 0;
-  if (scene.objective.duration) {
-    scene.duration = DurationOf({report.control, report.durations}, scene);
-    price_of_time = scene.objective.duration->weight * scene.duration;
-    scene.objective.duration.reset();
-  }
+  const Scene scene = WithFixedTime(given, InputOf(report), &price_of_time);
   RolloutOutcome outcome;
   outcome.reason = WhyNotApplicable(contact, scene);
   if (!outcome.reason.empty()) return outcome;
@@ -735,8 +729,6 @@ std::vector<double> LastState(const Motion& motion) {
   return last;
 }
 
-bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
-
 void CheckExactly(const Scene& scene, SolvedRun* run) {
   const SolveReport& report = run->report;
   run->exact =
@@ -756,8 +748,7 @@ void FindFinalState(const Scene& scene, const Contact& contact, Precision precis
   ends.precision = precision;
   ends.most_nodes = 2;
   ends.stop = InterruptGuard::GraceIsOver;
-  const MotionInput input{report.initial_state, report.control, report.durations};
-  run->final_state = LastState(SimulateMotion(scene, contact, input, ends));
+  run->final_state = LastState(SimulateMotion(scene, contact, InputOf(report), ends));
 }
 
 }  // namespace
@@ -808,7 +799,7 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
 }
 
 Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options) {
-  const MotionInput input{report.initial_state, report.control, report.durations};
+  const MotionInput input = InputOf(report);
   MotionOptions own = options;
   own.precision = request.precision;
   own.stop = InterruptGuard::GraceIsOver;
