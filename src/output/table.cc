@@ -113,6 +113,20 @@ std::string Cell::Exact() const {
   return std::string(buffer.data(), std::to_chars(buffer.data(), buffer.data() + buffer.size(), *number).ptr);
 }
 
+std::vector<Column> ColumnsOf(std::string_view text) {
+  std::vector<Column> columns;
+  while (!text.empty()) {
+    const size_t end = std::min(text.find("; "), text.size());
+    Column& column = columns.emplace_back(Column{std::string(text.substr(0, end))});
+    text.remove_prefix(std::min(end + 2, text.size()));
+    const size_t colon = column.header.rfind(':');
+    if (colon == std::string::npos) continue;
+    column.significant_digits = std::stoi(column.header.substr(colon + 1));
+    column.header.resize(colon);
+  }
+  return columns;
+}
+
 Table::Table(std::vector<Column> columns, size_t keys) : columns_(std::move(columns)), keys_(keys) {
   CHECK_GE(keys, 1);
   CHECK_LE(keys, columns_.size());

@@ -96,6 +96,10 @@ struct Column {
   int significant_digits = 6;  // of floating-point numbers when displayed; CSV has all digits
 };
 
+// The columns of a text such as "contact; loss:8": their headers, separated by "; ", each with the digits shown after a
+// colon, if they are others than usual.
+std::vector<Column> ColumnsOf(std::string_view text);
+
 class Table {
  public:
   // The first `keys` columns name a row: text repeats them wherever a row goes on below.

@@ -187,7 +187,7 @@ double FormulationAudit::CostOf(size_t model) const {
 }
 
 CaptionedTable FormulationAudit::ToTable() const {
-  std::vector<Column> columns = {{"contact"}, {"class"}};
+  std::vector<Column> columns = ColumnsOf("contact; class");
   for (size_t task = 1; task <= tasks_.size(); ++task) {
     const std::string number = ", task " + std::to_string(task);
     columns.push_back({"loss" + number, 7});

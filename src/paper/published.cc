@@ -175,8 +175,7 @@ std::string VerdictInWords(const PublishedRow& row) {
 }
 
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
-  Table table(
-      {{"contact"}, {"quantity"}, {"precision"}, {"published"}, {"ours", 9}, {"exact", 9}, {"verdict"}, {"why"}});
+  Table table(ColumnsOf("contact; quantity; precision; published; ours:9; exact:9; verdict; why"));
   for (const PublishedRow& row : rows) {
     if (row.table != name) continue;
     const bool as_printed = row.verdict.empty() || row.verdict == "match";

@@ -139,17 +139,10 @@ const StrikeComparison::Entry* StrikeComparison::Find(int reference, const std::
 }
 
 std::vector<CaptionedTable> StrikeComparison::Tables() const {
-  Table free(
-      {{"steps"}, {"solver"}, {"exact loss", 12}, {"gap", 3}, {"iterations"}, {"milliseconds", 3}, {"termination"}});
-  Table bounded({{"bound"},
-                 {"solver"},
-                 {"exact loss", 12},
-                 {"gap", 3},
-                 {"impacts"},
-                 {"largest force of the bound", 9},
-                 {"iterations"},
-                 {"milliseconds", 3},
-                 {"termination"}});
+  Table free(ColumnsOf("steps; solver; exact loss:12; gap:3; iterations; milliseconds:3; termination"));
+  Table bounded(
+      ColumnsOf("bound; solver; exact loss:12; gap:3; impacts; largest force of the bound:9; iterations; "
+                "milliseconds:3; termination"));
   for (const Entry& entry : entries_) {
     const SolveReport& report = entry.run.report;
     if (!entry.run.exact.ok) continue;

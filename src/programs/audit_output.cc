@@ -123,16 +123,8 @@ Table GradientTable(const Request& request, const AuditReport& report) {
 }
 
 Table VerdictTable(const AuditReport& report) {
-  Table table({{"contact"},
-               {"verdict"},
-               {"class"},
-               {"by position"},
-               {"by velocity"},
-               {"by control"},
-               {"first wrong step"},
-               {"of"},
-               {"wrong in"},
-               {"why"}});
+  Table table(
+      ColumnsOf("contact; verdict; class; by position; by velocity; by control; first wrong step; of; wrong in; why"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
     std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
@@ -153,7 +145,7 @@ Table VerdictTable(const AuditReport& report) {
 }
 
 Table EntryTable(const Scene& scene, const AuditReport& report) {
-  Table table({{"contact"}, {"quantity"}, {"entry"}, {"exact"}, {"own steps"}, {"converges to"}, {"wrong sign"}});
+  Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.refinement || !audit.refinement->ok()) continue;
     const int intervals = audit.refinement->intervals;
@@ -181,8 +173,7 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
 }
 
 Table SurrogateTable(const Scene& scene, const AuditReport& report) {
-  Table table(
-      {{"contact"}, {"surrogate"}, {"biased"}, {"quantity"}, {"entry"}, {"value"}, {"standard error"}, {"exact"}});
+  Table table(ColumnsOf("contact; surrogate; biased; quantity; entry; value; standard error; exact"));
   for (const ModelAudit& audit : report.models) {
     const ModelGradient& gradient = audit.gradient;
     if (!gradient.ok() || !gradient.surrogate) continue;
@@ -215,7 +206,7 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
 }
 
 Table RefinementTable(const AuditReport& report) {
-  Table table({{"contact"}, {"quantity"}, {"verdict"}, {"order"}, {"steps"}, {"error"}, {"smallest"}, {"largest"}});
+  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.refinement) continue;
     for (const QuantityStudy& study : audit.refinement->quantities) {
@@ -235,17 +226,8 @@ Table RefinementTable(const AuditReport& report) {
 }
 
 Table BlackBoxTable(const AuditReport& report) {
-  Table table({{"simulator"},
-               {"reports"},
-               {"bits"},
-               {"motion"},
-               {"e", 3},
-               {"keep", 3},
-               {"feed", 3},
-               {"e, finer", 3},
-               {"keep, finer", 3},
-               {"feed, finer", 3},
-               {"gradient"}});
+  Table table(ColumnsOf(
+      "simulator; reports; bits; motion; e:3; keep:3; feed:3; e, finer:3; keep, finer:3; feed, finer:3; gradient"));
   const auto add = [](const std::optional<BlackBoxFindings::HeadOn>& impact, std::vector<Cell>* row) {
     for (const auto member :
          {&BlackBoxFindings::HeadOn::e, &BlackBoxFindings::HeadOn::keep, &BlackBoxFindings::HeadOn::feed}) {
@@ -265,8 +247,7 @@ Table BlackBoxTable(const AuditReport& report) {
 }
 
 Table PlateauTable(const AuditReport& report) {
-  Table table(
-      {{"contact"}, {"entry"}, {"gradient", 5}, {"narrow differences", 5}, {"wide differences", 5}, {"finding"}});
+  Table table(ColumnsOf("contact; entry; gradient:5; narrow differences:5; wide differences:5; finding"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.widths) continue;
     for (const WidthSweep& sweep : audit.widths->sweeps) {
@@ -284,7 +265,7 @@ Table PlateauTable(const AuditReport& report) {
 }
 
 Table GivenTable(const std::vector<GivenEntry>& entries) {
-  Table table({{"entry"}, {"given", 5}, {"exact", 9}, {"verdict"}});
+  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
   for (const GivenEntry& entry : entries) {
     table.AddRow(
         {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});

@@ -347,16 +347,8 @@ Json FeedbackToJson(const FeedbackStudy& study, bool states) {
 }
 
 Table FeedbackTable(const NamedStudies& studies) {
-  Table table({{"run"},
-               {"loop"},
-               {"final error", 4},
-               {"first order", 4},
-               {"expected loss", 8},
-               {"±", 2},
-               {"first order", 8},
-               {"other events", 3},
-               {"first order", 3},
-               {"remark"}},
+  Table table(ColumnsOf("run; loop; final error:4; first order:4; expected loss:8; ±:2; first order:8; other events:3; "
+                        "first order:3; remark"),
               2);
   for (const auto& [name, study] : studies) {
     if (!study->reason.empty()) {

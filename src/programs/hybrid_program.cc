@@ -248,7 +248,7 @@ Cell NumberCell(const Json& value) { return value.is_number() ? Cell(value.get<d
 
 // The derivatives of the loss by all but the control, whose norm stands for it.
 Table GradientTable(const HybridProblem& problem, const Json& gradient) {
-  Table table({{"variable"}, {"value", 10}, {"derivative of the loss", 10}});
+  Table table(ColumnsOf("variable; value:10; derivative of the loss:10"));
   const HybridInput& guess = problem.guess;
   for (std::size_t i = 0; i < guess.initial.size(); ++i) {
     table.AddRow({problem.system.StateName(guess.mode, static_cast<int>(i)) + " at the start",
@@ -270,7 +270,7 @@ Table GradientTable(const HybridProblem& problem, const Json& gradient) {
 }
 
 Table EventTable(const Json& motion) {
-  Table table({{"event"}, {"time", 12}, {"mode"}, {"guard"}, {"next mode"}});
+  Table table(ColumnsOf("event; time:12; mode; guard; next mode"));
   int number = 0;
   for (const Json& event : motion["events"]) {
     table.AddRow({++number,
@@ -283,15 +283,8 @@ Table EventTable(const Json& motion) {
 }
 
 Table RunsTable(const std::vector<SolveReport>& reports) {
-  Table table({{"solver"},
-               {"initial loss", 10},
-               {"final loss", 10},
-               {"iterations"},
-               {"gradients"},
-               {"seconds", 3},
-               {"termination"},
-               {"certificate"},
-               {"remark"}});
+  Table table(ColumnsOf(
+      "solver; initial loss:10; final loss:10; iterations; gradients; seconds:3; termination; certificate; remark"));
   for (const SolveReport& report : reports) {
     const bool ran = !report.losses.empty();
     const auto of = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
@@ -310,7 +303,7 @@ Table RunsTable(const std::vector<SolveReport>& reports) {
 
 // What was optimised but for the control, of each solver.
 Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>& reports) {
-  std::vector<Column> columns = {{"variable"}, {"guess", 10}};
+  std::vector<Column> columns = ColumnsOf("variable; guess:10");
   std::vector<HybridInput> solutions;
   for (const SolveReport& report : reports) {
     if (report.losses.empty()) continue;
@@ -335,14 +328,7 @@ Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>
 }
 
 Table AuditsTable(const std::vector<HybridAudit>& audits) {
-  Table table({{"scheme"},
-               {"verdict"},
-               {"steps"},
-               {"loss", 8},
-               {"exact loss", 8},
-               {"order", 3},
-               {"finest error", 3},
-               {"reason"}});
+  Table table(ColumnsOf("scheme; verdict; steps; loss:8; exact loss:8; order:3; finest error:3; reason"));
   for (const HybridAudit& audit : audits) {
     double error = 0;
     for (const HybridAudit::Part& part : audit.parts) {

@@ -140,12 +140,8 @@ const LearnedLaw* LawOf(const Identified& identified) {
 
 Table LawTable(const Identified& identified) {
   const std::optional<KnownLaw>& known = identified.known_law;
-  std::vector<Column> columns = {{"speed", 4},
-                                 {"sliding", 4},
-                                 {"restitution", 5},
-                                 {"standard error", 2},
-                                 {"friction", 5},
-                                 {"standard error of friction", 2}};
+  std::vector<Column> columns =
+      ColumnsOf("speed:4; sliding:4; restitution:5; standard error:2; friction:5; standard error of friction:2");
   if (known) columns.push_back({"known restitution", 5});
   Table table(columns);
   const LearnedLaw* learned = LawOf(identified);
@@ -175,17 +171,9 @@ Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known
 }
 
 Table EventTable(const Scene& scene, const Identified& identified) {
-  Table table({{"plane"},
-               {"recording"},
-               {"body"},
-               {"x", 5},
-               {"y", 5},
-               {"beyond m", 3},
-               {"turned rad", 3},
-               {"speed", 4},
-               {"speed after", 4},
-               {"restitution", 4}},
-              3);
+  Table table(
+      ColumnsOf("plane; recording; body; x:5; y:5; beyond m:3; turned rad:3; speed:4; speed after:4; restitution:4"),
+      3);
   for (const IdentifyReport& report : identified.reports) {
     if (!report.events) continue;
     for (const LearnedImpact& at : report.events->impacts) {
@@ -207,15 +195,7 @@ Table EventTable(const Scene& scene, const Identified& identified) {
 }
 
 Table EstimateTable(const Identified& identified) {
-  Table table({{"contact"},
-               {"parameter"},
-               {"start", 5},
-               {"value", 7},
-               {"standard error", 3},
-               {"from", 6},
-               {"to", 6},
-               {"remark"}},
-              2);
+  Table table(ColumnsOf("contact; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     for (const Estimate& estimate : identified.reports[i].estimates) {
       std::string remark;
@@ -248,16 +228,8 @@ Table FitTable(const Json& document) {
 
 // Every parameter under every contact model, beside what the exact fit has; empty without that, or others.
 Table ComparisonTable(const Identified& identified) {
-  Table table({{"parameter"},
-               {"contact"},
-               {"value", 7},
-               {"standard error", 3},
-               {"bias", 4},
-               {"bias, standard errors of event", 3},
-               {"iterations"},
-               {"seconds", 3},
-               {"verdict"},
-               {"remark"}},
+  Table table(ColumnsOf("parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event:3; "
+                        "iterations; seconds:3; verdict; remark"),
               2);
   const IdentifyReport* exact = ExactFit(identified);
   if (exact == nullptr || identified.reports.size() < 2) return table;
@@ -294,16 +266,7 @@ Table OutlierTable(const Json& document) {
 }
 
 Table ResidualTable(const Scene& scene, const Identified& identified) {
-  Table residuals({{"contact"},
-                   {"recording"},
-                   {"line"},
-                   {"time"},
-                   {"body"},
-                   {"x"},
-                   {"y"},
-                   {"residual_x"},
-                   {"residual_y"},
-                   {"outlier"}});
+  Table residuals(ColumnsOf("contact; recording; line; time; body; x; y; residual_x; residual_y; outlier"));
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     for (const SampleResidual& at : identified.reports[i].residuals) {
       const Recording& recording = identified.recordings[at.recording];

@@ -228,28 +228,19 @@ Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
 }
 
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys, size_t most_rows) {
-  std::vector<Column> heads;
+  std::vector<Column> heads = ColumnsOf(columns);
   std::vector<std::string> paths;
   std::vector<bool> of_parent, of_each;
-  for (size_t begin = 0; begin < columns.size();) {
-    const size_t end = std::min(columns.find("; ", begin), columns.size());
-    std::string head = columns.substr(begin, end - begin);
-    begin = end + 2;
-    Column column;
-    if (const size_t colon = head.rfind(':'); colon != std::string::npos) {
-      column.significant_digits = std::stoi(head.substr(colon + 1));
-      head.resize(colon);
-    }
-    const size_t equals = head.find('=');
-    column.header = head.substr(0, equals);
-    std::string path = equals == std::string::npos ? head : head.substr(equals + 1);
+  for (Column& head : heads) {
+    const size_t equals = head.header.find('=');
+    std::string path = head.header.substr(equals == std::string::npos ? 0 : equals + 1);
+    head.header.resize(std::min(equals, head.header.size()));
     std::replace(path.begin(), path.end(), ' ', '_');
     of_parent.push_back(path.starts_with('^'));
     of_each.push_back(path.ends_with("[]"));
     if (of_parent.back()) path.erase(0, 1);
     if (of_each.back()) path.resize(path.size() - 2);
     paths.push_back("/" + path);
-    heads.push_back(std::move(column));
   }
   const auto at = [](const Json& item, const std::string& path) -> const Json& {
     static const Json& nothing = *new Json;

@@ -182,16 +182,8 @@ std::string WhyNoAnswer(const SolveReport& report) {
 }
 
 Table RunTable(const SolvedRuns& solved) {
-  Table table({{"contact"},
-               {"solver"},
-               {"initial loss", 10},
-               {"final loss", 10},
-               {"exact loss", 10},
-               {"iterations"},
-               {"gradients"},
-               {"seconds", 3},
-               {"termination"},
-               {"remark"}},
+  Table table(ColumnsOf("contact; solver; initial loss:10; final loss:10; exact loss:10; iterations; gradients; "
+                        "seconds:3; termination; remark"),
               2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;

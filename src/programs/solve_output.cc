@@ -100,7 +100,7 @@ std::string MeaningOf(const Certificate& certificate) {
 }
 
 Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
-  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 8}, {"derivative of exact loss", 3}}, 3);
+  Table table(ColumnsOf("contact; solver; parameter; given:8; found:8; derivative of exact loss:3"), 3);
   const std::vector<double> given = DesignOf(scene);
   for (const SolvedRun& run : solved.runs) {
     for (size_t i = 0; i < run.report.parameters.size(); ++i) {
@@ -117,9 +117,7 @@ Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
 }
 
 Table CertificateTable(const SolvedRuns& solved) {
-  Table table(
-      {{"contact"}, {"solver"}, {"exact loss is at"}, {"residual", 2}, {"smallest curvature", 3}, {"what it means"}},
-      2);
+  Table table(ColumnsOf("contact; solver; exact loss is at; residual:2; smallest curvature:3; what it means"), 2);
   for (const SolvedRun& run : solved.runs) {
     if (!run.certificate) continue;
     const Certificate& certificate = *run.certificate;

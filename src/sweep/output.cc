@@ -164,16 +164,9 @@ class Solved {
   }
 
   Table ToTable() const {
-    Table table({{"kind"},
-                 {"contact"},
-                 {"solver"},
-                 {"problems"},
-                 {"solved", 3},
-                 {"worse_than_start"},
-                 {"no_answer"},
-                 {"median_seconds", 3},
-                 {"most_seconds", 3},
-                 {"most_memory_mib", 4}});
+    Table table(
+        ColumnsOf("kind; contact; solver; problems; solved:3; worse_than_start; no_answer; median_seconds:3; "
+                  "most_seconds:3; most_memory_mib:4"));
     for (const auto& [key, tally] : tallies_) {
       const auto& [kind, contact, solver] = key;
       std::vector<double> seconds = tally.seconds;
