@@ -40,7 +40,7 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
   });
   if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
   Json item = {{"contact", gradient.contact},
-               {"loss", NumberToJson(gradient.loss)},
+               {"loss", gradient.loss},
                {"gradient", GradientToJson(scene, gradient.gradient)},
                {"events", EventsToJson(gradient.events)}};
   if (!gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, gradient.one_sided);

@@ -103,8 +103,6 @@ std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
 }
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
-  std::vector<std::string> known;
-  for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
   if (FLAGS_solver.empty()) {
     // Least squares where it applies; constraints and bounds are for phases.
     for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd", "ceres_phases"}) {
@@ -115,16 +113,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
     return {};
   }
   if (FLAGS_solver == kNoSolver) return {};
-  return ReadNames("solver", FLAGS_solver, known, "'all', 'none' or some of ");
-}
-
-// Prints them if --solver=list asks for that.
-bool ListedSolvers() {
-  if (FLAGS_solver != "list") return false;
-  for (const HybridSolverEntry& entry : HybridSolvers()) {
-    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
-  }
-  return true;
+  return ReadNames("solver", FLAGS_solver, NameList(HybridSolvers()), "'all', 'none' or some of ");
 }
 
 void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
@@ -244,23 +233,18 @@ HybridResults Compute(const HybridRequest& request) {
   return results;
 }
 
-Cell NumberCell(const Json& value) { return value.is_number() ? Cell(value.get<double>()) : Cell(); }
-
 // The derivatives of the loss by all but the control, whose norm stands for it.
 Table GradientTable(const HybridProblem& problem, const Json& gradient) {
   Table table(ColumnsOf("variable; value:10; derivative of the loss:10"));
   const HybridInput& guess = problem.guess;
-  for (std::size_t i = 0; i < guess.initial.size(); ++i) {
-    table.AddRow({problem.system.StateName(guess.mode, static_cast<int>(i)) + " at the start",
-                  guess.initial[i],
-                  NumberCell(gradient["initial"][i])});
+  for (int i = 0; i < static_cast<int>(guess.initial.size()); ++i) {
+    const std::string name = problem.system.StateName(guess.mode, i) + " at the start";
+    table.AddRow({name, guess.initial[i], CellOf(gradient["initial"][i])});
   }
-  for (std::size_t i = 0; i < guess.parameters.size(); ++i) {
-    table.AddRow({problem.system.ParameterName(static_cast<int>(i)),
-                  guess.parameters[i],
-                  NumberCell(gradient["parameters"][i])});
+  for (int i = 0; i < static_cast<int>(guess.parameters.size()); ++i) {
+    table.AddRow({problem.system.ParameterName(i), guess.parameters[i], CellOf(gradient["parameters"][i])});
   }
-  table.AddRow({"duration", guess.duration, NumberCell(gradient["duration"])});
+  table.AddRow({"duration", guess.duration, CellOf(gradient["duration"])});
   double sum = 0;
   for (const Json& row : gradient["control"]) {
     for (const Json& entry : row) sum += std::pow(entry.get<double>(), 2);
@@ -273,11 +257,9 @@ Table EventTable(const Json& motion) {
   Table table(ColumnsOf("event; time:12; mode; guard; next mode"));
   int number = 0;
   for (const Json& event : motion["events"]) {
-    table.AddRow({++number,
-                  NumberCell(event["time"]),
-                  event["mode"].get<std::string>(),
-                  event["guard"].get<std::string>(),
-                  event["next_mode"].get<std::string>()});
+    std::vector<Cell> row = {++number};
+    for (const char* key : {"time", "mode", "guard", "next_mode"}) row.push_back(CellOf(event[key]));
+    table.AddRow(std::move(row));
   }
   return table;
 }
@@ -351,30 +333,26 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
   const TextLayout layout = LayoutOfStandardOutput();
   const Json& document = results.document;
   const Json& motion = document["motion"];
-  const auto print = [&](const std::string& title, const Table& table) {
-    if (!table.rows().empty()) std::cout << Paragraph(title, layout.width) << "\n" << table.ToText(layout) << std::endl;
-  };
   if (motion.contains("failed")) {
     std::cout << Paragraph(request.name + ": no motion: " + motion["failed"].get<std::string>(), layout.width) << "\n";
   } else {
-    print(request.name + ": events of the motion from the guess", EventTable(motion));
+    PrintTableIfAny(request.name + ": events of the motion from the guess", EventTable(motion));
     if (motion.contains("remark")) std::cout << Paragraph(motion["remark"].get<std::string>(), layout.width) << "\n";
   }
   if (document.contains("gradient")) {
-    print(request.name + ": loss " + NumberCell(document["loss"]).Display(12) + ", and its gradient",
-          GradientTable(request.problem, document["gradient"]));
+    PrintTableIfAny(request.name + ": loss " + CellOf(document["loss"]).Display(12) + ", and its gradient",
+                    GradientTable(request.problem, document["gradient"]));
   } else {
     std::cout << Paragraph("No loss: " + document["failed"].get<std::string>(), layout.width) << "\n";
   }
-  print(request.name + ": solvers", RunsTable(results.reports));
-  print(request.name + ": solutions", SolutionTable(request.problem, results.reports));
+  PrintTableIfAny(request.name + ": solvers", RunsTable(results.reports));
+  PrintTableIfAny(request.name + ": solutions", SolutionTable(request.problem, results.reports));
   if (!results.studies.empty()) {
     NamedStudies studies;
     for (const auto& [label, study] : results.studies) studies.emplace_back(label, &study);
-    print(request.name + ": " + FeedbackCaption(*request.feedback), FeedbackTable(studies));
-    for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, layout.width) << std::endl;
+    PrintFeedback(request.name + ": ", *request.feedback, studies);
   }
-  print(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
+  PrintTableIfAny(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
 }
 
 // One file: the page with the document in it.
@@ -413,7 +391,10 @@ int RunHybridProgram(int argc, char** argv, const Program& program, const std::f
   const std::vector<std::string> arguments(argv, argv + argc);
   return RunMain(argc, argv, program, [&] {
     const InterruptGuard guard;
-    if (ListedSolvers()) return kDone;
+    if (FLAGS_solver == "list") {
+      PrintList(HybridSolvers());
+      return kDone;
+    }
     HybridRequest request{read()};
     ReadHybridRequest(arguments, &request);
     const HybridResults results = Compute(request);
