@@ -1,8 +1,6 @@
 // A scene under a contact model as Python sees it: numbers of the scene, whatever units and origin are computed in.
 #pragma once
 
-#include <optional>
-
 #include "arrays.h"
 #include "computation.h"
 #include "saltus/control/single_shooting.h"

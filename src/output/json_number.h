@@ -3,10 +3,7 @@
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>
-#include <optional>
 #include <string>
-
-#include "base/status.h"
 
 namespace saltus {
 

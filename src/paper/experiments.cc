@@ -3,7 +3,6 @@
 #include <cmath>
 #include <map>
 
-#include "base/interrupt.h"
 #include "output/npz.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"

@@ -7,7 +7,6 @@
 #include <map>
 
 #include "audit/gradient/statistics.h"
-#include "base/interrupt.h"
 #include "output/table.h"
 #include "paper/experiments.h"
 #include "programs/audit_output.h"

@@ -3,9 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/interrupt.h"
 #include "base/random.h"
-#include "identify/unknowns.h"
 #include "output/table.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"

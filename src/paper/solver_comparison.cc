@@ -2,13 +2,11 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <limits>
 #include <optional>
 #include <set>
 #include <string_view>
 
-#include "base/interrupt.h"
 #include "exact/two_disc_optimum.h"
 #include "paper/descent_audit.h"
 #include "paper/experiments.h"

@@ -5,7 +5,6 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
-#include "base/interrupt.h"
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
 #include "programs/parallel.h"

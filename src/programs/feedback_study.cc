@@ -2,11 +2,9 @@
 
 #include <gflags/gflags.h>
 
-#include <algorithm>
 #include <cmath>
 #include <iostream>
 
-#include "base/suggestion.h"
 #include "feedback/noisy_states.h"
 #include "programs/motion.h"
 #include "programs/program.h"

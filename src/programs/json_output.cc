@@ -1,7 +1,5 @@
 #include "programs/json_output.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <iostream>

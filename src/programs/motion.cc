@@ -9,7 +9,6 @@
 #include <numeric>
 #include <tuple>
 
-#include "base/time_grid.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"

@@ -1,7 +1,6 @@
 #include "sweep/output.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <map>

@@ -1,6 +1,5 @@
 #include "output/json_number.h"
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
