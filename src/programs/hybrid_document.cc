@@ -12,46 +12,53 @@ namespace {
 
 Json NumbersOf(std::span<const double> numbers) { return std::vector<double>(numbers.begin(), numbers.end()); }
 
-// Times, modes, states and guards of a motion, in order of time.
-class Samples {
- public:
-  Samples(const HybridSystem& system, const HybridInput& input)
-      : system_(system), input_(input), begins_(input.Times()), no_control_(system.num_controls()) {
-    begins_.pop_back();
-  }
-
-  void Add(double time, int mode, std::span<const double> state) {
-    times_.push_back(time);
-    modes_.push_back(system_.ModeName(mode));
-    states_.push_back(NumbersOf(state));
-    Json values = Json::array();
-    for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
-      values.push_back(
-          system_.functions().Guard(mode, guard, time, state.data(), ControlAt(time), input_.parameters.data()));
+// Adds times, modes, states and guards of the simulator's last rollout, in order of time.
+void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool ok, Json* motion) {
+  const HybridSystem& system = simulator.system();
+  Json times = Json::array(), modes = Json::array(), states = Json::array(), guards = Json::array();
+  std::vector<double> begins = input.Times();  // of the control intervals
+  begins.pop_back();
+  const std::vector<double> no_control(system.num_controls());
+  const auto add = [&](double time, int mode, std::span<const double> state) {
+    times.push_back(time);
+    modes.push_back(system.ModeName(mode));
+    states.push_back(NumbersOf(state));
+    // The control of the interval that begins at or before the time; of the last one at the end.
+    const std::ptrdiff_t begun = std::upper_bound(begins.begin(), begins.end(), time) - begins.begin();
+    const std::ptrdiff_t row = std::max<std::ptrdiff_t>(begun - 1, 0) * system.num_controls();
+    const double* control = input.control.empty() ? no_control.data() : &input.control[row];
+    Json& values = guards.emplace_back(Json::array());
+    for (int guard = 0; guard < system.num_guards(mode); ++guard) {
+      values.push_back(system.functions().Guard(mode, guard, time, state.data(), control, input.parameters.data()));
     }
-    guards_.push_back(std::move(values));
+  };
+  std::size_t next = 0;
+  const std::vector<HybridEvent>& events = simulator.events();
+  const auto add_events_until = [&](double time) {
+    for (; next < events.size() && events[next].time <= time; ++next) {
+      add(events[next].time, events[next].mode, events[next].before);
+      add(events[next].time, events[next].next_mode, events[next].after);
+    }
+  };
+  double last = -1;
+  for (int k = 0; k < simulator.num_steps(); ++k) {
+    const double time = simulator.StepTime(k);
+    const std::size_t before = next;
+    add_events_until(time);
+    // A step after an event begins with the state that the event has added.
+    if (next == before && time > last) add(time, simulator.StepMode(k), simulator.StepState(k));
+    last = time;
   }
-  void MoveTo(Json* motion) {
-    (*motion)["times"] = std::move(times_);
-    (*motion)["modes"] = std::move(modes_);
-    (*motion)["states"] = std::move(states_);
-    (*motion)["guards"] = std::move(guards_);
+  if (ok) {
+    const std::size_t before = next;
+    add_events_until(input.duration);
+    if (next == before) add(input.duration, simulator.final_mode(), simulator.final_state());
   }
-
- private:
-  // Of the interval that begins at or before `time`; the last one at the end.
-  const double* ControlAt(double time) const {
-    if (input_.control.empty()) return no_control_.data();
-    const std::ptrdiff_t begun = std::upper_bound(begins_.begin(), begins_.end(), time) - begins_.begin();
-    return &input_.control[std::max<std::ptrdiff_t>(begun - 1, 0) * system_.num_controls()];
-  }
-
-  const HybridSystem& system_;
-  const HybridInput& input_;
-  std::vector<double> begins_;  // of the control intervals
-  const std::vector<double> no_control_;
-  Json times_ = Json::array(), modes_ = Json::array(), states_ = Json::array(), guards_ = Json::array();
-};
+  (*motion)["times"] = std::move(times);
+  (*motion)["modes"] = std::move(modes);
+  (*motion)["states"] = std::move(states);
+  (*motion)["guards"] = std::move(guards);
+}
 
 }  // namespace
 
@@ -97,31 +104,7 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   if (ok) {
     if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) motion["remark"] = remark;
   }
-  if (!states) return motion;
-  Samples samples(system, input);
-  std::size_t next = 0;
-  const std::vector<HybridEvent>& all = simulator.events();
-  const auto add_events_until = [&](double time) {
-    for (; next < all.size() && all[next].time <= time; ++next) {
-      samples.Add(all[next].time, all[next].mode, all[next].before);
-      samples.Add(all[next].time, all[next].next_mode, all[next].after);
-    }
-  };
-  double last = -1;
-  for (int k = 0; k < simulator.num_steps(); ++k) {
-    const double time = simulator.StepTime(k);
-    const std::size_t before = next;
-    add_events_until(time);
-    // A step after an event begins with the state that the event has added.
-    if (next == before && time > last) samples.Add(time, simulator.StepMode(k), simulator.StepState(k));
-    last = time;
-  }
-  if (ok) {
-    const std::size_t before = next;
-    add_events_until(input.duration);
-    if (next == before) samples.Add(input.duration, simulator.final_mode(), simulator.final_state());
-  }
-  samples.MoveTo(&motion);
+  if (states) AddSamples(simulator, input, ok, &motion);
   return motion;
 }
 
