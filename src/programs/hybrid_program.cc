@@ -44,33 +44,30 @@ struct HybridRequest : HybridTask {
   ProgressMode progress = ProgressMode::kAuto;
 };
 
-// Where --set puts the value of a name of NamesOf.
-double* PlaceOf(const std::string& name, HybridProblem* problem) {
+// What --set changes, by name.
+std::vector<std::pair<std::string, double*>> PlacesOf(HybridProblem* problem) {
   const HybridSystem& system = problem->system;
   HybridInput& guess = problem->guess;
+  std::vector<std::pair<std::string, double*>> places;
   for (int i = 0; i < system.num_parameters(); ++i) {
-    if (system.ParameterName(i) == name) return &guess.parameters.at(i);
+    places.emplace_back(system.ParameterName(i), &guess.parameters.at(i));
   }
   for (int i = 0; i < system.state_size(guess.mode); ++i) {
-    if (system.StateName(guess.mode, i) == name) return &guess.initial.at(i);
+    places.emplace_back(system.StateName(guess.mode, i), &guess.initial.at(i));
   }
-  if (name == "duration") return &guess.duration;
-  return &problem->integration.tolerance;
-}
-
-std::vector<std::string> NamesOf(const HybridProblem& problem) {
-  std::vector<std::string> names;
-  for (int i = 0; i < problem.system.num_parameters(); ++i) names.push_back(problem.system.ParameterName(i));
-  for (int i = 0; i < problem.system.state_size(problem.guess.mode); ++i) {
-    names.push_back(problem.system.StateName(problem.guess.mode, i));
-  }
-  names.insert(names.end(), {"duration", "tolerance"});
-  return names;
+  places.emplace_back("duration", &guess.duration);
+  places.emplace_back("tolerance", &problem->integration.tolerance);
+  return places;
 }
 
 void ReadSet(HybridProblem* problem) {
-  for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, NamesOf(*problem)))
-    *PlaceOf(name, problem) = value;
+  if (FLAGS_set.empty()) return;
+  const auto places = PlacesOf(problem);
+  std::vector<std::string> names;
+  for (const auto& [name, place] : places) names.push_back(name);
+  for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, names)) {
+    *std::find_if(places.begin(), places.end(), [&](const auto& one) { return one.first == name; })->second = value;
+  }
 }
 
 // The guess's control on another number of intervals: the mean over each.
