@@ -317,15 +317,6 @@ namespace {
 
 bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }
 
-// Bytes of the first `columns` characters.
-size_t PrefixOf(std::string_view text, size_t columns) {
-  size_t seen = 0;
-  for (size_t i = 0; i < text.size(); ++i) {
-    if (StartsCharacter(text[i]) && ++seen > columns) return i;
-  }
-  return text.size();
-}
-
 std::optional<size_t> ColumnsFromEnvironment() {
   const char* value = std::getenv("COLUMNS");
   if (value == nullptr) return std::nullopt;
@@ -362,6 +353,14 @@ std::string Joined(const std::vector<std::string>& words, std::string_view separ
 
 std::string JoinedNames(const std::vector<std::string>& names) {
   return names.empty() ? "none" : Joined(names, ", ", "`");
+}
+
+size_t PrefixOf(std::string_view text, size_t columns) {
+  size_t seen = 0;
+  for (size_t i = 0; i < text.size(); ++i) {
+    if (StartsCharacter(text[i]) && ++seen > columns) return i;
+  }
+  return text.size();
 }
 
 size_t DisplayWidth(std::string_view text) {

@@ -36,6 +36,9 @@ std::string JoinedNames(const std::vector<std::string>& names);
 // Columns that UTF-8 text takes, were every code point one column wide.
 size_t DisplayWidth(std::string_view text);
 
+// Bytes of the characters that fit into so many columns: never a part of one.
+size_t PrefixOf(std::string_view text, size_t columns);
+
 // `text` in lines of at most `width` columns, broken between words, and within those that are wider. Line feeds break
 // too. At least one line. Precondition: width > 0.
 std::vector<std::string> WrapText(std::string_view text, size_t width);
