@@ -185,14 +185,11 @@ class Solved {
   }
 
  private:
-  size_t Column(const std::string& name) const {
-    return std::find(study_.columns().begin(), study_.columns().end(), name) - study_.columns().begin();
-  }
   double Number(const StoredPoint& point, const std::string& name) const {
-    return ToNumber(point.result.row[Column(name)]);
+    return ToNumber(point.result.row[*study_.FindColumn(name)]);
   }
   std::string Text(const StoredPoint& point, const std::string& name) const {
-    return CellOf(point.result.row[Column(name)]).Exact();
+    return CellOf(point.result.row[*study_.FindColumn(name)]).Exact();
   }
 
   // All options but those of solvers.
